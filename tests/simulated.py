@@ -9,6 +9,7 @@ reader's tick runs inside the `publish` of the writer, and its answer arrives wh
 """
 
 import heapq
+import math
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from itertools import count
 
 from softrig_core import Recording, Solver, Work
 from softrig_core.node.adapter.adapter import Adapter
+from softrig_core.node.adapter.files import Files
 from softrig_core.node.group import Group
 from softrig_core.node.seam.middleware import Middleware, Peer
 from softrig_core.node.seam.monitor import LONG, SHORT_ONES, Monitor
@@ -76,7 +78,11 @@ class World:
                 reader.node.deliver(reader, data)
                 continue
             self.last[key] = when = max(when, self.last.get(key, 0))
-            self.at(when, partial(reader.node.deliver, reader, data), reader.node)
+            self.at(when, partial(self._arrive, writer.node, reader, data), reader.node)
+
+    def _arrive(self, sender, reader, data):
+        if not sender.lost:
+            reader.node.deliver(reader, data)
 
     def add(self, end):
         ends, others = (self.readers, self.writers) if end.receive else (self.writers, self.readers)
@@ -200,6 +206,7 @@ class SimulatedNode(Middleware):
         self.process = process
         self.logs = []
         self.dead, self.stalled, self.born = 0, 0, world.now
+        self.lost = False  # whether what it has sent and is under way is lost with it
         self.monitor = Monitor(self._wake, self._clock)
         self.ahead = 0  # ns by which its clock differs
 
@@ -304,6 +311,9 @@ class SimulatedWorker:
     def _done(self):
         self.state = "done"
 
+    def wait(self, seconds):
+        self.state = "done" if self.state == "working" else self.state
+
     def elapsed(self):
         return (self.world.now - self.begun) / 1e9
 
@@ -345,13 +355,17 @@ class SimulatedRig:
         Nodes that share a process; any other has one of its own.
     recorders : sequence of str, optional
         As `node_parameters` takes them.
+    returns : bool
+        Whether nodes that died come back.
     **options
         ``run.*`` parameters of all nodes.
     """
 
     def __init__(self, rig, world, mode, seed=0, without=(), departs=False, after=None, groups=(),
-                 recorders=None, **options):  # fmt: skip
-        self.rig, self.world, self.recorders = rig, world, recorders
+                 recorders=None, returns=False, **options):  # fmt: skip
+        self.rig, self.world, self.recorders, self.returns = rig, world, recorders, returns
+        self.again = (mode, seed, options)
+        self.coming = set()  # nodes that have died and come back
         self.recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
         slowest = max((m.schedule for m in rig.members), key=lambda s: s.period)
         self.epoch = slowest.held(world.now + 1_000_000_000) if mode == "realtime" and not departs else 0
@@ -365,19 +379,20 @@ class SimulatedRig:
             else:
                 world.at(world.now + after(members[0].name), partial(self._start, members, mode, seed, options))
 
-    def _start(self, members, mode, seed, options):
+    def _start(self, members, mode, seed, options, files=None):
         process = object() if len(members) > 1 else None
-        Group([self._adapter(member, mode, seed, options, process) for member in members])
+        Group([self._adapter(member, mode, seed, options, process, files) for member in members])
 
-    def _adapter(self, member, mode, seed, options, process):
+    def _adapter(self, member, mode, seed, options, process, files):
         rig, world = self.rig, self.world
-        parameters = node_parameters(rig, member, seed, mode, recorders=self.recorders)
+        parameters = node_parameters(rig, member, seed, mode, recorders=self.recorders, returns=self.returns)
         given = {k.removeprefix("run."): v for k, v in parameters.items() if k.startswith("run.")}
         given |= {"epoch": self.epoch, **options}
         node = SimulatedNode(world, member.name, member.remap, process)
         sink = _Sink.__new__(_Sink)
         adapter = Adapter(node, member.block(seed), RunOptions(**given), sink)
         sink.__init__(self.recording, adapter.recorded)
+        adapter.files = files
         if world.discovery is not None:
             adapter.on_finished = partial(world.discovery.leave, node)
         if isinstance(adapter.block, Solver):
@@ -385,9 +400,39 @@ class SimulatedRig:
         self.nodes[member.name], self.adapters[member.name] = node, adapter
         return adapter
 
+    def kill(self, name, rng):
+        """A node dies, with or without what it has just sent; it is started again when all others stand."""
+        adapter, node = self.adapters.get(name), self.nodes.get(name)
+        if adapter is None or adapter.state == "done" or node.dead or name in self.coming:
+            return False
+        self.coming.add(name)
+        node.lost = rng.random() < 0.5
+        self.world.discovery.kill(node)
+        self._come_back(name, None)
+        return True
+
+    def _come_back(self, name, before):
+        others = {n: a for n, a in self.adapters.items() if n != name}
+        stand = [(a.t, a.state, self.nodes[n].stalled < self.world.now) for n, a in others.items()]
+        if len(self.adapters) < self.expected or stand != before or not all(awake for _, _, awake in stand):
+            self.world.at(self.world.now + 250_000_000, partial(self._come_back, name, stand))
+            return
+        own, died = self.adapters[name].recorded, self.recording.before(1 << 62)
+        for topic, _ in own:
+            del self.recording.topics[topic].times[:], self.recording.topics[topic].data[:]
+
+        def files():
+            now = {n: a for n, a in self.adapters.items() if n != name}
+            gone = frozenset(n for n, a in now.items() if a.state == "done")
+            answered = {n: math.inf if n in gone else float(a.t) for n, a in now.items()}
+            return Files(self.recording.before(1 << 62), died, answered, gone)
+
+        self.coming.discard(name)
+        self._start([next(m for m in self.rig.members if m.name == name)], *self.again, files)
+
     def _ended(self):
         over = [self.nodes[name].dead or a.state in ("done", "failed") for name, a in self.adapters.items()]
-        return len(over) == self.expected and all(over)
+        return len(over) == self.expected and all(over) and not self.coming
 
     def run(self, seconds=None):
         patience = 2.0 * self.rig.scenario.timeout + 20.0

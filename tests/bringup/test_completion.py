@@ -141,7 +141,9 @@ def test_figures_on_a_narrow_terminal_are_folded_between_words(tmp_path, capsys,
     words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--no-plots", "--out", str(tmp_path / "run")]
     assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].rstrip() == "dc_motor_smc_b2: DC motor rig, softened sliding"  # the title takes the terminal's width
+    assert (
+        lines[0].rstrip() == "dc_motor_smc_b2: DC motor rig, softened sliding"
+    )  # the title takes the terminal's width
     assert max(map(len, lines)) <= 50
     firsts = [line.split(" ")[0] for line in lines]
     assert "total_" in firsts

@@ -1,4 +1,4 @@
-"""A rig at the pace of the wall clock, held and stepped, over simulated nodes: when ticks are taken; the same bits."""
+"""A rig at the pace of the wall clock, held and stepped, over simulated nodes: when ticks are taken, the same bits."""
 
 from functools import partial
 

@@ -195,12 +195,12 @@ def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    steps = ran(rig(), monkeypatch, plain)[1]
+    steps = ran(rig(), monkeypatch, lambda text: plain(text))[1]  # as what is compiled: with tables of numpy
     assert {name: step.native for name, step in steps.items()} == {
         "plant": (489, "10 of its ticks were given up"), "law": (249, "10 of its ticks were given up"),
         "watcher": (0, "it watches what is recorded"),
     }  # fmt: skip
-    assert {step.native for step in ran(rig(), monkeypatch)[1].values()} == {(0, "a test")}
+    assert {step.native for step in ran(rig(), monkeypatch, plain)[1].values()} == {(0, "")}
 
 
 def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from softrig_bags.tape import port_of, written
 from softrig_bringup.cli import main
 from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.run.run import save, summary
-from softrig_core import Run, rig_of
+from softrig_core import Run, rig_of, simulate
 
 MS = 1_000_000
 
@@ -145,6 +145,94 @@ def test_a_run_is_not_replaced_by_its_own_repetition(tmp_path, capsys):
     pressed(tmp_path / "first")
     assert main(["run", "--like", str(tmp_path / "first" / "bag"), "--out", str(tmp_path / "first")]) == 2
     assert "it holds the run that --like repeats" in capsys.readouterr().err
+
+
+# another way from a time on --------------------------------------------------------------------------------------
+
+KP = ("--set", "fsfb_controller.kp=30.0")
+
+
+def from_there(tmp_path, capsys, run, at, *arguments, out="other"):
+    """Exit status, what is said, and the record."""
+    status = main(["run", "--from", f"{run}@{at}", *arguments, "--mode", "inprocess", "--no-plots", "--out",
+                   str(tmp_path / out)])  # fmt: skip
+    said = capsys.readouterr().err
+    return status, said, json.loads((tmp_path / out / "metrics.json").read_text()) if not status else {}
+
+
+def test_what_came_from_outside_before_a_branch_is_there_and_what_came_later_is_not(tmp_path, capsys):
+    first = pressed(tmp_path / "first")
+    down, up = first.topics["reverse"].times
+    assert down < up
+    status, said, record = from_there(tmp_path, capsys, tmp_path / "first", up / 1e9, *KP, "--duration", "0.9")
+    assert (status, f"up to t = {up / 1e9:.9g} s: repeats {tmp_path / 'first'} number for number: " in said) == (
+        0,
+        True,
+    )
+    assert record["changes"] == [{"at_s": up / 1e9, "node": "fsfb_controller", "set": {"kp": 30.0}}]
+    assert record["changed"] == [
+        f"from {tmp_path / 'first'} at {up / 1e9:.9g} s", "fsfb_controller.kp=30.0", "duration 0.9"
+    ]  # fmt: skip
+    assert (record["from"]["run"], record["duration_s"]) == (str(tmp_path / "first"), 0.9)
+    other = read_bag(tmp_path / "other" / "bag")
+    assert other.topics["reverse"].times == [down]
+    assert not differences(first.before(up), other.before(up))
+    assert differences(first, other)
+
+
+def test_a_branch_is_repeated_from_its_bag_alone(tmp_path, capsys):
+    plain = ["dc_motor_smc", "--duration", "0.1", "--mode", "inprocess", "--no-plots"]
+    assert main(["run", *plain, "--out", str(tmp_path / "first")]) == 0
+    softer, stiffer = ("--set", "dc_motor_smc.delta=0.5"), ("--set", "dc_motor_smc.delta=0.9")
+    from_there(tmp_path, capsys, tmp_path / "first", 0.04, *softer)
+    from_there(tmp_path, capsys, tmp_path / "other" / "bag", 0.06, *stiffer, "--duration", "0.12", out="third")
+    shutil.rmtree(tmp_path / "first")
+    shutil.rmtree(tmp_path / "other")
+    status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "third"), "--mode", "inprocess")
+    assert (status, "third number for number: " in said) == (0, True)
+    assert main(["draw", "plot", str(tmp_path / "third"), "--out", str(tmp_path / "drawn")]) == 0
+    run = simulate("dc_motor_smc", duration=0.1).branch(0.04, {"dc_motor_smc.delta": 0.5})
+    run = run.branch(0.06, {"dc_motor_smc.delta": 0.9}, duration=0.12)
+    assert not differences(run.recording, read_bag(tmp_path / "third" / "bag"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--from", "first"], "argument --from: 'first': expected RUN@T, the folder of a run and a time in s"),
+        (["--from", "first@x"], "argument --from: 'first@x': expected RUN@T"),
+        (["--from", "first@-1"], "argument --from: 'first@-1': expected RUN@T"),
+        (["--from", "nowhere@1"], "--from nowhere: expected the directory of a run"),
+        (["--from", "first@0.2"], "--from first: t = 0.2 s: expected a time that the run has come to, 0 to 0.1 s"),
+        (["--from", "first@0.05", "dc_motor_smc"], "--from repeats a run as it was: expected no scenario beside it"),
+        (["--from", "first@0.05", "--seed", "3"], "--from repeats a run as it was: expected no --seed beside it"),
+        (["--from", "first@0.05", "--set", "dc_motor_plant.J=1"], "parameter J may not change while running"),
+        (["--from", "first@0.05", "--set", "nobody.k=1"], "expected node.parameter with node one of"),
+        (["--from", "first@0.05", "--out", "first"], "--out first: it holds the run that --from continues"),
+        (["--from", "first@0.05", "--like", "first"], "not allowed with argument"),
+    ],
+)
+def test_what_cannot_be_a_branch_is_refused(arguments, message, branched_from, capsys, monkeypatch):
+    monkeypatch.chdir(branched_from)
+    assert main(["run", "--mode", "inprocess", "--no-plots", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def branched_from(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    plain = ["dc_motor_smc", "--duration", "0.1", "--mode", "inprocess", "--no-plots"]
+    assert main(["run", *plain, "--out", str(folder / "first")]) == 0
+    return folder
+
+
+def test_a_branch_of_what_cannot_be_repeated_says_where_it_parts(tmp_path, capsys, monkeypatch):
+    pressed(tmp_path / "first")
+    monkeypatch.setattr("softrig_bringup.options.like.from_outside", lambda rig, recording: [])
+    status, said, _ = from_there(tmp_path, capsys, tmp_path / "first", 0.9, *KP)
+    assert status == 1
+    assert "up to t = 0.9 s: differs from" in said
+    assert "axis/command from t = 0." in said
 
 
 def test_a_port_is_written_and_read():

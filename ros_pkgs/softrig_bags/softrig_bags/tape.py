@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Port, Recording, Sample, executable, param
+from softrig_core import Block, BlockParams, Port, Recording, Sample, executable, param, to_ns
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
 
@@ -39,6 +40,7 @@ class TapeParams(BlockParams):
     """Which bag, and what of it."""
 
     bag: str = param("", "bag of a run")
+    until: float = param(0.0, "what came from this time on is left out; 0: nothing is", "s", ge=0.0)
     inputs: tuple[str, ...] = param((), "ports of the nodes that read it, as JSON; see `written`")
 
     @model_validator(mode="after")
@@ -90,7 +92,10 @@ class Tape(Block[TapeParams]):
         recording, epoch = _loaded(self.p.bag)
         topic = recording.topics[port.topic]
         decode = Decoder(port)
+        until = to_ns(self.p.until) or math.inf
         for t, data in zip(topic.times, topic.data, strict=True):
+            if t - epoch >= until:
+                break
             try:
                 stamp, values = decode(data)
             except Refused:

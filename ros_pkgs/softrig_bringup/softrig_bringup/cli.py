@@ -37,7 +37,7 @@ FOREIGN = {
 # of scripts/softrig itself, which never get here
 SCRIPT = {
     "setup": "set up what is missing; `setup SET ...` adds to .venv (tables, frames, search, learning, dask, fmu, "
-    "view, osqp, docs, colcon, test), `setup --fetch DIR` downloads for a set-up without a network",
+    "view, docs, colcon, test), `setup --fetch DIR` downloads for a set-up without a network",
     "python": "the Python of the set-up, with everything importable: scripts/softrig python my_script.py",
     "docs": "the pages as a site with a search, --serve shows it here; `docs pages` makes their generated parts",
     "bench": "what the suite costs, as ratios to baselines of the same run; --help names its parts",

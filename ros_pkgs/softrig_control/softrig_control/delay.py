@@ -5,12 +5,18 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, Level, Port, Sample, executable, param, to_ns
+from softrig_core import Block, Level, Port, Sample, executable, jit, param, to_ns
 
 from .unit_delay import LinkParams
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Blocks = tuple[tuple[tuple[int, int, Any], ...], ...]
 
 
 class FieldbusDelayParams(LinkParams):
@@ -32,17 +38,162 @@ class FieldbusDelayParams(LinkParams):
         return self
 
 
-Line = tuple[tuple[tuple[int, int, Any], ...], ...]
-"""Messages under way, (arrival in ns, stamp in ns, message) each, sorted; in blocks, so that a tick copies few."""
-
 BLOCK = 64  # messages
+
+
+class Line:
+    """Messages under way, a value: each with its arrival and its stamp, ns, and in the order of these.
+
+    They are kept in blocks, so that a tick copies few.
+
+    Parameters
+    ----------
+    size : int
+        Numbers in a message; 0: messages are no rows of numbers, and native code cannot take them.
+    blocks : tuple of tuple of (int, int, object), optional
+        Arrival, stamp and message of each, sorted; no block is empty.
+    """
+
+    __slots__ = ("_blocks", "_size")
+
+    def __init__(self, size: int = 0, blocks: Blocks = ()) -> None:
+        self._size, self._blocks = size, blocks
+
+    def put(self, due: int, stamp: int, message: Any) -> Line:
+        """Give the line with one message more, which arrives at `due`, ns."""
+        blocks, item = self._blocks, (due, stamp, message)
+        k = len(blocks) - 1
+        while k > 0 and item < blocks[k][0]:
+            k -= 1
+        if k < 0:
+            return Line(self._size, ((item,),))
+        at = bisect_right(blocks[k], item)
+        block = (*blocks[k][:at], item, *blocks[k][at:])
+        parts = (block,) if len(block) <= BLOCK else (block[:BLOCK], block[BLOCK:])
+        return Line(self._size, (*blocks[:k], *parts, *blocks[k + 1 :]))
+
+    def taken(self, t: int, since: int, message: Any) -> tuple[Line, int, Any]:
+        """Take off what has arrived at `t`; give the newest, stamp before message, of those from `since` (ns) on.
+
+        Where none of them is, that is `since` and `message`.
+        """
+        blocks = self._blocks
+        if not blocks or blocks[0][0][0] > t:
+            return self, since, message
+        while blocks and blocks[0][0][0] <= t:
+            block, k = blocks[0], 0
+            while k < len(block) and block[k][0] <= t:
+                if block[k][1] >= since:
+                    _, since, message = block[k]
+                k += 1
+            blocks = blocks[1:] if k == len(block) else (block[k:], *blocks[1:])
+        return Line(self._size, blocks), since, message
+
+    def native(self) -> Line | LineRow:
+        """Give it as native code takes it."""
+        if not self._size:
+            return self
+        import numpy as np
+
+        items = self._messages()
+        room = 2 * len(items) + BLOCK
+        dues, stamps = np.zeros(room, np.int64), np.zeros(room, np.int64)
+        values = np.zeros((room, self._size))
+        for k, item in enumerate(items):
+            dues[k], stamps[k], values[k] = item
+        return LineRow((0.0,) * self._size, 0, len(items), dues, stamps, values.ravel())
+
+    def numbers(self) -> NDArray[np.float64]:
+        """Give the numbers of all messages in one row: what a linear view takes for states."""
+        from softrig_core.kit import floats
+
+        return floats.numbers(self._blocks)
+
+    def with_numbers(self, row: NDArray[np.float64]) -> Line:
+        """Give it with other numbers, in the order of `numbers`."""
+        from softrig_core.kit import floats
+
+        return Line(self._size, floats.put(self._blocks, floats.split(self._blocks, row)))
+
+    def _messages(self) -> list[tuple[int, int, Any]]:
+        return [item for block in self._blocks for item in block]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Line):
+            return NotImplemented
+        return self._messages() == other._messages()
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"Line({self._size}, {tuple(self._messages())})"
+
+
+class LineRow(NamedTuple):
+    """A `Line` in native code: all messages in one row, those from `begin` to `end` under way."""
+
+    blank: tuple[float, ...]
+    begin: int
+    end: int
+    dues: NDArray[np.int64]
+    stamps: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+    def put(self, due: int, stamp: int, message: tuple[float, ...]) -> LineRow:
+        """See `Line.put`."""
+        begin, end = _insert(self.dues, self.stamps, self.values, self.begin, self.end, due, stamp, message)
+        return self._replace(begin=begin, end=end)
+
+    def taken(self, t: int, since: int, message: tuple[float, ...]) -> tuple[LineRow, int, tuple[float, ...]]:
+        """See `Line.taken`."""
+        begin, n = self.begin, len(self.blank)
+        while begin < self.end and self.dues[begin] <= t:
+            if self.stamps[begin] >= since:
+                since = self.stamps[begin]
+                message = tuple([self.values[begin * n + k] for k, _ in enumerate(self.blank)])
+            begin += 1
+        return self._replace(begin=begin), since, message
+
+    def python(self) -> Line:
+        """Give it as Python has it."""
+        n, found = len(self.blank), Line(len(self.blank))
+        for k in range(self.begin, self.end):
+            row = tuple(self.values[k * n : (k + 1) * n].tolist())
+            found = found.put(int(self.dues[k]), int(self.stamps[k]), row)
+        return found
+
+
+@jit
+def _insert(
+    dues: NDArray[np.int64], stamps: NDArray[np.int64], values: NDArray[np.float64], begin: int, end: int, due: int,
+    stamp: int, message: tuple[float, ...],
+) -> tuple[int, int]:  # fmt: skip
+    n = len(message)
+    if end == len(dues):
+        if begin == 0:
+            raise IndexError("the line is full")
+        for k in range(begin, end):
+            dues[k - begin], stamps[k - begin] = dues[k], stamps[k]
+            for j in range(n):
+                values[(k - begin) * n + j] = values[k * n + j]
+        begin, end = 0, end - begin
+    at = end
+    while at > begin and (due < dues[at - 1] or (due == dues[at - 1] and stamp < stamps[at - 1])):
+        dues[at], stamps[at] = dues[at - 1], stamps[at - 1]
+        for j in range(n):
+            values[at * n + j] = values[(at - 1) * n + j]
+        at -= 1
+    dues[at], stamps[at] = due, stamp
+    for j in range(n):
+        values[at * n + j] = message[j]
+    return begin, end + 1
 
 
 class State(NamedTuple):
     """Stamp of the newest message sent, ns; those under way; what has arrived; random numbers drawn."""
 
     newest: int | None = None
-    line: Line = ()
+    line: Line = Line()
     held: Sample | None = None
     k: int = 0
 
@@ -73,12 +224,13 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         self._period = to_ns(p.period)
         self._delay, self._rounded = whole_periods(p.delay, p.period)
         self._jitter, rounded = whole_periods(p.jitter, p.period)
+        self._late = self._delay * self._period
         self._rounded |= rounded
         self._random = self._jitter > 0 or p.loss > 0.0
 
     def first(self) -> State:
         """Nothing is on the line."""
-        return State()
+        return State(line=Line(self.p.port("sent", self.p.topic_in).size))
 
     def update(
         self, x: State, t: int, *, sent: Sample
@@ -106,17 +258,16 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
     def _deliver(
         self, newest: int | None, line: Line, held: Sample, k: int, t: int
     ) -> tuple[State, Mapping[str, Sample | tuple[float, ...]]]:
-        line, found = arrived(line, t, held.stamp)
-        if found is not None:
-            held = Sample(*found)
+        line, stamp, data = line.taken(t, held.stamp, held.data)
+        held = Sample(stamp, data)
         return State(newest, line, held, k), {"arrived": held.data if self.p.restamp else held}
 
     def _send(self, line: Line, k: int, t: int, sample: Sample) -> tuple[Line, int]:
-        periods = self._delay
+        late = self._late
         if self._random:  # always both numbers, so that switching one option leaves the other's sequence alone
             draw, survive = self.uniform(k), self.uniform(k + 1)
             k += 2
-            periods += int(draw * (self._jitter + 1))
+            late += int(draw * (self._jitter + 1)) * self._period
             if survive < self.p.loss:
                 return line, k
         data = sample.data
@@ -124,35 +275,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
             data = tuple(
                 math.floor(x / q + 0.5) * q if q else x for x, q in zip(data, self.p.quantum, strict=True)
             )  # fmt: skip
-        return sent_on(line, t + periods * self._period, sample.stamp, data), k
-
-
-def sent_on(line: Line, due: int, stamp: int, message: Any) -> Line:
-    """Put a message on a line that arrives at `due`, ns."""
-    item = (due, stamp, message)
-    k = len(line) - 1
-    while k > 0 and item < line[k][0]:
-        k -= 1
-    if k < 0:
-        return ((item,),)
-    at = bisect_right(line[k], item)
-    block = (*line[k][:at], item, *line[k][at:])
-    parts = (block,) if len(block) <= BLOCK else (block[:BLOCK], block[BLOCK:])
-    return (*line[:k], *parts, *line[k + 1 :])
-
-
-def arrived(line: Line, t: int, since: int) -> tuple[Line, tuple[int, Any] | None]:
-    """Take off what has arrived at `t`, and give the newest, with its stamp, if that is `since` (ns) or later."""
-    found = None
-    while line and line[0][0][0] <= t:
-        block, k = line[0], 0
-        while k < len(block) and block[k][0] <= t:
-            _, stamp, message = block[k]
-            if stamp >= since:
-                found, since = (stamp, message), stamp
-            k += 1
-        line = line[1:] if k == len(block) else (block[k:], *line[1:])
-    return line, found
+        return line.put(t + late, sample.stamp, data), k
 
 
 def whole_periods(time: float, period: float) -> tuple[int, bool]:

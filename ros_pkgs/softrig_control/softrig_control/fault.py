@@ -10,7 +10,7 @@ from pydantic import model_validator
 from softrig_core import Block, Port, Sample, button, executable, param, to_ns
 from softrig_core.wire import types
 
-from .delay import Line, arrived, sent_on, whole_periods
+from .delay import Line, whole_periods
 from .unit_delay import LinkParams
 
 Kind = Literal["offset", "scale", "drift", "noise", "quantise", "saturate", "stuck", "spike", "delay", "loss", "repeat",
@@ -127,7 +127,7 @@ class State(NamedTuple):
     before: Message | None = None
     """The message before."""
 
-    line: Line = ()
+    line: Line = Line()
     said: Message = ()
     """Handed on last."""
 
@@ -227,15 +227,15 @@ class Fault(Block[FaultParams]):
             elif kind == "delay":
                 due = t + (self._delay + int(draws[0] * (self._jitter + 1))) * self._period
                 last_due = due if p.overtaking else max(due, last_due)
-                line = sent_on(line, last_due, t, sent)
+                line = line.put(last_due, t, sent)
             else:
                 found = self._faulty(t, sent, data, before, began, burst, draws)
             before = sent
         if kind == "delay":
             newest = newest if found is None else t
-            line, late = arrived(line, t, newest + 1)
+            line, stamp, late = line.taken(t, newest + 1, None)
             if late is not None:
-                newest, found = late
+                newest, found = stamp, late
         if found is not None:
             said = found
         x = State(on, down, burst, began, before, line, said, taken, newest, last_due, k)

@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from .discretise import Matrix, matmul
+
+
+class Commands(NamedTuple):
+    """Commands of the last periods, newest first, as many as are kept; so many of them are known, the others 0."""
+
+    newest: tuple[float, ...]
+    known: int
 
 
 class CommandReplay:
@@ -28,45 +36,41 @@ class CommandReplay:
     def __init__(self, phi: Sequence[Sequence[float]], gamma: Sequence[Sequence[float]], capacity: int) -> None:
         n = len(phi)
         power: Matrix = tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
-        self._powers = [power]  # Phi^D
+        self._size = n
+        self._powers = [x for row in power for x in row]  # Phi^D, one after the other
         impulse = []  # Phi^j Gamma
         for _ in range(capacity):
             impulse.append([row[0] for row in matmul(power, gamma)])
             power = matmul(phi, power)
-            self._powers.append(power)
-        self._impulse = list(zip(*impulse, strict=True))  # one sequence over j a state
+            self._powers += [x for row in power for x in row]
+        self._impulse = [list(row) for row in zip(*impulse, strict=True)]  # one sequence over j a state
         self._capacity = capacity
 
-    def record(self, history: tuple[float, ...], u: float) -> tuple[float, ...]:
-        """Give the commands known with that of this period, as issued (after saturation), newest first."""
-        return (u, *history[: self._capacity - 1]) if self._capacity else ()
+    def nothing(self) -> Commands:
+        """Give the commands known before the first."""
+        return Commands((0.0,) * self._capacity, 0)
 
-    def present(self, history: tuple[float, ...], x: Sequence[float], late: int) -> tuple[float, ...] | None:
+    def record(self, history: Commands, u: float) -> Commands:
+        """Give the commands known with that of this period, as issued (after saturation)."""
+        return Commands((u, *history.newest)[: self._capacity], min(history.known + 1, self._capacity))
+
+    def present(self, history: Commands, x: Sequence[float], late: int) -> tuple[float, ...]:
         """Predict the state now.
 
         Parameters
         ----------
-        history : tuple of float
-            Commands known, newest first; () at the start.
+        history : Commands
         x : (n,) sequence
             State `late` periods ago.
         late : int
-            D >= 0.
-
-        Returns
-        -------
-        tuple of float or None
-            None when the commands of the last D periods are not all known.
+            D, from 0 to the number of commands known.
         """
-        if late > len(history):
-            return None
-        recent = history[:late]
-        state = []
-        for row, impulse in zip(self._powers[late], self._impulse, strict=True):
-            total = 0.0
-            for a, b in zip(row, x, strict=True):
-                total += a * b
-            for g, u in zip(impulse, recent, strict=False):
-                total += g * u
+        state, n = [], self._size
+        for i in range(n):
+            total, impulse = 0.0, self._impulse[i]
+            for j in range(n):
+                total += self._powers[(late * n + i) * n + j] * x[j]
+            for k in range(late):
+                total += impulse[k] * history.newest[k]
             state.append(total)
         return tuple(state)

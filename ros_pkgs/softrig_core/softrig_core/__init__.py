@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from .run.expand import rig_of as rig_of
     from .run.inprocess import run_inprocess as run_inprocess
     from .run.replay import feed as feed
+    from .run.session import Session as Session
     from .run.simulate import Run as Run, simulate as simulate
     from .scenario.scenario import Scenario as Scenario, load_scenario as load_scenario
     from .scenario.scenario_file import list_scenarios as list_scenarios
@@ -109,6 +110,7 @@ else:
         "rig.rig": "Rig",
         "scenario.scenario": "Scenario load_scenario",
         "scenario.scenario_file": "list_scenarios",
+        "run.session": "Session",
         "run.simulate": "Run simulate",
         "analysis.steady": "NoOperatingPoint OperatingPoint steady",
         "verdict.watch": "Watch WatchParams",

@@ -110,7 +110,8 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
         with BagReader(bag) as reader:
             data = reader.custom_data
         content = _content(bag.absolute().parent / METRICS)
-        command = shlex.split(data.get("command", "") or str(content["command"]))
+        begun = json.loads(data.get("from", "{}")).get("command", "")  # of one that went on from another
+        command = shlex.split(begun or data.get("command", "") or str(content["command"]))
         late = json.loads(data.get("late", "{}"))
         made_with = {key: json.loads(data[key]) for key in MADE_WITH if key in data}
         made_with = {key: dict(content[key]) for key in MADE_WITH if key in content} | made_with
@@ -168,13 +169,17 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     if rig.clock.external:
         raise ScenarioError(f"--like {run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat "
                             "them")  # fmt: skip
-    inputs = from_outside(rig, run.recording)
     nodes: dict[str, Any] = {name: entry for name, entry in scenario.nodes.items() if not entry.external}
-    if inputs:
-        parameters = {"period": str(rig.clock.schedule.period), "bag": str(run.bag),
-                      "inputs": [_text(port) for port in inputs]}  # fmt: skip
-        nodes |= {TAPE: {"package": "softrig_bags", "executable": "tape", "parameters": parameters}}
+    nodes |= tape(rig, run)
     return scenario.having(nodes=nodes, changes=[{"at": at, "set": values} for at, values in by_time.items()])
+
+
+def tape(rig: Rig, run: Recalled, until: float = 0.0) -> dict[str, Any]:
+    """Give the node that says what came from outside, up to a time (s; 0: all), if anything has."""
+    inputs = from_outside(rig, run.recording)
+    parameters = {"period": str(rig.clock.schedule.period), "bag": str(run.bag), "until": until,
+                  "inputs": [_text(port) for port in inputs]}  # fmt: skip
+    return {TAPE: {"package": "softrig_bags", "executable": "tape", "parameters": parameters}} if inputs else {}
 
 
 def from_outside(rig: Rig, recording: Recording) -> list[Port]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +18,11 @@ if TYPE_CHECKING:
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("scenario", nargs="?", default="", help="name or YAML file")
-    parser.add_argument("--like", type=Path, metavar="RUN", help="instead of a scenario: that run (its folder, "
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--like", type=Path, metavar="RUN", help="instead of a scenario: that run (its folder, "
                         "bag, or file of `pack`) once more, with all that was changed while it ran")  # fmt: skip
+    kind.add_argument("--from", type=_moment, dest="origin", metavar="RUN@T", help="instead of a scenario: that run up "
+                        "to T (s), and on from there with what --set changes")  # fmt: skip
     parser.add_argument("--mode", choices=("processes", "container", "inprocess"), default="processes", type=_mode,
                         help="where the nodes live")  # fmt: skip
     parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
@@ -32,6 +36,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", action="append", default=[], metavar="NODE",
                         help="start this one here, the others on another machine; needs --domain")  # fmt: skip
     parser.add_argument("--wait", type=Number(float, 0), metavar="S", help="limit of the wait for them (default: none)")
+    parser.add_argument("--restart", type=Number(int, 0), default=0, metavar="N", help="lockstep, --mode processes: "
+                        "a node that was killed is started again where it was, up to N times")  # fmt: skip
     parser.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
@@ -49,7 +55,19 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
     parser.add_argument("--connect", action="store_true", help="print how nodes of your own see the rig")
-    parser.set_defaults(view=False, paused=False, pace=0.0, address="")  # those of the verb `view`
+    parser.set_defaults(view=False, paused=False, pace=0.0, address="", recalled=None)  # those of the verb `view`
+
+
+def _moment(text: str) -> tuple[Path, float]:
+    """Read ``RUN@T``: the folder of a run or its bag, and a time in s."""
+    run, _, t = text.rpartition("@")
+    try:
+        at = float(t)
+    except ValueError:
+        at = -1.0
+    if not run or not at >= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected RUN@T, the folder of a run and a time in s")
+    return Path(run), at
 
 
 def _mode(word: str) -> str:
@@ -65,10 +83,10 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
 
     from .grammar import settings
 
-    if options.like is not None:
+    if options.like is not None or options.origin is not None:
         return _repeated(options)
     if not options.scenario:
-        raise ScenarioError("expected a scenario, or --like RUN")
+        raise ScenarioError("expected a scenario, --like RUN, or --from RUN@T")
     given = {}
     if options.params_file is not None:
         from .params_file import params_of
@@ -87,19 +105,38 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
 
 
 def _repeated(options: argparse.Namespace) -> Scenario:
-    """Give the scenario of the run that --like names, with what was changed of it before and while it ran."""
+    """Give the scenario of the run that --like or --from names, with what was changed of it before and while it ran."""
     from softrig_core import ScenarioError
 
+    from .branch import continued
+    from .grammar import settings
     from .like import recall, repeated
 
+    word, free = ("--like", ()) if options.origin is None else ("--from", ("set", "duration"))
     for name in ("scenario", "set", "params_file", "duration", "seed", "external", "only"):
-        if getattr(options, name) not in ("", None, []):
-            word = name if name == "scenario" else f"--{name.replace('_', '-')}"
-            raise ScenarioError(f"--like repeats a run as it was: expected no {word} beside it")
+        if name not in free and getattr(options, name) not in ("", None, []):
+            other = name if name == "scenario" else f"--{name.replace('_', '-')}"
+            raise ScenarioError(f"{word} repeats a run as it was: expected no {other} beside it")
     parser = argparse.ArgumentParser(exit_on_error=False)
     arguments(parser)
-    options.recalled = recall(options.like, parser.parse_args)
-    return repeated(scenario_of(options.recalled.options), options.recalled)
+    if options.origin is None:
+        options.recalled = recall(options.like, parser.parse_args)
+        return repeated(scenario_of(options.recalled.options), options.recalled)
+    path, at = options.origin
+    try:
+        run = options.recalled = recall(path, parser.parse_args)
+    except ScenarioError as error:
+        raise ScenarioError(str(error).replace("--like", word, 1)) from None
+    scenario = continued(scenario_of(run.options), run, at, settings(options.set))
+    return scenario if options.duration is None else _changed(scenario, {"duration": options.duration})
+
+
+def begun(options: argparse.Namespace) -> dict[str, Any]:
+    """Say from which run one that --from has made goes on, and by which command the first of them was made."""
+    path, at = options.origin
+    first = argparse.Namespace(**vars(options.recalled.options))
+    first.duration = first.duration if options.duration is None else options.duration
+    return {"run": str(path), "at_s": at, "command": shlex.join(["run", *repeat(first)])}
 
 
 def placement_of(options: argparse.Namespace) -> Placement:
@@ -107,13 +144,14 @@ def placement_of(options: argparse.Namespace) -> Placement:
     from softrig_core.processes.placement import Placement
 
     return Placement(options.mode, "realtime" if options.realtime else "lockstep", options.domain, only=options.only,
-                     wait=options.wait, paused=options.paused, pace=options.pace)  # fmt: skip
+                     wait=options.wait, paused=options.paused, pace=options.pace, restart=options.restart)  # fmt: skip
 
 
 def changed_words(options: argparse.Namespace) -> list[str]:
     """Say what of a scenario was changed on the command line, in words."""
     found = [str(options.params_file)] if options.params_file is not None else []
     found += [f"like {options.like}"] if options.like is not None else []
+    found += [f"from {options.origin[0]} at {options.origin[1]:.9g} s"] if options.origin is not None else []
     found += [*options.set, *(f"{name} outside, its parameters unknown" for name in options.external)]
     return found + [f"{name} {value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
 
@@ -123,6 +161,7 @@ def folder_name(scenario: str, options: argparse.Namespace) -> str:
     parts = [scenario] + (["realtime"] if options.realtime else [])
     parts += [options.params_file.stem] if options.params_file is not None else []
     parts += ["again"] if options.like is not None else []
+    parts += [f"from_{options.origin[1]:.9g}"] if options.origin is not None else []
     parts += [*options.set, *(f"external_{name}" for name in options.external)]
     parts += [f"{name}_{value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
     return re.sub(r"[^A-Za-z0-9_.=+-]+", "_", "-".join(parts))[:120]
@@ -132,7 +171,9 @@ def repeat(options: argparse.Namespace) -> list[str]:
     """Command-line arguments that repeat a run."""
     from .repeat import scenario_word
 
-    again = ["--like", str(options.like.absolute())] if options.like is not None else [scenario_word(options.scenario)]
+    again = [scenario_word(options.scenario)] if options.scenario else []
+    again += ["--like", str(options.like.absolute())] if options.like is not None else []
+    again += ["--from", f"{options.origin[0].absolute()}@{options.origin[1]!r}"] if options.origin is not None else []
     arguments = [*again, "--mode", options.mode, *(["--realtime"] if options.realtime else [])]
     arguments += ["--params-file", str(options.params_file.absolute())] if options.params_file is not None else []
     for text in options.set:

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from softrig_core import ScenarioError
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.verdict.figures import Result
@@ -32,6 +32,14 @@ class _Changed(BaseModel):
     at_s: float
     node: str
     set: dict[str, Any]
+
+
+class Origin(BaseModel):
+    """From which run, and when, one went on otherwise; the command of the first of them."""
+
+    run: str
+    at_s: float
+    command: str
 
 
 class RunRecord(BaseModel):
@@ -65,6 +73,12 @@ class RunRecord(BaseModel):
     citations: tuple[Citation, ...] = ()
     wiring: Wiring = Wiring()
     signals: dict[str, Shown] = {}
+    origin: Origin | None = Field(default=None, alias="from")
+
+    @property
+    def made_by(self) -> str:
+        """The command that says of what rig it was: of a run that went on from another one, that of the first."""
+        return self.command if self.origin is None else self.origin.command
 
     @field_validator("nodes")
     @classmethod

@@ -42,7 +42,7 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
                             "from the bag")  # fmt: skip
     found = signals(bag)
     if (bag.parent / "metrics.json").is_file():
-        return _as_it_ran(read_run(bag.parent).command), found
+        return _as_it_ran(read_run(bag.parent).made_by), found
     scenario = BagReader(bag).custom_data.get("scenario", "")
     if not scenario:
         raise ScenarioError(f"{bag}: does not say of which scenario it is")

@@ -320,6 +320,7 @@ def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
     epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time
     late = lateness(run.status) if run.epoch else {}
     epoch |= {"late": json.dumps(late)} if late else {}
+    epoch |= {"from": json.dumps(content["from"])} if "from" in content else {}  # the run that it goes on from
     epoch |= {"contents": json.dumps(content["contents"])} if content["contents"] else {}
     seen = {name: s["figures"] for name, s in run.status.items() if s.get("figures")}  # what observers said at the end
     observed = {"observed": json.dumps(seen)} if seen else {}

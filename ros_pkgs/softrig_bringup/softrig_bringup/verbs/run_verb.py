@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from softrig_core.guard import plain, say
 
-from ..options.run_options import changed_words, folder_name, placement_of, repeat, scenario_of
+from ..options.run_options import begun, changed_words, folder_name, placement_of, repeat, scenario_of
 
 if TYPE_CHECKING:
     from softrig_core import Run
@@ -111,9 +111,11 @@ def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:
     from ..folder import ResultsFolder
 
     out = (options.out or Path("runs") / folder_name(scenario, options)).absolute()
-    if options.like is not None and out in (options.like.absolute(), options.like.absolute().parent):
+    before = options.like if options.origin is None else options.origin[0]
+    if before is not None and out in (before.absolute(), before.absolute().parent):
         if options.out is not None:
-            raise ScenarioError(f"--out {options.out}: it holds the run that --like repeats, expected another folder")
+            word = "--like repeats" if options.origin is None else "--from continues"
+            raise ScenarioError(f"--out {options.out}: it holds the run that {word}, expected another folder")
         out = out.with_name(f"{out.name}-again")
     folder, number = ResultsFolder(out), 1
     while why := _kept(folder, options.force):
@@ -186,10 +188,16 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
         if options.external:  # the title of the scenario is about what did not run
             content["title"] = f"{done.rig.scenario.name} with {', '.join(options.external)} from outside"
         same, told = True, list[str]()
-        if options.like is not None:
+        if options.origin is not None:
+            from ..options.branch import began_as
+
+            same, told = began_as(options.recalled, done, options.origin[1], content)
+            content["from"] = begun(options)
+        elif options.like is not None:
             from ..options.like import compared
 
             same, told = compared(options.recalled, done, content)
+        if options.recalled is not None:
             content["repeats"] = told
             same = same or bool(options.recalled.late) or bool(done.epoch)
         if folder is not None:

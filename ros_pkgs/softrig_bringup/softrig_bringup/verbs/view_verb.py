@@ -15,7 +15,7 @@ from . import run_verb
 def view(options: argparse.Namespace) -> int:
     """Show what is named; gives the exit status."""
     path = Path(options.scenario)
-    if options.like is None and path.is_dir():
+    if options.scenario and path.is_dir():
         return _recorded(path, options.address)
     options.view, options.paused = True, not (options.realtime or options.running)
     return run_verb.run(options)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..block.moment import keep, put_back
 from ..block.port import Port, Sample
 from ..block.runner import Runner
 from ..block.step import Step
@@ -206,7 +207,7 @@ class StateMap:
                     looks.append(self._read())
                 if k == self._first - 1:
                     break
-        self._saved = self._save()
+        self._saved = keep(self._steps.values())
         self.names, self.start = self._read()
         self._labels = {
             f"{n}.{HEARD}{p.name}{'.data' * p.delayed}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
@@ -260,20 +261,6 @@ class StateMap:
             step.values.update(zip(step.values, inputs, strict=True))
             at += size
 
-    def _save(self) -> Any:
-        return [
-            (s, s.save(), dict(s.values), s.t, s.bad, list(s.spoken), s.said, list(s._changes), s.change_at)
-            for s in self._steps.values()
-        ]
-
-    def _restore(self) -> None:
-        for step, held, values, t, bad, spoken, said, changes, change_at in self._saved:
-            step.load(held)
-            step.values.update(values)
-            step.t, step.bad, step.spoken, step.said, step.change_at = t, bad, list(spoken), said, change_at
-            step._changes.clear()
-            step._changes.extend(changes)
-
     def __call__(
         self, numbers: Array, added: Mapping[str, float], fixed: Mapping[str, float] | None = None
     ) -> tuple[Array, dict[str, float]]:
@@ -302,7 +289,7 @@ class StateMap:
         fixed: Mapping[str, float] | None = None,
     ) -> Iterator[tuple[Array, dict[str, float]]]:  # fmt: skip
         """Go some periods on; gives what `__call__` gives after each of them."""
-        self._restore()
+        put_back(self._steps.values(), self._saved)
         self._write(numbers)
         added, fixed = added or {}, fixed or {}
         for name, probe in self.probes.items():

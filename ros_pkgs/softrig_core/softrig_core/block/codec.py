@@ -130,11 +130,14 @@ def _check_partial(names: Sequence[str], port: Port) -> None:
         raise Refused(f"names {list(names)}, expected some of {list(port.channels)}")
 
 
-def encoder(layout: Layout) -> Callable[[int, Sequence[float]], bytes]:
-    """Give what makes one topic's messages, each from its stamp and values; arrays it numbers in the order of calls."""
+def encoder(layout: Layout, said: int = 0) -> Callable[[int, Sequence[float]], bytes]:
+    """Give what makes one topic's messages, each from its stamp and values.
+
+    Arrays it numbers in the order of calls; `said` messages were before them.
+    """
     if not layout.numbered:
         return layout.encode
-    numbers = count()
+    numbers = count(said)
     return lambda stamp, values: layout.encode(next(numbers), values)
 
 

@@ -174,6 +174,10 @@ class Port:
 
     def layout(self) -> Layout:
         """Wire layout of what this port publishes."""
+        return self._layout
+
+    @cached_property
+    def _layout(self) -> Layout:
         names = self.channels if self.type.named else ()
         count = self.size if self.dims else len(self.channels)
         counts = dict.fromkeys(self.fields, count)
@@ -181,7 +185,7 @@ class Port:
 
     def renamed(self, topic: str) -> Port:
         """Give the same port on another topic."""
-        return replace(self, topic=topic)
+        return self if topic == self.topic else replace(self, topic=topic)
 
 
 Units = str | Sequence[str]  # one of all channels, or one a channel; "1" for a pure number

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from fractions import Fraction
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from ..timebase import SECOND
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+@lru_cache(maxsize=1024)
 def rational(seconds: float | str | Fraction) -> Fraction:
     """Give the number of seconds that is meant.
 
@@ -142,6 +144,8 @@ class Schedule:
         """Give the times of ticks first to last - 1, ns, shape (last - first,)."""
         import numpy as np
 
+        if self._d == 1 and last * self._n < 1 << 62:
+            return np.arange(first * self._n, last * self._n, self._n, dtype=np.int64)
         if 2 * last * self._n + self._d < 1 << 62:
             return (2 * np.arange(first, last, dtype=np.int64) * self._n + self._d) // (2 * self._d)
         return np.array([self.time(k) for k in range(first, last)], np.int64)

@@ -42,6 +42,8 @@ class Step(Held):
         What each input holds: the keywords of the block's methods. Who brings a message writes it here.
     stamps : dict of str to callable
         By input: gives the stamp of the newest message, ns, None before the first; missing: nothing ever comes.
+    changes : deque of Change
+        Those that have not taken effect.
     bad : bool
         Whether something was refused that the next answer would have used.
     t : int
@@ -107,8 +109,7 @@ class Step(Held):
             self.respond = self._finish_or_update
         block.ages = self.age
         self.say, self.advance = self._first_say, self._first_advance  # made when all is wired: with the first tick
-        self._changes = deque(changes)
-        self.change_at = self._changes[0].at if self._changes else math.inf
+        self.plan(changes)
 
     # what a tick is -----------------------------------------------------------------------------------------------
 
@@ -166,6 +167,11 @@ class Step(Held):
         x, own = self.block.refused(self.x, t)
         return x, self.held() if own is None else own
 
+    def plan(self, changes: Iterable[Change]) -> None:
+        """Take these changes of parameters, and no others, when their times come."""
+        self.changes = deque(changes)
+        self.change_at = self.changes[0].at if self.changes else math.inf
+
     def set(self, values: Mapping[str, Any]) -> list[str]:
         """Change parameters at the next tick, all or none; names those of which another value waits for it already.
 
@@ -175,27 +181,32 @@ class Step(Held):
             See `softrig_core.block.change.check`.
         """
         waiting: dict[str, Any] = {}
-        for change in self._changes:
+        for change in self.changes:
             waiting |= change.values if change.at <= self.t else {}
         now = revise(self.params, waiting) if waiting else self.params
         known = flatten(check_change(type(self.block), now, values, self.name))
-        while self._changes and self._changes[0].at <= self.t:
-            self._changes.popleft()
-        self._changes.appendleft(Change(self.t, waiting | {name: known[name] for name in values}))
+        while self.changes and self.changes[0].at <= self.t:
+            self.changes.popleft()
+        self.changes.appendleft(Change(self.t, waiting | {name: known[name] for name in values}))
         self.change_at = self.t
         return [name for name in values if name in waiting]
 
     def _change(self, t: int) -> None:
         """Take the changes that are due, those up to `t`, as one: so they are recorded, and so a rerun takes them."""
         taken: dict[str, Any] = {}
-        while self._changes and self._changes[0].at <= t:
-            taken |= self._changes.popleft().values
-        self.change_at = self._changes[0].at if self._changes else math.inf
+        while self.changes and self.changes[0].at <= t:
+            taken |= self.changes.popleft().values
+        self.change_at = self.changes[0].at if self.changes else math.inf
         revised = revise(self.params, taken)
         self.change(revised)
         if self.changed is not None:
             known = flatten(revised)
             self.changed(t, {name: known[name] for name in taken})
+
+    def let_go(self) -> None:
+        """Keep nothing of what carried its answers away or recorded them; it may go on without."""
+        self.send = self.send_all = self.changed = None
+        self.say, self.advance = self._first_say, self._first_advance
 
     # its parts ----------------------------------------------------------------------------------------------------
 

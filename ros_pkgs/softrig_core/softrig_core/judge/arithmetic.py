@@ -51,4 +51,10 @@ def arithmetic(tree: Tree, samples: Samples) -> Any:
     name, given = (body[0], body[1]) if kind == "Call" else (body[0], body[1:])
     with np.errstate(all="ignore"):
         found = ARITHMETIC[name](*(arithmetic(part, samples) for part in given))
-    return np.where(np.isfinite(found), found, np.nan)
+    return sure(found)
+
+
+def sure(values: Any) -> Any:
+    """Give NaN in the place of what is no number."""
+    finite = np.isfinite(values)
+    return values if finite.all() else np.where(finite, values, np.nan)

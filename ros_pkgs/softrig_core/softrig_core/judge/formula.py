@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import reduce
+from functools import lru_cache, reduce
 from typing import Any
 
 import numpy as np
@@ -66,8 +66,15 @@ def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str,
     ScenarioError
         It does not parse, or a name is unknown: with the nearest one.
     """
+    tree, conditions = _read(given, tuple(known.items()))
+    return tree, dict(conditions)
+
+
+@lru_cache(maxsize=256)
+def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree, dict[str, Condition]]:
     import sentil
 
+    known = dict(items)
     for name in sorted(_LETTERS & known.keys()):
         raise ScenarioError(
             f"formula {given!r}: {name} is the letter of an operator; give what it stands for a longer name"

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..timebase import SECOND
-from .arithmetic import Array, Samples, Tree, arithmetic
+from .arithmetic import Array, Samples, Tree, arithmetic, sure
 from .formula import EDGES, FUTURE, PAST, Condition, horizon, nodes, variables
 
-Pick = Callable[..., Array]
+Pick = np.ufunc
 INF = float("inf")
 
 
@@ -58,7 +58,20 @@ COMPARED: Mapping[str, Callable[[Array, Array], Array]] = {
 
 def opposite(values: Array) -> Array:
     """Negate: the least becomes the greatest."""
-    return -values[::-1, ::-1]
+    return _each(np.negative, values[::-1, ::-1])
+
+
+def _each(function: Callable[..., Array], *values: Array) -> Array:
+    """Call a function of numbers; once for all four, where they are known to be one."""
+    if any(any(v.strides[:2]) for v in values):
+        return function(*values)
+    return np.broadcast_to(function(*(v[0, 0] for v in values)), values[0].shape)
+
+
+def _joined(kind: str, a: Array, b: Array) -> Array:
+    if kind == "And":
+        return _each(np.minimum, a, b)
+    return _each(np.maximum, opposite(a) if kind == "Implies" else a, b)
 
 
 def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick, none: float) -> Array:
@@ -69,10 +82,12 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
     values : array, shape (2, 2, n)
     first, last : array of int, shape (m,)
         Between 0 and n - 1 where first <= last.
-    pick : callable
+    pick : ufunc
         ``np.minimum`` or ``np.maximum``.
     none : float
     """
+    if len(first) == 1:
+        return pick.reduce(values[..., first[0] : last[0] + 1], axis=-1, keepdims=True, initial=none)
     count = last - first + 1
     found = np.full((*values.shape[:-1], len(first)), none)
     span = 1  # values[..., j] is that over span samples from j on
@@ -122,7 +137,7 @@ class Record:
         NotJudged
             It may hold or not: says what is undefined, or where the record ends.
         """
-        found = self.bounds(tree)[..., 0]
+        found = self._at(tree, 0)
         least, greatest = float(found[0, 0]), float(found[1, 1])
         if least < 0.0 <= greatest:
             raise NotJudged(self._why(tree, found))
@@ -156,19 +171,34 @@ class Record:
         if kind == "Not":
             return opposite(self.bounds(body))
         if kind in ("And", "Or", "Implies"):
-            a, b = self.bounds(body[0]), self.bounds(body[1])
-            return np.minimum(a, b) if kind == "And" else np.maximum(opposite(a) if kind == "Implies" else a, b)
+            return _joined(kind, self.bounds(body[0]), self.bounds(body[1]))
         low, high = limits(body)
         if kind == "Since":
             held, then = (self.bounds(part)[..., ::-1] for part in body[1:])
             return self._until(held, then, low, high, past=True)[..., ::-1]
         if kind == "Until":
             return self._until(self.bounds(body[1]), self.bounds(body[2]), low, high)
-        first, last, over = self._window(kind, low, high)
+        return self._over_time(kind, body, self.times)
+
+    def _at(self, tree: Tree, k: int) -> Array:
+        """Give a formula's robustness at one instant, shape (2, 2), without that at all others where that can be."""
+        ((kind, body),) = tree.items()
+        if kind == "Not":
+            return opposite(self._at(body, k))
+        if kind in ("And", "Or", "Implies"):
+            return _joined(kind, self._at(body[0], k), self._at(body[1], k))
+        if kind in (*FUTURE, *PAST) and id(tree) not in self._found:
+            return self._over_time(kind, body, self.times[k : k + 1])[..., 0]
+        return self.bounds(tree)[..., k]
+
+    def _over_time(self, kind: str, body: Any, times: Array) -> Array:
+        """Give the robustness of what holds always, at some time, and so of the past, at some instants."""
+        low, high = limits(body)
+        first, last, over = self._window(kind, low, high, times)
         least = kind in ("Always", "Historically")
         inner = self.bounds(body[1])
         if kind in FUTURE and high == INF and self.ended:
-            inner = inner[[1, 1]] if least else inner[[0, 0]]
+            inner = np.broadcast_to(inner[1:] if least else inner[:1], inner.shape)
         pick, none = (np.minimum, INF) if least else (np.maximum, -INF)
         found = extremes(inner, first, last, pick, none)
         found[0 if least else 1][:, over] = -none
@@ -179,26 +209,30 @@ class Record:
         if values is None:
             values = self._distance(body)
         undefined = np.isnan(values)
+        late = [late for name in variables(body) if (late := self._late.get(name)) is not None and late.any()]
+        if not late and not undefined.any():
+            return np.broadcast_to(values, (2, 2, len(values)))
         found = np.array((np.where(undefined, -INF, values), np.where(undefined, INF, values)))
-        for name in variables(body):
-            if (late := self._late.get(name)) is not None:
-                found[:, late] = -INF
+        for those in late:
+            found[:, those] = -INF
         return np.array((found, found))
 
     def _distance(self, body: Any) -> Array:
         with np.errstate(all="ignore"):
             found = COMPARED[body["op"]](*(arithmetic(body[side], self._samples) for side in ("lhs", "rhs")))
-        return np.broadcast_to(np.where(np.isfinite(found), found, np.nan), (len(self.times),))
+        return np.broadcast_to(sure(found), (len(self.times),))
 
-    def _window(self, kind: str, low: float, high: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """First and last index of the window of each instant, and whether it goes beyond the record."""
-        times = self.times
+    def _window(
+        self, kind: str, low: float, high: float, times: Array
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """First and last index of the window of each of some instants, and whether it goes beyond the record."""
+        known = self.times
         if kind in PAST:
-            first = np.searchsorted(times, times - high)
-            return first, np.searchsorted(times, times - low, side="right") - 1, np.zeros(len(times), dtype=bool)
-        first = np.searchsorted(times, times + low)
-        last = np.searchsorted(times, times + high, side="right") - 1
-        over = first >= len(times) if high == INF and self.ended else times + high >= self.after
+            first = np.searchsorted(known, times - high)
+            return first, np.searchsorted(known, times - low, side="right") - 1, np.zeros(len(times), dtype=bool)
+        first = np.searchsorted(known, times + low)
+        last = np.searchsorted(known, times + high, side="right") - 1
+        over = first >= len(known) if high == INF and self.ended else times + high >= self.after
         return first, last, over
 
     def _until(self, held: Array, then: Array, low: float, high: float, *, past: bool = False) -> Array:
@@ -266,12 +300,12 @@ class Record:
         if kind in ("And", "Or", "Implies"):
             sides = [(body[0], 1 - come, 1 - lost) if kind == "Implies" else (body[0], come, lost),
                      (body[1], come, lost)]  # fmt: skip
-            a, b = (float(self.bounds(part)[c, n, k]) for part, c, n in sides)
+            a, b = (float(self._at(part, k)[c, n]) for part, c, n in sides)
             first = a <= b if kind == "And" else (-a if kind == "Implies" else a) >= b
             return self._decides(*sides[0 if first else 1], k)
         if kind in (*FUTURE, *PAST):
             low, high = limits(body)
-            first_, last, _ = (int(each[k]) for each in self._window(kind, low, high))
+            first_, last, _ = (int(each[0]) for each in self._window(kind, low, high, self.times[k : k + 1]))
             if last < first_:
                 return k
             least = kind in ("Always", "Historically")

@@ -20,7 +20,7 @@ import tempfile
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -184,11 +184,7 @@ def build(function: ca.Function) -> Path | None:
     if compiler is None:
         warnings.warn(f"no C compiler found: {function.name()} runs about a hundred times slower", stacklevel=3)
         return None
-    import casadi as ca
-
-    generator = ca.CodeGenerator(function.name())
-    generator.add(function)
-    source = generator.dump()
+    source = _source(function)
     used = Path(compiler).stat()
     content = "\0".join((source, *FLAGS, compiler, str(used.st_size), str(used.st_mtime_ns)))
     digest = hashlib.sha256(content.encode()).hexdigest()[:32]
@@ -210,3 +206,12 @@ def build(function: ca.Function) -> Path | None:
                       "slower", stacklevel=3)  # fmt: skip
         return None
     return library
+
+
+@lru_cache(maxsize=64)
+def _source(function: ca.Function) -> str:
+    import casadi as ca
+
+    generator = ca.CodeGenerator(function.name())
+    generator.add(function)
+    return str(generator.dump())

@@ -152,6 +152,10 @@ class Track:
         rows = row.reshape(len(FIELDS), *past.x0.shape)
         return Track(past._replace(**{field: own.copy() for field, own in zip(FIELDS, rows, strict=True)}))
 
+    def native(self) -> TrackRing:
+        """Give it as native code takes it."""
+        return TrackRing(self._capacity, self._copy(2 * self._capacity))
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Track):
             return NotImplemented
@@ -169,6 +173,29 @@ class Track:
         for rows, new in zip(past[:-1], made, strict=True):
             new[:size] = rows[first : self._count]
         return Trajectory._make([*made, np.array([size, 0])])
+
+
+class TrackRing(NamedTuple):
+    """A `Track` in native code: one ring, which goes on in place."""
+
+    capacity: int
+    past: Trajectory
+
+    def open(self, rows: int = 0) -> Trajectory:
+        """See `Track.open`."""
+        return self.past
+
+    def after(self, past: Trajectory) -> TrackRing:
+        """See `Track.after`."""
+        return self
+
+    def python(self) -> Track:
+        """Give it as Python has it."""
+        import numpy as np
+
+        past, size = self.past, self.capacity
+        newest = np.arange(past.meta[0] - size, past.meta[0]) % len(past.begin)
+        return Track(Trajectory._make([*(rows[newest] for rows in past[:-1]), np.array([size, 0])]))
 
 
 class _Shared:

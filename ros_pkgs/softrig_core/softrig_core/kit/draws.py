@@ -81,10 +81,10 @@ class Draws:
         bits = self._generator.bit_generator
         for m in range(min(n, len(self._before) - 1), n + 1):
             bits.state = self._before[m]
-            row: list[float] = self._draw(SIZE).tolist()
+            drawn = self._draw(SIZE)
             if m + 1 == len(self._before):
                 self._before.append(bits.state)
         while len(self._rows) >= KEPT:
             del self._rows[next(iter(self._rows))]
-        self._rows[n] = row
+        self._rows[n] = row = drawn.tolist()
         return row

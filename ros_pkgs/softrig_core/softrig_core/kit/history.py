@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
+
+from .jit import jit
 
 if TYPE_CHECKING:
     import numpy as np
@@ -131,6 +133,15 @@ class History:
         new._line, new._count = _Line(line.step, line.longest, line.size, rows), line.size
         return new
 
+    def native(self) -> HistoryRing:
+        """Give it as native code takes it."""
+        import numpy as np
+
+        line, rows = self._line, self._newest()
+        ring = np.zeros(2 * line.size * line.width)
+        ring[: line.size * line.width] = np.array(rows, np.float64).ravel()
+        return HistoryRing(line.step, line.longest, line.size, line.size, tuple(map(float, rows[-1])), ring)
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, History):
             return NotImplemented
@@ -154,3 +165,60 @@ class _Line:
     def __init__(self, step: float, longest: float, size: int, rows: list[Row]) -> None:
         self.step, self.longest, self.size, self.rows = step, longest, size, rows
         self.width, self.full = len(rows[0]), 2 * size
+
+
+class HistoryRing(NamedTuple):
+    """A `History` in native code, which puts samples into one ring; the newest is at hand.
+
+    Read by the translation: the same arithmetic as there.
+    """
+
+    step: float
+    longest: float
+    size: int
+    written: int
+    newest: Row
+    ring: NDArray[np.float64]
+
+    def put(self, values: Sequence[float]) -> HistoryRing:
+        """See `History.put`."""
+        if len(values) != len(self.newest):
+            raise ValueError(f"{len(values)} values, expected {len(self.newest)}")
+        row = tuple([float(v) for v in values])
+        _write(self.ring, self.written % (2 * self.size) * len(self.newest), row)
+        return self._replace(written=self.written + 1, newest=row)
+
+    def again(self) -> HistoryRing:
+        """See `History.again`."""
+        return self.put(self.newest)
+
+    def at(self, delay: float) -> Row:
+        """See `History.at`."""
+        if not 0.0 <= delay <= self.longest * (1.0 + 1e-9):
+            raise ValueError(f"delay = {delay} s: expected 0 to {self.longest} s")
+        return self.aged(delay / self.step)
+
+    def aged(self, age: float) -> Row:
+        """See `History.aged`."""
+        back = min(int(age), self.size - 2)
+        part = min(age, self.size - 1.0) - back
+        place, room, width = self.written - 1 - back, 2 * self.size, len(self.newest)
+        newer = tuple([self.ring[place % room * width + k] for k, _ in enumerate(self.newest)])
+        if part == 0.0:
+            return newer
+        older = tuple([self.ring[(place - 1) % room * width + k] for k, _ in enumerate(self.newest)])
+        return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
+
+    def python(self) -> History:
+        """Give it as Python has it."""
+        new, size, width = _new(History), self.size, len(self.newest)
+        table = self.ring.reshape(2 * size, width).tolist()
+        rows = [tuple(table[k % (2 * size)]) for k in range(self.written - size, self.written)]
+        new._line, new._count = _Line(self.step, self.longest, size, rows), size
+        return new
+
+
+@jit
+def _write(ring: NDArray[np.float64], at: int, row: Row) -> None:
+    for k in range(len(row)):
+        ring[at + k] = row[k]

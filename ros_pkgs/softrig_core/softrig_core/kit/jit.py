@@ -84,7 +84,7 @@ class Jit:
         return self._run(*arguments)
 
     def _first(self, *arguments: Any) -> Any:
-        if os.environ.get("SOFTRIG_JIT", "1") == "0" or (numba := _numba()) is None:
+        if os.environ.get("SOFTRIG_JIT", "1") == "0" or (numba := our_numba()) is None:
             self._run = self.py_func
         else:
             self._run = self.dispatcher(numba)
@@ -109,7 +109,7 @@ class Jit:
 
 
 @lru_cache(maxsize=1)
-def _numba() -> Any:
+def our_numba() -> Any:
     """Import numba and teach it `Jit` and `power`; None where it is not installed."""
     if "numba" not in sys.modules:
         # with Intel's short vector library loops give other bits than single calls
@@ -203,12 +203,13 @@ def _tokens(function: Callable[..., Any], seen: set[int]) -> Iterator[str]:
             yield value.__name__
             for attribute in sorted(names):
                 if hasattr(value, attribute):
-                    yield from _constant(getattr(value, attribute), seen)
+                    yield from tokens_of(getattr(value, attribute), seen)
         else:
-            yield from _constant(value, seen)
+            yield from tokens_of(value, seen)
 
 
-def _constant(value: Any, seen: set[int]) -> Iterator[str]:
+def tokens_of(value: Any, seen: set[int]) -> Iterator[str]:
+    """Give what of a constant, or of a function and all that it calls, decides what native code does with it."""
     if isinstance(value, Jit):
         yield from _tokens(value.py_func, seen)
     elif hasattr(value, "tobytes") and not isinstance(value, type):  # an array or a number, not np.int64 itself

@@ -6,6 +6,7 @@ import ast
 import operator
 import types
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from functools import partial, reduce
 from typing import Any
 
@@ -17,6 +18,8 @@ from ..kit.draws import Draws
 from ..kit.jit import Jit, power
 from .expressions import Expressions
 from .translate import (
+    GIVEN_UP,
+    LONGEST,
     TURNS,
     follow,
     is_number_slot,
@@ -81,12 +84,30 @@ class Calls(Expressions):
         return self.parts(value, node)
 
     def _value_listcomp(self, node: ast.ListComp | ast.GeneratorExp) -> Value:
+        items = self._turns(node, lambda: self.value(node.elt))
+        if all(isinstance(v, Static) and v.path is None for v in items):
+            return Static(tuple(v.value for v in items if isinstance(v, Static)))
+        return Group(tuple(items))
+
+    def _value_dictcomp(self, node: ast.DictComp) -> Value:
+        pairs = self._turns(node, lambda: Group((self.value(node.key), self.value(node.value))))
+        found: dict[str, Value] = {}
+        for pair in pairs:
+            assert isinstance(pair, Group)
+            key, value = pair.items
+            if not isinstance(key, Static) or not isinstance(key.value, str):
+                raise self.unknown("a mapping whose keys are computed", node)
+            found[self.program.guard(key)] = value
+        return Record(found)
+
+    def _turns(self, node: ast.ListComp | ast.GeneratorExp | ast.DictComp, read: Callable[[], Value]) -> list[Value]:
+        """Go through what a list or mapping is made of; `read` gives one of its parts."""
         items: list[Value] = []
         outer = dict(self.env)
 
         def turn(level: int) -> None:
             if level == len(node.generators):
-                items.append(self._held(self.value(node.elt)) if self._inside else self.value(node.elt))
+                items.append(self._held(read()) if self._inside else read())
                 return
             part = node.generators[level]
             values = self.listed(part.iter)
@@ -105,9 +126,7 @@ class Calls(Expressions):
 
         turn(0)
         self.env = outer
-        if all(isinstance(v, Static) and v.path is None for v in items):
-            return Static(tuple(v.value for v in items if isinstance(v, Static)))
-        return Group(tuple(items))
+        return items
 
     _value_generatorexp = _value_listcomp
 
@@ -179,8 +198,23 @@ class Calls(Expressions):
             return self._named(type(sample), parts, node)
         if name == "conjugate" and isinstance(sample, complex) and isinstance(base, Dynamic):
             return Dynamic(f"{base.code}.conjugate()", sample.conjugate())
+        if name == "tolist" and isinstance(base, Dynamic) and isinstance(sample, np.ndarray) and sample.ndim == 1:
+            if len(sample) > LONGEST:
+                raise self.unknown(f"an array of {len(sample)} as a list, expected at most {LONGEST}", node)
+            simple = self.simple(base)
+            self.emit(f"if len({simple.code}) != {len(sample)}:")
+            self.emit(f"    {GIVEN_UP}")
+            return Group(tuple(self.item(simple, Static(k), node) for k in range(len(sample))))
         if name == "get" and isinstance(base, Record):
             return base.items.get(self.program.guard(self.value(node.args[0])), NONE)  # type: ignore[arg-type]
+        if not self.program.typed and isinstance(base, Dynamic) and hasattr(sample, "native"):
+            # an object that is a value, in Python: of arguments of the same types, always the same
+            given = [self.dynamic(self.value(a)) for a in node.args]
+            samples = [v.sample for v in given]
+            if node.keywords or not all(map(is_sure, given)) or None in samples:
+                raise self.unknown(f".{name}() of {kind_of(base)} with what may be None", node)
+            found = computed(getattr(sample, name), *samples)
+            return Dynamic(f"{base.code}.{name}({', '.join(v.code for v in given)})", found, found is not UNKNOWN)
         own = class_of(sample)
         method = getattr(own, name, None) if own is not None else None
         if isinstance(method, types.FunctionType):
@@ -216,6 +250,11 @@ class Calls(Expressions):
                              {k: Static(v) for k, v in called.keywords.items()} | dict(words), node)  # fmt: skip
         if isinstance(called, types.MethodType):
             own = called.__self__
+            if isinstance(own, Block) and called.__func__ is Block.report:
+                self._give_up()
+                return NONE
+            if called.__name__ == "_make" and isinstance(own, type) and hasattr(own, "_fields"):
+                return self._named(own, self.parts(given[0], node), node)
             path = None if function.path is None else function.path[:-1]
             if isinstance(own, Mapping) and called.__name__ == "get":
                 return self._looked_up(Static(own, path), given[0], node)
@@ -232,8 +271,14 @@ class Calls(Expressions):
         if isinstance(called, types.BuiltinMethodType) and isinstance(called.__self__, Mapping):
             table = Static(called.__self__, None if function.path is None else function.path[:-1])
             if called.__name__ in ("items", "values", "keys"):
-                self.program.guard(table)
-                return Static(tuple(called()))
+                keys = tuple(table.value)
+                values = [Static(table.value[k], None if table.path is None else (*table.path, ("item", k)))
+                          for k in keys]  # fmt: skip
+                if table.path is not None:
+                    self.program.guards[table.path] = ("keys", tuple(sorted(keys)))
+                if called.__name__ == "items":
+                    return Group(tuple(Group((Static(k), v)) for k, v in zip(keys, values, strict=True)))
+                return Group(tuple(values)) if called.__name__ == "values" else Static(keys)
             if isinstance(given[0], Static):
                 return Static(self.program.guard(table).get(*(self.program.guard(v) for v in given)))  # type: ignore[arg-type]
             return self._looked_up(table, given[0], node)
@@ -265,7 +310,7 @@ class Calls(Expressions):
 
     def _native(self, function: Jit, given: Sequence[Value], node: ast.AST) -> Dynamic:
         values = [self.dynamic(v) for v in given]
-        samples = [np.copy(v.sample) if isinstance(v.sample, np.ndarray) else v.sample for v in values]
+        samples = deepcopy([v.sample for v in values])
         sample = computed(function.py_func, *samples)
         name = self.program.name(function, "jit")
         return Dynamic(f"{name}({', '.join(v.code for v in values)})", _numbers(sample), sample is not UNKNOWN)
@@ -312,6 +357,12 @@ class Calls(Expressions):
     def _builtin(self, called: Any, given: list[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
         if words:
             raise self.unknown(f"{getattr(called, '__name__', called)} with words", node)
+        if called is np.array and len(given) == 1:
+            numbers = [self.dynamic(v) for v in self.parts(given[0], node)]
+            if not all(isinstance(v.sample, (float, int)) for v in numbers):
+                raise self.unknown("an array of something else than numbers", node)
+            return Dynamic(f"array_(({''.join(f'float({v.code}), ' for v in numbers)}))",
+                           np.array([float(v.sample) for v in numbers]))  # fmt: skip
         if called in (min, max) and len(given) == 1:
             given = self.parts(given[0], node)
         if called is len:
@@ -336,6 +387,8 @@ class Calls(Expressions):
             return self._extreme(called, given, node)
         if called is abs and isinstance(samples[0], (float, int)):
             return self._written("abs", abs, given)
+        if called is float and isinstance(samples[0], bool):
+            return Dynamic(f"(1.0 if {self.code(given[0])} else 0.0)", float(samples[0]))
         if called is float and isinstance(samples[0], (float, int)):
             return self._written("float", float, given)
         if called is bool:

@@ -8,12 +8,20 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from ..kit.compiled import Compiled
-from ..kit.jit import _constant, _numba
+from ..kit.jit import Jit, our_numba, tokens_of
 from .rig_text import RigText
 
 # what every text may name
-BASE: dict[str, Any] = {"math": math, "float_nan": math.nan, "float_inf": math.inf, "float_less": -math.inf}
+BASE: dict[str, Any] = {
+    "math": math,
+    "array_": np.array,
+    "float_nan": math.nan,
+    "float_inf": math.inf,
+    "float_less": -math.inf,
+}
 
 
 def compiled(made: RigText) -> Callable[..., Any]:
@@ -25,11 +33,14 @@ def compiled(made: RigText) -> Callable[..., Any]:
         ``rig(first, last, n, c, s, *arrays) -> s``: answers the ticks of the clock from `first` up to `last`; n[0] is
         the one under way. What it raises gives that tick up.
     """
-    numba = _numba()
+    numba = our_numba()
     _teach(numba)
     names = made.program.names
     scope = {"same_": same, **BASE}
-    content = hashlib.sha256(made.text.encode())
+    arrays = any(isinstance(thing, Jit) for thing in names.values())  # what these make has to be given back
+    options = {"error_model": "python", "boundscheck": True, "nogil": True, "_nrt": arrays}
+    inner = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # called by the rig's alone
+    content = hashlib.sha256(f"{options} {inner}\0{made.text}".encode())
     for name, thing in names.items():
         content.update(f"\0{name}\0".encode())
         if isinstance(thing, Compiled):
@@ -37,13 +48,12 @@ def compiled(made: RigText) -> Callable[..., Any]:
             content.update(str(thing.symbol).encode())
             continue
         scope[name] = thing
-        for token in _constant(thing, set()):
+        for token in tokens_of(thing, set()):
             content.update(token.encode())
     exec(compile(made.text, "<native text>", "exec"), scope)
-    wrap = numba.njit(error_model="python", boundscheck=True, nogil=True)
     for name, thing in list(scope.items()):
         if callable(thing) and getattr(thing, "__globals__", None) is scope:
-            scope[name] = wrap(thing)
+            scope[name] = numba.njit(**options, **({} if name == "rig" else inner))(thing)
     from ..kit._jit_cache import Cache
 
     found: Any = scope["rig"]
@@ -70,7 +80,16 @@ def plain(made: RigText) -> Callable[..., Any]:
 
 def same(before: Any, after: Any) -> Any:
     """Give a state, which must be of the type of the one before."""
+    if form(before) != form(after):
+        raise TypeError("a state that changes its type")
     return after
+
+
+def form(value: Any) -> Any:
+    """Give the types of a state, to its leaves."""
+    if isinstance(value, tuple):
+        return type(value), tuple(map(form, value))
+    return type(value)
 
 
 @lru_cache(maxsize=1)

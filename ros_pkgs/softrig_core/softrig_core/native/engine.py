@@ -9,15 +9,17 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..block.answer import Row
 from ..block.block import Observer
+from ..block.port import Sample
 from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
-from .compile import compiled, plain
+from .compile import compiled, form, plain
 from .rig_text import RigText, rig_text
 from .translate import follow
 from .twins import packed, unpacked
@@ -31,6 +33,8 @@ WORTH = 4_000_000  # answers of members, which take Python some 2 us each: longe
 QUICK = 2_000  # the same where it is there already
 WRITTEN = 20_000  # the same for a text that Python runs as it is: longer than it is written
 RUNS_A_TEXT = 20  # that ask in vain for each text beyond the first
+LATEST = 256  # ticks up to which a state may become what it stays: None until something has come
+TRIES = 3
 KEPT = 8  # texts that are kept for rigs to come
 
 
@@ -59,6 +63,7 @@ class _Kept:
     kinds: tuple[Any, ...]
     text: RigText
     function: Callable[..., Any] = field(repr=False)
+    go: int = SHORTEST  # ticks that are answered in one go
 
 
 _texts: list[_Kept] = []
@@ -90,7 +95,8 @@ class Engine:
         stride = math.gcd(*(s.schedule.every for s in self.steps))
         self._every = {id(s): s.schedule.every // stride for s in self.steps}
         self._time = self.runner.schedule.time
-        self._text: RigText | None = None
+        self._kept: _Kept | None = None
+        self._fits: list[Any] = []
 
     def run(self) -> Iterator[int]:
         """Answer all ticks of a run that has an end; then the steps know what of them was native.
@@ -110,30 +116,36 @@ class Engine:
         finally:
             given_up = self.native.given_up
             reason = self.native.reason or (f"{given_up} of its ticks were given up" if given_up else "")
-            for s in self.steps:
+            for s in self.steps if self._typed else ():
                 s.native = s.native[0], "it watches what is recorded" if s in self._watchers else reason
 
     def _run(self) -> Iterator[int]:
         assert self.runner.ticks is not None
         last = self.runner.ticks
-        k, go = 0, SHORTEST
-        fresh = True  # whether the text is to be looked at again
+        k, failures = 0, 0
+        fits, fresh = False, True  # whether there is a text, and it is to be looked at again
         while k <= last:
             if k and fresh:
-                fresh = False
-                if not self._fitted():
-                    break
-            until = min(last, k + go, self._next_change(k)) if k else 0
+                fits, fresh = self._fitted(), False
+                failures += not fits
+            if k and not fits and (k > LATEST or failures > TRIES):
+                break
+            go = self._kept.go if self._kept else SHORTEST
+            until = min(last, k + go, self._next_change(k)) if fits else 0
             if until > k:
                 started = time.perf_counter()
                 try:
                     reached = self._go(k, until)
                 except NotNative as reason:
                     self.native = Native(reason=str(reason))
-                    break
-                if reached == until and until == k + go:
+                    fits, failures = False, failures + 1
+                    continue
+                if self._kept and reached == until and until == k + go:
                     took = time.perf_counter() - started
-                    go = min(LONGEST, go * 2) if took < GO / 2 else max(SHORTEST, go // 2) if took > GO else go
+                    if took < GO / 2:
+                        self._kept.go = min(LONGEST, go * 2)
+                    elif took > GO:
+                        self._kept.go = max(SHORTEST, go // 2)
                 self.native.ticks += reached - k
                 k = reached
                 yield self._time(k - 1) if k else 0
@@ -147,6 +159,7 @@ class Engine:
             fresh = fresh or (bool(k) and self._next_change(k) <= k)
             yield self._python(k)
             k += 1
+            fresh = fresh or self._forms() != self._fits
         if k <= last:
             for t in self.runner.run(k):
                 yield t or 0
@@ -170,14 +183,15 @@ class Engine:
     def _fitted(self) -> bool:
         """Find or make the text for the blocks as they are now; whether there is one."""
         core = self._core
+        self._fits = self._forms()
         roots = [s.block for s in core]
-        recorded = [s for s in core if s.outputs and (s.send_all is not None or self._watched(s))]
-        odd = next((s for s in core if not s.plain or s.doubters or s.lacks is not None), None)
+        recorded = [s for s in core if s.outputs and (s.send is not None or s.send_all is not None or self._watched(s))]
+        odd = next((s for s in core if any(p.sporadic for p in s.outputs) or s.doubters or s.lacks is not None), None)
         if odd is not None:
             self.native.reason = f"{odd.name}: its messages do not come at each tick, or are spoilt"
             return False
-        kinds = (*((type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks,
-                    tuple(map(_form, s.values.values())), _form(s.x)) for s in core),
+        kinds = (*((type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks, *form)
+                   for s, form in zip(core, self._fits, strict=True)),
                  tuple(s.name for s in recorded), self._make)  # fmt: skip
         try:
             kept = next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
@@ -189,7 +203,7 @@ class Engine:
                 kept = _Kept(kinds, text, self._make(text))
                 _texts.insert(0, kept)
                 del _texts[KEPT:]
-            self._text, self._function = kept.text, kept.function
+            self._kept = kept
             program = kept.text.program
             self._constants = program.constants(roots)
             tables: dict[str, Any] = dict(zip(program.arrays.values(), program.tables(roots), strict=True))
@@ -201,8 +215,12 @@ class Engine:
             return False
         self._tables = tables
         self._recorded = recorded
-        self.native.members = tuple(s.name for s in core)
+        self.native.members, self.native.reason = tuple(s.name for s in core), ""
         return True
+
+    def _forms(self) -> list[Any]:
+        """Give the types of what each member remembers and holds: a text is for these."""
+        return [(tuple(map(form, s.values.values())), form(s.x)) for s in self._core]
 
     def _drawn(self, draws: Any, count: int) -> Any:
         found = draws.first(count)
@@ -218,8 +236,7 @@ class Engine:
 
     def _go(self, first: int, last: int) -> int:
         """Answer ticks of the clock from `first` up to `last`, or as far as native code goes; give how far that is."""
-        before = (*(packed(s.x) for s in self._core), *(tuple(map(float, s.numbers)) for s in self._core))
-        reached, after, rows = self._called(first, last, before)
+        reached, after, rows = self._called(first, last)
         if after is None:
             return first
         begun = [w.save() for w in self._watchers]
@@ -230,23 +247,31 @@ class Engine:
             for watcher, saved in zip(self._watchers, begun, strict=True):
                 watcher.load(saved)
             if reached > first:
-                _, after, rows = self._called(first, reached, before)
+                _, after, rows = self._called(first, reached)
                 self._watch(first, reached, rows)
         if reached > first:
             self._take(first, reached, after, rows)
         return reached
 
-    def _called(self, first: int, last: int, before: Any) -> tuple[int, Any, dict[int, Any]]:
-        assert self._text is not None
+    def _called(self, first: int, last: int) -> tuple[int, Any, dict[int, Answers]]:
+        kept = self._kept
+        assert kept is not None
         while True:
+            before = (*(packed(s.x, self._typed) for s in self._core), *(_numbers(s) for s in self._core),
+                      *(_stamps(self._core[k]) for k in kept.text.stamped))  # fmt: skip
             n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
-            rows: dict[int, Any] = {id(s): [] for s in self._recorded}
-            if self._typed:
-                rows = {id(s): np.empty((len(self._own(s, first, last)), len(s.numbers))) for s in self._recorded}
-            named = self._tables | {f"o{self._core.index(s)}": rows[id(s)] for s in self._recorded}
-            handed = [named[name] for name in self._text.arrays]
+            rows, named = {}, dict(self._tables)
+            for s in self._recorded:
+                k, count = self._core.index(s), len(self._own(s, first, last))
+                rows[id(s)] = Answers([], [])
+                if self._typed:
+                    size, stamps = len(_numbers(s)), len(_stamps(s))
+                    # column after column in memory: so they are read
+                    rows[id(s)] = Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
+                named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
+            handed = [named[name] for name in kept.text.arrays]
             try:
-                after = self._function(first, last, n, self._constants, before, *handed)
+                after = kept.function(first, last, n, self._constants, before, *handed)
             except NATIVE:
                 if n[1]:
                     for name, draws in self._sources.items():
@@ -259,7 +284,7 @@ class Engine:
             except Exception as error:
                 if type(error).__module__.partition(".")[0] != "numba":
                     raise
-                _texts[:] = [kept for kept in _texts if kept.text is not self._text]
+                _texts[:] = [other for other in _texts if other is not kept]
                 raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
             return last, after, rows
 
@@ -268,49 +293,51 @@ class Engine:
         every = self._every[id(step)]
         return range((first + every - 1) // every, (last + every - 1) // every)
 
-    def _take(self, first: int, last: int, after: Any, rows: dict[int, Any]) -> None:
+    def _take(self, first: int, last: int, after: Any, rows: dict[int, Answers]) -> None:
         """Make what native code has found that of the steps."""
+        assert self._kept is not None
         count = len(self._core)
+        stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=True))
         for k, s in enumerate(self._core):
             own = self._own(s, first, last)
             if not own:
                 continue
             s.x, numbers = unpacked(after[k]), after[count + k]
             s.t = s.schedule.time(own[-1])
-            s.native = s.native[0] + len(own), ""
-            at = 0
-            said = {}
-            for p in s.outputs:
-                said[p.name] = numbers[at : at + p.size]
-                at += p.size
+            if self._typed:
+                s.native = s.native[0] + len(own), ""
+            said = _parted(s, numbers, stamps.get(k, ()))
             if s.outputs:
-                s.said, s.numbers = said, numbers
+                s.said, s.numbers = said, numbers if s.plain else ()
+                s.spoken = s.spoken if s.plain else [s.t] * len(s.outputs)
             for j, values, name, take in s.readers:
                 row = said[s.outputs[j].name]
                 values[name] = row if take is None else take(row)
             if s.send_all is not None:
                 times = s.schedule.times(own.start, own.stop)
-                s.send_all(times, np.asarray(rows[id(s)]) if s.outputs else np.empty((len(times), 0)))
+                s.send_all(times, np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0)))
+            elif s.send is not None and s.outputs:
+                for number, row, z in zip(own, *rows[id(s)].listed(), strict=True):
+                    s.send(s.schedule.time(number), tuple(_parted(s, tuple(row), z).values()))
 
-    def _watch(self, first: int, last: int, rows: dict[int, Any]) -> None:
+    def _watch(self, first: int, last: int, rows: dict[int, Answers]) -> None:
         """Let those who only watch see what was said, tick after tick."""
         if not self._watchers:
             return
-        said = {id(s): rows[id(s)].tolist() if self._typed else rows[id(s)] for s in self._recorded}
+        said = {id(s): rows[id(s)].listed() for s in self._recorded}
         watchers = [(w, self._every[id(w)]) for w in self._watchers if not self._at_once(w, first, last, said)]
         told = []
         for s in self._recorded:
             readers = [read for w, _ in watchers for read in _readings(s, w)]
             if readers:
                 told.append((s, self._every[id(s)], self._own(s, first, last).start, said[id(s)], readers))
-        for k in range(first, last) if watchers else ():
+        for k in sorted({k for _, every in watchers for k in range(-(-first // every) * every, last, every)}):
             t = self._time(k)
-            for s, every, begin, listed, readers in told:
-                if k % every == 0:
-                    row = listed[k // every - begin]
-                    s.t = t
-                    for values, name, take, low, high in readers:
-                        part = tuple(row[low:high])
+            for s, every, begin, (numbers, stamps), readers in told:
+                if (at := k // every - begin) >= 0:
+                    s.t = s.schedule.time(k // every)
+                    for values, name, take, where in readers:
+                        part = _part(numbers[at], stamps[at], where)
                         values[name] = part if take is None else take(part)
             for w, every in watchers:
                 if k % every == 0:
@@ -326,11 +353,13 @@ class Engine:
             readings, own = _readings(s, watcher), self._own(s, first, last)
             if readings and max(every, self._every[id(s)]) % min(every, self._every[id(s)]):
                 return False
+            if any(stamp is not None for _, _, _, (_, _, stamp) in readings):
+                return False
             step = max(1, every // self._every[id(s)])  # of its messages, one is seen
             begin = -own.start % step
             stamps = s.schedule.times(own.start, own.stop)[begin::step].tolist() if readings else []
-            for _, name, take, low, high in readings:
-                parts = [tuple(row[low:high]) for row in said[id(s)][begin::step]]
+            for _, name, take, where in readings:
+                parts = [_part(row, z, where) for row, z in list(zip(*said[id(s)], strict=True))[begin::step]]
                 messages[name] = list(zip(stamps, parts if take is None else map(take, parts), strict=True))
         t = watcher.schedule.time(ticks[-1])
         x = watcher.block.at_once(watcher.x, t, messages)  # type: ignore[attr-defined]
@@ -340,11 +369,57 @@ class Engine:
         return True
 
 
-def _readings(source: Step, reader: Step) -> list[tuple[dict[str, Any], str, Any, int, int]]:
-    """Give what of a step's numbers another one reads: where to, by which name, how, from which one to which."""
+Where = tuple[int, int, int | None]  # numbers of an output: from, to; which stamp, of a delayed one
+
+
+def _readings(source: Step, reader: Step) -> list[tuple[dict[str, Any], str, Any, Where]]:
+    """Give what of a step's answers another one reads: where to, by which name, how, and which part (`_part`)."""
     at = [0, *accumulate(p.size for p in source.outputs)]
-    return [(values, name, take, at[j], at[j + 1]) for j, values, name, take in source.readers
-            if values is reader.values]  # fmt: skip
+    stamp = [0, *accumulate(p.delayed for p in source.outputs)]
+    return [(values, name, take, (at[j], at[j + 1], stamp[j] if source.outputs[j].delayed else None))
+            for j, values, name, take in source.readers if values is reader.values]  # fmt: skip
+
+
+def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row:
+    """Give what one output says, of all that a step says at a tick."""
+    low, high, stamp = where
+    row = tuple(numbers[low:high])
+    return row if stamp is None else Sample(stamps[stamp], row)
+
+
+def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
+    """Give what each output says."""
+    found: dict[str, Row] = {}
+    low = stamp = 0
+    for p in step.outputs:
+        found[p.name] = _part(numbers, stamps, (low, low + p.size, stamp if p.delayed else None))
+        low, stamp = low + p.size, stamp + p.delayed
+    return found
+
+
+class Answers(NamedTuple):
+    """What a step has said in some ticks: numbers, (n, size), and stamps of its delayed outputs, (n, count)."""
+
+    numbers: Any
+    stamps: Any
+
+    def listed(self) -> tuple[list[Any], list[Any]]:
+        """Give both as lists of rows."""
+        if isinstance(self.numbers, list):
+            return self.numbers, self.stamps or [()] * len(self.numbers)
+        return self.numbers.tolist(), self.stamps.tolist()
+
+
+def _numbers(step: Step) -> tuple[float, ...]:
+    """Give all that the newest answer of a step says."""
+    if step.plain:
+        return tuple(map(float, step.numbers))
+    rows = [step.said[p.name] for p in step.outputs]
+    return tuple(float(v) for row in rows for v in (row.data if isinstance(row, Sample) else row))
+
+
+def _stamps(step: Step) -> tuple[int, ...]:
+    return tuple(step.said[p.name].stamp for p in step.outputs if p.delayed)
 
 
 NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, TypeError)  # what gives a tick up
@@ -388,10 +463,3 @@ def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
     known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts if kept.kinds[-1] is compiled)
     least = QUICK if known else WORTH // max(1, runs)
     return "" if ticks > least else f"{ticks:,} answers a run, native code is worth its making from {least:,} on"
-
-
-def _form(value: Any) -> Any:
-    """Give the types of a state, to its leaves."""
-    if isinstance(value, tuple):
-        return type(value), tuple(map(_form, value))
-    return type(value)

@@ -185,9 +185,12 @@ class Expressions(Ways):
         sample = computed(lambda a, k: a[k], table.sample, at.sample)
         if sample is UNKNOWN and isinstance(table.sample, tuple) and table.sample:
             sample = table.sample[0]
+        code = f"{self.simple(table).code}[{at.code}]"
         if isinstance(sample, np.floating):
-            sample = float(sample)
-        return Dynamic(f"{self.simple(table).code}[{at.code}]", sample, True, keys)
+            code, sample = f"float({code})", float(sample)
+        if isinstance(sample, np.integer):
+            code, sample = f"int({code})", int(sample)
+        return Dynamic(code, sample, True, keys)
 
     def _looked_up(self, table: Static, key: Value, node: ast.AST) -> Dynamic:
         """Look a computed key up in a fixed mapping; without it the tick is given up."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from ..block.port import Sample
 from ..block.step import Step
 from .translate import GIVEN_UP, LONGEST, Program, made
 from .twins import packed
-from .value import Dynamic, Group, NotNative, Record, Static, Value
+from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
+from .ways import alike
 from .words import TEXTS
 from .writer import Writer
 
@@ -30,11 +32,14 @@ class RigText:
     program : Program
     arrays : tuple of str
         What it is handed beside its state, in order: tables, random numbers, memory for calls, places for answers.
+    stamped : tuple of int
+        Of the steps those with delayed outputs, whose stamps are at the end of the state.
     """
 
     text: str
     program: Program
     arrays: tuple[str, ...]
+    stamped: tuple[int, ...]
 
 
 def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True) -> RigText:
@@ -55,10 +60,12 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         What of them native code does not know.
     """
     numbers = {id(s): k for k, s in enumerate(steps)}
-    program = Program([s.block for s in steps], Writer, _ages(steps))
+    program = Program([s.block for s in steps], Writer, _ages(steps), typed)
     stride = math.gcd(*(s.schedule.every for s in steps))
     arrays: set[str] = set()
-    inputs = [_inputs(s, steps, numbers) for s in steps]
+    time = steps[0].schedule
+    ns = (time.clock * stride * 10**9).as_integer_ratio()
+    inputs = [_inputs(s, steps, numbers, program, stride, ns) for s in steps]
     plants = [k for k, s in enumerate(steps) if s.plant]
     others = [k for k, s in enumerate(steps) if not s.plant]
     body: list[str] = []
@@ -72,22 +79,29 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         value = _asked(program, steps[k], k, "advance", inputs[k], arrays)
         if not isinstance(value, Dynamic):
             raise NotNative(f"{steps[k].name}: its state stays as it is")
-        body += _due(steps[k], stride, [_kept(f"x{k}", value.code, typed)])
-    state = ", ".join([*(f"x{k}" for k, _ in enumerate(steps)), *(f"r{k}" for k, _ in enumerate(steps))])
-    handed = [*sorted(arrays), *(f"o{numbers[id(s)]}" for s in recorded)]
-    time = steps[0].schedule
-    n, d = (time.clock * stride * 10**9).numerator, (time.clock * stride * 10**9).denominator
-    if 2 * n * (time.ticks or 1) > LARGEST:
+        body += _due(steps[k], stride, [_kept(f"x{k}", value, steps[k], typed)])
+    stamped = tuple(k for k, s in enumerate(steps) if any(p.delayed for p in s.outputs))
+    state = ", ".join([*(f"x{k}" for k, _ in enumerate(steps)), *(f"r{k}" for k, _ in enumerate(steps)),
+                       *(f"z{k}" for k in stamped)])  # fmt: skip
+    written = [numbers[id(s)] for s in recorded]
+    handed = [*sorted(arrays), *(f"o{k}" for k in written), *(f"p{k}" for k in written if k in stamped)]
+    if 2 * ns[0] * (time.ticks or 1) > LARGEST:
         raise NotNative("times beyond whole numbers of 64 bits")
     head = [f"def rig({', '.join(['first', 'last', 'n', 'c', 's', *handed])}):", f"    {state}, = s"]
     head += [f"    e{numbers[id(s)]} = (first + {s.schedule.every // stride - 1}) // {s.schedule.every // stride}"
              for s in recorded]  # fmt: skip
     head += ["    for k in range(first, last):", "        n[0] = k",
-             f"        t = k * {n}" if d == 1 else f"        t = (2 * k * {n} + {d}) // {2 * d}"]  # fmt: skip
+             f"        t = {_time('k', ns)}"]  # fmt: skip
     rig = "\n".join([*head, *(f"        {line}" for line in body), f"    return ({state},)"])
     words = [TEXTS[w] for w in sorted(program.words)]
     text = "\n\n".join([*words, *_reached(program.functions, rig), rig]) + "\n"
-    return RigText(text, program, tuple(handed))
+    return RigText(text, program, tuple(handed), stamped)
+
+
+def _time(k: str, ns: tuple[int, int]) -> str:
+    """Write the time of a tick, ns."""
+    n, d = ns
+    return f"{k} * {n}" if d == 1 else f"(2 * {k} * {n} + {d}) // {2 * d}"
 
 
 def _reached(functions: Sequence[str], rig: str) -> list[str]:
@@ -122,7 +136,9 @@ def _source(step: Step, name: str) -> tuple[Step, int, Any] | None:
                  if values is step.values and n == name), None)  # fmt: skip
 
 
-def _inputs(step: Step, steps: Sequence[Step], numbers: Mapping[int, int]) -> dict[str, Value]:
+def _inputs(
+    step: Step, steps: Sequence[Step], numbers: Mapping[int, int], program: Program, stride: int, ns: tuple[int, int]
+) -> dict[str, Value]:
     """Say where a step has its inputs from: of whom, and which numbers."""
     found: dict[str, Value] = {}
     for port in step.inputs:
@@ -136,21 +152,33 @@ def _inputs(step: Step, steps: Sequence[Step], numbers: Mapping[int, int]) -> di
         if id(s) not in numbers:
             raise NotNative(f"{step.name} reads {port.topic} of {s.name}, which is not native")
         before = sum(p.size for p in s.outputs[:j])
-        places = tuple(range(s.outputs[j].size)) if take is None else take(tuple(range(s.outputs[j].size)))
+        all_of_it: Any = tuple(map(_Place, range(s.outputs[j].size)))
+        delayed = s.outputs[j].delayed
+        if take is not None:
+            all_of_it = take(Sample(0, all_of_it) if delayed else all_of_it)
+        places = all_of_it.data if isinstance(all_of_it, Sample) else all_of_it
         if len(places) > LONGEST:
             raise NotNative(f"{step.name}: {port.topic} has {len(places)} numbers, expected at most {LONGEST}")
         values = step.values[port.name]
-        if port.delayed:
-            raise NotNative(f"{step.name}: {port.topic} is delayed")
-        found[port.name] = Group(tuple(
-            Dynamic(f"r{numbers[id(s)]}[{before + p}]", float(v)) for p, v in zip(places, values, strict=True)
-        ))  # fmt: skip
+        data = values.data if isinstance(values, Sample) else values
+        row = [Dynamic(f"r{numbers[id(s)]}[{before + p}]" if type(p) is _Place else repr(float(p)), float(v))
+               for p, v in zip(places, data, strict=True)]  # fmt: skip
+        if not isinstance(values, Sample):
+            found[port.name] = Group(tuple(row))
+            continue
+        every = s.schedule.every // stride
+        stamp = (f"z{numbers[id(s)]}[{len([p for p in s.outputs[:j] if p.delayed])}]" if delayed
+                 else _time(f"(k - k % {every})" if every > 1 else "k", ns))  # fmt: skip
+        found[port.name] = Dynamic(
+            f"{program.name(Sample, 'Sample')}({stamp}, ({''.join(f'{v.code}, ' for v in row)}))",
+            Sample(values.stamp, tuple(float(v) for v in data)),
+        )
     return found
 
 
 def _asked(program: Program, step: Step, k: int, name: str, inputs: Mapping[str, Value], arrays: set[str]) -> Value:
     method = getattr(type(step.block), name)
-    state: Value = Dynamic(f"x{k}", packed(step.x))
+    state: Value = Dynamic(f"x{k}", packed(step.x, program.typed))
     return made(program, method, [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)], inputs, arrays)
 
 
@@ -166,17 +194,23 @@ def _answered(
 ) -> list[str]:
     """Take an answer: its state, its numbers checked, written into the table."""
     writer = Writer(program, _answered, {})  # type: ignore[arg-type]
+    x = Dynamic("")
     try:
         if state is not None:
-            x, value = writer.parts(value, _NOWHERE)
-            x = writer.dynamic(x)
+            first, value = writer.parts(value, _NOWHERE)
+            x = writer.dynamic(first)
             writer.emit(f"y{k} = {x.code}")
         if isinstance(value, Dynamic) and value.keys is not None:
             value = writer._unfolded(value)
         numbers: list[str] = []
+        stamps: list[str] = []
         found: Any = value.items if isinstance(value, Record) else {}
         for port in step.outputs:
-            row = writer.parts(found[port.name], _NOWHERE)
+            said = found[port.name]
+            if port.delayed:
+                stamps.append(writer.code(writer.attribute(said, "stamp", _NOWHERE)))
+                said = writer.attribute(said, "data", _NOWHERE)
+            row = writer.parts(said, _NOWHERE)
             if len(row) != port.size:
                 raise NotNative(f"{port.name} has {len(row)} values, expected {port.size}")
             for one in row:
@@ -189,17 +223,27 @@ def _answered(
         bound = min(p.bound for p in step.outputs) * EDGE
         squares = " + ".join(f"q{k}[{i}] * q{k}[{i}]" for i, _ in enumerate(numbers))
         lines += [f"if not ({squares} <= {bound!r}):", f"    {GIVEN_UP}", f"r{k} = q{k}"]
+    if stamps:
+        lines.append(f"z{k} = ({''.join(f'{z}, ' for z in stamps)})")
     if state is not None:
-        lines.append(_kept(state, f"y{k}", typed))
+        lines.append(_kept(state, replace(x, code=f"y{k}"), step, typed))
     if any(s is step for s in recorded) and not typed:
-        lines.append(f"o{k}.append(q{k})")
+        lines += [f"o{k}.append(q{k})", *([f"p{k}.append(z{k})"] if stamps else [])]
     elif any(s is step for s in recorded):
-        lines += [f"o{k}[k // {step.schedule.every // stride} - e{k}, {i}] = q{k}[{i}]" for i, _ in enumerate(numbers)]
+        at = f"k // {step.schedule.every // stride} - e{k}"
+        lines += [f"o{k}[{at}, {i}] = q{k}[{i}]" for i, _ in enumerate(numbers)]
+        lines += [f"p{k}[{at}, {i}] = z{k}[{i}]" for i, _ in enumerate(stamps)]
     return lines
 
 
-def _kept(state: str, code: str, typed: bool) -> str:
-    return f"{state} = same_({state}, {code})" if typed else f"{state} = {code}"
+def _kept(state: str, value: Dynamic, step: Step, typed: bool) -> str:
+    """Take a state, which must be of the type of the one before."""
+    known = not typed and is_sure(value) and alike(value.sample, packed(step.x, typed))
+    return f"{state} = {value.code}" if known else f"{state} = same_({state}, {value.code})"
+
+
+class _Place(int):
+    """Number of a value in an answer: what is picked is one, or what is given where there is none."""
 
 
 class _Nowhere:

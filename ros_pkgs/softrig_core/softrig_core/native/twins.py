@@ -1,4 +1,9 @@
-"""Frozen dataclasses as native code takes them: a named tuple with the same fields, found by its name."""
+"""States as native code takes them: named tuples to their leaves.
+
+A frozen dataclass has a twin with the same fields, found by its name. Of other objects those that say how take part:
+`native` gives a named tuple, which may hold arrays that are its own, with methods of the same names that the
+translation reads; its `python` gives the object again.
+"""
 
 from __future__ import annotations
 
@@ -35,19 +40,21 @@ def __getattr__(name: str) -> Any:  # native code in the cache names its types b
     return twin(getattr(importlib.import_module(module.replace(MARK, ".")), kind))
 
 
-def packed(value: Any) -> Any:
-    """Give a state with the twins of its dataclasses."""
+def packed(value: Any, typed: bool = True) -> Any:
+    """Give a state as native code takes it, where arrays are copies; `typed` false: objects as Python has them."""
     if isinstance(value, tuple):
-        parts = [packed(v) for v in value]
+        parts = [packed(v, typed) for v in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     if is_twinned(type(value)):
         kind: Any = type(value)
-        return twin(kind)(*(packed(getattr(value, f.name)) for f in dataclasses.fields(value)))
-    return value
+        return twin(kind)(*(packed(getattr(value, f.name), typed) for f in dataclasses.fields(value)))
+    return value.native() if typed and hasattr(value, "native") else value
 
 
 def unpacked(value: Any) -> Any:
-    """Give a state with its dataclasses again."""
+    """Give a state as Python has it."""
+    if hasattr(value, "python"):
+        return value.python()
     if isinstance(value, tuple):
         parts = [unpacked(v) for v in value]
         kind = getattr(type(value), OF, None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Sequence
+from typing import Any
 
 from .calls import Calls
 from .translate import (
@@ -14,12 +15,14 @@ from .value import (
     NONE,
     UNKNOWN,
     Dynamic,
+    GivesUp,
     Group,
     NotNative,
     Static,
     Value,
     forms,
     is_sure,
+    sample_of,
 )
 from .ways import alike
 
@@ -37,8 +40,6 @@ class Writer(Calls):
     def result(self) -> Value:
         """Give what the function gives: a fixed value where it is nothing else."""
         found = self.returned
-        if not found:
-            return Dynamic("", UNKNOWN, False)
         if len(self.lines) == 1 and len(found) == 1 and isinstance(found[0], Static):
             return found[0]
         values = [self._described(v) for v in found]
@@ -58,7 +59,10 @@ class Writer(Calls):
             if _reporting(statements[k:]):
                 self._give_up()
                 return
-            self.statement(statement)
+            try:
+                self.statement(statement)
+            except GivesUp:
+                self._give_up()
 
     def statement(self, node: ast.stmt) -> None:
         """Write one."""
@@ -173,10 +177,11 @@ class Writer(Calls):
     def _loop(self, head: str, body: Sequence[ast.stmt], node: ast.stmt, test: ast.expr | None = None) -> None:
         names = {n.id for one in [*body, node] for n in ast.walk(one)
                  if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}  # fmt: skip
+        leaves = any(isinstance(n, (ast.Break, ast.Continue)) for one in body for n in ast.walk(one))
+        assumed: dict[str, Any] = {}  # tuples that are as long after a turn as before it
         for name in names:
-            if (known := self.env.get(name)) is not None and not (
-                isinstance(known, Dynamic) and known.code == f"v_{name}"
-            ):
+            was_sure = (known := self.env.get(name)) is not None and is_sure(known)
+            if known is not None and not (isinstance(known, Dynamic) and known.code == f"v_{name}"):
                 try:
                     found = self.dynamic(known)
                 except NotNative:
@@ -184,8 +189,11 @@ class Writer(Calls):
                 self.emit(f"v_{name} = {found.code}")
                 known = Dynamic(f"v_{name}", found.sample, False, found.keys, found.parts)
             if isinstance(known, Dynamic):
+                held = isinstance(known.sample, tuple) and was_sure and not leaves
+                if held:
+                    assumed[name] = known.sample
                 numbers = isinstance(known.sample, NUMBERS)
-                self.env[name] = Dynamic(known.code, known.sample, numbers, known.keys, known.parts)
+                self.env[name] = Dynamic(known.code, known.sample, numbers or held, known.keys, known.parts)
         before, lines = dict(self.env), self.lines
         self.lines, self._inside = [], self._inside + 1
         if test is not None:
@@ -200,6 +208,8 @@ class Writer(Calls):
         for name, value in after.items():
             if name in before:
                 if name in names and not (isinstance(value, Dynamic) and value.code == f"v_{name}"):
+                    raise self.unknown(f"{name} changes what it is in a loop", node)
+                if name in assumed and not (is_sure(value) and alike(sample_of(value), assumed[name])):
                     raise self.unknown(f"{name} changes what it is in a loop", node)
             elif isinstance(value, Dynamic):
                 self.env[name] = Dynamic(value.code, value.sample, False, value.keys, value.parts)

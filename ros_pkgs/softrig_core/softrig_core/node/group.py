@@ -55,7 +55,7 @@ class Group:
         self._steps = steps
         self._ticks = Runner([n.step for n in _in_order(nodes, links)]).run()
         for step in steps:
-            step.join(names - {step.node.middleware.name}, self._begin)
+            step.join(names - {step.node.middleware.name}, self._begin, self._ticks)
 
     def _begin(self) -> None:
         """Run when the peers of all nodes are there."""

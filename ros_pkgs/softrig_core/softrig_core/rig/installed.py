@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.metadata
 import re
+import sys
+from functools import lru_cache
 from typing import Any
 
 from ..block.block import Block
@@ -37,13 +39,18 @@ def load_main(package: str, executable: str) -> Any:
 
 
 def load_block(package: str, executable: str) -> type[Block]:
-    """Find the block class behind an installed executable.
+    """Find the block class behind an installed executable; one that was found stays.
 
     Raises
     ------
     ScenarioError
         The package or executable is not installed, cannot be imported, or is not a softrig node.
     """
+    return _found(package, executable, tuple(sys.path))
+
+
+@lru_cache(maxsize=1024)
+def _found(package: str, executable: str, _: tuple[str, ...]) -> type[Block]:
     try:
         points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
     except importlib.metadata.PackageNotFoundError:

@@ -40,6 +40,7 @@ class RunOptions(Params):
         0.0, "lockstep, the node of the clock: simulated by wall-clock time, 0 = as fast as it goes", ge=0, le=1e3,
         live=True,
     )  # fmt: skip
+    again: str = param("", "lockstep: folder of the files of a run in which this node died, and comes back")
     changes: str = param("", "JSON of changes of parameters while it runs, written by the runner", max_length=1 << 20)
 
 
@@ -122,6 +123,8 @@ class Links(BaseModel):
         Others may live in the domain of the rig: recorders that ask for it are awaited.
     recorders : list of str
         Nodes outside the rig that read everything and are awaited.
+    returns : bool
+        Lockstep: a node that died is started again: what is said again is left out, and nobody gives up by himself.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -146,3 +149,4 @@ class Links(BaseModel):
     grid: str = ""
     public: bool = False
     recorders: list[str] = []
+    returns: bool = False

@@ -53,9 +53,7 @@ def run_inprocess(
         A block raised, or gave what may not leave it (NaN, infinity, beyond `Port.limits`, a wrong number of values);
         names node, port and time.
     """
-    for member in rig.members:
-        if member.external:
-            raise ScenarioError(f"node {member.name} is external: in-process runs have no place for it")
+    check_here(rig)
     idle = {m.name for m in rig.members if runs > 1 and issubclass(m.block_class, Observer) and not m.outputs}
     steps = wired(rig, {m.name: m.block(seed) for m in rig.members if m.name not in idle})
     if sink is not None:
@@ -69,9 +67,17 @@ def run_inprocess(
                     due = t + end // 100
     finally:
         for step in steps.values():
+            step.let_go()
             if isinstance(step.block, Solver):
                 step.block.rest()
     return steps
+
+
+def check_here(rig: Rig) -> None:
+    """Make sure that a rig can run in one process; a ScenarioError names the node that cannot."""
+    for member in rig.members:
+        if member.external:
+            raise ScenarioError(f"node {member.name} is external: in-process runs have no place for it")
 
 
 def _ticks(steps: list[Step], runs: int) -> Iterator[int | None]:
@@ -119,14 +125,14 @@ def step_of(member: Member, block: Block) -> Step:
     return Step(member.name, block, member.schedule, member.inputs, member.outputs, member.changes)
 
 
-def record(rig: Rig, steps: Mapping[str, Step], sink: Sink) -> None:
-    """Have a sink get every message of the steps of a rig."""
+def record(rig: Rig, steps: Mapping[str, Step], sink: Sink, said: Mapping[str, int] | None = None) -> None:
+    """Have a sink get every message of the steps of a rig; it has some already, so many by topic."""
     numbers = {topic: number for number, topic in enumerate(rig.topics)}
     for step in steps.values():
         ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
         if not ports:
             continue
-        step.send = recorder(sink, step, ports, [numbers[p.topic] for p in ports])
+        step.send = recorder(sink, step, ports, [numbers[p.topic] for p in ports], said)
         if step.plain:
             step.send_all = sink.rows({numbers[p.topic]: p.layout() for p in ports})
         step.changed = noter(sink, step.name)
@@ -137,8 +143,8 @@ def noter(sink: Sink, name: str) -> Callable[[int, Mapping[str, Any]], object]:
     return lambda t, values: sink.note(t, parameter_event.encode(t, f"/{name}", values))
 
 
-def recorder(sink: Sink, step: Step, ports: Sequence[Port],
-             numbers: Sequence[int]) -> Callable[[int, Rows], object]:  # fmt: skip
+def recorder(sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[int],
+             said: Mapping[str, int] | None = None) -> Callable[[int, Rows], object]:  # fmt: skip
     """Give what records the answers of a step.
 
     Parameters
@@ -149,12 +155,15 @@ def recorder(sink: Sink, step: Step, ports: Sequence[Port],
         Its outputs; with /clock after them when it is the clock.
     numbers : sequence of int
         Of their topics in the sink.
+    said : mapping of str to int, optional
+        Messages that the sink has already, by topic.
     """
     layouts = [p.layout() for p in ports]
     if step.plain:
         add_row = sink.row(dict(zip(numbers, layouts, strict=True)))
         return lambda t, rows: add_row(t, step.numbers)
-    encoders, silent = [encoder(layout) for layout in layouts], ((),) * (len(ports) - len(step.outputs))
+    encoders = [encoder(p.layout(), (said or {}).get(p.topic, 0)) for p in ports]
+    silent = ((),) * (len(ports) - len(step.outputs))
 
     def record(t: int, rows: Rows) -> None:
         for number, encode, row in zip(numbers, encoders, (*rows, *silent), strict=True):

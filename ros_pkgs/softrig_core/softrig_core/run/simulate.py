@@ -13,17 +13,18 @@ from functools import cached_property
 from typing import Any
 
 from ..block.held import Held
-from ..errors import ScenarioError
+from ..errors import RunError, ScenarioError
 from ..extras import need
 from ..judge.claims import NEVER
 from ..rig.members import signal_units
 from ..rig.rig import Rig
 from ..scenario.scenario import Scenario
 from ..timebase import SECOND
-from ..verdict.figures import Result, evaluate, figures_of
+from ..verdict.figures import Figure, Result, evaluate, figures_of
 from ..verdict.findings import Finding, findings, values
 from ..wire.recording import Recording
 from ..wire.signals import Signals
+from .branch import branched, parted
 from .expand import rig_of
 from .inprocess import run_inprocess
 
@@ -60,6 +61,10 @@ class Run:
         Number of the signal that ended it before its time; 0 when none did.
     blocks : dict of str to Held
         The blocks with their final states, after a run in process.
+    begun : Rig or None
+        Of a run that `branch` gave: the rig of the first one, whose changes are the scenario's own.
+    wanted : list of Figure, optional
+        What `figures_of` gives of the rig, where that is known.
     """
 
     rig: Rig
@@ -72,6 +77,8 @@ class Run:
     error: str = ""
     stopped: int = 0
     blocks: Mapping[str, Held] = field(default_factory=dict)
+    begun: Rig | None = None
+    wanted: list[Figure] | None = None
 
     @property
     def stopped_at(self) -> str:
@@ -94,7 +101,7 @@ class Run:
     @cached_property
     def results(self) -> list[Result]:
         """The figures of the scenario, measured and judged; a run that was stopped cannot say "never"."""
-        found = evaluate(self.rig, self.signals)
+        found = evaluate(self.rig, self.signals, self.wanted)
         if not self.stopped:
             return found
         late = f"not until {self.reached_s:.9g} s, when the run was stopped"
@@ -177,6 +184,48 @@ class Run:
         frame.attrs["units"] = {name: units.get(name, "") for name in columns}
         return frame
 
+    def branch(
+        self, at: float, values: Mapping[str, Any], *, duration: float | None = None,
+        progress: Callable[[int], object] | bool | None = None, runs: int = 1,
+    ) -> Run:  # fmt: skip
+        """Go back to a time, and on from there with other parameters.
+
+        Parameters
+        ----------
+        at, values
+            See `softrig_core.run.branch.branched`.
+        duration : float, optional
+            In s, in place of this run's.
+        progress, runs
+            See `simulate`.
+
+        Returns
+        -------
+        Run
+            Whole, from t = 0: before `at` its messages are those of this run.
+
+        Raises
+        ------
+        ScenarioError
+            This run did not come so far, or a parameter may not change while running.
+        RunError
+            The new run broke, or was another one before `at`: names the topic and the time.
+
+        Examples
+        --------
+        >>> run = simulate("dc_motor_smc")
+        >>> softer = run.branch(0.5, {"dc_motor_smc.delta": 0.5})
+        """
+        begun = self.begun or self.rig
+        scenario = begun.scenario.having(changes=branched(begun, self.recording, at, values, self.epoch))
+        scenario = scenario.changed(duration=self.rig.scenario.duration if duration is None else duration)
+        rig = rig_of(scenario, classes={m.name: m.block_class for m in self.rig.members})
+        found = simulate(rig, seed=self.seed, progress=progress, runs=runs)
+        if where := "" if self.epoch else parted(self.recording, found.recording, at):
+            raise RunError(f"{rig.scenario.name}: what ran up to t = {at:.9g} s is not what had run, first {where}")
+        found.begun = begun
+        return found
+
     @property
     def missed(self) -> list[Result]:
         """The figures that are not what is expected."""
@@ -224,11 +273,13 @@ def simulate(
     >>> t, speed = run.signals["motor/state/shaft/velocity"]
     """
     rig = rig_of(what, duration=duration, overrides=overrides)
-    figures_of(rig)  # what does not fit is found before the run, not after it
     number = rig.scenario.seed if seed is None else seed
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+    wanted = figures_of(rig)  # what does not fit is found before the run, not after it
+    run = Run(rig, number, recording, wanted=wanted)
     started = time.perf_counter()
     bar = _view("progress")(rig.scenario.name, rig.scenario.duration) if progress is True else nullcontext(progress)
     with bar as tell:
-        blocks = run_inprocess(rig, number, recording, tell or None, runs)
-    return Run(rig, number, recording, time.perf_counter() - started, blocks=blocks)
+        run.blocks = run_inprocess(rig, number, recording, tell or None, runs)
+    run.wall_s = time.perf_counter() - started
+    return run

@@ -6,7 +6,7 @@ import inspect
 import json
 import math
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from fnmatch import filter as filter_names
 from functools import cache
@@ -198,7 +198,7 @@ def figures_in(text: str) -> list[Figure]:
         raise ValueError(f"figures: {error}; expected a JSON list of name, function, arguments, unit, scale") from None
 
 
-def evaluate(rig: Members, signals: SignalMap) -> list[Result]:
+def evaluate(rig: Members, signals: SignalMap, figures: Sequence[Figure] | None = None) -> list[Result]:
     """Measure the figures of a rig's scenario and judge them.
 
     A figure that cannot be computed has value None and the reason; it passes only if nothing is expected of it.
@@ -209,10 +209,12 @@ def evaluate(rig: Members, signals: SignalMap) -> list[Result]:
         Its scenario says what is measured and expected.
     signals : Signals
         Of a run of this rig.
+    figures : sequence of Figure, optional
+        What `figures_of` gives of it, where that is known.
     """
     published = {c.figure or k: c.published for k, c in rig.scenario.claims.items() if c.published is not None}
     results = []
-    for figure in figures_of(rig):
+    for figure in figures_of(rig) if figures is None else figures:
         required = figure.name in rig.scenario.requirements
         limits = rig.scenario.expect.get(figure.name, Expectation(at_least=0.0) if required else None)
         about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import heapq
 import json
 import struct
-from bisect import bisect_right
+import weakref
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
@@ -175,19 +176,33 @@ class Topic:
         self._made = len(self._columns)
         return self._data
 
-    def columns(self) -> Columns | None:
-        """Give all messages as numbers; None when some came as bytes or may have been changed."""
+    def parts(self) -> Sequence[Columns]:
+        """Give all messages as numbers, in one or several parts of one layout; none as `columns`."""
         self.settle()
         known = self._columns
         number = sum(len(c.times) for c in known)
         if not number or self._data or (self._timed and len(self.times) != number):
-            return None
-        if any(c.layout.form != known[0].layout.form for c in known):
-            return None
+            return ()
+        return () if any(c.layout.form != known[0].layout.form for c in known) else known
+
+    def columns(self) -> Columns | None:
+        """Give all messages as numbers; None when some came as bytes or may have been changed."""
+        known = self.parts()
         if len(known) > 1:
             times, values = (np.concatenate([c[k] for c in known]) for k in (0, 1))
             self._columns, self._timed = [Columns(times, values, known[0].layout)], min(1, self._timed)
-        return self._columns[0]
+        return self._columns[0] if known else None
+
+    def before(self, t: int) -> Topic:
+        """Give its messages that are earlier than t, ns."""
+        found, whole = Topic(self.name, self.msgtype), self.columns()
+        if whole is not None:
+            n = int(whole.times.searchsorted(t))
+            found._columns = [whole.part(0, n)] if n else []
+        else:
+            n = bisect_left(self.times, t)
+            found._times, found._data = self.times[:n], self.data[:n]
+        return found
 
     def stream(self) -> Iterator[tuple[int, bytes]]:
         """Give time and bytes of each message; what stands as numbers is not kept as bytes."""
@@ -207,6 +222,15 @@ class Recording:
         self.topics = {name: Topic(name, msgtype) for name, msgtype in topics}
         self._order = list(self.topics.values())
 
+    def before(self, t: int) -> Recording:
+        """Give what was recorded before t, ns; what is added to one of the two is not in the other."""
+        found = Recording(())
+        found.topics = {name: topic.before(t) for name, topic in self.topics.items()}
+        if EVENTS in found.topics and not found.topics[EVENTS].times:  # there with the first change
+            del found.topics[EVENTS]
+        found._order = list(found.topics.values())
+        return found
+
     def add(self, topic: int, t: int, data: bytes) -> None:
         """Append one message."""
         found = self._order[topic]
@@ -216,7 +240,8 @@ class Recording:
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
         """Give what appends one message of each of some topics; their bytes are made when somebody asks for them."""
         buffer, pack = bytearray(), _row_packer(layouts.values())
-        topics = [(self._order[number], layout) for number, layout in layouts.items()]
+        # weak: what a topic calls must not keep it, or memory stays taken until Python looks for cycles
+        topics = [(weakref.proxy(self._order[number]), layout) for number, layout in layouts.items()]
 
         def settle() -> None:
             if buffer:

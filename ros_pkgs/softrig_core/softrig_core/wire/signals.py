@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,16 +82,39 @@ class Signals(Mapping[str, Signal]):
         self.recording = recording
         self._epoch = epoch
         self._tables: dict[str, Table] = {}
+        self._known: dict[str, Signal] = {}
+        self._times: dict[tuple[int, ...], tuple[Any, Array]] = {}  # topics of one node share theirs
 
     def table(self, topic: str) -> Table:
         """Give all columns of a topic."""
         if topic not in self._tables:
             if topic not in self.recording.topics:
                 raise KeyError(f"no topic {topic!r}; recorded are {', '.join(self.recording.topics)}")
-            self._tables[topic] = _decode(self.recording.topics[topic], self._epoch)
+            known = self.recording.topics[topic]
+            parts = known.parts()
+            self._tables[topic] = self._joined(known, parts) if parts else _decode(known, self._epoch)
         return self._tables[topic]
 
+    def _joined(self, topic: Topic, parts: Sequence[Columns]) -> Table:
+        """Give the columns of messages that stand as numbers."""
+        times = [part.times for part in parts]
+        key = tuple(map(id, times))
+        if key not in self._times:
+            self._times[key] = times, (_column(times) - self._epoch) / SECOND
+        t, layout = self._times[key][1], parts[0].layout
+        flags = [code[-1] == "?" for _, code in layout.slots for _ in range(int(code[:-1]))]
+        columns = [_column([part.values[:, k] for part in parts]) for k, _ in enumerate(flags)]
+        # as a message carries them: a flag is 0 or 1
+        columns = [(x != 0.0).astype(np.float64) if flag else x for x, flag in zip(columns, flags, strict=True)]
+        first = parse(topic.msgtype, layout.encode(0, (0.0,) * layout.size))
+        return Table(t, t, dict(zip(_labels(topic.msgtype, first), columns, strict=True)))
+
     def __getitem__(self, name: str) -> Signal:
+        if name not in self._known:
+            self._known[name] = self._found(name)
+        return self._known[name]
+
+    def _found(self, name: str) -> Signal:
         topic = topic_of(name, self.recording.topics)
         if not topic:
             raise KeyError(f"no topic for signal {name!r}; recorded are {', '.join(self.recording.topics)}")
@@ -111,10 +134,6 @@ class Signals(Mapping[str, Signal]):
 
 
 def _decode(topic: Topic, epoch: int) -> Table:
-    if (known := topic.columns()) is not None:
-        t = (known.times - epoch) / SECOND
-        first = parse(topic.msgtype, known.layout.encode(0, (0.0,) * known.layout.size))
-        return Table(t, t, dict(zip(_labels(topic.msgtype, first), _read(known), strict=True)))
     t = (np.array(topic.times, dtype=np.int64) - epoch) / SECOND
     if not topic.data:
         return Table(t, t, {})
@@ -139,11 +158,8 @@ def _decode(topic: Topic, epoch: int) -> Table:
     return Table(t, (stamps - epoch) / SECOND, columns)
 
 
-def _read(known: Columns) -> list[Array]:
-    """Give the numbers as a message carries them: a flag is 0 or 1."""
-    flags = [code[-1] == "?" for _, code in known.layout.slots for _ in range(int(code[:-1]))]
-    columns = [np.ascontiguousarray(x) for x in known.values.T]
-    return [(x != 0.0).astype(np.float64) if flag else x for x, flag in zip(columns, flags, strict=True)]
+def _column(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    return np.concatenate(parts) if len(parts) > 1 else np.ascontiguousarray(parts[0])
 
 
 def _stamps(layout: Layout, block: NDArray[np.uint8], t: Array, epoch: int) -> Array:

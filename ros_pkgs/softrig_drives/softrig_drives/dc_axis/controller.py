@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, Self
 from pydantic import model_validator
 from softrig_control.delay import whole_periods
 from softrig_control.discretise import zero_order_hold
-from softrig_control.predictor import CommandReplay
+from softrig_control.predictor import CommandReplay, Commands
 from softrig_control.state_feedback import Gains, StateFeedback, closed_loop_poles, place, require_stable
 from softrig_core import Block, Level, Sample, executable, param, to_ns
 
@@ -82,12 +82,13 @@ def design(poles: Sequence[complex], motor: MotorParams | None = None) -> tuple[
 
 
 class State(NamedTuple):
-    """Nominal loop, set point; times (ns; None before the first) of the newest tick and of the newest measurement.
+    """Nominal loop, commands known (V), set point; times (ns; None before the first) of newest tick and measurement.
 
-    That measurement (v, y), late, and compensated, in mm/s and mm; integral (mm s), command (V), commands known (V).
+    That measurement (v, y), late, and compensated, in mm/s and mm; integral (mm s), command (V).
     """
 
     nominal: Nominal
+    history: Commands
     set_point: Asked = Asked()
     t: int | None = None
     stamp: int | None = None
@@ -95,7 +96,6 @@ class State(NamedTuple):
     state: tuple[float, ...] = (0.0, 0.0)
     xi: float = 0.0
     u: float = 0.0
-    history: tuple[float, ...] = ()
 
 
 class FsfbController(Block[FsfbControllerParams]):
@@ -140,14 +140,14 @@ class FsfbController(Block[FsfbControllerParams]):
 
     def first(self) -> State:
         """Wait for the first measurement."""
-        history: tuple[float, ...] = ()
+        history = self._replay.nothing()
         if self.p.delay_from == "fixed":
             for _ in range(self._fixed):  # before the first command the drive holds 0 V
                 history = self._replay.record(history, 0.0)
             if self._rounded:
                 self.report(Level.WARN, "delay", f"delay = {self.p.delay:g} s is not a whole number of periods: "
                                                  f"rounded up to {self._fixed}")  # fmt: skip
-        return State(nominal=self._nominal.rest(0.0), xi=self._law.settle((0.0, 0.0)), history=history)
+        return State(self._nominal.rest(0.0), history, xi=self._law.settle((0.0, 0.0)))
 
     def go_on(self, x: State, before: FsfbControllerParams) -> State:
         """Take other gains without a bump; the known commands and the set point stay."""
@@ -168,13 +168,14 @@ class FsfbController(Block[FsfbControllerParams]):
             x.set_point, None if reference is None else reference[0], forward == (1.0,), reverse == (1.0,)
         )
         state, xi, nominal, u = x.state, x.xi, x.nominal, 0.0
-        found = self._compensate(x, t, history) if usable else None
-        if found is not None:
-            state, r = found, set_point.value
+        if usable:
+            usable, state = self._compensate(x, t, history)
+        if usable:
+            r = set_point.value
             nominal = self._nominal(nominal, r)
             xi, u = self._law(xi, r, state, state[1])
         history = self._replay.record(history, u)
-        return self._answer(State(nominal, set_point, t, x.stamp, x.measured, state, xi, u, history))
+        return self._answer(State(nominal, history, set_point, t, x.stamp, x.measured, state, xi, u))
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """0 V, known to the command history; the last good measurement and the integrator hold."""
@@ -189,13 +190,13 @@ class FsfbController(Block[FsfbControllerParams]):
             "controller_state": (x.set_point.value, y, v, x.xi, age),
         }
 
-    def _known(self, x: State, t: int) -> tuple[float, ...]:
+    def _known(self, x: State, t: int) -> Commands:
         """Give the command history, true when periods were left out."""
         history = x.history
         if x.t is not None:
             gap = (t - x.t) // self._period - 1
             if gap > LARGEST_GAP:
-                return ()
+                return self._replay.nothing()
             for _ in range(gap):  # the drive held the last command
                 history = self._replay.record(history, x.u)
         return history
@@ -224,20 +225,20 @@ class FsfbController(Block[FsfbControllerParams]):
             self.report(Level.WARN, "feedback order", "feedback older than the one before it was dropped")
         return x._replace(stamp=stamp, measured=measured) if stamp > x.stamp else x
 
-    def _compensate(self, x: State, t: int, history: tuple[float, ...]) -> tuple[float, ...] | None:
-        """Make the state for the law of the late measurement; None when that cannot be done."""
+    def _compensate(self, x: State, t: int, history: Commands) -> tuple[bool, tuple[float, ...]]:
+        """Make the state for the law of the late measurement; whether that can be done."""
         p = self.p
         assert x.stamp is not None
         v, y = x.measured
         late = -((x.stamp - t) // self._period) if p.delay_from == "stamps" else self._fixed
         if p.compensation == "none":
-            return v, y
+            return True, (v, y)
         if p.compensation == "velocity":
-            return v, y + v * late * p.period
-        state = self._replay.present(history, (v, y), late)
-        if state is None:
+            return True, (v, y + v * late * p.period)
+        if late > history.known:
             self.report(Level.WARN, "predictor", f"the commands of the last {late} periods are not all known: 0 V")
-        return state
+            return False, x.state
+        return True, self._replay.present(history, (v, y), late)
 
 
 def _law(p: FsfbControllerParams) -> StateFeedback:

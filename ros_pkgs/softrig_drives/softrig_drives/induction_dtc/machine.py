@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from softrig_core import Params, param, rk4
@@ -47,6 +48,7 @@ def measured(x: Sequence[Any], inv_L_sigma: Any, p: Any) -> tuple[Any, Any, Any,
     return i_alpha, i_b, 0.0 - i_alpha - i_b, T_e  # at rest 0, not -0
 
 
+@lru_cache(maxsize=16)
 def step_function(substeps: int = 1) -> ca.Function:
     """One Runge-Kutta step of order 4 per sub-step with the voltage and the load torque held.
 

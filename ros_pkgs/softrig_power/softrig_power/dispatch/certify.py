@@ -57,12 +57,12 @@ class Dispatch:
     cost: float
     bound: float = -np.inf
     price: tuple[float, float] = (-np.inf, np.inf)
-    stages: dict[str, float] = field(default_factory=dict)
+    stages: dict[str, float] = field(default_factory=dict, compare=False)
     nodes: int = 0
     binaries: int = 0
     stage: str = ""
     reason: str = ""
-    trace: list[tuple[float, float, float]] = field(default_factory=list)
+    trace: list[tuple[float, float, float]] = field(default_factory=list, compare=False)
     limited: bool = False
     losses: float = np.nan
     reserve: float = np.nan

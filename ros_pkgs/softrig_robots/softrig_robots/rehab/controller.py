@@ -175,8 +175,10 @@ class VoltageController(Block[VoltageControllerParams]):
             self.report(Level.ERROR, "reference", f"{self._lost('reference')}: its position is held with speed zero")
             rv1 = rv2 = ra1 = ra2 = 0.0
             lost = False
-        blind = [n for n in ("joint_states", "motor_states") if (self.age(n) or 0) > self._stale]
-        if lost or blind:
+        still = (self.age("joint_states") or 0) > self._stale
+        dead = (self.age("motor_states") or 0) > self._stale
+        if lost or still or dead:
+            blind = [n for n, is_so in (("joint_states", still), ("motor_states", dead)) if is_so]
             self.report(Level.ERROR, "SAFE", f"SAFE: {self._lost(*blind or ['reference'])}: 0 V")
             return self._say(x.laws, NOTHING, (r1 - q1, r2 - q2))
         V1, V2 = x.sent if applied_voltage is None else applied_voltage

@@ -236,13 +236,11 @@ class RehabPlant(DrivenRobot[RehabParams]):
         inside = [low <= q <= high for low, q, high in zip(self._low, x.q, self._high, strict=True)]
         entered = tuple(now or once for now, once in zip(inside, x.entered, strict=True))
         for i, joint in enumerate(JOINTS):
-            if not inside[i] and entered[i]:
-                reason = f"{joint} at {x.q[i]:.4g} rad, range {self._low[i]:.4g} to {self._high[i]:.4g} rad"
-            elif started and abs(x.v[i]) > self.p.rom_speed:
+            out = not inside[i] and entered[i]
+            if not safe and (out or (started and abs(x.v[i]) > self.p.rom_speed)):
                 reason = f"{joint} at {x.v[i]:.4g} rad/s, limit {self.p.rom_speed:.4g} rad/s"
-            else:
-                continue
-            if not safe:
+                if out:
+                    reason = f"{joint} at {x.q[i]:.4g} rad, range {self._low[i]:.4g} to {self._high[i]:.4g} rad"
                 safe = True
                 self.report(Level.ERROR, "safe", f"SAFE from t = {to_s(t):.9g} s, motors at 0 V: {reason}")
         return entered, safe

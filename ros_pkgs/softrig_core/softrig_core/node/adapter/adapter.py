@@ -29,6 +29,7 @@ from ..seam.health import StatusFile, figures, peak_memory
 from ..seam.hold import Hold
 from ..seam.middleware import Matched, Middleware, other_types
 from ..seam.tick import TICK, TickWriter
+from .files import Files, read_files
 
 LOOK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
 WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
@@ -120,6 +121,7 @@ class Adapter:
         self.waits_for: list[str] = []  # the nodes whose absence or silence ended the run
         self.absent: list[str] = []  # what its start waits for
         self.lacking: list[str] = []  # topics of external nodes that nobody publishes yet
+        self.files = self._files()  # of one that comes back
         self.on_finished: Callable[[], None] = lambda: None
         self._logged: set[str] = set()
         self._watches = 0
@@ -129,7 +131,7 @@ class Adapter:
         self.outputs = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
         self.clock_output = Output(CLOCK, middleware.resolve(CLOCK.topic), -1)
         self.tick_output = Output(Port("tick", "~/tick", TICK), f"{middleware.full_name}/tick", -1)
-        self._acknowledge: Callable[[int, Iterable[str]], None] | None = None
+        self.acknowledge: Callable[[int, Iterable[str]], None] | None = None
         self._silent = any(p.sporadic for p in outputs)  # at times
         self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
         self._open_record(sink)
@@ -143,7 +145,7 @@ class Adapter:
         self.drive = drive
         middleware, lockstep = self.middleware, self.options.mode == "lockstep"
         if self.links.acknowledges if lockstep else self.links.tells:
-            self._acknowledge = self._acknowledging()
+            self.acknowledge = self._acknowledging()
         for port in self.step.inputs:
             self._subscribe(drive.row(port))
         for output in self.outputs:
@@ -157,6 +159,14 @@ class Adapter:
     def t(self) -> int:
         """Time of the tick under way, ns."""
         return self.drive.t
+
+    def _files(self) -> Callable[[], Files] | None:
+        links = self.links
+        clock = [] if links.clock is None else [links.clock.node]
+        names = [*(link.node for link in links.inputs.values()), *clock, *links.acks, *links.tick_readers]
+        names += [*(name for readers in links.readers.values() for name in readers), *links.clock_readers]
+        again, peers = self.options.again, dict.fromkeys([*names, *links.solvers])
+        return (lambda: read_files(Path(again), self.middleware.name, peers)) if again else None
 
     def _open_record(self, sink: Sink | None) -> None:
         """Number what is recorded: outputs, what comes from outside (by its first reader), the clock."""
@@ -235,8 +245,8 @@ class Adapter:
                 output.send(stamp, row)  # type: ignore[arg-type]
         else:
             said = self._send_each(stamp, rows)
-        if self._acknowledge is not None:
-            self._acknowledge(stamp, [o.name for o, _, _ in said if o.port.sporadic] if self._silent else ())
+        if self.acknowledge is not None:
+            self.acknowledge(stamp, [o.name for o, _, _ in said if o.port.sporadic] if self._silent else ())
         if self._owns_clock:
             self.clock_output.send(stamp, ())
         if self._add_row is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Set
+from collections.abc import Callable, Iterator, Set
 from typing import Any
 
 from ...block.block import Level
@@ -22,6 +22,7 @@ from ..adapter.sender import Sender
 from ..seam.endpoint import Input
 from ..seam.health import percentiles
 from ..seam.solving import Solving, hear_busy
+from .comeback import Comeback, Spoken
 from .first import repeat_first
 from .paired import PairedSenders
 from .stalls import Stalls
@@ -53,14 +54,18 @@ class Lockstep:
         self._last = math.inf if node.schedule.last is None else node.schedule.last
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = 0
-        self._solving: Solving | None = None
+        self.solving: Solving | None = None
+        self._comeback: Comeback | None = None
+        self._stood = -1  # ticks at the last look at its progress
+        self._shake: Callable[[], Handshake]  # asks who is there, as it was asked when it joined
         step = node.step
         step.send, step.lacks = self._send, self._lacks
         if node.is_plant:
             step.moved = self._ticked
         node.begin(self)
+        self.spoken = Spoken(node) if node.links.returns else None
 
-    def join(self, local: Set[str], begin: Callable[[], object]) -> None:
+    def join(self, local: Set[str], begin: Callable[[], object], ticks: Iterator[int | None]) -> None:
         """Wait for the peers that are not in this process.
 
         Parameters
@@ -69,6 +74,8 @@ class Lockstep:
             Names of the other nodes of this process.
         begin : callable
             Called when all peers are there.
+        ticks : iterator
+            Of the runner of this process; one that comes back goes through those that it had answered.
         """
         node, senders, links = self.node, self.senders, self.node.links
         senders.without(local)
@@ -95,14 +102,23 @@ class Lockstep:
         busy = hear_busy(node.middleware, max(1, len(solvers)), self._patient)  # an outside node may be one, too
         awaited += [(busy, name) for name in solvers]
         if isinstance(node.block, Solver):
-            self._solving = Solving(node.middleware, node.step, self._turn)
-        if not senders.rows and self._solving is None:
+            self.solving = Solving(node.middleware, node.step, self._turn)
+        if not senders.rows and self.solving is None:
             # all that it needs is said in this process
             node.step.lacks = node.hold.holds if links.owns_clock else None  # type: ignore[attr-defined]
-        self.handshake = Handshake(node, awaited, wanted, local)
+        gone: Set[str] = set()
+        if node.files is not None:
+            self._comeback = Comeback(self, node.files)
+            self._comeback.go(ticks)
+            gone = self._comeback.gone
+
+        def shake() -> Handshake:
+            return Handshake(node, [(i, who) for i, who in awaited if who not in gone], wanted, {*local, *gone})
+
+        self.handshake, self._shake = shake(), shake
         self._stalls.handshake = self.handshake
         self._begin = begin
-        if self._solving is None:  # whose timers belong to the executor's thread
+        if self.solving is None:  # whose timers belong to the executor's thread
             node.middleware.be_prompt()
         self._starter = node.middleware.timer(CHECK, self._start)
 
@@ -129,6 +145,8 @@ class Lockstep:
     def on_matched(self, item: Input) -> None:
         """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
         node = self.node
+        if node.links.returns:
+            return  # one of them has died, and the other is the same node
         if item.publishers > 1 and node.state != "done" and (item.local or item in self.senders.rows):
             self._stalls.rivals = item
             node.state = "failed"  # from here on no message counts; `progress` ends the run when the names are known
@@ -147,7 +165,11 @@ class Lockstep:
             self._starter.cancel()
             self.ready = True
             self._stalls.restart()
+            if self._comeback is not None and self.spoken is not None:
+                self.spoken.again()
             self._begin()
+            if self._over:
+                self._leave()
 
     def _patient(self) -> None:
         """A solver is at work somewhere in the rig: the time without progress begins anew."""
@@ -163,11 +185,15 @@ class Lockstep:
         """Whether something that tick `t` needs has not come."""
         senders = self.senders
         if t != self._awaited:
-            self._awaited = t
-            senders.await_tick(t)
-        if senders.missing or self._solving is None:
+            self.await_tick(t)
+        if senders.missing or self.solving is None:
             return senders.missing > 0 or self.node.hold.holds(t)
-        return not self._solving.finished(t)
+        return not self.solving.finished(t)
+
+    def await_tick(self, t: int) -> None:
+        """Set what tick `t` needs."""
+        self._awaited = t
+        self.senders.await_tick(t)
 
     def _send(self, t: int, rows: Rows) -> None:
         """Publish an answer; note when a plant has spoken."""
@@ -193,13 +219,13 @@ class Lockstep:
     def _leave(self) -> None:
         """Finish when all who tell us of their ticks have begun: they may still wait for us to be there."""
         self._over = True
-        if all(row.heard for row in self.senders.rows if row.earlier):
+        if self.ready and all(row.heard for row in self.senders.rows if row.earlier):
             self.node.finish()
 
     def busy(self) -> bool:
         """Whether a solver is at work, or somebody holds the run."""
         hold = self.node.hold
-        return hold.held or hold.waits or (self._solving is not None and self._solving.working)
+        return hold.held or hold.waits or (self.solving is not None and self.solving.working)
 
     def counts(self) -> dict[str, int]:
         """Nothing is ever late."""
@@ -212,5 +238,11 @@ class Lockstep:
         return {"running_s": (self._sent - self._first) / 1e9} | percentiles("tick", self._durations)
 
     def progress(self) -> None:
-        """End the run when a peer is gone, stalls or never came."""
+        """End the run when a peer is gone, stalls or never came; say again what may have been lost with one."""
+        if self.spoken is not None:
+            stands, self._stood = self._stood == self.node.ticks, self.node.ticks
+            if stands and self.ready:
+                self.spoken.again()
+            if stands and self._comeback is not None and self._comeback.look():
+                self._stalls.handshake = self.handshake = self._shake()  # without those who have left
         self._stalls.look()

@@ -183,7 +183,7 @@ class Paired(Sender):
         """Set what tick `t` of ours needs; whether that has not come."""
         if t < self._holds:
             return False  # a slower sender: its last message still holds
-        want = t if t <= self._alike else self._wanted(t)
+        want = t if t <= self._alike else self.wanted(t)
         if want == self.want and (t or self.earlier):
             return False  # at the end time: what came at the last tick is held
         self.want = want
@@ -192,7 +192,7 @@ class Paired(Sender):
             self._use()
         return not self.have
 
-    def _wanted(self, t: int) -> int:
+    def wanted(self, t: int) -> int:
         """Give the stamp that tick `t` needs."""
         if self.earlier:
             node = self.node
@@ -200,6 +200,18 @@ class Paired(Sender):
         want = self.schedule.awaited(t)
         self._holds = self.schedule.next(t)
         return want
+
+    def resume(self, used: int, reached: int) -> None:
+        """Go on after a tick of the sender whose message is used, and one up to which its silences tell; -1: none."""
+        self.used, self.reached = max(self.used, used), max(self.reached, reached)
+        self.want, self._holds, self.have = -_FOREVER, 0, False
+
+    def learn(self, reached: int) -> None:
+        """Take it that the sender has spoken up to one of its ticks, and said nothing but what has come."""
+        self.reached = max(self.reached, reached)
+        if not self.have and self._complete():
+            self._use()
+            self._arrived()
 
     def _complete(self) -> bool:
         """Whether the sender has spoken up to the awaited tick."""
@@ -245,10 +257,13 @@ class Paired(Sender):
 
     def _accept(self, stamp: int, values: tuple[float, ...], position: int, data: bytes) -> None:
         if position == self.want and not self.have and not self.said and not self.silent:  # nearly always
-            self.record(self.node.t, data)
-            self.node.values[self.name] = self.value(stamp, values)
+            if self._number is not None:
+                self.record(self.node.t, data)
+            self.node.values[self.name] = self.value(stamp, values) if self._valued else values
             self.stamp = self.used = position
             self._arrived()
+        elif self.node.links.returns and self._again(position):
+            return
         elif self._may_come(position):
             self.table.heard += 1
             self._put(position, (self.value(stamp, values), data))
@@ -260,6 +275,12 @@ class Paired(Sender):
             got, want = position / SECOND, self.want / SECOND
             twice = " (already there)" if self.have else ""
             self.node.refuse(self, f"stamp {got:.9g} s from {self.who}, expected {want:.9g} s{twice}")
+
+    def _again(self, position: int) -> bool:
+        """Whether a message is one that was there before, or older than one that serves in its place."""
+        if position <= self.used or position in self.said:
+            return True
+        return not self.silent and any(position < p <= self.want for p in self.said)
 
     def _excuse(self, position: int | None) -> None:
         """The refused message counts as that of its tick."""
@@ -278,7 +299,8 @@ class Paired(Sender):
     def _put(self, position: int, found: Any) -> None:
         """Keep what was said at a tick, and use it if that completes what ours needs."""
         if not self.silent and position < self.want:
-            self.said.clear()  # of a faster sender only the newest may serve, when the run ends before its time
+            # of a faster sender only the newest may serve, when the run ends before its time
+            self.said = {p: said for p, said in self.said.items() if p > position}
         self.said[position] = found
         # News of silence and messages overtake each other: only what is told without a gap counts.
         while self.silent and (following := self.schedule.next(self.reached)) in self.said:
@@ -300,9 +322,20 @@ class Counted(Paired):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self._received = 0
+        self.received = 0
         self._queue: deque[tuple[int, tuple[float, ...] | None, bytes]] = deque()  # None: refused
         self._announced: deque[int] = deque()  # the ticks at which they were sent
+        self._told = -1  # the newest tick of which the sender has said whether it has spoken
+
+    def resume(self, used: int, reached: int) -> None:
+        """See `Paired.resume`."""
+        super().resume(used, reached)
+        self._told = max(self._told, reached)
+
+    def count(self, received: int, announced: Iterable[int]) -> None:
+        """Go on with so many messages used, and those of some ticks told of and still to be heard."""
+        self.received = received
+        self._announced.extend(announced)
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:
         """Take a message, None for a refused one, at its number."""
@@ -310,8 +343,8 @@ class Counted(Paired):
             return
         self._queue.append((stamp, found, data))
         if not self.silent:
-            self._announced.append(self.schedule.time(self._received))
-        self._received += 1
+            self._announced.append(self.schedule.time(self.received))
+        self.received += 1
         self._serve()
 
     def spoilt(self, data: bytes) -> None:
@@ -321,6 +354,9 @@ class Counted(Paired):
 
     def told(self, position: int, spoke: bool) -> None:
         """A sporadic sender says whether it has spoken at one of its ticks."""
+        if position <= self._told:  # said again
+            return
+        self._told = position
         if spoke:
             self._announced.append(position)
             self._serve()
@@ -338,13 +374,13 @@ class Counted(Paired):
 
     def _in_turn(self, number: int) -> bool:
         """Whether an array is the next one; one that is repeated is refused, one that is missing ends the run."""
-        node, expected = self.node, self._received
+        node, expected = self.node, self.received
         if number in (-1, expected):
             return True
         if number > expected:
             lost = f"{number - expected} lost"
             node.fail(f"{self.port.topic}: number {number} from {self.who}, expected {expected} ({lost})")
-        elif number or not node.links.guests:  # else it is said again for somebody else
+        elif not node.links.returns and (number or not node.links.guests):  # else it is said again for somebody else
             self.repeated(number, expected)
         return False
 

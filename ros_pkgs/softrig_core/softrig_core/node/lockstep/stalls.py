@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ...block.block import Level
 from ...timebase import SECOND
 from ..adapter.handshake import Handshake
@@ -84,9 +86,11 @@ class Stalls:
     def _judge(self, waited: float) -> None:
         node = self._node
         lacking = [row for row in self._senders.rows if not row.have]
-        gone = [row for row in lacking if not row.publishers]
+        gone = [row for row in lacking if not row.publishers and not node.links.returns]
         limit = node.options.timeout
-        if node.ticks <= 1:  # somebody in the rig may not have begun: as long as he may take for that
+        if node.links.returns:  # who starts a node again looks whether the rig goes on
+            limit = math.inf
+        elif node.ticks <= 1:  # somebody in the rig may not have begun: as long as he may take for that
             limit = max(limit, node.options.start_timeout)
         if lacking and (waited > limit or (gone and waited > GONE_AFTER)):
             if gone and waited < min(limit, GOODBYE) and not (node.options.links or node.options.duration):

@@ -55,7 +55,7 @@ class Hold:
         self.go_at(self.pace)
 
     def go_at(self, pace: float) -> bool:
-        """Take another pace now; whether this has one: the node of the clock, in lockstep, once it has begun."""
+        """Take another pace from now on; whether this node has one: that of the clock, in lockstep, begun."""
         if self._turn is None:
             return False
         self.pace, self._mark, self._until = pace, None, 0

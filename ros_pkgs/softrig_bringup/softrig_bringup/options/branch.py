@@ -1,0 +1,39 @@
+"""A recorded run that goes on otherwise from a time: ``--from RUN@T --set ...``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from softrig_core import Run, Scenario, ScenarioError, rig_of, to_ns
+from softrig_core.run.branch import branched
+
+from .like import Recalled, compared, tape
+
+
+def continued(scenario: Scenario, run: Recalled, at: float, values: Mapping[str, Any]) -> Scenario:
+    """Give the scenario of a run up to a time (s), with other parameters from there on.
+
+    Raises
+    ------
+    ScenarioError
+        The run did not come so far, or a node of somebody else was in it.
+    """
+    rig = rig_of(scenario)
+    if outside := [m.name for m in rig.members if m.external]:
+        raise ScenarioError(f"--from {run.path}: {', '.join(outside)} was outside, and nobody knows how it would go on")
+    try:
+        changes = branched(rig, run.recording, at, values, run.epoch)
+    except ScenarioError as error:
+        raise ScenarioError(f"--from {run.path}: {error}") from None
+    return scenario.having(nodes={**scenario.nodes, **(tape(rig, run, at) if at else {})}, changes=changes)
+
+
+def began_as(before: Recalled, run: Run, at: float, made_with: Mapping[str, Any]) -> tuple[bool, list[str]]:
+    """Tell whether a run was the recorded one before it went on otherwise, at a time (s); in words, as `compared`."""
+    if not at:
+        return True, []
+    old = replace(before, recording=before.recording.before(before.epoch + to_ns(at)))
+    same, told = compared(old, replace(run, recording=run.recording.before(run.epoch + to_ns(at))), made_with)
+    return same, [f"up to t = {at:.9g} s: {line}" for line in told]

@@ -1,0 +1,59 @@
+"""What the nodes of a run have written, for one of them that comes back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ...processes.children import read_status
+from ...processes.spawning import DIED
+from ...wire.recording import Recording, shard_topics
+
+
+@dataclass
+class Files:
+    """What a rig has said before one of its nodes came back.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of its senders; what came from outside is in its own, and the changes of its parameters.
+    own : Recording
+    answered : mapping of str to float
+        By node: the time before which it has answered all its ticks, ns.
+    gone : set of str
+        Nodes that have answered their last tick and left.
+    """
+
+    recording: Recording
+    own: Recording
+    answered: Mapping[str, float] = field(default_factory=dict)
+    gone: frozenset[str] = frozenset()
+
+
+def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
+    """Read the files that the nodes of a run are writing.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        Of the node that comes back; its record is ``NAME.shard.died``.
+    peers : iterable of str
+        Nodes that it reads, or that read it.
+    """
+    status = {who: read_status(folder / f"{who}.status") for who in peers}
+    gone = frozenset(who for who, said in status.items() if said.get("state") == "done")
+    answered = {who: math.inf if who in gone else float(said.get("t", 0)) for who, said in status.items()}
+    shards = _shards([folder / f"{who}.shard" for who in status])
+    return Files(shards, _shards([folder / f"{name}{DIED}"]), answered, gone)
+
+
+def _shards(paths: Sequence[Path]) -> Recording:
+    found = [path for path in paths if path.exists()]
+    recording = Recording({topic: kind for path in found for topic, kind in shard_topics(path).items()}.items())
+    for path in found:
+        recording.read_shard(path)
+    return recording

@@ -1,0 +1,67 @@
+"""A run that went another way from a time on: as it was before, then with other parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..errors import ScenarioError
+from ..rig.rig import Rig
+from ..timebase import SECOND, to_ns
+from ..wire.parameter_event import TOPIC as EVENTS, recorded
+from ..wire.recording import Recording
+
+
+def branched(
+    rig: Rig, recording: Recording, at: float, values: Mapping[str, Any], epoch: int = 0
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Give the changes of a run that is a recorded one up to a time, and goes on from there with other parameters.
+
+    Who changed what before that time has done it here, too; what people did from there on has not happened. The changes
+    that the scenario itself makes stay.
+
+    Parameters
+    ----------
+    rig : Rig
+        Of the recorded run.
+    recording : Recording
+    at : float
+        s; the first tick of each node that is not earlier is the first that may differ.
+    values : mapping
+        ``node.parameter`` to value from then on; of parameters that may change while running.
+    epoch : int
+        What the stamps of the recording count from, ns.
+
+    Returns
+    -------
+    list of dict
+        For the key ``changes`` of its scenario.
+
+    Raises
+    ------
+    ScenarioError
+        The run did not come so far.
+    """
+    reached = max((topic.times[-1] for topic in recording.topics.values() if topic.times), default=epoch) - epoch
+    start = to_ns(at) if at >= 0.0 else -1
+    if not 0 <= start <= reached:
+        raise ScenarioError(f"t = {at:.9g} s: expected a time that the run has come to, 0 to {reached / SECOND:.9g} s")
+    found = [(t, node, own) for t, node, own in recorded(recording, epoch) if t < start]
+    found += [
+        (change.at, member.name, dict(change.values))
+        for member in rig.members for change in member.changes if member.schedule.next(change.at - 1) >= start
+    ]  # fmt: skip
+    changes = [{"at": t / SECOND, "set": {f"{node}.{k}": v for k, v in own.items()}} for t, node, own in found]
+    return changes + ([{"at": start / SECOND, "set": dict(values)}] if values else [])
+
+
+def parted(before: Recording, after: Recording, at: float) -> str:
+    """Say where two runs in lockstep, which are to be the same before a time (s), are not; empty when they are."""
+    found: list[tuple[int, str]] = []
+    for name in sorted(after.topics.keys() & before.topics.keys() - {EVENTS}):
+        a, b = (recording.topics[name].before(to_ns(at)) for recording in (before, after))
+        if a != b:
+            pairs = zip(a.stream(), b.stream(), strict=False)
+            k = next((k for k, (x, y) in enumerate(pairs) if x != y), min(len(a.times), len(b.times)))
+            found.append((min(topic.times[k] for topic in (a, b) if k < len(topic.times)), name))
+    return ", ".join(f"{name} at t = {t / SECOND:.9g} s" for t, name in sorted(found)[:3])

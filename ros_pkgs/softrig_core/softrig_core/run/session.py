@@ -1,0 +1,252 @@
+"""A run in this process that goes on when it is asked to, goes back to any tick, and on from there with other gains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from ..block.block import Block
+from ..block.moment import Moment, keep, put_back
+from ..block.params import ParameterError
+from ..block.runner import Runner
+from ..errors import RunError, ScenarioError, closest
+from ..rig.rig import Rig
+from ..scenario.scenario import Scenario
+from ..solver.solver import Solver
+from ..timebase import SECOND, to_ns
+from ..wire.recording import Recording
+from .expand import rig_of
+from .inprocess import check_here, record, wired
+from .simulate import Run
+
+KEPT = 256  # states at most that are kept to go back to
+
+
+class _Turned(NamedTuple):
+    """New values of parameters of a node, set when tick k was the next one."""
+
+    k: int
+    node: str
+    values: Mapping[str, Any]
+
+
+class Session:
+    """A run that is under way.
+
+    Parameters
+    ----------
+    what, duration, overrides
+        See `rig_of`.
+    seed : int, optional
+        Instead of the scenario's.
+
+    Attributes
+    ----------
+    rig : Rig
+    seed : int
+    recording : Recording
+        All messages up to here.
+    steps : dict of str to Step
+        The members as they are now.
+    error : str
+        Why it broke; empty while it has not.
+
+    Raises
+    ------
+    ScenarioError
+        Bad input, or a node of the rig is external.
+
+    Examples
+    --------
+    >>> session = Session("dc_motor_smc")
+    >>> session.go(0.5)
+    >>> session.set({"dc_motor_smc.delta": 0.5})
+    >>> session.go()
+    >>> softer = session.run
+    >>> session.rewind(0.5)
+    >>> session.go()  # as if nothing had been set
+    """
+
+    def __init__(
+        self, what: str | Scenario | Rig, *, seed: int | None = None, duration: float | None = None,
+        overrides: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
+        self.rig = rig_of(what, duration=duration, overrides=overrides)
+        check_here(self.rig)
+        self.seed = self.rig.scenario.seed if seed is None else seed
+        self._turned: list[_Turned] = []
+        self._kept: dict[int, Moment] = {}
+        self._why = ""  # no state can be kept
+        self._begin(
+            {m.name: m.block(self.seed) for m in self.rig.members},
+            Recording((topic, port.msgtype) for topic, port in self.rig.topics.items()),
+        )
+        self._every = max(1, self.ticks // KEPT)
+        self._keep()
+
+    def _begin(self, blocks: dict[str, Block], recording: Recording, k: int = 0, moment: Moment | None = None) -> None:
+        """Wire blocks, and have them go on from tick k."""
+        self.recording, self._k, self.error = recording, k, ""
+        self.steps = wired(self.rig, blocks)
+        record(self.rig, self.steps, recording, {name: len(topic.times) for name, topic in recording.topics.items()})
+        if moment is not None:
+            put_back(self.steps.values(), moment)
+        self._runner = Runner(list(self.steps.values()))
+        self._answered: Iterator[int | None] = self._runner.run(k)
+
+    @property
+    def ticks(self) -> int:
+        """Number of the last tick, those before which nobody is due left out."""
+        assert self._runner.ticks is not None
+        return self._runner.ticks
+
+    @property
+    def t(self) -> float:
+        """Time of the next tick, s; of the last one when the run is over."""
+        return self._runner.schedule.time(min(self._k, self.ticks)) / SECOND
+
+    @property
+    def over(self) -> bool:
+        """Whether there is nothing more to come: the last tick is answered, or a block failed."""
+        return bool(self.error) or self._k > self.ticks
+
+    @property
+    def run(self) -> Run:
+        """What the run is up to here; what comes later is not in it."""
+        at = self._runner.schedule.time(self._k)
+        return Run(self.rig, self.seed, self.recording.before(at), error=self.error, blocks=dict(self.steps))
+
+    def step(self, ticks: int = 1) -> None:
+        """Answer so many ticks, fewer if the run is over before.
+
+        Raises
+        ------
+        RunError
+            A block failed, or gave what may not leave it. The run is over then; `rewind` takes it back.
+        """
+        self._answer(min(self._k + ticks, self.ticks + 1))
+
+    def go(self, t: float | None = None) -> None:
+        """Answer all ticks before t (s), by default all that there are; see `step`."""
+        self._answer(self.ticks + 1 if t is None else self._tick(t))
+
+    def _answer(self, until: int) -> None:
+        try:
+            while self._k < until and not self.error:
+                next(self._answered)
+                self._k += 1
+                if self._k % self._every == 0:
+                    self._keep()
+        except RunError as error:
+            self.error = str(error)
+            raise
+        finally:
+            if self.over:
+                self._rest()
+
+    def _rest(self) -> None:
+        for step in self.steps.values():
+            if isinstance(step.block, Solver):
+                step.block.rest()
+
+    def set(self, values: Mapping[str, Any]) -> None:
+        """Change parameters from the next tick on, all or none of each node.
+
+        Parameters
+        ----------
+        values : mapping
+            ``node.parameter`` to value; only of parameters that may change while running.
+
+        Raises
+        ------
+        ScenarioError
+            No such node or parameter, a bad value, or one that may not change.
+        """
+        by_node: dict[str, dict[str, Any]] = {}
+        for key, value in values.items():
+            node, _, name = key.partition(".")
+            if node not in self.steps or not name:
+                raise ScenarioError(f"{key!r}{closest(node, self.steps)}: expected node.parameter with node one of "
+                                    f"{', '.join(self.steps)}")  # fmt: skip
+            by_node.setdefault(node, {})[name] = value
+        for node, own in by_node.items():
+            try:
+                self.steps[node].set(own)
+            except (ParameterError, ValueError) as error:
+                raise ScenarioError(f"node {node}: {error}") from None
+            self._turned.append(_Turned(self._k, node, own))
+
+    def rewind(self, t: float) -> None:
+        """Go back: as if no tick from t (s) on had been answered, and nothing been set from there on.
+
+        Raises
+        ------
+        ScenarioError
+            The run has not come so far.
+        RunError
+            A block has a state that cannot be kept, or does not come back to it; names it and says why.
+        """
+        k = self._past(t)
+        self._turned = [turned for turned in self._turned if turned.k < k]
+        self._kept = {at: moment for at, moment in self._kept.items() if at <= k}
+        self._rest()
+        self._come({name: step.block for name, step in self.steps.items()}, k)
+
+    def branch(self, t: float | None = None) -> Session:
+        """Give another run that goes on from t (s) by itself, by default from here; blocks are made anew.
+
+        Raises
+        ------
+        ScenarioError, RunError
+            See `rewind`.
+        """
+        k = self._k if t is None else self._past(t)
+        other = object.__new__(Session)
+        other.rig, other.seed, other._every, other._why = self.rig, self.seed, self._every, self._why
+        other._turned = [turned for turned in self._turned if turned.k < k + (t is None)]
+        other._kept = {at: moment for at, moment in self._kept.items() if at <= k}
+        other.recording, other._runner = self.recording, self._runner  # of which `_come` takes what was before
+        other._come({m.name: m.block(self.seed) for m in self.rig.members}, k)
+        return other
+
+    def _past(self, t: float) -> int:
+        """Give the first tick that is not before t, which the run has come to."""
+        k = self._tick(t)
+        if k > self._k:
+            raise ScenarioError(f"t = {t:.9g} s: expected a time that the run has come to, at most {self.t:.9g} s")
+        return k
+
+    def _tick(self, t: float) -> int:
+        """Give the first tick that is not before t, s."""
+        if not t >= 0.0:
+            raise ScenarioError(f"t = {t} s: expected a time of at least 0")
+        schedule, at = self._runner.schedule, to_ns(min(t, self.rig.scenario.duration + 1.0))
+        k = schedule.tick(at)
+        return min(k + (schedule.time(k) < at), self.ticks + 1)
+
+    def _come(self, blocks: dict[str, Block], k: int) -> None:
+        """Have blocks where the run was before tick k: from the newest state that is kept, and on from there."""
+        begin = max(self._kept, default=None)
+        if begin is None:
+            raise RunError(f"this run cannot go back: {self._why}")
+        recording = self.recording.before(self._runner.schedule.time(begin))
+        self._begin(blocks, recording, begin, self._kept[begin])
+        for turned in self._turned:
+            if turned.k >= begin:  # what the kept state does not know
+                self._answer(turned.k)
+                self.steps[turned.node].set(turned.values)
+        self._answer(k)
+
+    def _keep(self) -> None:
+        """Keep the state before the next tick; of many, those of fewer ticks."""
+        if self._why:
+            return
+        try:
+            self._kept[self._k] = keep(self.steps.values())
+        except RunError as error:
+            self._why = str(error)
+            self._kept.clear()
+            return
+        if len(self._kept) > KEPT:
+            self._every *= 2
+            self._kept = {k: moment for k, moment in self._kept.items() if k % self._every == 0}

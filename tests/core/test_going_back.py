@@ -1,0 +1,258 @@
+"""Back to any tick and on from there: in every scenario the same messages, reports and states."""
+
+import dataclasses
+import re
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import make_scenario
+from faultrig import Gain, Lag, Source
+from softrig_core import Rig, RunError, ScenarioError, Session, list_scenarios, rig_of, simulate
+from softrig_core.block.moment import keep
+from softrig_core.run import session as module
+
+BEFORE, AFTER = 40, 50  # ticks
+# one for each way in which blocks remember: tuples, delay lines, solutions of delay equations, searches, packets
+DAILY = (
+    "dc_motor_smc_b2", "dc_motor_fsfb_s1", "induction_dtc", "lsrm_fuzzy_b5", "manipulator_adsmc_s3", "pv_mppt_pso",
+    "pwa_delay_p3", "rectifier_mpc_certificate", "rehab_impedance_b9", "tcp_aqm_smc_delay", "tcp_aqm_smc_s4",
+    "gupfc_s5",
+)  # fmt: skip
+MEASURED = re.compile(r"[\d.]+ s of CPU time")
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two states are the same to the last bit; what is told apart nowhere (buffers, caches) does not count."""
+    if isinstance(a, str):
+        return isinstance(b, str) and MEASURED.sub("", a) == MEASURED.sub("", b)
+    if isinstance(a, float | np.floating):
+        return type(a) is type(b) and float(a).hex() == float(b).hex()
+    if isinstance(a, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and same(a.tolist(), b.tolist())
+    if isinstance(a, tuple | list):
+        return type(a) is type(b) and len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, dict):
+        return list(a) == list(b) and all(same(a[k], b[k]) for k in a)
+    if dataclasses.is_dataclass(a) and not isinstance(a, type):
+        return type(a) is type(b) and all(
+            same(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a) if f.compare
+        )
+    if type(a).__eq__ is not object.__eq__ or a is b:
+        return bool(a == b)
+    return type(a) is type(b) and same(a.__getstate__(), b.__getstate__())
+
+
+def held_against(one: Session, other: Session) -> None:
+    assert one.error == other.error
+    assert other.recording.topics == one.recording.topics
+    states, others = keep(one.steps.values()), keep(other.steps.values())
+    assert [name for name in states if not same(states[name], others[name])] == []
+
+
+def goes_back(name: str) -> None:
+    """Run on from a tick, and once more from its state in a rig that is wired anew."""
+    session = Session(name)
+    before = min(BEFORE, session.ticks // 2)
+    session.step(before)
+    other = session.branch()
+    for run in (session, other):
+        with suppress(RunError):  # some scenarios are about a rig that breaks
+            run.step(AFTER)
+    held_against(session, other)
+
+
+@pytest.mark.parametrize("name", DAILY)
+def test_a_rig_wired_anew_goes_on_from_a_kept_state(name):
+    goes_back(name)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", sorted(set(list_scenarios()) - set(DAILY)))
+def test_every_rig_wired_anew_goes_on_from_a_kept_state(name):
+    goes_back(name)
+
+
+# a session -------------------------------------------------------------------------------------------------------
+
+SOFTER = {"dc_motor_smc.delta": 0.5}
+
+
+def short():
+    return Session("dc_motor_smc", duration=0.1)
+
+
+def test_back_and_on_with_other_gains_is_the_run_that_had_them_from_there_on():
+    session = short()
+    session.go()
+    assert (session.over, session.t) == (True, 0.1)
+    plain = session.run
+    assert plain.recording.topics == simulate("dc_motor_smc", duration=0.1).recording.topics
+    session.rewind(0.04)
+    assert (session.over, session.t, session.run.reached_s) == (False, 0.04, 0.0399)
+    session.set(SOFTER)
+    session.go()
+    scripted = rig_of("dc_motor_smc", duration=0.1).scenario.having(changes=[{"at": 0.04, "set": SOFTER}])
+    assert session.recording.topics == simulate(scripted).recording.topics
+    session.rewind(0.06)  # what was set before stays
+    session.go()
+    assert session.recording.topics == simulate(scripted).recording.topics
+    session.rewind(0.04)  # what was set there is undone
+    session.go()
+    assert session.recording.topics == plain.recording.topics != simulate(scripted).recording.topics
+
+
+def test_a_branch_leaves_its_run_alone():
+    session = short()
+    session.go(0.03)
+    session.set(SOFTER)
+    session.go(0.05)
+    session.set({"dc_motor_smc.delta": 0.7})
+    here, there = session.branch(), session.branch(0.03)
+    for run in (here, there, session):
+        run.go()
+    assert here.recording.topics == session.recording.topics
+    assert there.recording.topics == simulate("dc_motor_smc", duration=0.1).recording.topics
+    assert session.recording.topics != there.recording.topics
+
+
+def test_of_many_ticks_fewer_states_are_kept_and_it_comes_to_any(monkeypatch):
+    monkeypatch.setattr(module, "KEPT", 4)
+    session = short()
+    session.go(0.02)
+    session.set(SOFTER)
+    session.go()
+    assert len(session._kept) <= 4
+    whole = session.recording
+    for t in (0.0999, 0.0501, 0.0203, 0.02, 0.0):
+        session.rewind(t)
+        assert session.t == t
+        assert session.recording.topics == whole.before(round(t * 1e9)).topics
+    assert session.step() is None
+    assert session.t == 0.0001
+
+
+@pytest.mark.parametrize(
+    "nodes",
+    [
+        {"plant": "plant", "spread": "spread", "peaks": "peaks", "weigh": "weigh"},  # arrays, which are numbered
+        {"plant": "plant", "source": "source", "link": "link", "law": "late_gain"},
+        {"plant": "plant", "source": "source", "gain": {"executable": "gain", "parameters": {"noise": 1.0}}},
+    ],
+)
+def test_every_kind_of_port_goes_on_where_it_was(nodes):
+    session = Session(make_scenario(nodes, duration=0.5))
+    session.go(0.2)
+    other = session.branch()
+    for run in (session, other):
+        run.go()
+    held_against(session, other)
+
+
+class Locked(Gain):
+    """Holds something that cannot be kept."""
+
+    def save(self, x):
+        raise RuntimeError("the lock is taken")
+
+
+class Failing(Gain):
+    """Fails at its sixth tick."""
+
+    def update(self, x, t, state, reference):
+        if x == 5:
+            raise ArithmeticError("deliberate")
+        return super().update(x, t, state, reference)
+
+
+def session_with(law):
+    return Session(Rig.from_blocks({"plant": Lag(), "law": law, "source": Source()}, 1.0))
+
+
+def test_what_cannot_be_kept_is_named_with_its_reason():
+    session = session_with(Locked())
+    session.go(0.5)  # it runs all the same
+    said = r"^this run cannot go back: law: its state at t = 0 s cannot be kept: RuntimeError: the lock is taken"
+    with pytest.raises(RunError, match=said):
+        session.rewind(0.1)
+    session.go()
+    assert session.over
+
+
+def test_a_run_that_broke_can_go_back():
+    session = session_with(Failing())
+    with pytest.raises(RunError, match=r"^law: failed at t = 0.05 s: ArithmeticError: deliberate"):
+        session.go()
+    assert (session.over, session.t) == (True, 0.05)
+    assert session.run.error.startswith("law: failed")
+    session.rewind(0.03)
+    assert (session.over, session.error) == (False, "")
+    session.go(0.05)
+    with pytest.raises(RunError, match=r"^law: failed at t = 0.05 s"):
+        session.step()
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (lambda s: s.rewind(0.06), r"^t = 0.06 s: expected a time that the run has come to, at most 0.05 s$"),
+        (lambda s: s.rewind(-1.0), r"^t = -1.0 s: expected a time of at least 0$"),
+        (lambda s: s.go(float("nan")), r"^t = nan s: expected a time of at least 0$"),
+        (lambda s: s.set({"nobody.delta": 1.0}), r"^'nobody.delta': expected node.parameter with node one of "),
+        (lambda s: s.set({"dc_motor_smc.delta": -1.0}), r"^node dc_motor_smc: "),
+        (lambda s: s.set({"dc_motor_plant.J": 1.0}), r"^node dc_motor_plant: parameter J may not change while running"),
+    ],
+)
+def test_what_a_session_refuses_changes_nothing(act, message):
+    session = short()
+    session.go(0.05)
+    with pytest.raises(ScenarioError, match=message):
+        act(session)
+    session.go()
+    assert session.recording.topics == simulate("dc_motor_smc", duration=0.1).recording.topics
+
+
+# a finished run ----------------------------------------------------------------------------------------------------
+
+
+def test_a_run_goes_on_otherwise_from_a_time():
+    run = simulate("dc_motor_smc", duration=0.1)
+    softer = run.branch(0.04, SOFTER)
+    stiffer = softer.branch(0.06, {"dc_motor_smc.delta": 0.9}, duration=0.08)
+    session = short()
+    session.go(0.04)
+    session.set(SOFTER)
+    session.go()
+    assert softer.recording.topics == session.recording.topics
+    session.rewind(0.06)
+    session.set({"dc_motor_smc.delta": 0.9})
+    session.go(0.08)
+    assert stiffer.recording.before(80_000_000).topics == session.run.recording.topics
+    assert stiffer.reached_s == 0.08
+    undone = softer.branch(0.04, {})
+    assert undone.recording.topics == run.recording.topics
+
+
+def test_changes_of_the_scenario_itself_stay():
+    own = [{"at": 0.02, "set": {"dc_motor_smc.delta": 0.3}}, {"at": 0.07, "set": {"dc_motor_smc.delta": 0.8}}]
+    scenario = rig_of("dc_motor_smc", duration=0.1).scenario.having(changes=own)
+    run = simulate(scenario)
+    assert run.branch(0.07, {}).recording.topics == run.recording.topics
+    with_mine = [own[0], {"at": 0.05, "set": SOFTER}, own[1]]
+    assert run.branch(0.05, SOFTER).recording.topics == simulate(scenario.having(changes=with_mine)).recording.topics
+
+
+def test_a_branch_that_is_of_another_run_says_where_it_parts():
+    run = simulate("dc_motor_smc", duration=0.1)
+    other = simulate("dc_motor_smc", duration=0.1, overrides={"dc_motor_smc.delta": 0.5})
+    other.rig = run.rig
+    said = r"^dc_motor_smc: what ran up to t = 0.05 s is not what had run, first motor/\S+ at t = \S+ s"
+    with pytest.raises(RunError, match=said):
+        other.branch(0.05, {})
+
+
+@pytest.mark.parametrize("t", [0.2, -0.1, float("nan")])
+def test_nobody_branches_from_where_a_run_was_not(t):
+    with pytest.raises(ScenarioError, match=r"expected a time that the run has come to, 0 to 0\.1 s$"):
+        simulate("dc_motor_smc", duration=0.1).branch(t, SOFTER)
