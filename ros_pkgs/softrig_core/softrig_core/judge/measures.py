@@ -367,6 +367,22 @@ def window(
     return t[first:last], x[first:last]
 
 
+def newest(times: Array, at: Array) -> NDArray[np.intp]:
+    """Give for each of many instants which of some times is the newest not after it; -1 before the first.
+
+    Parameters
+    ----------
+    times : array, shape (n,)
+        Ascending.
+    at : array, shape (m,)
+        Ascending.
+    """
+    if len(times) > len(at) / 4:
+        return np.searchsorted(times, at, side="right") - 1
+    come = np.bincount(np.searchsorted(at, times), minlength=len(at))[: len(at)]
+    return np.cumsum(come) - 1
+
+
 def newest_step(signals: SignalMap, reference: str) -> tuple[float, float]:
     """Give when (s) a signal was last another than before, and to what value; its first sample is a step, too.
 
@@ -441,7 +457,7 @@ def _error(
     when, values = signals[reference]
     if t.size > 1 and when.size > 1 and t[-1] > 2.0 * when[-1] - when[-2] - HALF_NS:
         t, x = t[:-1], x[:-1]  # at the end of a run a plant speaks once more, its reference does not: no pair
-    held = np.searchsorted(when, t, side="right") - 1
+    held = newest(when, t)
     if held.size and held[0] < 0:
         raise ValueError(f"{reference} has no value yet at {t[0]:g} s, where {signal} begins")
     return t, x - values[held]

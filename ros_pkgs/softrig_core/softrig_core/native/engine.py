@@ -266,7 +266,8 @@ class Engine:
                 rows[id(s)] = Answers([], [])
                 if self._typed:
                     size, stamps = len(_numbers(s)), len(_stamps(s))
-                    rows[id(s)] = Answers(np.empty((count, size)), np.empty((count, stamps), np.int64))
+                    # column after column in memory: so they are read
+                    rows[id(s)] = Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
                 named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
             handed = [named[name] for name in kept.text.arrays]
             try:

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ScenarioError
+from ..guard import need_ros
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..wire.recording import Recording
 from .children import Child, last_line, read_status, stop
-from .domain import free_domain, require_loopback
+from .domain import DOMAINS, free_domain, holders, require_loopback
 from .executables import environment
 from .guests import Guests
 from .peers import starter
@@ -80,8 +81,9 @@ def run_processes(
     Raises
     ------
     ScenarioError
-        A node refused its parameters, or nodes of this placement could not be started again.
+        A node refused its parameters, nodes of this placement could not be started again, or there is no ROS 2.
     """
+    need_ros()
     check_restart(rig, placement)
     directory.mkdir(parents=True, exist_ok=True)
     domain, only, wait = placement.domain, placement.only, placement.wait
@@ -95,6 +97,8 @@ def run_processes(
     with ExitStack() as stack:
         own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
+        if own_domain and domain not in DOMAINS and listener.announce is not None:
+            listener.announce(f"domain {domain}: {DOMAINS[0]} to {DOMAINS[-1]} are taken{holders(DOMAINS)}")
         remove_leftovers(domain if own_domain else None)
         members = groups(rig, placement.shared(rig), only)
         if listener.announce is not None and (why := lacking(len(members))):

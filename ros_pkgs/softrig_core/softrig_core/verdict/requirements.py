@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..block.schedule import Schedule
 from ..errors import ScenarioError
 from ..judge.arithmetic import Array, Tree
 from ..judge.formula import Condition, intervals, margin_unit, read, variables
-from ..judge.measures import SignalMap
+from ..judge.measures import SignalMap, newest
 from ..judge.requirement_entry import Requirement
 from ..judge.robustness import Margin, Record, truth
 from ..rig.members import Members
@@ -25,6 +26,8 @@ from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters
 from ..timebase import SECOND
 from ..wire.signals import full_name
+
+Items = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ def _newest(times: Array, grid: Array) -> NDArray[np.intp]:
     """Give for each tick which of the messages, at these times, is the newest; -1 before the first."""
     if len(times) >= len(grid) and np.array_equal(times[: len(grid)], grid):  # one a tick
         return np.arange(len(grid))
-    return np.searchsorted(times, grid, side="right") - 1
+    return newest(times, grid)
 
 
 def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:
@@ -158,17 +161,32 @@ def _judge(
     units: Mapping[str, str],
 ) -> Judge:  # fmt: skip
     tree, conditions = read(requirement.formula, known)
-    used = variables(tree)
+    used, asked = _used(requirement.formula, tuple(known.items()))
     period = rig.clock.params.period * SECOND
-    for low, high in intervals(tree):
+    for low, high in asked:
         if high is not None and math.floor(high / period + 1e-9) * period < low * (1.0 - 1e-12):
             raise ScenarioError(f"no tick of {rig.clock.name} (each {period / SECOND:g} s) is within "
                                 f"[{low / SECOND:g}, {high / SECOND:g}] s")  # fmt: skip
     compared = {name: units[signals[name]] for name in used if name not in conditions}
-    tree, unit = margin_unit(tree, compared, requirement.scale)
+    scaled = tuple(known.items()), tuple(compared.items()), tuple(requirement.scale.items())
+    tree, unit = _scaled(requirement.formula, *scaled)
     read_ = {n: signals[n] for n in {conditions[v].signal if v in conditions else v for v in used}}
     ticker = _ticker(rig)
     return Judge(tree, read_, conditions, unit, rig.clock.schedule, ticker, (*read_.values(), ticker))
+
+
+# what a formula says is found once for the variants of a rig
+
+
+@lru_cache(maxsize=256)
+def _used(formula: str, known: Items) -> tuple[list[str], list[tuple[float, float | None]]]:
+    tree, _ = read(formula, dict(known))
+    return variables(tree), list(intervals(tree))
+
+
+@lru_cache(maxsize=256)
+def _scaled(formula: str, known: Items, units: Items, scale: Items) -> tuple[Tree, str]:
+    return margin_unit(read(formula, dict(known))[0], dict(units), dict(scale))
 
 
 def _ticker(rig: Members) -> str:

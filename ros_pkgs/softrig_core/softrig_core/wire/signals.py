@@ -82,6 +82,7 @@ class Signals(Mapping[str, Signal]):
         self.recording = recording
         self._epoch = epoch
         self._tables: dict[str, Table] = {}
+        self._known: dict[str, Signal] = {}
         self._times: dict[tuple[int, ...], tuple[Any, Array]] = {}  # topics of one node share theirs
 
     def table(self, topic: str) -> Table:
@@ -109,6 +110,11 @@ class Signals(Mapping[str, Signal]):
         return Table(t, t, dict(zip(_labels(topic.msgtype, first), columns, strict=True)))
 
     def __getitem__(self, name: str) -> Signal:
+        if name not in self._known:
+            self._known[name] = self._found(name)
+        return self._known[name]
+
+    def _found(self, name: str) -> Signal:
         topic = topic_of(name, self.recording.topics)
         if not topic:
             raise KeyError(f"no topic for signal {name!r}; recorded are {', '.join(self.recording.topics)}")

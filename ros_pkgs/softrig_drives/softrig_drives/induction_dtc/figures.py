@@ -126,12 +126,14 @@ def current_peak(signals: SignalMap, *, start: float | None = None, end: float |
 def switching_frequency(signals: SignalMap) -> float:
     """Mean switching frequency of a device in Hz over the whole run."""
     legs = [signals[f"switches/{leg}/effort"] for leg in ("Sa", "Sb", "Sc")]
-    return device_frequency(np.column_stack([x for _, x in legs]), float(legs[0][0][-1]))
+    return device_frequency(np.array([x for _, x in legs]).T, float(legs[0][0][-1]))
 
 
 def _vector(signals: SignalMap, topic: str, start: float | None, end: float | None) -> tuple[Array, Vectors]:
     (t, alpha), (_, beta) = (window(signals, f"{topic}/{axis}", start, end) for axis in "xy")
-    return t, alpha + 1j * beta
+    psi = np.empty(t.size, np.complex128)
+    psi.real, psi.imag = alpha, beta
+    return t, psi
 
 
 def _flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Vectors]:

@@ -257,8 +257,9 @@ class Paired(Sender):
 
     def _accept(self, stamp: int, values: tuple[float, ...], position: int, data: bytes) -> None:
         if position == self.want and not self.have and not self.said and not self.silent:  # nearly always
-            self.record(self.node.t, data)
-            self.node.values[self.name] = self.value(stamp, values)
+            if self._number is not None:
+                self.record(self.node.t, data)
+            self.node.values[self.name] = self.value(stamp, values) if self._valued else values
             self.stamp = self.used = position
             self._arrived()
         elif self.node.links.returns and self._again(position):
