@@ -21,8 +21,8 @@ KINDS = {
         "How-to guides",
         "You know what you want to do; here is how.",
         ("set_up", "wheel", "upgrade", "view", "studies", "send", "reports", "continuous_integration", "python",
-         "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools", "node", "workspace",
-         "two_machines", "distribution"),
+         "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools", "node",
+         "workspace", "two_machines", "distribution"),
     ),
     "notebooks": (
         "Notebooks",

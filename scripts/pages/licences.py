@@ -8,6 +8,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 LOCKS = Path(__file__).resolve().parents[1] / "locks"
@@ -47,11 +48,12 @@ def licence(name: str) -> str:
         found = importlib.metadata.distribution(name)
     except importlib.metadata.PackageNotFoundError:
         return ""
-    if expression := found.metadata.get("License-Expression"):
+    about: Any = found.metadata  # an email.message.Message
+    if expression := about.get("License-Expression"):
         return str(expression)
-    plain = (found.metadata.get("License") or "").strip()
+    plain = (about.get("License") or "").strip()
     kinds = [plain] if plain and "\n" not in plain and len(plain) < 60 else []
-    kinds += [c.rpartition(" :: ")[2] for c in found.metadata.get_all("Classifier", []) if c.startswith("License ::")]
+    kinds += [c.rpartition(" :: ")[2] for c in about.get_all("Classifier", []) if c.startswith("License ::")]
     package = Path(sys.prefix, "share", name.removeprefix("ros-").replace("-", "_"), "package.xml")
     if name.startswith("ros-") and package.is_file():
         kinds += [node.text or "" for node in ElementTree.parse(package).getroot().findall("license")]

@@ -224,7 +224,7 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
 
 
 def test_a_stale_page_is_told_and_mended(tmp_path, capsys):
-    source = ROOT / GENERATED[0]
+    source = next(ROOT / page for page in GENERATED if "| `period` |" in (ROOT / page).read_text())
     (tmp_path / "tests").symlink_to(ROOT / "tests")  # sources of its numbers
     page = tmp_path / "page.md"
     page.write_text(source.read_text().replace("| `period` |", "| `periode` |", 1))
@@ -232,6 +232,15 @@ def test_a_stale_page_is_told_and_mended(tmp_path, capsys):
     assert "is not as the code says" in capsys.readouterr().out
     assert pages.main([str(page)]) == 0
     assert page.read_text() == source.read_text()
+
+
+def test_every_package_of_a_set_up_stands_under_its_licence():
+    rows = (ROOT / "ros_pkgs/softrig_bringup/doc/licences.md").read_text().partition("<!-- end -->")[0]
+    told = {name: row.split("|")[1].strip() for row in rows.splitlines() if row.startswith("| ")
+            for name in row.split("|")[2].strip().split(", ")}  # fmt: skip
+    lock = (ROOT / "scripts/locks/run.lock").read_text()
+    assert set(re.findall(r"^([\w.-]+)==\S+ \\$", lock, re.M)) <= told.keys()  # those that every machine gets
+    assert told["casadi"] == "LGPL-3.0-or-later"
 
 
 @pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)

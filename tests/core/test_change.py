@@ -284,8 +284,8 @@ def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
 
 def test_of_nothing_no_repetition_is_said(tmp_path):
     run = simulate("dc_motor_smc_b2", duration=0.1)
-    before = Recalled(tmp_path, Namespace(), tmp_path, Recording(()), 0, {})
-    same, told = compared(before, run)
+    before = Recalled(tmp_path, Namespace(), tmp_path, Recording(()), 0, {}, {})
+    same, told = compared(before, run, {})
     assert not same
     assert told == [f"nothing of {tmp_path} could be compared: no message of any node that runs here"]
 
