@@ -107,7 +107,7 @@ def test_changes_of_the_scenario_are_taken_once_whenever_it_goes_back():
     own = [{"at": 0.02, "set": {"dc_motor_smc.delta": 0.3}}, {"at": 0.07, "set": {"dc_motor_smc.delta": 0.8}}]
     scenario = rig_of("dc_motor_smc", duration=0.1).scenario.having(changes=own)
     session = Session(scenario)
-    for t in (0.05, 0.08, 0.01):
+    for t in (0.01, 0.08, 0.05):
         session.go()
         session.rewind(t)
     session.go()
