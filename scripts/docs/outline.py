@@ -20,9 +20,9 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "upgrade", "view", "studies", "send", "reports", "continuous_integration", "python", "notebooks",
-         "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools", "node", "workspace",
-         "two_machines", "distribution", "wheel"),
+        ("set_up", "wheel", "upgrade", "view", "studies", "send", "reports", "continuous_integration", "python",
+         "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools", "node",
+         "workspace", "two_machines", "distribution"),
     ),
     "notebooks": (
         "Notebooks",

@@ -48,7 +48,7 @@ def licence(name: str) -> str:
         found = importlib.metadata.distribution(name)
     except importlib.metadata.PackageNotFoundError:
         return ""
-    about: Any = found.metadata
+    about: Any = found.metadata  # an email.message.Message
     if expression := about.get("License-Expression"):
         return str(expression)
     plain = (about.get("License") or "").strip()

@@ -279,13 +279,13 @@ def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
     assert main(["run", "--like", str(tmp_path)]) == 2
     assert "expected the directory of a run" in capsys.readouterr().err
     assert main(["run"]) == 2
-    assert "expected a scenario, or --like RUN" in capsys.readouterr().err
+    assert "expected a scenario, --like RUN, or --from RUN@T" in capsys.readouterr().err
 
 
 def test_of_nothing_no_repetition_is_said(tmp_path):
     run = simulate("dc_motor_smc_b2", duration=0.1)
-    before = Recalled(tmp_path, Namespace(), tmp_path, Recording(()), 0, {})
-    same, told = compared(before, run)
+    before = Recalled(tmp_path, Namespace(), tmp_path, Recording(()), 0, {}, {})
+    same, told = compared(before, run, {})
     assert not same
     assert told == [f"nothing of {tmp_path} could be compared: no message of any node that runs here"]
 
