@@ -422,8 +422,9 @@ class SimulatedRig:
             del self.recording.topics[topic].times[:], self.recording.topics[topic].data[:]
 
         def files():
-            gone = frozenset(n for n, a in others.items() if a.state == "done")
-            answered = {n: math.inf if n in gone else float(a.t) for n, a in others.items()}
+            now = {n: a for n, a in self.adapters.items() if n != name}
+            gone = frozenset(n for n, a in now.items() if a.state == "done")
+            answered = {n: math.inf if n in gone else float(a.t) for n, a in now.items()}
             return Files(self.recording.before(1 << 62), died, answered, gone)
 
         self.coming.discard(name)

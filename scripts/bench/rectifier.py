@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from softrig_control.predictive.qp import make_solver
+from softrig_control.predictive.qp import MoveSolver
 from softrig_core import ByHand
 from softrig_power.rectifier.controller import RectifierGpc
 from softrig_power.rectifier.parameters import RectifierConstants
@@ -20,8 +20,6 @@ NS = 830_000
 LAWS: dict[str, dict[str, Any]] = {
     "closed form": {},
     "DAQP": {"solver": "daqp", "du_max": 2.0},
-    "OSQP": {"solver": "osqp", "du_max": 2.0},
-    "qpOASES (casadi)": {"solver": "qpoases", "du_max": 2.0},
 }
 PLANTS: dict[str, dict[str, Any]] = {
     "averaged dq": {"model": "averaged_dq"},
@@ -49,9 +47,9 @@ def control_step(values: dict[str, Any], n: int) -> tuple[float, float]:
     return percentiles(lambda k: law.update(k * NS, measured=y[k], reference=None), n)
 
 
-def programme(name: Any, n: int) -> tuple[float, float]:
+def programme(n: int) -> tuple[float, float]:
     """Time the solver alone on random programmes, 9 of 10 with an active bound; us."""
-    solver = make_solver(name, RectifierGpc().law.hessian, 2.0)
+    solver = MoveSolver(RectifierGpc().law.hessian, 2.0)
     rng = np.random.default_rng(1)
     q, u = rng.normal(0.0, 8000.0, (n, 2)).tolist(), rng.uniform(-30.0, 80.0, n).tolist()
     return percentiles(lambda k: solver.solve(q[k], -40.0 - u[k], 90.0 - u[k]), n)
@@ -82,8 +80,7 @@ def print_table(steps: int = 3000) -> None:
     for name, values in LAWS.items():
         print("{:30}{:12.1f}{:12.1f}".format(name, *control_step(values, steps)))
     print(f"{'programme alone, 2 moves':30}{'median us':>12}{'99 % us':>12}")
-    for solver in ("daqp", "osqp", "qpoases"):
-        print("{:30}{:12.1f}{:12.1f}".format(solver, *programme(solver, steps)))
+    print("{:30}{:12.1f}{:12.1f}".format("DAQP", *programme(steps)))
     print(f"{'plant':30}{'CPU s per simulated s':>24}")
     for name, values in PLANTS.items():
         print(f"{name:30}{plant(values, max(2, steps // 5)):24.3f}")

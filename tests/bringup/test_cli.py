@@ -173,8 +173,13 @@ def test_a_metric_that_cannot_be_computed_is_a_miss_with_its_reason(folder, monk
 
 def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch, undrawn):
     decoded = []
-    decode = signals._decode
-    monkeypatch.setattr(signals, "_decode", lambda topic, epoch: decoded.append(topic.name) or decode(topic, epoch))
+    joined = signals.Signals._joined
+
+    def noted(self, topic, parts):
+        decoded.append(topic.name)
+        return joined(self, topic, parts)
+
+    monkeypatch.setattr(signals.Signals, "_joined", noted)
     assert run("lag", "--mode", "inprocess", "--no-record") == 0
     assert sorted(decoded) == sorted(set(decoded))
     assert "lag/state" in decoded
@@ -470,6 +475,23 @@ def test_pip_does_it_where_uv_cannot_be_had_and_a_shared_environment_is_not_inst
         gone()  # .venv removed by hand; the Python that it was made of uninstalled
         said = softrig("setup", "run")
         assert (said.returncode, python.is_file()) == (0, True), said.stderr
+
+
+READ_ONLY = 'mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" "$1" || exit 77; exec "$1/scripts/softrig" setup'
+
+
+def test_a_checkout_that_cannot_be_written_has_its_set_up_in_the_cache_or_one_line(bare, tmp_path):
+    (tmp_path / ".ws").touch()  # no folder, whoever may write
+    said = subprocess.run([tmp_path / "scripts" / "softrig", "setup"], env=bare, capture_output=True, text=True)
+    line = "not writable; set XDG_CACHE_HOME to a folder of yours\n"
+    assert (said.returncode, said.stderr) == (2, f"softrig: cannot set up in {tmp_path}: {line}")
+    command = ["unshare", "-m", "bash", "-c", READ_ONLY, "bash", str(tmp_path)]
+    said = subprocess.run(command, env=bare, capture_output=True, text=True)
+    if said.returncode in (1, 77):
+        pytest.skip("mounts are not permitted here")
+    cache = re.escape(f"{tmp_path}/.cache/softrig/checkout-") + r"\d+"  # which is in the same place here
+    assert said.returncode == 2
+    assert re.fullmatch(f"softrig: cannot set up in {cache}: {line}", said.stderr)
 
 
 def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys):

@@ -75,10 +75,10 @@ def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
         browser = Chromium(address(process))
         try:
             if pace == "lockstep":
-                browser.until(f"return {MODEL}.label === 'resume'", "pace")
+                browser.until(f"return {MODEL}.label === 'resume'", "hold")
                 browser.click("step")
                 browser.says("step: one step")
-            browser.turn("speed_controller.kp", "value", 2.5)
+            browser.turn("speed_controller.kp", "value", "2.5")
             browser.says("speed_controller.kp = 2.5")
             browser.turn("offset.active", "active", True)
             browser.says("offset.active = True")
@@ -87,7 +87,7 @@ def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
             browser.click("offset/toggle")
             browser.says("offset/toggle: toggle pressed")
             if pace == "lockstep":
-                browser.click("pace")
+                browser.click("hold")
             browser.until(f"return {MODEL}.text.includes('ended')", "state")
             browser.says("kp = 2.5 from this tick on")
             speed = browser.driver.execute_script(

@@ -32,7 +32,7 @@ PARTS = {"phase": {"atan2"}, "polar": {"atan2", "hypot"}, "rect": {"sin", "cos"}
 COUNT = "a sum of whole numbers, or whether one is finite"
 CASADI = "casadi's own products, unrolled into scalar operations"
 CHECK = "a check or a certificate: its verdict is compared with a margin, no number of a run comes from it"
-SOLVER = "a solver of others (IPOPT, OSQP, SCS, SuperLU), which brings its own algebra: pinned kernels are all there is"
+SOLVER = "a solver of others (IPOPT, SCS, SuperLU), which brings its own algebra: pinned kernels are all there is"
 SCALAR = "scipy's scalar search or quadrature, or a tridiagonal solve: no kernels chosen by CPU"
 EXEMPT = {
     "softrig_control.fmu.description": COUNT,
@@ -40,7 +40,6 @@ EXEMPT = {
     "softrig_control.predictive.certificate": CHECK,
     "softrig_control.predictive.certificate_node": CHECK,
     "softrig_control.predictive.gpc.Gpc.poles": CHECK,
-    "softrig_control.predictive.qp._Osqp.__init__": SOLVER,
     "softrig_control.state_feedback.closed_loop_poles": CHECK,
     "softrig_control.state_feedback.place": "the rank, a check; gains come from `dense`",
     "softrig_core.analysis.linear_view": "looks at a rig from outside",

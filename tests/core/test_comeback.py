@@ -1,10 +1,18 @@
 """A node that is killed comes back with its state and its tick: the run says what it says without the kill."""
 
+import json
+import os
 import random
+from dataclasses import replace
+from functools import partial
 
 import pytest
-from conftest import differences
+from conftest import differences, make_scenario
 from simulated import Discovery, SimulatedRig, World
+from softrig_core import ScenarioError, rig_of
+from softrig_core.processes.children import Child
+from softrig_core.processes.placement import Placement
+from softrig_core.processes.restarting import Restarts, check_restart, counted
 from test_discovery import KINDS, MS, perhaps_prompt, rig_and_record
 
 
@@ -16,16 +24,18 @@ def killed(kind, seed, kills=1):
     world = World(lambda *_: rng.randrange(1_000, longest), prompt=perhaps_prompt(seed))
     Discovery(world, rng)
     run = SimulatedRig(rig, world, "lockstep", after=lambda name: rng.randrange(300 * MS), returns=True)
-    may = [m.name for m in rig.members if not any(p.delayed for p in m.outputs)]
+    may = [m.name for m in rig.members if not counted(m)]
     victims = []
 
-    def kill():
-        name = rng.choice(may)
-        if run.kill(name, rng):
-            victims.append((name, run.adapters[name].t))
+    def watch(name, at):
+        adapter = run.adapters.get(name)
+        if adapter is not None and adapter.t >= at and run.kill(name, rng):
+            victims.append((name, adapter.t))
+        elif adapter is None or adapter.state != "done":
+            world.at(world.now + rng.randrange(1_000, MS // 10), partial(watch, name, at))
 
     for _ in range(kills):
-        world.at(world.now + rng.randrange(round(1.5e3 * MS)), kill)
+        world.at(world.now, partial(watch, rng.choice(may), rng.choice((0, rng.randrange(rig.end)))))
     states = run.run(100.0)
     wrong = [f"{m.name} has not come" for m in rig.members if m.name not in states]
     wrong += [f"{n}: {a.state} at {a.t}: {a.error}" for n, a in run.adapters.items() if a.state != "done"]
@@ -37,5 +47,117 @@ def killed(kind, seed, kills=1):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_killed_node_comes_back(kind):
-    for seed in range(6):
-        assert killed(kind, seed)[0] == [], seed
+    """At its start, in the middle, at the end; with or without what it had just sent."""
+    met = []
+    for seed in range(3):
+        wrong, victims = killed(kind, seed)
+        assert wrong == [], seed
+        met += victims
+    assert met
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", KINDS)
+def test_killed_nodes_come_back(kind):
+    """Up to three, of which one may die while another one comes back, or die again."""
+    for seed in range(3, 60):
+        assert killed(kind, seed, kills=1 + seed % 3)[0] == [], seed
+
+
+# who starts them again -------------------------------------------------------------------------------------------
+
+
+class Process:
+    """What the watch of a run needs of a process."""
+
+    code = None
+    pid = 0
+
+    def poll(self):
+        return self.code
+
+
+@pytest.fixture
+def watched(tmp_path):
+    """The nodes of a rig as children that write their status when they are told to (below 0: busy), and the watch."""
+    rig = rig_of(make_scenario({"plant": "plant", "source": "source", "watcher": "watcher", "gain": "gain"}))
+    children = [
+        Child(m, Process(), os.open(os.devnull, os.O_RDONLY), tmp_path / "log", tmp_path / f"{m.name}.status",
+              tmp_path / f"{m.name}.shard") for m in rig.members
+    ]  # fmt: skip
+    again, said = [], []
+
+    def start(k):
+        again.append(children[k].member.name)
+        children[k] = replace(children[k], process=Process())
+
+    def write(**ticks):
+        for child in children:
+            if child.member.name in ticks and child.process.code is None:
+                k = ticks[child.member.name]
+                child.status.write_text(json.dumps({"ticks": abs(k), "busy": k < 0, "t": 0}))
+                os.utime(child.status, ns=(clock := next(times), clock))
+
+    times = iter(range(10**18, 2 * 10**18, 10**9))
+    yield {c.member.name: c for c in children}, children, Restarts(1, start, said.append), write, again, said
+    for child in children:
+        os.close(child.end)
+
+
+def test_a_node_is_started_again_when_all_others_stand(watched):
+    by_name, children, restarts, write, again, said = watched
+    write(plant=3, source=3, watcher=3)
+    by_name["gain"].process.code = -9
+    all_of_them = {"plant": 4, "source": 4, "watcher": 4}
+    looks = [all_of_them, {"plant": 4, "source": 4}, {"watcher": -4}, {"watcher": 4}]
+    for ticks in looks:
+        assert restarts.look(children) == []
+        assert again == []
+        write(**ticks)
+    assert restarts.look(children) == []
+    assert again == ["gain"]
+    assert said == ["node gain was killed by SIGKILL after t = 0 s; it is started again (1 of 1)"]
+    assert restarts.counts == {"gain": 1}
+    new = next(c for c in children if c.member.name == "gain")
+    assert restarts.look(children) == []
+    new.process.code = -11
+    assert restarts.look(children) == [new]
+    assert restarts.why(new.member) == "; it was started again 1 of 1 times"
+
+
+def test_who_failed_by_itself_is_not_started_again(watched):
+    by_name, children, restarts, _, again, _ = watched
+    by_name["gain"].process.code = 3
+    assert restarts.look(children) == [by_name["gain"]]
+    assert again == []
+    assert Restarts(0, lambda member: None).why(by_name["gain"].member) == ""
+
+
+def test_who_says_or_reads_what_is_counted_does_not_come_back():
+    rig = rig_of(make_scenario({"plant": "plant", "source": "source", "link": "link", "gain": "late_gain"}))
+    assert [m.name for m in rig.members if counted(m)] == ["link", "gain"]
+    reason = "; it cannot come back: it says or reads messages with acquisition times, which are counted"
+    assert Restarts(1, lambda member: None).why(rig.members[-1]) == reason
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"clock": "realtime"}, "expected a run in lockstep whose nodes have a process each"),
+        ({"mode": "container"}, "expected a run in lockstep whose nodes have a process each"),
+        ({"mode": "inprocess"}, "expected a run in lockstep whose nodes have a process each"),
+        ({"containers": [["plant", "gain"]]}, "expected a run in lockstep whose nodes have a process each"),
+        ({"only": ["gain"]}, "expected a run in lockstep whose nodes have a process each"),
+        ({"record": False}, "expected a record"),
+    ],
+)
+def test_where_no_node_could_come_back_that_is_said_before_the_run(keys, message, lag_rig):
+    with pytest.raises(ScenarioError, match=f"^--restart: .*{message}"):
+        check_restart(lag_rig, Placement(**keys, restart=1))
+    check_restart(lag_rig, Placement(**keys))
+
+
+def test_with_a_node_outside_no_node_could_come_back():
+    nodes = {"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}}
+    with pytest.raises(ScenarioError, match=r"^--restart: gain is outside"):
+        check_restart(rig_of(make_scenario(nodes)), Placement(restart=1))

@@ -1,9 +1,11 @@
 """Reserving a DDS domain."""
 
 import os
+import re
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from softrig_core import RunError, ScenarioError, run_processes
@@ -40,12 +42,27 @@ def test_another_process_holds_its_domain_until_it_dies(home, tmp_path, monkeypa
         with pytest.raises(RunError, match=f"domain {number} is in use"), free_domain(number):
             pass
         monkeypatch.setattr(domain, "DOMAINS", range(number, number + 1))
+        monkeypatch.setattr(domain, "BEYOND", ())
         with pytest.raises(RunError, match="in use"), free_domain():
             pass
         child.kill()
         child.wait()
     with free_domain() as ours:
         assert ours == number
+
+
+def test_when_all_are_taken_one_beyond_is_and_who_holds_them_is_known(monkeypatch):
+    """Anybody may hold the hundred names."""
+    with free_domain() as first, free_domain() as second:
+        monkeypatch.setattr(domain, "DOMAINS", range(first, first + 1))
+        with free_domain() as other:
+            assert 101 <= other <= 231
+        monkeypatch.setattr(domain, "BEYOND", (second,))
+        comm = Path("/proc/self/comm").read_text().strip()
+        with pytest.raises(RunError, match=re.escape(f"(2 by process {os.getpid()} ({comm}))")), free_domain():
+            pass
+        assert domain.holders([first]) == f" (1 by process {os.getpid()} ({comm}))"
+    assert domain.holders([first]) == ""
 
 
 def test_a_wanted_domain_is_reserved_too():
@@ -93,6 +110,7 @@ def test_a_domain_with_a_ros_session_is_not_chosen(monkeypatch):
         participant.bind(("127.0.0.1", 7400 + 250 * number + 10))
         assert number in domain.inhabited()
         monkeypatch.setattr(domain, "DOMAINS", range(number, number + 1))
+        monkeypatch.setattr(domain, "BEYOND", ())
         with pytest.raises(RunError, match="in use"), free_domain():
             pass
         with free_domain(number) as wanted:  # who asks for it by its number means that session

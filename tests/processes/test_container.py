@@ -404,7 +404,7 @@ def test_the_well_known_ports_stay_and_the_others_change():
     """With the standard ones at 7400 + 250 * domain, no port is that of another participant or of a dead one."""
     seen = set()
     for k in range(40):
-        ports = chosen(1e6 + 0.45 * k)
+        ports = chosen(7, 1e6 + 0.45 * k)
         base = ports["portBase"]
         assert {name: base + ports[name] for name in ("offsetd0", "offsetd1", "offsetd2")} == {
             "offsetd0": 7400, "offsetd1": 7410, "offsetd2": 7401,
@@ -413,6 +413,8 @@ def test_the_well_known_ports_stay_and_the_others_change():
         assert 11 + 2 * 32 < user < 250 - 2 * 31
         assert 6200 <= unique < 6600
         seen.add((user, unique))
+    last = chosen(232)
+    assert last["portBase"] + last["offsetd3"] == 7400 + 11  # above 65,535 there are none
     assert len({user for user, _ in seen}) == len({unique for _, unique in seen}) == 40
 
 

@@ -15,8 +15,9 @@ from conftest import PATIENCE, differences, in_process
 from softrig_bags.read import read_bag
 from softrig_bags.repair import repair
 from softrig_bringup.cli import main
+from softrig_core.node.ros.profile import joining
 from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import LOOPBACK, PROFILE, environment, find_executable
+from softrig_core.processes.executables import LOOPBACK, NETWORK, PROFILE, default_profile, environment, find_executable
 from test_processes import BASIC, rig
 
 pytestmark = pytest.mark.processes
@@ -145,21 +146,46 @@ print(*node.get_node_names())
 """
 
 
+@pytest.mark.parametrize(
+    ("variables", "profile"),
+    [
+        ({}, LOOPBACK),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, LOOPBACK),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, PROFILE),
+        ({"ROS_STATIC_PEERS": "10.0.0.7"}, PROFILE),
+        ({"ROS_DISCOVERY_SERVER": "first:11811"}, PROFILE),
+        ({"FASTRTPS_DEFAULT_PROFILES_FILE": ""}, LOOPBACK),
+        ({"ROS_STATIC_PEERS": "", "ROS_DISCOVERY_SERVER": ""}, LOOPBACK),
+    ],
+)
+def test_who_does_not_ask_for_other_hosts_is_not_reached_from_them(variables, profile, monkeypatch):
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE", *NETWORK):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert default_profile() == profile
+    with joining():
+        text = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
+    assert ("<address>127.0.0.1</address>" in text) == (profile == LOOPBACK)
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("profile", [LOOPBACK, PROFILE])
-def test_who_comes_from_another_host_finds_nobody(profile, tmp_path):
+@pytest.mark.parametrize("how", [LOOPBACK, PROFILE, "by hand"])
+def test_who_comes_from_another_host_finds_nobody(how, tmp_path):
     """By the address, which discovery on this host alone does not hinder; with the sockets of any interface it does."""
     with free_domain() as domain, two_hosts() as (a, b):
         here = environment(domain, tmp_path)
         assert here["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(LOOPBACK)
-        here["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+        here["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(how)
+        if how == "by hand":
+            del here["FASTRTPS_DEFAULT_PROFILES_FILE"], here["ROS_AUTOMATIC_DISCOVERY_RANGE"]
         there = here | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": "10.213.7.1",
                         "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}  # fmt: skip
         enter = ["ip", "netns", "exec"]
         plant = subprocess.Popen([*enter, a, find_executable("faultrig", "plant"), "--ros-args", "-r", "__node:=plant"],
                                  env=here)  # fmt: skip
         try:
-            code = INTRUDER.replace("PATIENCE", "8" if profile == LOOPBACK else str(PATIENCE))
+            code = INTRUDER.replace("PATIENCE", str(PATIENCE) if how == PROFILE else "8")
             seen = subprocess.run([*enter, b, sys.executable, "-c", code], env=there, capture_output=True, text=True,
                                   timeout=PATIENCE)  # fmt: skip
             neighbour = here | {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}
@@ -169,7 +195,7 @@ def test_who_comes_from_another_host_finds_nobody(profile, tmp_path):
             plant.kill()
             plant.wait()
     assert "plant" in near.stdout.split(), near.stderr
-    assert ("plant" in seen.stdout.split()) == (profile == PROFILE), seen.stdout + seen.stderr
+    assert ("plant" in seen.stdout.split()) == (how == PROFILE), seen.stdout + seen.stderr
 
 
 @pytest.mark.long

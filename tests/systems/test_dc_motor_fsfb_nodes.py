@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from conftest import differences, in_process
 from outside import go, outside
 from softrig_core import Signals, load_scenario, rig_of, run_processes
 from softrig_core.judge import measures
@@ -12,20 +11,6 @@ pytestmark = pytest.mark.processes
 
 Y = "axis/true_state/axis/position"
 SET_POINT = "axis/controller_state/set_point/position"
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["dc_motor_fsfb_stretch_jitter",  # the headline daily in a container
-     *(pytest.param(f"dc_motor_fsfb{n}", marks=pytest.mark.long)
-       for n in ("", "_s1_none", "_s1_velocity", "_s2", "_s3"))],
-)  # fmt: skip
-def test_processes_equal_in_process_bit_for_bit(name, tmp_path):
-    rig = rig_of(name)
-    outcome = run_processes(rig, 3, tmp_path)
-    assert outcome.error == ""
-    assert differences(in_process(rig, 3), outcome.recording) == []
-    assert not any(status["refused"] for status in outcome.status.values())
 
 
 @pytest.mark.long

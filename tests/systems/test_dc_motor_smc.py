@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import differences, in_process
+from conftest import in_process
 from scipy.linalg import expm as scipy_expm
 from softrig_control.discretise import expm, zero_order_hold
 from softrig_control.kalman import SteadyKalman, steady_kalman_gain
@@ -20,7 +20,6 @@ from softrig_core import (
     list_scenarios,
     load_scenario,
     rig_of,
-    run_processes,
 )
 from softrig_drives.dc_motor.kalman_surface import DcMotorSmcKalman
 from softrig_drives.dc_motor.model import MotorConstants, state_space
@@ -337,17 +336,6 @@ def test_a_refused_reference_gives_the_surface_too():
     law = ByHand(DcMotorSmc(publish_surface=True))
     answer = law.refused(0)
     assert answer == {"command": (0.0,), "surface": (0.0,)}
-
-
-@pytest.mark.processes
-@pytest.mark.parametrize(  # b1 is a golden bag's
-    "name", ["dc_motor_smc_b4", pytest.param("dc_motor_smc_stretch_b", marks=pytest.mark.long)]
-)
-def test_processes_give_the_same_bits(name, tmp_path):
-    rig = rig_of(load_scenario(name).model_copy(update={"duration": 1.0}))
-    outcome = run_processes(rig, 3, tmp_path)
-    assert outcome.error == ""
-    assert differences(in_process(rig, 3), outcome.recording) == []
 
 
 def test_motor_brakes_when_the_reference_becomes_zero():

@@ -4,8 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import differences, in_process
-from softrig_core import ByHand, Level, ParameterError, list_scenarios, load_scenario, rig_of, run_processes, simulate
+from softrig_core import ByHand, Level, ParameterError, list_scenarios, simulate
 from softrig_power.dispatch.baselines import lambda_iteration, swarm, without_ripples
 from softrig_power.dispatch.branch import branch_and_bound, chord_excess
 from softrig_power.dispatch.certify import InfeasibleError, Optimiser, lowering
@@ -458,10 +457,3 @@ def test_the_fleet_follows_within_limits_and_ramp():
     assert cost == Units.read("units_3").total([150.0, 50.0, 110.0])
     numeric = np.diff(Units.read("units_3").cost([[150 - 1e-5, 60, 110], [150 + 1e-5, 60, 110]]), axis=0)[0, 0] / 2e-5
     assert fleet.outputs(1)["state"][3] == pytest.approx(numeric, rel=1e-6)
-
-
-@pytest.mark.processes
-def test_following_through_processes_gives_the_bytes_of_in_process(tmp_path):
-    """The loop waits for the solver's other process at each new demand."""
-    rig = rig_of(load_scenario("economic_dispatch_e2").model_copy(update={"duration": 4.0}))
-    assert not differences(in_process(rig), run_processes(rig, 0, tmp_path).recording)

@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from conftest import differences, in_process
 from softrig_core import (
     ByHand,
     Level,
@@ -14,8 +13,6 @@ from softrig_core import (
     RunError,
     list_scenarios,
     load_scenario,
-    rig_of,
-    run_processes,
     simulate,
 )
 from softrig_core.block.answer import check
@@ -375,14 +372,3 @@ def test_a_plan_for_the_rest_of_the_way_starts_warm():
 
 
 # Through processes
-
-
-@pytest.mark.processes
-@pytest.mark.parametrize(
-    "name", [pytest.param("optimal_control_mvim", marks=pytest.mark.long), "optimal_control_mvim_s4_1s"]
-)
-def test_processes_give_the_bits_of_in_process(name, tmp_path):
-    rig = rig_of(load_scenario(name).changed(duration=20.0))
-    outcome = run_processes(rig, 1, tmp_path)
-    assert outcome.error == ""
-    assert differences(in_process(rig, 1), outcome.recording) == []

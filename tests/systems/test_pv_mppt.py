@@ -24,7 +24,6 @@ from softrig_core import (
     list_scenarios,
     load_scenario,
     rig_of,
-    run_processes,
     simulate,
 )
 from softrig_core.block.runner import Runner
@@ -508,17 +507,6 @@ def test_same_seed_same_bits():
     assert differences(first, again) == []
     assert "pv/environment" in differences(first, other)
     assert "converter/duty" in differences(first, other)
-
-
-@pytest.mark.long  # daily in a container
-@pytest.mark.processes
-@pytest.mark.parametrize("name", ["pv_mppt", "pv_mppt_certified_transients"])
-def test_processes_give_the_same_bits(name, tmp_path):
-    """Acceptance 7, in lockstep."""
-    rig = rig_of(load_scenario(name).model_copy(update={"duration": 0.3}))
-    outcome = run_processes(rig, 3, tmp_path)
-    assert outcome.error == ""
-    assert differences(in_process(rig, 3), outcome.recording) == []
 
 
 def short(name, **changes):

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import differences, in_process
 from pages import generated as pages
 from softrig_core import (
     ByHand,
@@ -22,7 +21,6 @@ from softrig_core import (
     list_scenarios,
     load_scenario,
     rig_of,
-    run_processes,
     simulate,
 )
 from softrig_core.kit.dde import trajectory
@@ -721,15 +719,6 @@ def test_constant_criterion_grows_with_the_state(n):
     system = linear(-2.0 * np.eye(n) + 0.1 * rng.normal(size=(n, n)), -0.5 * np.eye(n) + 0.1 * rng.normal(size=(n, n)))
     assert certify(system, 0.5, Criterion("constant", order=2)).valid
     assert bessel(system, 2).size < theorem1(system, 0.1).size
-
-
-@pytest.mark.processes
-@pytest.mark.parametrize("name", ["pwa_delay_p2_d2", pytest.param("pwa_delay_p2c", marks=pytest.mark.long)])
-def test_processes_give_the_bits_of_in_process(name, tmp_path):
-    rig = rig_of(load_scenario(name).model_copy(update={"duration": 20.0}))
-    outcome = run_processes(rig, 1, tmp_path)
-    assert outcome.error == ""
-    assert differences(in_process(rig, 1), outcome.recording) == []
 
 
 def test_a_search_narrower_than_numbers_are_ends(monkeypatch):

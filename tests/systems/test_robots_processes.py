@@ -1,7 +1,6 @@
 """The robots through real node processes: the same bytes as in-process, and their safety behaviour."""
 
 import pytest
-from conftest import differences, in_process
 from softrig_core import Signals, load_scenario, rig_of, run_processes
 
 pytestmark = pytest.mark.processes
@@ -9,18 +8,6 @@ pytestmark = pytest.mark.processes
 
 def rig(name, duration, overrides=None):
     return rig_of(load_scenario(name, overrides).model_copy(update={"duration": duration}))
-
-
-@pytest.mark.parametrize(
-    ("name", "duration"),
-    [("manipulator_adsmc_two_link", 0.3), ("rehab_impedance_r5", 0.5),
-     pytest.param("manipulator_adsmc_s2", 1.0, marks=pytest.mark.long)],
-)  # fmt: skip
-def test_equal_to_in_process_bit_for_bit(name, duration, tmp_path):
-    wired = rig(name, duration)
-    outcome = run_processes(wired, 0, tmp_path)
-    assert outcome.error == ""
-    assert differences(in_process(wired), outcome.recording) == []
 
 
 def test_overspeed_ends_the_run_naming_plant_and_limit(tmp_path):

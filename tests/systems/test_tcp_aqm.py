@@ -18,14 +18,12 @@ from softrig_core import (
     list_scenarios,
     load_scenario,
     rig_of,
-    run_inprocess,
-    run_processes,
+    simulate,
 )
 from softrig_core.verdict.findings import findings, values
 from softrig_systems.tcp_aqm.controller import HOLD, AqmController
 from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
 from softrig_systems.tcp_aqm.model import Bottleneck, equilibrium, phi, psi
-from softrig_systems.tcp_aqm.monitor import AqmMonitor
 from softrig_systems.tcp_aqm.packets import EVENTS, LOST, MOST_EVENTS, SERVED, WAITING
 from softrig_systems.tcp_aqm.packets_plant import TcpPackets
 
@@ -514,13 +512,10 @@ def test_anti_windup_freezes_the_integral_while_clipped():
 
 
 def test_the_metrics_node_gives_the_figures():
-    rig = rig_of(load_scenario("tcp_aqm_smc_detuned", {"aqm_metrics.period": 0.001}))
-    blocks = run_inprocess(rig, 0)
-    metrics = next(b for b in blocks.values() if isinstance(b.block, AqmMonitor))
-    found = figures("tcp_aqm_smc_detuned")
-    for name in ("J_q", "J_w", "J_R", "settling_time", "peak", "deviation", "utilisation"):
-        assert metrics.status()[name][0] == pytest.approx(found[name].value, rel=1e-3), name
-    assert metrics.status()["J_p"][0] == pytest.approx(found["J_p"].value, rel=1e-3)
+    run = simulate("tcp_aqm_smc_detuned", overrides={"aqm_metrics.period": 0.001})
+    live = {name: value for name, (value, _) in run.blocks["aqm_metrics"].status().items()}
+    assert {"J_q", "J_w", "J_R", "J_p", "settling_time", "peak", "deviation", "utilisation"} <= live.keys()
+    assert live == {name: value for name, value in run.figures.items() if name in live}
 
 
 PLAIN = """
@@ -546,15 +541,3 @@ def test_native_and_plain_python_give_the_same_bits():
 
 
 # Through processes
-
-
-@pytest.mark.processes
-@pytest.mark.parametrize(
-    "name",
-    ["tcp_aqm_smc_s4", *(pytest.param(n, marks=pytest.mark.long) for n in ("tcp_aqm_smc", "tcp_aqm_smc_10ms"))],
-)
-def test_processes_give_the_bits_of_in_process(name, tmp_path):
-    rig = rig_of(load_scenario(name).model_copy(update={"duration": 3.0 if name.endswith("s4") else 0.5}))
-    outcome = run_processes(rig, 1, tmp_path)
-    assert outcome.error == ""
-    assert differences(in_process(rig, 1), outcome.recording) == []

@@ -9,11 +9,12 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
 from softrig_core.command_line import Parser, without_ros
-from softrig_core.guard import guarded
+from softrig_core.guard import guarded, quietly
 
 from .verbs import declared
 
@@ -36,7 +37,7 @@ FOREIGN = {
 # of scripts/softrig itself, which never get here
 SCRIPT = {
     "setup": "set up what is missing; `setup SET ...` adds to .venv (tables, frames, search, learning, dask, fmu, "
-    "view, osqp, docs, colcon, test), `setup --fetch DIR` downloads for a set-up without a network",
+    "view, docs, colcon, test), `setup --fetch DIR` downloads for a set-up without a network",
     "python": "the Python of the set-up, with everything importable: scripts/softrig python my_script.py",
     "docs": "the pages as a site with a search, --serve shows it here; `docs pages` makes their generated parts",
     "bench": "what the suite costs, as ratios to baselines of the same run; --help names its parts",
@@ -97,7 +98,8 @@ def _verb(arguments: list[str]) -> int:
     if asks:
         completion.complete(parser)
     options = parser.parse_args(arguments)
-    return int(options.verb(options))
+    with quietly() if getattr(options, "quiet", False) else nullcontext():
+        return int(options.verb(options))
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -113,6 +115,9 @@ def make_parser() -> argparse.ArgumentParser:
     def verb(name: str, function: str, text: str, among: Any = verbs) -> argparse.ArgumentParser:
         sub: argparse.ArgumentParser = among.add_parser(name, help=text, description=text)
         sub.set_defaults(verb=partial(_late, function))
+        if name != "node":  # whose words are those of the executable
+            sub.add_argument("-q", "--quiet", action="store_true", default=argparse.SUPPRESS,
+                             help="print nothing but what goes wrong; the exit status tells")  # fmt: skip
         return sub
 
     declared.verbs(verb)

@@ -13,6 +13,9 @@ LONGEST = 3  # times the longest time between turning points without another one
 BAND = 0.02  # of the reference, smaller swings do not count
 
 
+NONE, NEVER = (0.0,) * SWINGS, (0,) * SWINGS
+
+
 class Swinging(NamedTuple):
     """What is remembered of the measured signal of a loop, in its unit; times in samples."""
 
@@ -29,10 +32,13 @@ class Swinging(NamedTuple):
     since: int = 0
     """Samples since the turning point was found."""
 
-    swings: tuple[float, ...] = ()
-    """The newest ones, peak to peak."""
+    found: int = 0
+    """Swings since the beginning, at most `SWINGS`."""
 
-    spans: tuple[int, ...] = ()
+    swings: tuple[float, ...] = NONE
+    """The newest ones, peak to peak; the oldest first."""
+
+    spans: tuple[int, ...] = NEVER
     """How long each took."""
 
     @property
@@ -53,20 +59,19 @@ def limit_cycle(x: Swinging, y: float, reference: float) -> tuple[Swinging, floa
     y, reference : float
         In the unit of the signal.
     """
-    before, turn, far, up, since, swings, spans = x
+    before, turn, far, up, since, found, swings, spans = x
     if reference != before:
-        turn, far, up, since, swings, spans = y, y, True, 0, (), ()
+        turn, far, up, since, found, swings, spans = y, y, True, 0, 0, NONE, NEVER
     since += 1
     if (y > far) == up and y != far:
         far = y
     elif abs(y - far) > BAND * abs(reference):
-        swings = (*swings[1 - SWINGS :], abs(far - turn))
-        spans = (*spans[1 - SWINGS :], since)
+        swings, spans, found = (*swings[1:], abs(far - turn)), (*spans[1:], since), min(found + 1, SWINGS)
         turn, far, up, since = far, y, not up, 0
-    if spans and since > LONGEST * max(spans):  # it has come to rest
-        turn, far, up, since, swings, spans = y, y, True, 0, (), ()
-    x = Swinging(reference, turn, far, up, since, swings, spans)
-    if len(swings) < SWINGS or min(swings) < ALIKE * max(swings):
+    if found and since > LONGEST * max(spans):  # it has come to rest
+        turn, far, up, since, found, swings, spans = y, y, True, 0, 0, NONE, NEVER
+    x = Swinging(reference, turn, far, up, since, found, swings, spans)
+    if found < SWINGS or min(swings) < ALIKE * max(swings):
         return x, 0.0
     first, second = total(swings[: SWINGS // 2]), total(swings[SWINGS // 2 :])
     return x, second / (SWINGS // 2) if second >= KEPT * first else 0.0

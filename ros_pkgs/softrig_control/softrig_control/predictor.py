@@ -36,13 +36,14 @@ class CommandReplay:
     def __init__(self, phi: Sequence[Sequence[float]], gamma: Sequence[Sequence[float]], capacity: int) -> None:
         n = len(phi)
         power: Matrix = tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
-        self._powers = [power]  # Phi^D
+        self._size = n
+        self._powers = [x for row in power for x in row]  # Phi^D, one after the other
         impulse = []  # Phi^j Gamma
         for _ in range(capacity):
             impulse.append([row[0] for row in matmul(power, gamma)])
             power = matmul(phi, power)
-            self._powers.append(power)
-        self._impulse = list(zip(*impulse, strict=True))  # one sequence over j a state
+            self._powers += [x for row in power for x in row]
+        self._impulse = [list(row) for row in zip(*impulse, strict=True)]  # one sequence over j a state
         self._capacity = capacity
 
     def nothing(self) -> Commands:
@@ -64,11 +65,11 @@ class CommandReplay:
         late : int
             D, from 0 to the number of commands known.
         """
-        state = []
-        for row, impulse in zip(self._powers[late], self._impulse, strict=True):
-            total = 0.0
-            for a, b in zip(row, x, strict=True):
-                total += a * b
+        state, n = [], self._size
+        for i in range(n):
+            total, impulse = 0.0, self._impulse[i]
+            for j in range(n):
+                total += self._powers[(late * n + i) * n + j] * x[j]
             for k in range(late):
                 total += impulse[k] * history.newest[k]
             state.append(total)

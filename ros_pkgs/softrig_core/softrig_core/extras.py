@@ -15,7 +15,6 @@ EXTRAS = {
     "optuna": "search",
     "cmaes": "search",
     "distributed": "dask",
-    "osqp": "osqp",
     "bokeh": "view",
     "gymnasium": "learning",
     "sphinx": "docs",

@@ -36,6 +36,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", action="append", default=[], metavar="NODE",
                         help="start this one here, the others on another machine; needs --domain")  # fmt: skip
     parser.add_argument("--wait", type=Number(float, 0), metavar="S", help="limit of the wait for them (default: none)")
+    parser.add_argument("--restart", type=Number(int, 0), default=0, metavar="N", help="lockstep, --mode processes: "
+                        "a node that was killed is started again where it was, up to N times")  # fmt: skip
     parser.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
@@ -53,7 +55,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
     parser.add_argument("--connect", action="store_true", help="print how nodes of your own see the rig")
-    parser.set_defaults(view=False, paused=False, address="", recalled=None)  # those of the verb `view`
+    parser.set_defaults(view=False, paused=False, pace=0.0, address="", recalled=None)  # those of the verb `view`
 
 
 def _moment(text: str) -> tuple[Path, float]:
@@ -142,7 +144,7 @@ def placement_of(options: argparse.Namespace) -> Placement:
     from softrig_core.processes.placement import Placement
 
     return Placement(options.mode, "realtime" if options.realtime else "lockstep", options.domain, only=options.only,
-                     wait=options.wait, paused=options.paused)  # fmt: skip
+                     wait=options.wait, paused=options.paused, pace=options.pace, restart=options.restart)  # fmt: skip
 
 
 def changed_words(options: argparse.Namespace) -> list[str]:

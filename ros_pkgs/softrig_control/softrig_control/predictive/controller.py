@@ -14,7 +14,7 @@ from ..limit_cycle import Swinging, limit_cycle
 from ..signal_name import signal_port, split
 from .carima import Carima
 from .gpc import Gpc, GpcState, Tuning
-from .qp import MoveSolver, SolverName, make_solver
+from .qp import MoveSolver
 
 UNBOUNDED = 1e12
 PATIENCE = 3  # bad samples in a row before the trip
@@ -33,10 +33,10 @@ class GpcLawParams(BlockParams):
     lam: float = param(1.0, "weight lambda of the moves", ge=0.0, le=1e12, live=True)
     u_min: float = param(-UNBOUNDED, "smallest command", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
     u_max: float = param(UNBOUNDED, "largest command", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
-    du_max: float = param(UNBOUNDED, "largest move in one period; for the solvers, the closed form knows none",
+    du_max: float = param(UNBOUNDED, "largest move in one period; for DAQP, the closed form knows none",
                           gt=0.0, le=UNBOUNDED, live=True)  # fmt: skip
-    solver: Literal["closed_form", "daqp", "osqp", "qpoases"] = param(
-        "closed_form", "closed form, clipped to u_min and u_max, or a solver that keeps all bounds for all moves"
+    solver: Literal["closed_form", "daqp"] = param(
+        "closed_form", "closed form, clipped to u_min and u_max, or DAQP, which keeps all bounds for all moves"
     )
     set_point: float = param(0.0, "reference until one arrives", ge=-UNBOUNDED, le=UNBOUNDED,
                              live=True)  # fmt: skip
@@ -150,10 +150,7 @@ class GpcController(Block[P]):
         """Build the law, its solver if it has one."""
         p = self.p
         self.law = Gpc(p.carima(), p.tuning())
-        self._solver: MoveSolver | None = None
-        if p.solver != "closed_form":
-            name: SolverName = p.solver
-            self._solver = make_solver(name, self.law.hessian, p.du_max)
+        self._solver = MoveSolver(self.law.hessian, p.du_max) if p.solver == "daqp" else None
 
     def first(self) -> State:
         """Nothing measured."""

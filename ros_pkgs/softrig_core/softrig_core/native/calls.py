@@ -235,7 +235,8 @@ class Calls(Expressions):
         if not isinstance(function, Static):
             raise self.unknown("a call of something that is computed", node)
         called = function.value
-        if function.path is not None and not isinstance(called, types.MethodType):
+        own_table = isinstance(getattr(called, "__self__", None), Mapping)  # guarded where it is read
+        if function.path is not None and not isinstance(called, types.MethodType) and not own_table:
             self.program.guard(function)
         if isinstance(called, Jit):
             return self._native(called, given, node)

@@ -152,7 +152,7 @@ def _inputs(
         if id(s) not in numbers:
             raise NotNative(f"{step.name} reads {port.topic} of {s.name}, which is not native")
         before = sum(p.size for p in s.outputs[:j])
-        all_of_it: Any = tuple(range(s.outputs[j].size))
+        all_of_it: Any = tuple(map(_Place, range(s.outputs[j].size)))
         delayed = s.outputs[j].delayed
         if take is not None:
             all_of_it = take(Sample(0, all_of_it) if delayed else all_of_it)
@@ -161,7 +161,8 @@ def _inputs(
             raise NotNative(f"{step.name}: {port.topic} has {len(places)} numbers, expected at most {LONGEST}")
         values = step.values[port.name]
         data = values.data if isinstance(values, Sample) else values
-        row = [Dynamic(f"r{numbers[id(s)]}[{before + p}]", float(v)) for p, v in zip(places, data, strict=True)]
+        row = [Dynamic(f"r{numbers[id(s)]}[{before + p}]" if type(p) is _Place else repr(float(p)), float(v))
+               for p, v in zip(places, data, strict=True)]  # fmt: skip
         if not isinstance(values, Sample):
             found[port.name] = Group(tuple(row))
             continue
@@ -239,6 +240,10 @@ def _kept(state: str, value: Dynamic, step: Step, typed: bool) -> str:
     """Take a state, which must be of the type of the one before."""
     known = not typed and is_sure(value) and alike(value.sample, packed(step.x, typed))
     return f"{state} = {value.code}" if known else f"{state} = same_({state}, {value.code})"
+
+
+class _Place(int):
+    """Number of a value in an answer: what is picked is one, or what is given where there is none."""
 
 
 class _Nowhere:

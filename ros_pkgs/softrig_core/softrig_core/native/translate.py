@@ -22,7 +22,7 @@ import numpy as np
 
 from ..kit.compiled import Compiled
 from ..kit.jit import Jit
-from .value import UNKNOWN, Dynamic, Group, NotNative, Path, Record, Static, Value
+from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, Static, Value
 
 LONGEST = 64  # parts of a tuple that is written out, or indexed
 TURNS = 16  # of a loop that is written out
@@ -51,6 +51,9 @@ class Made:
     name: str
     arrays: tuple[str, ...]
     result: Value
+
+
+NEVER = Made("", (), Dynamic("", UNKNOWN, False))  # of a function that always gives the tick up
 
 
 @dataclass
@@ -115,6 +118,9 @@ class Program:
         if isinstance(value.value, np.ndarray):
             name = self.arrays.setdefault(value.path, f"a{len(self.arrays)}")
             return Dynamic(name, value.value)
+        if isinstance(value.value, list) and len(value.value) > TURNS and {type(v) for v in value.value} == {float}:
+            name = self.arrays.setdefault(value.path, f"a{len(self.arrays)}")
+            return Dynamic(name, np.array(value.value))
         found = as_slot(value.value)
         number = self.slots.setdefault(value.path, len(self.slots))
         self.shapes[value.path] = shape(found)
@@ -144,8 +150,9 @@ class Program:
         return tuple(as_slot(follow(path, roots)) for path in self.slots)
 
     def tables(self, roots: Sequence[Any]) -> tuple[Any, ...]:
-        """Give their arrays."""
-        return tuple(np.ascontiguousarray(follow(path, roots)) for path in self.arrays)
+        """Give their arrays; lists where nothing is typed."""
+        found = (follow(path, roots) for path in self.arrays)
+        return tuple(v if isinstance(v, list) and not self.typed else np.ascontiguousarray(v) for v in found)
 
     def differs(self, roots: Sequence[Any]) -> str:
         """Say what of other blocks would need another text; nothing where the text serves them."""
@@ -319,6 +326,8 @@ def made(
         finally:
             program.under_way.discard(whole)
     done = program.known[whole]
+    if done is NEVER:
+        raise GivesUp(f"{function.__qualname__} gives each tick up")
     if not isinstance(done.result, Dynamic):
         return done.result
     arrays.update(done.arrays)
@@ -337,6 +346,8 @@ def _specialised(
     tree = _parsed(function)
     writer = program.writer(program, function, inner)
     lines = writer.body(tree.body)
+    if not writer.returned:
+        return NEVER
     result = writer.result()
     if not isinstance(result, Dynamic):
         return Made("", (), result)

@@ -14,6 +14,10 @@ class NotNative(Exception):
     """Something that native code does not know; says what and where."""
 
 
+class GivesUp(NotNative):
+    """A call that never comes back: what it does is to give the tick up."""
+
+
 @dataclass(frozen=True)
 class Static:
     """A value that stays the same in a run; `path` leads to it from a block, None: part of the program."""

@@ -23,6 +23,7 @@ from .value import (
     NONE,
     UNKNOWN,
     Dynamic,
+    GivesUp,
     Group,
     NotNative,
     Record,
@@ -91,7 +92,8 @@ class Ways:
         if isinstance(value, Dynamic):
             return value
         if isinstance(value, Static):
-            return Dynamic(self.code(value), _plain(value.value))
+            code = self.code(value)
+            return Dynamic(code, np.array(value.value) if code in self.arrays else _plain(value.value))
         if isinstance(value, Record):
             keys = tuple(sorted(value.items))
             parts = tuple(self._described(value.items[k]) for k in keys)
@@ -112,7 +114,7 @@ class Ways:
                 slot = self.program.slot(value)
             except NotNative as error:
                 raise self.unknown(str(error)) from None
-            if isinstance(found, np.ndarray):
+            if isinstance(slot.sample, np.ndarray):
                 self.arrays.add(slot.code)
             return slot.code
         self.program.guard(value)
@@ -200,8 +202,21 @@ class Ways:
             parts = [self._held(p) for p in parts]
             for one, part in zip(target.elts, parts, strict=True):
                 self.assign(one.value if isinstance(one, ast.Starred) else one, part, apart)
+        elif isinstance(target, ast.Subscript):
+            self._written_into(target, value)
         else:
             raise self.unknown("an assignment to a part of something", target)
+
+    def _written_into(self, target: ast.Subscript, value: Value) -> None:
+        """Write into an array; what was read of it before stands under names of its own."""
+        table, at = self.value(target.value), self.dynamic(self.value(target.slice))
+        if not isinstance(table, Dynamic) or not isinstance(table.sample, np.ndarray) or table.sample.ndim != 1:
+            raise self.unknown("an assignment to a part of something", target)
+        self.emit(f"{self.simple(table).code}[{at.code}] = {self.code(value)}")
+
+    def value(self, node: ast.expr) -> Value:
+        """Read an expression."""
+        raise NotImplementedError
 
     def _held(self, value: Value) -> Value:
         """Give a value that stays as it is while names are bound anew."""
@@ -246,6 +261,9 @@ class Ways:
             self.env, self.lines, self.ended = dict(before), [], False
             try:
                 found.append(way())
+            except GivesUp:
+                found.append(None)
+                self._give_up()
             except NotNative as reason:
                 if taken is UNKNOWN or bool(taken) is wanted:  # the way that is gone, as far as anybody knows
                     raise

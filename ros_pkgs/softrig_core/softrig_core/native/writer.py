@@ -15,6 +15,7 @@ from .value import (
     NONE,
     UNKNOWN,
     Dynamic,
+    GivesUp,
     Group,
     NotNative,
     Static,
@@ -39,8 +40,6 @@ class Writer(Calls):
     def result(self) -> Value:
         """Give what the function gives: a fixed value where it is nothing else."""
         found = self.returned
-        if not found:
-            return Dynamic("", UNKNOWN, False)
         if len(self.lines) == 1 and len(found) == 1 and isinstance(found[0], Static):
             return found[0]
         values = [self._described(v) for v in found]
@@ -60,7 +59,10 @@ class Writer(Calls):
             if _reporting(statements[k:]):
                 self._give_up()
                 return
-            self.statement(statement)
+            try:
+                self.statement(statement)
+            except GivesUp:
+                self._give_up()
 
     def statement(self, node: ast.stmt) -> None:
         """Write one."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from ..block.block import Block, Plant
 from ..block.params import Declaration, build, declarations, flatten
 from ..guard import secure_streams, tell
 from ..interrupt import interrupt
+from ..processes.executables import LOOPBACK
 from ..rig.options import RunOptions
 from ..solver.rehearsal import rehearse
 from .adapter.adapter import Adapter
@@ -26,12 +28,13 @@ from .face.tuning import Tuning
 from .group import Group
 from .ros.leave import leave
 from .ros.messages import range_descriptor
-from .ros.profile import joining
+from .ros.profile import VARIABLE, joining
 from .ros.ros import RosMiddleware, ServingNode
 from .seam.middleware import Middleware
 
 # read by a node and no parameters of it afterwards: what `ros2 param dump` gives is to fit another run
 RUNNERS = ("run.shard", "run.status", "run.links", "run.changes", "run.again")
+HERE = "; reached from this host only (from others with ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET)"
 ARRAYS = {float: Parameter.Type.DOUBLE_ARRAY, int: Parameter.Type.INTEGER_ARRAY, bool: Parameter.Type.BOOL_ARRAY,
           str: Parameter.Type.STRING_ARRAY}  # fmt: skip
 
@@ -57,7 +60,8 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
             adapter = make_adapter(node, block_class, RosMiddleware(node))
         Group([adapter])
         if not adapter.options.links:
-            node.get_logger().info(introduction(adapter.block, adapter.options))
+            reach = HERE if os.environ[VARIABLE] == str(LOOPBACK) else ""
+            node.get_logger().info(introduction(adapter.block, adapter.options) + reach)
     except KeyboardInterrupt:
         leave([node] if node else [], 0)
     except Exception as error:  # every start-up error ends in one line: what was wrong and where

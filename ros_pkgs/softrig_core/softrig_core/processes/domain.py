@@ -8,7 +8,8 @@ import os
 import socket
 import stat
 import struct
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from ..kit.compiled import cache_folder
 from .ports import BASE, GAIN
 
 DOMAINS = range(1, 101)  # 0 is everybody's default; above 101 the ports of Linux' ephemeral range begin
+BEYOND = (*range(215, 232), *range(101, 215))  # when those are taken: first what is above that range
 HIGHEST = 232  # what DDS can number
 SIOCGIFFLAGS, IFF_UP = 0x8913, 1  # of Linux: <net/if.h>
 
@@ -28,7 +30,8 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
     A domain is taken while some process holds the lock on its file in the user's cache folder or, whosever it is, its
     name among the abstract sockets of the host; the operating system drops both of a dead process. One that a ROS
     session of this host works in, whoever started it, is not chosen either: it holds ports of that domain. The search
-    starts at the process number, so that two runs in a row seldom share a domain and see each other's ghosts.
+    starts at the process number, so that two runs in a row seldom share a domain and see each other's ghosts. It goes
+    on in `BEYOND` when all of `DOMAINS` are taken.
 
     Parameters
     ----------
@@ -38,25 +41,26 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
     Yields
     ------
     int
-        `wanted`, or 1 to 100.
+        `wanted`, or 1 to 231.
 
     Raises
     ------
     ScenarioError
         `wanted` is no domain.
     RunError
-        `wanted`, or every domain, is taken.
+        `wanted`, or every domain, is taken; says by whom.
 
     Examples
     --------
     >>> with free_domain() as number:
-    ...     1 <= number <= 100
+    ...     1 <= number <= 231
     True
     """
     if wanted is not None and not 0 <= wanted <= HIGHEST:
         raise ScenarioError(f"domain {wanted}: expected 0 to {HIGHEST}")
     start = os.getpid()
-    choice = [DOMAINS[(start + i) % len(DOMAINS)] for i in range(len(DOMAINS))] if wanted is None else [wanted]
+    usual = [DOMAINS[(start + i) % len(DOMAINS)] for i in range(len(DOMAINS))]
+    choice = [*usual, *BEYOND] if wanted is None else [wanted]
     busy = set() if wanted is not None else inhabited()
     for number in choice:
         if number in busy:
@@ -75,8 +79,27 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
         finally:
             os.close(file)
         return
-    names = f"domain {wanted} is" if wanted is not None else f"all DDS domains {DOMAINS[0]} to {DOMAINS[-1]} are"
-    raise RunError(f"{names} in use by other runs on this host")
+    names = f"domain {wanted} is" if wanted is not None else f"all DDS domains {DOMAINS[0]} to {max(choice)} are"
+    raise RunError(f"{names} in use by other runs on this host{holders(choice)}")
+
+
+def holders(domains: Iterable[int]) -> str:
+    """Say in brackets which processes hold the names of domains, as far as this user may see that; empty for none."""
+    names = {f"@softrig-domain-{number}" for number in domains}
+    with suppress(OSError):  # not Linux
+        lines = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()]
+        sockets = {f"socket:[{words[6]}]" for words in lines if words[-1] in names}
+        found: Counter[str] = Counter()
+        for entry in Path("/proc").glob("[0-9]*/fd/*") if sockets else ():
+            with suppress(OSError):  # another user's, or gone
+                if os.readlink(entry) in sockets:
+                    process = entry.parents[1]
+                    found[f"process {process.name} ({(process / 'comm').read_text().strip()})"] += 1
+        if hidden := len(sockets) - found.total():
+            found["processes of other users"] += max(0, hidden)
+        told = [f"{count} by {who}" for who, count in found.most_common(3) if count]
+        return f" ({', '.join(told)}{', ...' if len(found) > len(told) else ''})" if told else ""
+    return ""
 
 
 def join_domain(number: int) -> int:

@@ -15,6 +15,7 @@ from ..rig.installed import load_main
 
 PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
 LOOPBACK = PROFILE.with_name("fastdds_loopback.xml")  # the same for who is not to be reached from elsewhere
+NETWORK = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")  # who sets one wants other hosts
 MARGIN = 2  # s: an announcement in 0.5 s renews the lease; on a busy host it comes late
 
 
@@ -38,6 +39,12 @@ def find_executable(package: str, executable: str) -> Path:
                             "is in the folder that --workspace DIR names before the verb")  # fmt: skip
     raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, there)}; it has "
                         f"{', '.join(there)}")  # fmt: skip
+
+
+def default_profile() -> Path:
+    """Give the profile of a process that is given none: only who asks for other hosts is reached from them."""
+    asked = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("SUBNET", "SYSTEM_DEFAULT")
+    return PROFILE if asked or any(map(os.environ.get, NETWORK)) else LOOPBACK
 
 
 def environment(
@@ -84,7 +91,7 @@ def node_main(package: str, executable: str, arguments: list[str]) -> int:
         No such executable, or its module cannot be imported.
     """
     path = find_executable(package, executable)
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(default_profile()))
     main = load_main(package, executable)
     sys.stdout.flush()
     if main is None:

@@ -32,6 +32,8 @@ class Placement:
         In lockstep: simulated by wall-clock time, 0 for as fast as it goes.
     record : bool
         Whether nodes record what they publish; without, the recording is empty.
+    restart : int
+        In lockstep, of nodes that have a process each: how often one that was killed is started again.
     """
 
     mode: Literal["processes", "container", "inprocess"] = "processes"
@@ -43,6 +45,7 @@ class Placement:
     paused: bool = False
     pace: float = 0.0
     record: bool = True
+    restart: int = 0
 
     def __str__(self) -> str:
         """Say in one word or two where nodes live and what they go by."""

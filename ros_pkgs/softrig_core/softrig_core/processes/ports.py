@@ -14,6 +14,8 @@ import time
 
 BASE, GAIN = 7400, 250  # of the well-known ports: a domain has that many numbers
 WELL_KNOWN = {"offsetd0": 0, "offsetd1": 10, "offsetd2": 1}
+STANDARD = 11  # of the user ports
+HIGHEST = 65_535  # the last domain of all has no room for others
 USER = range(76, 188)  # of a domain's numbers, those that no other has, even two further for each of 32 participants
 UNIQUE = 400  # Fast DDS looks for a port of its own for what ROS says of its nodes in so many below the base
 FLOWS = range(BASE - 3 * UNIQUE, BASE - UNIQUE)  # of the whole host; other participants take those above
@@ -25,15 +27,17 @@ def of_domain(domain: int) -> range:
     return range(BASE + GAIN * domain, BASE + GAIN * (domain + 1))
 
 
-def chosen(now: float | None = None) -> dict[str, int]:
+def chosen(domain: int, now: float | None = None) -> dict[str, int]:
     """Give the port parameters of a participant that begins now, as a Fast DDS profile names them.
 
     Parameters
     ----------
+    domain : int
     now : float, optional
         s, of a clock that all processes of a host share.
     """
     turn = (time.monotonic() if now is None else now) / AROUND % 1
     base = FLOWS[0] + UNIQUE + int(turn * UNIQUE)
-    offsets = WELL_KNOWN | {"offsetd3": USER[int(turn * len(USER))]}
+    user = USER[int(turn * len(USER))] if of_domain(domain)[-1] <= HIGHEST else STANDARD
+    offsets = WELL_KNOWN | {"offsetd3": user}
     return {"portBase": base} | {name: BASE - base + offset for name, offset in offsets.items()}

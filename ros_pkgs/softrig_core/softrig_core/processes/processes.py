@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ScenarioError
+from ..guard import need_ros
+from ..rig.members import Member
 from ..rig.rig import Rig
 from ..wire.recording import Recording
 from .children import Child, last_line, read_status, stop
-from .domain import free_domain, require_loopback
+from .domain import DOMAINS, free_domain, holders, require_loopback
 from .executables import environment
 from .guests import Guests
 from .peers import starter
 from .placement import NOBODY, PROCESSES, Listener, Placement
+from .restarting import Restarts, check_restart
 from .shared_memory import lacking, remove_leftovers
 from .spawning import groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
@@ -78,8 +81,10 @@ def run_processes(
     Raises
     ------
     ScenarioError
-        A node refused its parameters.
+        A node refused its parameters, nodes of this placement could not be started again, or there is no ROS 2.
     """
+    need_ros()
+    check_restart(rig, placement)
     directory.mkdir(parents=True, exist_ok=True)
     domain, only, wait = placement.domain, placement.only, placement.wait
     if not only:  # parts on several hosts find each other over their network
@@ -92,6 +97,8 @@ def run_processes(
     with ExitStack() as stack:
         own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
+        if own_domain and domain not in DOMAINS and listener.announce is not None:
+            listener.announce(f"domain {domain}: {DOMAINS[0]} to {DOMAINS[-1]} are taken{holders(DOMAINS)}")
         remove_leftovers(domain if own_domain else None)
         members = groups(rig, placement.shared(rig), only)
         if listener.announce is not None and (why := lacking(len(members))):
@@ -99,6 +106,19 @@ def run_processes(
         variables = environment(
             domain, directory, discovery="SUBNET" if only else "LOCALHOST", silence=rig.scenario.timeout
         )
+        options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused,
+                   "run.pace": placement.pace}  # fmt: skip
+
+        def begin(group: list[Member], again: bool = False) -> list[Child]:
+            return start(rig, group, seed, directory, options, placement.record, variables, None if own_domain else (),
+                         returns=placement.restart > 0, again=again)  # fmt: skip
+
+        def restart(k: int) -> None:
+            with unstopped():
+                old, (children[k],) = children[k], begin([children[k].member], again=True)
+                os.close(old.end)
+
+        restarts = Restarts(placement.restart, restart, listener.announce)
         guests = Guests(rig, listener.announce)
         if listener.opened is not None:
             listener.opened(domain)
@@ -106,15 +126,14 @@ def run_processes(
             with stoppable() as stopping:
                 try:
                     guests.invite(domain)
-                    options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused,
-                               "run.pace": placement.pace}  # fmt: skip
                     for group in members:
                         # A signal waits until it is known who has been started; what Python does at a fork would
                         # swallow it with a traceback, besides.
                         with unstopped():
-                            children += start(rig, group, seed, directory, options, placement.record, variables,
-                                              None if own_domain else ())  # fmt: skip
-                    error = supervise(rig, children, listener.progress, guests, placement.clock == "realtime", stopping)
+                            children += begin(group)
+                    error = supervise(
+                        rig, children, listener.progress, guests, placement.clock == "realtime", stopping, restarts
+                    )
                 except KeyboardInterrupt as interrupt:
                     stopped = signal_of(interrupt)
                 finally:
@@ -126,6 +145,8 @@ def run_processes(
         with undisturbed() as later:  # what was recorded is not lost while it is gathered
             remove_leftovers(domain if own_domain and not external else None)
             recording, status = gathered(rig, directory, [c.member.name for c in children])
+        for name, count in restarts.counts.items():
+            status[name]["restarts"] = count
         stopped = next((number for number in (stopped, *late, *later) if number), 0)
     refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:

@@ -20,6 +20,7 @@ from .fork_server import LIBC, PR_SET_PDEATHSIG, start_node
 from .peers import links
 
 FILES = ("status", "shard")  # that a node writes
+DIED = ".shard.died"  # what the record of a node is called that has died and comes back
 
 
 def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = ()) -> list[list[Member]]:
@@ -61,20 +62,31 @@ def node_parameters(rig: Rig, member: Member, seed: int, mode: str, *,
 
 
 def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: dict[str, Any],
-           record: bool, variables: dict[str, str], recorders: Sequence[str] | None = None) -> list[Child]:  # fmt: skip
-    """Start a node, or several in a container; `recorders` as `node_parameters` takes them."""
+           record: bool, variables: dict[str, str], recorders: Sequence[str] | None = None, *, returns: bool = False,
+           again: bool = False) -> list[Child]:  # fmt: skip
+    """Start a node, or several in a container.
+
+    Parameters
+    ----------
+    recorders, returns
+        As `node_parameters` takes them.
+    again : bool
+        It has died, and comes back.
+    """
     log = directory / f"{'+'.join(m.name for m in group)[:200]}.log"
     given = {}
     for member in group:
         stem = directory / member.name
+        if again:
+            _keep_record(stem)
         for kind in FILES:
             stem.with_suffix(f".{kind}").unlink(missing_ok=True)
         given[member.name] = node_parameters(
-            rig, member, seed, options["run.mode"], recorders=recorders
+            rig, member, seed, options["run.mode"], recorders=recorders, returns=returns
         ) | options | {
             "run.shard": str(stem.with_suffix(".shard")) if record else "",
             "run.status": str(stem.with_suffix(".status")),
-        }  # fmt: skip
+        } | ({"run.again": str(directory), "run.paused": False} if again else {})  # fmt: skip
     if len(group) == 1:
         executable = find_executable(group[0].package, group[0].executable)
         arguments = _ros_arguments(group[0], given[group[0].name], directory)
@@ -84,7 +96,7 @@ def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: di
     # A process group of its own, so that Ctrl-C reaches the runner alone; not a session of its own, because Linux
     # schedules sessions against each other and a loop across them runs a fifth slower.
     command = [str(executable), *arguments]
-    with log.open("wb") as output:
+    with log.open("ab" if again else "wb") as output:
         process = start_node(
             executable.parent.name, executable.name, command, variables, output.fileno()
         ) or subprocess.Popen(
@@ -97,6 +109,13 @@ def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: di
         )
         for m in group
     ]
+
+
+def _keep_record(stem: Path) -> None:
+    """Keep the record of a node that died; of one that died while it came back, the longer one that it had before."""
+    shard, before = stem.with_suffix(".shard"), stem.with_suffix(DIED)
+    if shard.exists() and (not before.exists() or before.stat().st_size < shard.stat().st_size):
+        shard.replace(before)
 
 
 def container_arguments(

@@ -7,11 +7,13 @@ import select
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from ..rig.rig import Rig
 from .children import Child, is_held, last_line, read_status
 from .guests import Guests
 from .peers import starter
+from .restarting import Restarts
 from .stopping import Stopping
 
 GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
@@ -19,32 +21,35 @@ GRACE = 1.5  # s: after one node fails, how long the others may take to say what
 
 def supervise(
     rig: Rig, children: list[Child], progress: Callable[[int], object] | None, guests: Guests, realtime: bool,
-    stopping: Stopping,
+    stopping: Stopping, restarts: Restarts,
 ) -> str:  # fmt: skip
     """Wait until all have ended or one has failed; gives the reason of a failure.
 
     A node may wait for ever for a peer that has ended: it has the scenario's timeout, in realtime from the end of the
     run, in lockstep from the end of a node or the last progress. So has one whose process is stopped (SIGSTOP). One
     that never says anything of itself has the scenario's time for the start: its peers may wait for an outside node.
+    Where nodes that were killed are started again, a rig that stands for longer than a start may take is lost.
     """
     comes_up = time.monotonic() + rig.scenario.start_timeout
     late = math.inf if realtime else time.monotonic() + rig.scenario.timeout
     first = starter(rig)
-    plant = next((c for c in children if c.member is first), children[0])  # the first may run on another machine
-    last = -1
+    last, before = -1, dict[str, Any]()
     while True:
         stopping.check()
         running = [c for c in children if c.process.poll() is None]
-        failed = [c for c in children if c.process.poll() not in (None, 0)]
-        if failed:
-            return _reason(children, failed)
-        if not running:
+        started = dict(restarts.counts)
+        if failed := restarts.look(children):
+            return _reason(children, failed, restarts)
+        if restarts.counts != started:
+            comes_up = time.monotonic() + rig.scenario.start_timeout
+        if all(c.process.poll() == 0 for c in children):
             return ""
         states = {c.member.name: read_status(c.status) for c in children}
         guests.look(states)
         if time.monotonic() > comes_up and (mute := [n for n, state in states.items() if not state]):
             names, patience = ", ".join(mute), rig.scenario.start_timeout
             return f"node {names} has said nothing of itself within {patience:g} s of its start"
+        plant = next((c for c in children if c.member is first), children[0])  # the first may run on another machine
         state = states[plant.member.name]
         t = state.get("t", 0)
         busy = any(states[c.member.name].get("busy") for c in running)
@@ -52,6 +57,9 @@ def supervise(
             if late == math.inf and state.get("epoch"):
                 to_start = state["epoch"] / 1e9 - time.time()
                 late = time.monotonic() + to_start + rig.scenario.duration + rig.scenario.timeout
+        elif restarts.most:
+            if (now := {name: (s.get("t"), s.get("state")) for name, s in states.items()}) != before or busy:
+                before, late = now, time.monotonic() + max(rig.scenario.timeout, rig.scenario.start_timeout)
         elif t != last or busy or (len(running) == len(children) and not any(is_held(c) for c in running)):
             late = time.monotonic() + rig.scenario.timeout
         if time.monotonic() > late:
@@ -73,7 +81,7 @@ def _asleep(children: list[Child]) -> str:
     return f"node {names}: its process is stopped (SIGSTOP); it was waited for until the timeout" if names else ""
 
 
-def _reason(children: list[Child], failed: list[Child]) -> str:
+def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> str:
     """Say which node failed and why; a node that only waited for one that was itself waiting is not the cause."""
     if not any((c.process.returncode or 0) < 0 for c in failed):
         deadline = time.monotonic() + GRACE
@@ -93,7 +101,8 @@ def _reason(children: list[Child], failed: list[Child]) -> str:
         name = child.member.name
         if code < 0:
             t = read_status(child.status).get("t", 0) / 1e9
-            texts.append(f"node {name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s")
+            killed = f"node {name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s"
+            texts.append(killed + restarts.why(child.member))
         else:
             said = read_status(child.status).get("error")
             told = f"{name}: {said}" if said else last_line(child.log)

@@ -92,7 +92,7 @@ class DelayPlant(Plant[P]):
         p.cell[0] = x.cell
         type(self).loop(past, x.k * self.p.period, now, self._h, self._steps, p, self._nothing)
         after = None if x.past is None else x.past.after(past)
-        return self._state(*now[:size].tolist(), x.k + 1, int(p.cell[0]), x.delay, after)
+        return self._state(*now.tolist()[:size], x.k + 1, int(p.cell[0]), x.delay, after)
 
     def names(self) -> Sequence[str]:
         """Give the names of the state, which comes first in `begin`."""

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...processes.children import read_status
+from ...processes.spawning import DIED
 from ...wire.recording import Recording, shard_topics
-
-DIED = ".shard.died"  # what the file of a node is called when that has come back
 
 
 @dataclass

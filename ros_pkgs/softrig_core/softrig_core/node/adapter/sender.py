@@ -37,6 +37,7 @@ class Sender(Input):
         self.who = who
         self.stamp: int | None = None
         self._number = node.foreign.get(port.name)
+        self._valued = port.partial or port.delayed  # what an input holds is not only what the message says
 
     # the way of a message ------------------------------------------------------------------------------------------
 

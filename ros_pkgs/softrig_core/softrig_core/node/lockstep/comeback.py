@@ -177,6 +177,7 @@ class Comeback:
             reached = self._answered(row) if row.silent or isinstance(row, Ticks) else used
             row.resume(used, reached)
             row.heard = row.who in self.gone
+            row.have = row in drive.senders.unpaced  # for which nobody waits
             if heard is not None and isinstance(row, Counted):
                 row.count(heard.next, [t for t in heard.times[heard.next :] if t <= reached] if row.silent else [])
             if row.port.partial:
@@ -187,20 +188,23 @@ class Comeback:
                 heard.row.receive(data)
 
     def look(self) -> bool:
-        """Learn what nodes have said that have left before they knew this one; whether any has."""
-        files = self._look_up()
+        """Learn from the files, as they are now, what was said before this node was known; whether nodes have left."""
+        files = self._files = self._look_up()
         new = files.gone - self.gone
         self.gone |= new
-        for row in [r for r in (*self._drive.senders.rows, *self._drive.senders.unpaced) if r.who in new]:
-            row.heard = True
+        for row in (*self._drive.senders.rows, *self._drive.senders.unpaced):
+            row.heard = row.heard or row.who in new
+            if row.have and row.who not in new:
+                continue
             if not isinstance(row, Pace):
                 heard = _Heard(row, files, outside=False)
                 for k, (t, data) in enumerate(zip(heard.times, heard.data, strict=True)):
-                    if k >= row.received if isinstance(row, Counted) else t > row.used:
+                    if isinstance(row, Counted) and row.silent:
                         row.told(t, True)
+                    if k >= row.received if isinstance(row, Counted) else t > row.used:
                         row.receive(data)
             if row.silent or isinstance(row, Pace):
-                row.learn(row.schedule.last)
+                row.learn(self._answered(row))
         return bool(new)
 
     def _heard_of(self, row: Paired) -> int:

@@ -98,11 +98,7 @@ class Lockstep:
         awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
         # a node by itself hears itself, one in a container does not
         here = {*local, node.middleware.name} if local else set()
-        gone: Set[str] = set()
-        if node.files is not None:
-            self._comeback = Comeback(self, node.files)
-            gone = self._comeback.gone
-        solvers = [name for name in links.solvers if name not in here and name not in gone]
+        solvers = [name for name in links.solvers if name not in here]
         busy = hear_busy(node.middleware, max(1, len(solvers)), self._patient)  # an outside node may be one, too
         awaited += [(busy, name) for name in solvers]
         if isinstance(node.block, Solver):
@@ -110,10 +106,16 @@ class Lockstep:
         if not senders.rows and self.solving is None:
             # all that it needs is said in this process
             node.step.lacks = node.hold.holds if links.owns_clock else None  # type: ignore[attr-defined]
-        if self._comeback is not None:
+        gone: Set[str] = set()
+        if node.files is not None:
+            self._comeback = Comeback(self, node.files)
             self._comeback.go(ticks)
-        self._shake = lambda: Handshake(node, awaited, wanted, {*local, *gone})
-        self.handshake = self._shake()
+            gone = self._comeback.gone
+
+        def shake() -> Handshake:
+            return Handshake(node, [(i, who) for i, who in awaited if who not in gone], wanted, {*local, *gone})
+
+        self.handshake, self._shake = shake(), shake
         self._stalls.handshake = self.handshake
         self._begin = begin
         if self.solving is None:  # whose timers belong to the executor's thread
@@ -242,5 +244,5 @@ class Lockstep:
             if stands and self.ready:
                 self.spoken.again()
             if stands and self._comeback is not None and self._comeback.look():
-                self.handshake = self._shake()  # without those who have left
+                self._stalls.handshake = self.handshake = self._shake()  # without those who have left
         self._stalls.look()

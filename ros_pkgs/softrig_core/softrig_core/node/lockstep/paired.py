@@ -257,8 +257,9 @@ class Paired(Sender):
 
     def _accept(self, stamp: int, values: tuple[float, ...], position: int, data: bytes) -> None:
         if position == self.want and not self.have and not self.said and not self.silent:  # nearly always
-            self.record(self.node.t, data)
-            self.node.values[self.name] = self.value(stamp, values)
+            if self._number is not None:
+                self.record(self.node.t, data)
+            self.node.values[self.name] = self.value(stamp, values) if self._valued else values
             self.stamp = self.used = position
             self._arrived()
         elif self.node.links.returns and self._again(position):
@@ -276,10 +277,10 @@ class Paired(Sender):
             self.node.refuse(self, f"stamp {got:.9g} s from {self.who}, expected {want:.9g} s{twice}")
 
     def _again(self, position: int) -> bool:
-        """Whether a message is one that was there before, or older than one of which only the newest serves."""
-        return position <= self.used or position in self.said or (
-            not self.silent and bool(self.said) and position < max(self.said)
-        )  # fmt: skip
+        """Whether a message is one that was there before, or older than one that serves in its place."""
+        if position <= self.used or position in self.said:
+            return True
+        return not self.silent and any(position < p <= self.want for p in self.said)
 
     def _excuse(self, position: int | None) -> None:
         """The refused message counts as that of its tick."""
@@ -298,7 +299,8 @@ class Paired(Sender):
     def _put(self, position: int, found: Any) -> None:
         """Keep what was said at a tick, and use it if that completes what ours needs."""
         if not self.silent and position < self.want:
-            self.said.clear()  # of a faster sender only the newest may serve, when the run ends before its time
+            # of a faster sender only the newest may serve, when the run ends before its time
+            self.said = {p: said for p, said in self.said.items() if p > position}
         self.said[position] = found
         # News of silence and messages overtake each other: only what is told without a gap counts.
         while self.silent and (following := self.schedule.next(self.reached)) in self.said:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 
-from ...processes.executables import PROFILE
+from ...processes.executables import default_profile
 from ...processes.ports import chosen
 from ...processes.shared_memory import clear_ports, domain_id
 
@@ -41,7 +41,7 @@ def joining(*, exclusive: bool = False) -> Iterator[None]:
         It is no XML, or has no participant.
     """
     clear_ports(domain_id())
-    given = os.environ.get(VARIABLE) or str(PROFILE)
+    given = os.environ.get(VARIABLE) or str(default_profile())
     profile = own(Path(given).read_bytes(), exclusive=exclusive)
     with NamedTemporaryFile(prefix="softrig-", suffix=".xml") as file:
         file.write(profile)
@@ -74,7 +74,7 @@ def own(profile: bytes, *, exclusive: bool = False) -> bytes:
         rtps = _within(participant, f"{space}rtps")
         if rtps.find(f"{space}port") is None:
             ports = ElementTree.SubElement(rtps, f"{space}port")
-            for name, number in chosen().items():
+            for name, number in chosen(domain_id()).items():
                 ElementTree.SubElement(ports, space + name).text = str(number)
         if exclusive:
             properties = _within(_within(rtps, f"{space}propertiesPolicy"), f"{space}properties")

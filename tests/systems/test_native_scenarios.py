@@ -1,0 +1,189 @@
+"""Native code on every scenario: which go, why the others do not, and that what goes is what Python computes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import pytest
+from hypothesis import assume, given, settings, strategies as st
+from softrig_core import Observer, Recording, Rig, RunError, Scenario, ScenarioError, load_scenario, rig_of
+from softrig_core.block.change import changeable
+from softrig_core.block.params import flatten
+from softrig_core.native import engine
+from softrig_core.native.compile import plain
+from softrig_core.native.engine import Engine, Native, compiled
+from softrig_core.run.inprocess import record, wired
+from softrig_core.scenario.scenario_file import list_scenarios
+
+Make = Callable[..., Any]
+TICKS = 150  # of the clock
+SLOWEST = 4  # of the slowest member
+
+
+def typed(made: Any) -> Any:
+    """Run in Python the text that numba gets."""
+    return plain(made)
+
+
+def short(rig: Rig) -> float:
+    """Give a duration in which each member but those that watch answers some ticks, s."""
+    periods = [m.schedule.period for m in rig.members if not issubclass(m.block_class, Observer)]
+    wanted = float(max(TICKS * rig.clock.schedule.clock, SLOWEST * max(periods)))
+    return min(wanted, rig.scenario.duration or wanted)
+
+
+def ran(rig: Rig, make: Make | None) -> tuple[Recording, Mapping[str, Any], str, Native]:
+    """Run a rig in Python, tick by tick, or by a text as `make` makes it."""
+    recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+    steps = wired(rig, {m.name: m.block(rig.scenario.seed) for m in rig.members})
+    record(rig, steps, recording)
+    answers = Engine(list(steps.values()), make or plain)
+    error = ""
+    try:
+        for _ in answers.run() if make else answers.runner.run():
+            pass
+    except RunError as broken:
+        error = str(broken)
+    return recording, steps, error, answers.native
+
+
+def held(scenario: Any, make: Make = plain) -> Native:
+    """Hold both against each other: messages, reports, errors, states, times."""
+    found, others, other_error, native = ran(rig_of(scenario), make)
+    if not native.ticks:
+        return native
+    wanted, steps, error, _ = ran(rig_of(scenario), None)
+    assert other_error == error
+    assert found.topics == wanted.topics
+    for name, step in steps.items():
+        other = others[name]
+        assert repr(other.x) == repr(step.x) or other.x == step.x, name
+        assert (other.reports, other.t, repr(other.values), repr(other.said)) == (
+            step.reports, step.t, repr(step.values), repr(step.said)), name  # fmt: skip
+    return native
+
+
+def scenario(name: str, **more: Any) -> Scenario:
+    """Give a scenario of a short duration."""
+    found = load_scenario(name)
+    return found.having(duration=short(rig_of(name)), **more)
+
+
+# scenarios that go natively, by system; the others by what is in the way
+GOES = {
+    "dc_motor_fsfb": 35,
+    "dc_motor_smc": 42,
+    "induction_dtc": 20,
+    "lsrm_fuzzy": 40,
+    "manipulator_adsmc": 12,
+    "optimal_control": 6,
+    "pwa_delay": 4,
+    "rectifier_mpc": 16,
+    "rehab_impedance": 22,
+    "tcp_aqm_smc": 47,
+}
+STAYS = {
+    "CommandReplay.record: a tuple of 500, expected at most 64": 5,
+    "silent at some ticks": 72,
+    "Weights.__call__: .view() of ndarray": 8,
+    "pulses.gates: an array of something else than numbers": 2,
+    "many ticks are given up": 2,
+    "PvPlant.outputs: ArrayParams.sources.<locals>.<lambda>()": 33,
+    "Track.open: an assignment to a part of something": 4,
+    "RectifierPlant._moving: import": 34,
+    "_Base.fill: slice": 1,
+    "TcpPackets.seen: .inside of Traffic": 7,
+}
+
+
+def cause(reason: str) -> str:
+    """Give a reason without module, line and values."""
+    where, _, what = reason.rpartition(", line ")
+    return f"{'.'.join(where.split('.')[-2:])}: {what.partition(': ')[2]}" if where else reason
+
+
+def why_not(rig: Rig) -> str:
+    """Say what keeps a rig in Python that is known without a tick, which may take a minute of a solver."""
+    if any(m.external for m in rig.members):
+        return "external"
+    return "silent at some ticks" if any(p.sporadic for m in rig.members for p in m.outputs) else ""
+
+
+@pytest.fixture(autouse=True)
+def _each_its_own_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have no text of one scenario stand in the way of another's."""
+    monkeypatch.setattr(engine, "RUNS_A_TEXT", 0)
+
+
+@pytest.mark.long
+def test_every_scenario_is_what_it_is_in_python() -> None:
+    """By the text that numba gets and by the one that Python runs, on 150 ticks each."""
+    goes, stays = Counter[str](), Counter[str]()
+    for name, path in list_scenarios().items():
+        reason = why_not(rig_of(name))
+        if not reason:
+            natives = [held(scenario(name), make) for make in (typed, plain)]
+            reason = next((cause(n.reason) or "gives up" for n in natives if n.ticks <= n.given_up), "")
+        if reason:
+            stays[reason] += 1
+        else:
+            goes[next(system for system in (*GOES, path.stem) if path.stem.startswith(system))] += 1
+    assert (dict(goes), dict(stays)) == (GOES, STAYS)
+
+
+# one of each kind, and what may change while it runs
+SOME = ("dc_motor_smc_b2", "dc_motor_fsfb_s1", "rehab_impedance_r5", "tcp_aqm_smc_pid", "rectifier_mpc_l1",
+        "manipulator_adsmc", "induction_dtc", "lsrm_fuzzy")  # fmt: skip
+
+
+@st.composite
+def changed(draw: st.DrawFn, names: tuple[str, ...]) -> Scenario:
+    """Draw a scenario with parameters that change while it runs, and with a fault on a link."""
+    name = draw(st.sampled_from(names))
+    rig, changes = rig_of(name), []
+    live = {f"{m.name}.{p}": v for m in rig.members for p in changeable(type(m.params))
+            if isinstance(v := flatten(m.params).get(p), (bool, float))}  # fmt: skip
+    duration = short(rig)
+    for key in draw(st.lists(st.sampled_from(sorted(live)), max_size=3, unique=True)) if live else ():
+        value = live[key]
+        to = (
+            not value
+            if isinstance(value, bool)
+            else value * draw(st.floats(0.5, 1.5)) + draw(st.sampled_from((0.0, 0.1)))
+        )
+        changes.append({"at": draw(st.floats(0.01, 0.99)) * duration, "set": {key: to}})
+    faults: dict[str, Any] = {}
+    if draw(st.booleans()):
+        topic = draw(st.sampled_from(sorted(p.topic for m in rig.members for p in m.outputs if any(
+            link.port.topic == p.topic for other in rig.members for link in other.links.values()))))  # fmt: skip
+        kind, value = draw(st.sampled_from((("offset", 0.1), ("scale", 0.9), ("noise", 0.01), ("silence", None))))
+        faults["fault"] = {"link": topic, "kind": kind, "from": duration / 3} | ({"value": value} if value else {})
+    try:
+        found = scenario(name, changes=sorted(changes, key=lambda c: c["at"]), faults=faults)
+        rig_of(found)
+    except (ScenarioError, ValueError):
+        assume(False)
+    return found
+
+
+@given(changed(SOME))
+@settings(max_examples=6, deadline=None, derandomize=True)
+def test_what_changes_while_it_runs(case: Scenario) -> None:
+    held(case)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("make", [typed, plain])
+@given(data=st.data())
+@settings(max_examples=150, deadline=None)
+def test_what_changes_while_it_runs_at_length(make: Make, data: st.DataObject) -> None:
+    held(data.draw(changed(SOME)), make)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SOME)
+def test_numba_computes_what_python_does(name: str) -> None:
+    native = held(scenario(name), compiled)
+    assert native.ticks > native.given_up
