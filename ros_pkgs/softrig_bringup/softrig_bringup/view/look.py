@@ -86,8 +86,8 @@ svg { width: 100%; height: auto; max-height: 46vh; }
 """
 
 COME_BACK = """document.getElementById('lost').style.display = 'block'
-const come = answer => { if (answer.ok) location.reload() }
-setInterval(() => fetch(location.pathname, {cache: 'no-store'}).then(come, () => 0), 1000)
+const server = () => fetch('static/js/bokeh.min.js', {method: 'HEAD', cache: 'no-store'})
+const ask = setInterval(() => server().then(() => { clearInterval(ask); location.reload() }, () => 0), 1000)
 """
 
 TEMPLATE = (

@@ -110,6 +110,8 @@ class Page:
             "look": look, "drawn": self._drawing is not None, "curves": [name for name in roots if name[:5] == "curve"],
             "groups": [(name, title, what, opened) for name, _, title, what, opened in groups],
         })  # fmt: skip
+        # by itself Bokeh would take up the session again, of which a server that was started anew knows nothing
+        document.config.update(reconnect_session=False, notify_connection_status=False)
         document.js_on_event("connection_lost", CustomJS(code=COME_BACK))
         document.theme = Theme(json=theme(look))
         document.template = TEMPLATE

@@ -183,7 +183,8 @@ class Pages:
         host, chosen = free_address(address)
         for name in ("bokeh.server.protocol_handler", "bokeh.server.views.ws", "tornado.application"):
             logging.getLogger(name).addFilter(OneLine())
-        logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)  # a browser may be closed at any moment
+        for name in ("bokeh.server.views.ws", "bokeh.server.contexts"):  # a browser may be closed at any moment
+            logging.getLogger(name).setLevel(logging.ERROR)
         if host in LOOPBACK:
             origins = [f"{name}:{chosen}" for name in ("localhost", host)]
         else:  # whoever has the token may come by any name of this host, and Bokeh need not warn of that
