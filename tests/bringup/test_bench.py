@@ -5,9 +5,10 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from shutil import which
 
 import pytest
-from bench import induction, rectifier, systems
+from bench import induction, native, rectifier, systems
 from bench.__main__ import PARTS, main
 from softrig_core import bits
 from softrig_drives.induction_dtc.switching import VECTORS
@@ -31,6 +32,12 @@ def test_an_unknown_part_is_told(capsys):
         main(["lop"])
     assert ended.value.code == 2
     assert "no part lop; there are loop, tick" in capsys.readouterr().err
+
+
+@pytest.mark.long
+@pytest.mark.skipif(which("gcc") is None, reason="needs gcc")
+def test_the_loop_in_c_gives_the_bits_of_native_code():
+    assert all(ns > 0.0 for ns in native.rates(2.0).values())
 
 
 def test_nothing_of_it_is_installed_with_the_packages():
