@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shutil
 import sys
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from softrig_core.errors import ScenarioError
 from softrig_core.extras import need
 from softrig_core.guard import guarded
 
-from .outline import ROOT
+from .outline import ROOT, SYSTEMS
 
 
 def main() -> int:
@@ -36,9 +38,12 @@ def build(out: Path, sources_only: bool = False) -> int:
     from . import collect, gallery, reference
 
     source = out / "source"
+    _say("pages and their sources")
     shutil.rmtree(source, ignore_errors=True)
     collect.collect(source)
     gallery.write(source)
+    for system in SYSTEMS:
+        gallery.thumbnail(system, source)
     reference.write(source)
     gallery.write_indices(source)
     if sources_only:
@@ -49,18 +54,44 @@ def build(out: Path, sources_only: bool = False) -> int:
 
     from .notebooks import execute
 
+    _say("notebooks")
     execute(source)
+    _say("the site, by Sphinx: some minutes")
     shutil.rmtree(out / "html", ignore_errors=True)
     options = ["-q", "-W", "--keep-going", "-b", "html", "-c", str(Path(__file__).parent), "-d", str(out / "doctrees")]
     status = sphinx([*options, str(source), str(out / "html")])
+    for page in (out / "html").rglob("*.html"):
+        page.write_text(accessible(page.read_text(encoding="utf-8")), encoding="utf-8")
     print("there are warnings: see above" if status else f"wrote {out / 'html' / 'index.html'}",
           file=sys.stderr if status else sys.stdout)  # fmt: skip
     return 1 if status else 0
 
 
+def _say(what: str) -> None:
+    print(f"softrig: docs: {what}", file=sys.stderr, flush=True)
+
+
+def accessible(page: str) -> str:
+    """Give a page as Sphinx has made it without what keeps some readers out.
+
+    A cell without text is no head, what scrolls can be reached by keys, landmarks of one kind have names, a page has a
+    head.
+    """
+    page = re.sub(r"<th\b[^>]*>(?:\s|</?p>)*</th>", "<td></td>", page)
+    page = page.replace('<div class="table-wrapper', '<div tabindex="0" class="table-wrapper')
+    page = page.replace('<aside class="sidebar-drawer"', '<aside class="sidebar-drawer" aria-label="Pages"')
+    page = page.replace('<aside class="toc-drawer', '<aside aria-label="On this page" class="toc-drawer')
+    page = page.replace('<div id="search-results"', '<h1>Search</h1><div id="search-results"')
+    return page.replace(' aria-label="Toggle hidden content"', "")
+
+
 def serve(folder: Path, port: int) -> None:
     """Show a folder on the loopback address until Ctrl-C."""
-    with ThreadingHTTPServer(("127.0.0.1", port), partial(SimpleHTTPRequestHandler, directory=folder)) as server:
+    try:
+        made = ThreadingHTTPServer(("127.0.0.1", port), partial(SimpleHTTPRequestHandler, directory=folder))
+    except OSError as error:
+        raise ScenarioError(f"--serve {port}: {error.strerror}; 0 takes a port that is free") from None
+    with made as server:
         print(f"http://127.0.0.1:{server.server_port} (Ctrl-C ends it)", flush=True)
         try:
             server.serve_forever()

@@ -9,7 +9,7 @@ import re
 import shutil
 from pathlib import Path
 
-from .outline import ROOT, places
+from .outline import KEYWORDS, ROOT, places
 
 _COMMENT = re.compile(r"^<!--.*?-->\n|<!--.*?-->", re.S | re.M)
 _LINK = re.compile(r"(\]\()([^)\s]+)(\))")
@@ -28,6 +28,8 @@ def collect(site: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         text = page.read_text(encoding="utf-8")
         made = notebook(text, page, place, site) if page.suffix == ".ipynb" else moved(text, page, place, site)
+        if words := KEYWORDS.get(page.stem):  # the search knows them
+            made = f"---\nmyst:\n  html_meta:\n    keywords: {words}\n---\n\n{made}"
         target.write_text(made, encoding="utf-8")
 
 

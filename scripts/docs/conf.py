@@ -28,12 +28,14 @@ html_theme = "furo"
 html_title = "softrig"
 html_static_path = [str(Path(__file__).parent / "static")]
 html_css_files = ["softrig.css"]
-html_js_files = ["gallery.js"]
+html_js_files = ["gallery.js", "code.js"]
+html_favicon = str(Path(__file__).parent / "static" / "favicon.svg")
+html_search_scorer = str(Path(__file__).parent / "static" / "scorer.js")
 html_copy_source = False
 html_show_sphinx = False
 html_theme_options = {"navigation_with_keys": True}
-pygments_style = "friendly"
-pygments_dark_style = "monokai"
+pygments_style = "docs.style.Light"
+pygments_dark_style = "docs.style.Dark"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_member_order = "bysource"
@@ -76,7 +78,7 @@ def inline(translator: Any, node: Any) -> None:
 
 def block(translator: Any, node: Any) -> None:
     """Write a formula in lines of its own."""
-    translator.body.append(f'<div class="math">{mathml(node.astext(), as_block=True)}</div>')
+    translator.body.append(f'<div class="math" tabindex="0">{mathml(node.astext(), as_block=True)}</div>')
     raise SkipNode
 
 

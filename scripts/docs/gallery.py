@@ -5,8 +5,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
+import yaml
 from pages.generated import verdicts
-from softrig_core import list_scenarios, load_scenario
+from softrig_bags.read import signals
+from softrig_bringup.film.film import PAST, rows
+from softrig_bringup.film.svg import still
+from softrig_core import list_scenarios, load_scenario, rig_of
+from softrig_core.drawing import drawing_for
 
 from .outline import KINDS, ROOT, SYSTEMS, opening, pages, title
 
@@ -18,7 +24,7 @@ Closed loops over real ROS 2 topics **that give the same numbers every time**: p
 drives, power converters, robots and networks, each its own node, in one process or in ten, recorded and replayed bit
 for bit.
 
-![Speed of a DC motor under sliding mode control](pictures/dc_motor_smc_b2_1.png)
+![A robot in motion beside its curves, and a terminal in which its run is repeated](pictures/first_run.svg)
 
 ```bash
 scripts/softrig run dc_motor_smc --mode container
@@ -36,10 +42,18 @@ def sentences() -> dict[str, tuple[str, str]]:
     return {name: (scenario, text) for name, scenario, text in _ROW.findall(table)}
 
 
-def picture(name: str) -> str:
-    """Give the file name of a system's picture: its own, or the first of its page."""
-    found = re.search(r"!\[[^\]]*\]\(([\w.]+)\)", pages()[name].read_text(encoding="utf-8"))
-    return SYSTEMS[name].picture or (found[1] if found else "")
+def thumbnail(name: str, site: Path) -> None:
+    """Draw the plant of a system, on light and dark ground, at six tenths of its shortest-named golden bag."""
+    recipe = min(ROOT.glob(f"bags/{name}*/golden.yaml"), key=lambda path: (len(path.parent.name), path))
+    drawing = drawing_for(rig_of(yaml.safe_load(recipe.read_text(encoding="utf-8"))["scenario"]))
+    assert drawing is not None, name
+    found = signals(recipe.parent / "bag")
+    known = {n: found[n] for n in drawing.signals if n in found and found[n].t.size}
+    end = max(float(signal.t[-1]) for signal in known.values())
+    row = rows(known, np.linspace(0.0, 0.6 * end, PAST))
+    text = still(drawing, drawing.frame(row[-1], row[:-1] if drawing.trail else ()))
+    (site / "pictures").mkdir(exist_ok=True)
+    (site / "pictures" / f"{name}_drawing.svg").write_text(text, encoding="utf-8")
 
 
 def slug(text: str) -> str:
@@ -66,7 +80,7 @@ def write(site: Path) -> None:
         claims = verdicts(load_scenario(scenario).system)
         text += [
             f":::{{grid-item-card}} {title(pages()[name]).split(':')[0]}", f":link: {name}", ":link-type: doc",
-            f":img-top: ../pictures/{picture(name)}", f":img-alt: {title(pages()[name])}",
+            f":img-top: ../pictures/{name}_drawing.svg", f":img-alt: {title(pages()[name])}",
             f":class-item: {' '.join(map(slug, (system.field, *system.methods)))}", "",
             sentence, "", f"{{.tags}}\n{system.field} · {' · '.join(system.methods)}", "",
             f"{{.verdicts}}\nClaims of the paper: {claims}", "", f"{{.try}}\n`run {scenario}`", "",

@@ -20,9 +20,9 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "distribution", "workspace", "node", "two_machines", "continuous_integration", "python", "notebooks",
-         "studies", "send", "learning", "linear_view", "view", "bags", "bags_pandas", "reports", "paper_figures",
-         "outside_tools"),
+        ("set_up", "wheel", "upgrade", "view", "studies", "send", "reports", "continuous_integration", "python",
+         "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools", "node",
+         "workspace", "two_machines", "distribution"),
     ),
     "notebooks": (
         "Notebooks",
@@ -34,41 +34,62 @@ KINDS = {
         "Why it is as it is, and what you can rely on.",
         ("idea", "lockstep", "tick", "house", "placements", "bits", "verdicts", "solver"),
     ),
-    "reference": ("Reference", "Everything by name; most of it is made from the code.", ("scenario_file", "model_kit")),
+    "reference": (
+        "Reference",
+        "Everything by name; most of it is made from the code.",
+        ("scenario_file", "model_kit", "licences"),
+    ),
 }  # fmt: skip
+
+
+# what people look for by a word that the page does not have
+KEYWORDS = {
+    "send": "colleague, share, zip, archive, exchange, reproduce, repeat",
+    "upgrade": "update, migrate, migration, pull, newer, version, release",
+    "paper_figures": "latex, pgf, tikz, publication, matplotlib, thesis",
+    "continuous_integration": "junit, ci, github, gitlab, jenkins, regression",
+    "own_controller": "own, my, custom, controller, c++, foreign, node",
+    "own_package": "own, my, custom, plant, model, pendulum, template, new",
+    "dc_motor_smc": "overshoot, speed, chattering",
+    "view": "gui, live, slider, dashboard, knob, browser",
+    "tune": "gains, optimise, optimize, overshoot, pid, tuning",
+    "test_bench": "requirement, stl, fault, falsify, injection, hil",
+    "set_up": "install, installation, pip, offline, windows, docker",
+    "studies": "sweep, monte, carlo, grid, batch, parallel",
+    "learning": "gym, gymnasium, reinforcement, agent, rl",
+    "linear_view": "bode, nyquist, poles, margin, linearize, eigenvalues",
+    "outside_tools": "plotjuggler, foxglove, rviz, gif, video, animation",
+    "bags": "rosbag, mcap, record, replay",
+    "realtime": "hardware, loop, hil, latency, wall, clock",
+}
 
 
 class System(NamedTuple):
     """How the gallery sorts a system, what its card shows.
 
-    Field, methods, a scenario of another machine than the paper's, the picture (none: the first of its page).
+    Field, methods, a scenario of another machine than the paper's.
     """
 
     field: str
     methods: tuple[str, ...]
     another: str
-    picture: str = ""
 
 
 SYSTEMS = {
     "dc_motor_smc": System("drive", ("sliding mode", "PID", "observer"), "dc_motor_smc_re40"),
     "dc_motor_fsfb": System("drive", ("state feedback", "predictor", "observer"), "dc_motor_fsfb_ctms"),
-    "induction_dtc": System("drive", ("switching table",), "induction_dtc_4kw", "induction_dtc.svg"),
-    "lsrm_fuzzy": System("drive", ("fuzzy", "PID"), "lsrm_fuzzy_relay", "lsrm_fuzzy.svg"),
+    "induction_dtc": System("drive", ("switching table",), "induction_dtc_4kw"),
+    "lsrm_fuzzy": System("drive", ("fuzzy", "PID"), "lsrm_fuzzy_relay"),
     "pv_mppt": System("power", ("search",), "pv_mppt_kc200gt"),
-    "rectifier_mpc": System("power", ("predictive",), "rectifier_mpc_10kva", "rectifier_mpc_load_steps.png"),
-    "gupfc": System("power", ("PID",), "gupfc_345kv", "gupfc_response.png"),
-    "fault_location": System("power", ("estimation", "search"), "fault_location_500kv", "fault_location_waveforms.png"),
-    "economic_dispatch": System(
-        "power", ("optimal", "search"), "economic_dispatch_wood", "economic_dispatch_stacked.png"
-    ),
-    "manipulator_adsmc": System(
-        "robot", ("sliding mode", "adaptive"), "manipulator_adsmc_siciliano", "manipulator_adsmc.svg"
-    ),
-    "rehab_impedance": System("robot", ("impedance",), "rehab_impedance_winter", "rehab_impedance_r5.svg"),
-    "tcp_aqm": System("network", ("sliding mode", "PID"), "tcp_aqm_smc_hollot", "tcp_aqm_laws.png"),
-    "optimal_control_mvim": System("theory", ("optimal",), "optimal_control_mvim_wie", "optimal_control_plans.png"),
-    "pwa_delay": System("theory", ("stability proof", "state feedback"), "pwa_delay_hayes", "pwa_delay_margins.png"),
+    "rectifier_mpc": System("power", ("predictive",), "rectifier_mpc_10kva"),
+    "gupfc": System("power", ("PID",), "gupfc_345kv"),
+    "fault_location": System("power", ("estimation", "search"), "fault_location_500kv"),
+    "economic_dispatch": System("power", ("optimal", "search"), "economic_dispatch_wood"),
+    "manipulator_adsmc": System("robot", ("sliding mode", "adaptive"), "manipulator_adsmc_siciliano"),
+    "rehab_impedance": System("robot", ("impedance",), "rehab_impedance_winter"),
+    "tcp_aqm": System("network", ("sliding mode", "PID"), "tcp_aqm_smc_hollot"),
+    "optimal_control_mvim": System("theory", ("optimal",), "optimal_control_mvim_wie"),
+    "pwa_delay": System("theory", ("stability proof", "state feedback"), "pwa_delay_hayes"),
 }
 
 

@@ -28,7 +28,10 @@ PACKAGES = sorted(p.parent.name for p in ROOT.glob("ros_pkgs/*/setup.cfg"))
 
 def write(site: Path) -> None:
     """Write all generated pages of the reference."""
-    made = {"verbs": verbs, "nodes": all_nodes, "figures": figures, "faults": faults, "messages": messages,
+    (site / "reference" / "nodes").mkdir(exist_ok=True)
+    for name, text in all_nodes().items():
+        (site / "reference" / f"{name}.md").write_text(text, encoding="utf-8")
+    made = {"verbs": verbs, "figures": figures, "faults": faults, "messages": messages,
             "softrig_core": front_door}  # fmt: skip
     for name, page in made.items():
         (site / "reference" / f"{name}.md").write_text(page(), encoding="utf-8")
@@ -105,11 +108,12 @@ def _defaults(action: argparse.Action, parser: argparse.ArgumentParser) -> dict[
     return vars(action) | {"prog": parser.prog}
 
 
-def all_nodes() -> str:
-    """Every executable with its topics and parameters, from their declarations."""
+def all_nodes() -> dict[str, str]:
+    """Every executable with its topics and parameters, from their declarations: a page each, and their list."""
     parts = ["# Nodes", "", "Every executable of the packages: what it reads and publishes, its parameters with unit",
              "and bounds. `scripts/softrig node PACKAGE EXECUTABLE` starts one with the values given here.",
              ""]  # fmt: skip
+    pages: dict[str, str] = {}
     for package in PACKAGES:
         found = sorted(distribution(package).entry_points.select(group="console_scripts").names)
         shown = []
@@ -123,8 +127,14 @@ def all_nodes() -> str:
             parts += [f"## {package}", ""]
             for executable in shown:
                 head, tables = node(package, executable)
-                parts += [f"### `{executable}`", "", head, "", tables, ""]
-    return "\n".join(parts)
+                place = f"nodes/{package.removeprefix('softrig_')}_{executable}"
+                start = f"`scripts/softrig node {package} {executable}`"
+                pages[place] = "\n".join(
+                    [f"# {executable}", "", head, "", f"A node of {package}: {start}", "", tables, ""]
+                )
+                parts += [f"- [`{executable}`]({place}.md): {head.splitlines()[0]}"]
+            parts += [""]
+    return {"nodes": "\n".join([*parts, "```{toctree}", ":hidden:", "", *pages, "```", ""]), **pages}
 
 
 def figures() -> str:

@@ -10,6 +10,8 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- picture: dc_motor_smc_b2 1 -->                             plot entry of a scenario; anew only with --runs
     <!-- animation: lsrm_fuzzy 0.8 0.9 -->                          its plant from 0.8 s to 0.9 s; anew only with --runs
     <!-- rooms: softrig_core -->                                   rooms of a package, by their imports
+    <!-- licences: run -->                                         of what lock files pin, or of what casadi has inside;
+                                                                    anew only with --runs
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
 
@@ -39,10 +41,11 @@ from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import hold
 
 from . import drawn, numbers
+from .licences import licences
 from .plots import animate, animation, draw, picture
 from .rooms import rooms
 
-_KINDS = "rooms|nodes|claims|scenarios|sources|picture|animation|measured"
+_KINDS = "licences|rooms|nodes|claims|scenarios|sources|picture|animation|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 LONG = 6  # rows of measurements; more are folded
 ANIMATION = re.compile(r"<!-- animation: (\S+) (\S+) (\S+) -->")
@@ -53,7 +56,7 @@ def generate(page: str, runs: bool = False) -> str:
     """Give a page with its generated parts made anew; what is measured stays unless `runs`, which simulates."""
 
     def part(found: re.Match[str]) -> str:
-        if found[2] == "measured" and not runs:
+        if found[2] in ("measured", "licences") and not runs:
             return found[0]
         first, *words = found[3].split()
         made: dict[str, Callable[[], str]] = {
@@ -61,6 +64,7 @@ def generate(page: str, runs: bool = False) -> str:
             "scenarios": lambda: scenarios([first, *words]), "sources": lambda: sources([first, *words]),
             "picture": lambda: picture(first, int(words[0])), "animation": lambda: animation(first),
             "measured": lambda: measured(found[3]), "rooms": lambda: house(first),
+            "licences": lambda: licences(found[3]),
         }  # fmt: skip
         return f"{found[1]}\n{made[found[2]]()}\n\n{found[4]}"
 

@@ -173,8 +173,13 @@ def test_a_metric_that_cannot_be_computed_is_a_miss_with_its_reason(folder, monk
 
 def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch, undrawn):
     decoded = []
-    decode = signals._decode
-    monkeypatch.setattr(signals, "_decode", lambda topic, epoch: decoded.append(topic.name) or decode(topic, epoch))
+    joined = signals.Signals._joined
+
+    def noted(self, topic, parts):
+        decoded.append(topic.name)
+        return joined(self, topic, parts)
+
+    monkeypatch.setattr(signals.Signals, "_joined", noted)
     assert run("lag", "--mode", "inprocess", "--no-record") == 0
     assert sorted(decoded) == sorted(set(decoded))
     assert "lag/state" in decoded

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from conftest import PATIENCE, fork
@@ -15,6 +16,7 @@ from softrig_core.node.main import introduction
 from softrig_core.processes.executables import find_executable
 from softrig_core.rig.options import RunOptions
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
+from softrig_optim.sweep import progress
 
 SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"
 
@@ -91,6 +93,14 @@ def test_the_list_is_a_tree_where_it_is_narrow_and_one_line_a_scenario_in_a_pipe
     assert lines[branch].index("dc_motor_smc") < next(x for x in lines if "dc_motor_smc_b5_pid" in x).index(
         "dc_motor_smc"
     )
+    assert main(["list"]) == 0
+    folded = capsys.readouterr().out.splitlines()
+    assert not any("dc_motor_smc_b5_pid" in line for line in folded)
+    assert any("variant: list" in line or "variants: list" in line for line in folded)
+    assert main(["list", "dc_motor_smcc"]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "nothing matches 'dc_motor_smcc' (did you mean 'dc_motor_smc'?)" in said.err
     monkeypatch.delenv("COLUMNS")
     assert main(["list", "dc_motor_smc_b5_pid"]) == 0
     (line,) = capsys.readouterr().out.splitlines()
@@ -112,3 +122,38 @@ def test_a_node_by_hand_says_what_it_is_and_waits_for():
     assert "waits for motor/state" in text
     assert "publishes motor/command" in text
     assert "\n" not in text
+
+
+def test_quiet_prints_nothing_and_its_status_tells(tmp_path, capsys):
+    words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--no-plots", "--out", str(tmp_path / "run")]
+    assert main([*words, "--quiet"]) == 0
+    assert (tmp_path / "run" / "metrics.json").is_file()
+    assert capsys.readouterr() == ("", "")
+    assert main(["list", "-q", "dc_motor"]) == 0
+    assert main(["list", "dc_motor_smc_b2"]) == 0
+    assert "dc_motor_smc_b2" in capsys.readouterr().out  # and only then
+    assert main(["run", "-q", "dc_motor_smc_b9000", "--mode", "inprocess"]) == 2
+    assert "dc_motor_smc_b9000" in capsys.readouterr().err  # what goes wrong is said
+
+
+def test_figures_on_a_narrow_terminal_are_folded_between_words(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "50")
+    words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--no-plots", "--out", str(tmp_path / "run")]
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert (
+        lines[0].rstrip() == "dc_motor_smc_b2: DC motor rig, softened sliding"
+    )  # the title takes the terminal's width
+    assert max(map(len, lines)) <= 50
+    firsts = [line.split(" ")[0] for line in lines]
+    assert "total_" in firsts
+    assert "variation" in firsts
+
+
+def test_few_long_cases_tell_how_far_they_are_where_there_is_no_terminal(capsys, monkeypatch):
+    now = iter(range(0, 100, 6))
+    monkeypatch.setattr("softrig_optim.sweep.time", SimpleNamespace(monotonic=lambda: float(next(now))))
+    with progress("scenarios", 5) as advance:
+        for _ in range(5):
+            advance()
+    assert capsys.readouterr().err.splitlines() == ["softrig: scenarios: 2 of 5", "softrig: scenarios: 4 of 5"]

@@ -2,13 +2,16 @@
 
 import json
 import re
+import shutil
+import subprocess
 import urllib.parse
+import warnings
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from docs import collect, conf, gallery, outline, reference
-from docs.__main__ import build
+from docs import collect, conf, gallery, outline, reference, style
+from docs.__main__ import accessible, build
 from softrig_bringup import cli
 from softrig_core import ScenarioError
 from softrig_core.judge.registry import registered
@@ -59,8 +62,10 @@ def test_the_gallery_has_a_card_of_every_system_with_a_picture_that_is_there(tmp
     gallery.write(tmp_path)
     text = (tmp_path / "gallery/index.md").read_text()
     assert re.findall(r"^:link: (\w+)$", text, re.M) == list(outline.SYSTEMS)
-    for picture in re.findall(r"^:img-top: (\S+)$", text, re.M):
-        assert (tmp_path / "gallery" / picture).is_file(), picture
+    pictures = re.findall(r"^:img-top: (\S+)$", text, re.M)
+    assert pictures == [f"../pictures/{name}_drawing.svg" for name in outline.SYSTEMS]  # the site is built with all
+    gallery.thumbnail("tcp_aqm", tmp_path)
+    assert "prefers-color-scheme:dark" in (tmp_path / "pictures/tcp_aqm_drawing.svg").read_text()
     assert {p.stem for p in (tmp_path / "gallery").glob("*.md")} == {*outline.SYSTEMS, "index"}
 
 
@@ -73,9 +78,10 @@ def test_the_reference_has_everything_that_there_is():
     assert re.findall(r"^## (\w+)$", reference.figures(), re.M) == registered()
     assert all(f"`{name.replace('/msg/', '/')}`" in reference.messages() for name in TYPES)
     nodes = reference.all_nodes()
-    assert "### `dc_motor_plant`" in nodes
-    assert "| `current_a`" not in nodes
-    assert re.search(r"^\| `Kt` \| [\d.]+ \| N m/A \|", nodes, re.M)
+    assert "[`dc_motor_plant`](nodes/drives_dc_motor_plant.md)" in nodes["nodes"]
+    assert all(f"]({place}.md)" in nodes["nodes"] for place in nodes.keys() - {"nodes"})
+    assert "| `current_a`" not in (page := nodes["nodes/drives_dc_motor_plant"])
+    assert re.search(r"^\| `Kt` \| [\d.]+ \| N m/A \|", page, re.M)
     for home in reference.softrig_core._HOMES.values():
         assert all(f":: softrig_core.{name}\n" in reference.front_door() for name in home.split())
 
@@ -121,6 +127,71 @@ def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
                 assert urllib.parse.unquote(anchor) in found[there].names, (page, target)
     words = Path(html / "searchindex.js").read_text()
     assert "lockstep" in words
+
+    assert not re.search(r"<th[^>]*>(\s|</?p>)*</th>", (html / "reference/verbs.html").read_text())
+    assert '"latex"' in words  # which no page says
+    violated = violations(html, tmp_path)
+    assert not violated, violated
+
+
+def violations(html, folder):
+    """What axe-core finds on every page, light and dark; nothing where there is no browser or no npm."""
+    chromium, driver, npm = map(shutil.which, ("chromium", "chromedriver", "npm"))
+    got = npm and subprocess.run([npm, "install", "--prefix", folder, "axe-core@4"], capture_output=True, check=False)
+    if not (chromium and driver and got) or got.returncode:
+        return warnings.warn("accessibility not checked: no chromium, chromedriver or axe-core", stacklevel=2)
+    from selenium import webdriver
+
+    axe = (folder / "node_modules/axe-core/axe.min.js").read_text()
+    options = webdriver.ChromeOptions()
+    for option in ("--headless=new", "--no-sandbox", "--window-size=1400,1000", "--allow-file-access-from-files"):
+        options.add_argument(option)
+    options.binary_location = chromium
+    found = []
+    browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    try:
+        browser.set_script_timeout(120)
+        for scheme in ("light", "dark"):
+            wanted = [{"name": "prefers-color-scheme", "value": scheme}]
+            browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": wanted})
+            for page in sorted(html.rglob("*.html")):
+                browser.get(page.as_uri())
+                browser.execute_script(axe)
+                found += [(scheme, page.name, *violation) for violation in browser.execute_async_script(ASK)]
+    finally:
+        browser.quit()
+    return found
+
+
+ASK = """
+const done = arguments[arguments.length - 1];
+axe.run(document).then(r => done(r.violations.map(v => [v.id, v.nodes.length, v.nodes[0].html.slice(0, 160)])));
+"""
+
+
+def contrast(one, other):
+    """Ratio of the luminances of two colours, as WCAG 2 has it."""
+    lights = []
+    for colour in (one, other):
+        parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+        linear = [p / 12.92 if p <= 0.03928 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+        lights.append(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2] + 0.05)
+    return max(lights) / min(lights)
+
+
+@pytest.mark.parametrize("look", [style.Light, style.Dark])
+def test_every_colour_of_code_can_be_read(look):
+    assert contrast("#ffffff", "#000000") == pytest.approx(21.0)
+    for token, about in look:
+        if about["color"]:
+            assert contrast(f"#{about['color']}", look.background_color) >= 4.5, token
+
+
+def test_what_keeps_readers_out_is_gone_from_a_page():
+    page = '<th class="head"><p></p></th><th>a</th><div class="table-wrapper x"><aside class="sidebar-drawer">'
+    assert accessible(page) == (
+        '<td></td><th>a</th><div tabindex="0" class="table-wrapper x"><aside class="sidebar-drawer" aria-label="Pages">'
+    )
 
 
 @pytest.mark.parametrize("name", sorted(outline.pages()))

@@ -102,7 +102,7 @@ def test_both_robots_the_lsrm_and_the_flux_move_on_their_pages():
 
 
 def test_pictures_without_a_plot_entry_are_drawn_beside_their_page(tmp_path, monkeypatch):
-    assert {*drawn.PAGES} - {"house"} < SYSTEMS
+    assert {*drawn.PAGES} - {"house", "first_run"} < SYSTEMS
     monkeypatch.setattr(rectifier_mpc, "PICTURES", {"current": lambda figure: figure.text(0.5, 0.5, "i")})
     page = tmp_path / "rectifier_mpc.md"
     page.write_text("# Rectifier")
@@ -115,7 +115,21 @@ def test_pictures_without_a_plot_entry_are_drawn_beside_their_page(tmp_path, mon
 def test_the_pictures_of_a_page_are_those_that_its_module_draws(tmp_path, name):
     import_module(f"pages.drawn.{name}").draw(tmp_path)
     (page,) = (ROOT / p for p in PAGES if p.stem == name)
-    assert {p.name for p in tmp_path.iterdir()} <= set(re.findall(r"\((\w+\.png)\)", page.read_text()))
+    assert {p.name for p in tmp_path.iterdir()} <= set(re.findall(r"\((\w+\.(?:png|svg))\)", page.read_text()))
+
+
+def test_the_first_picture_moves_for_six_seconds_and_ends_in_a_run_that_repeats():
+    """On light and dark ground, with nothing from elsewhere, small enough to be looked at by everybody."""
+    readme = (ROOT / "README.md").read_text()
+    picture = ROOT / re.search(r"!\[[^\]]{40,}\]\((\S+)\)", readme)[1]
+    text = picture.read_text()
+    assert picture.stat().st_size < 300e3
+    assert {float(s) for s in re.findall(r'dur="([\d.]+)s"', text)} <= {6.0, 6.05}
+    assert "prefers-color-scheme:dark" in text
+    assert not re.search(r"(?:href|src|url)\s*[=(]\s*[\"']?(?!#|url)(?:https?:)?//", text)
+    assert re.findall(r">([^<]+)</text>", text)[-1].startswith(
+        "softrig: repeats rehab_impedance_r5.softrig.zip number for number"
+    )
 
 
 def test_measured_figures_are_those_of_a_run(monkeypatch):
@@ -210,7 +224,7 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
 
 
 def test_a_stale_page_is_told_and_mended(tmp_path, capsys):
-    source = ROOT / GENERATED[0]
+    source = next(ROOT / page for page in GENERATED if "| `period` |" in (ROOT / page).read_text())
     (tmp_path / "tests").symlink_to(ROOT / "tests")  # sources of its numbers
     page = tmp_path / "page.md"
     page.write_text(source.read_text().replace("| `period` |", "| `periode` |", 1))
@@ -218,6 +232,15 @@ def test_a_stale_page_is_told_and_mended(tmp_path, capsys):
     assert "is not as the code says" in capsys.readouterr().out
     assert pages.main([str(page)]) == 0
     assert page.read_text() == source.read_text()
+
+
+def test_every_package_of_a_set_up_stands_under_its_licence():
+    rows = (ROOT / "ros_pkgs/softrig_bringup/doc/licences.md").read_text().partition("<!-- end -->")[0]
+    told = {name: row.split("|")[1].strip() for row in rows.splitlines() if row.startswith("| ")
+            for name in row.split("|")[2].strip().split(", ")}  # fmt: skip
+    lock = (ROOT / "scripts/locks/run.lock").read_text()
+    assert set(re.findall(r"^([\w.-]+)==\S+ \\$", lock, re.M)) <= told.keys()  # those that every machine gets
+    assert told["casadi"] == "LGPL-3.0-or-later"
 
 
 @pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
@@ -228,7 +251,7 @@ def test_commands_and_links_of_a_page_exist(page):
     for verb, rest in re.findall(r"^    scripts/softrig (\w+)([^#\n]*)", text, re.M):
         assert verb in verbs, verb
         word = rest.split()[0] if rest.split() else ""
-        if verb == "run":
+        if verb == "run" and word != "--like":
             assert word in names, rest
         if verb == "study":
             assert word in names | studies, rest

@@ -2,6 +2,7 @@
 
 import base64
 import importlib
+import json
 import re
 import struct
 from pathlib import Path
@@ -15,6 +16,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from softrig_bringup.cli import main
 from softrig_bringup.folder import RUN
+from softrig_bringup.options.repeat import for_reader
 from softrig_bringup.page.citations import cited
 from softrig_bringup.page.diagram import draw_diagram
 from softrig_bringup.page.wiring import Node, Wire, Wiring, columns, wiring_of
@@ -337,11 +339,39 @@ def test_a_band_is_of_seeds_of_the_same_code_and_parameters_that_ended(changes, 
 
 def test_what_differs_between_runs_is_said():
     runs = [run_of(), run_of(code={"my_laws": "bbb"}, parameters={"gain": {"k": 2.0}}, seed=7)]
-    assert differing(runs) == {"seed": ["0", "7"], "code of my_laws": ["aaa", "bbb"], "gain.k": ["1.0", "2.0"]}
+    found = {"seed": ["0", "7"], "code of my_laws": ["aaa", "bbb"], "gain.k": ["1.0", "2.0"]}
+    assert differing(runs) == (found, {})
     text = "".join(t for element in differences(runs, ["a", "b"]) for t in element.itertext())
     assert "code of my_lawsaaa in abbb in b" in text
     (_, nothing) = differences([run_of(), run_of()], ["a", "b"])
     assert "equal code" in nothing.text
+
+
+def test_what_a_person_changed_comes_first_and_what_follows_is_folded_without_escapes():
+    limits = [{"gain": {"k": k, "figures": json.dumps({"a": [{"end": k}], "b": 1})}} for k in (1.0, 2.0)]
+    runs = [run_of(parameters=limits[0]), run_of(parameters=limits[1], changed=("load=2", "seed 7"), seed=7)]
+    changed, follows = differing(runs)
+    assert changed == {"seed": ["0", "7"], "load": ["as in the scenario", "2"]}
+    assert follows == {"gain.k": ["1.0", "2.0"], "gain.figures.a[0].end": ["1.0", "2.0"]}
+    _, table, folded = differences(runs, ["a", "b"])
+    assert "gain" not in "".join(table.itertext())
+    assert folded.tag == "details"
+    assert "2 parameters that differ because of it" in "".join(folded.itertext())
+    by_name = [run_of(parameters=limits[0]), run_of(parameters=limits[1], changed=("gain.k=2",))]
+    assert differing(by_name)[0] == {"gain.k": ["1.0", "2.0"]}
+
+
+@pytest.mark.parametrize(("command", "said"), [
+    ("/home/me/softrig/scripts/softrig --workspace /home/me/ws run pump --mode inprocess --out /home/me/x",
+     "softrig run pump --mode inprocess"),
+    ("softrig run /home/me/softrig/config/scenarios/dc_motor_smc_b2.yaml --set a.b=/x",
+     "softrig run dc_motor_smc_b2 --set a.b=/x"),
+    ("softrig run '/home/me/my rigs/pump.yaml' --params-file /home/me/p.yaml",
+     "softrig run pump.yaml --params-file p.yaml"),
+    ("softrig run 'unbalanced", "softrig run 'unbalanced"),
+])  # fmt: skip
+def test_a_command_for_others_names_no_folder_of_its_maker(command, said):
+    assert for_reader(command) == said
 
 
 def test_code_is_told_apart_by_its_files_and_what_they_import(tmp_path, monkeypatch):

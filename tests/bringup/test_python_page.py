@@ -25,11 +25,19 @@ def test_the_loop_of_the_page_runs_and_settles_where_it_says(blocks, capsys):
     assert sum(1 for line in code.splitlines() if line.strip()) <= 20
 
 
+def test_a_run_goes_back(blocks, capsys):
+    known = {"__name__": "page"}
+    for block in blocks[:3]:
+        exec(block, known)
+    *_, last = blocks[2].splitlines()
+    assert capsys.readouterr().out.splitlines()[-1] == last.partition("  # ")[2]
+
+
 def test_its_linear_model_is_the_analytic_one(blocks, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     matplotlib.use("Agg")
     known = {"__name__": "page"}
-    exec(blocks[2], known)
+    exec(blocks[4], known)
     pole = -0.05 / np.sqrt(0.9)  # d/dh of -0.1 sqrt(h)
     assert known["u"][0] == pytest.approx(2.0 * np.sqrt(0.9), rel=1e-8)
     assert known["plant"].poles() == pytest.approx([pole], rel=1e-8)
@@ -41,6 +49,6 @@ def test_a_run_in_a_notebook(blocks, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     known = {"__name__": "page"}
     exec(blocks[0], known)
-    exec(blocks[1], known)
+    exec(blocks[3], known)
     assert "<Run of dc_motor_smc_b2 (inprocess, seed 0)" in capsys.readouterr().out
     assert (tmp_path / "speed.pdf").read_bytes().startswith(b"%PDF")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from softrig_bringup.cli import main, make_parser
+from softrig_bringup.cli import FORMER, main, make_parser
 from softrig_core import list_scenarios
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import PROFILE, find_executable
@@ -75,10 +75,24 @@ def test_every_package_is_described_and_depends_one_way():
         assert allowed is None or declared <= allowed, name
 
 
-def test_who_cites_names_the_version_that_is_there():
+def test_the_version_is_the_same_everywhere():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert (citation["version"], citation["license"]) == (project["version"], project["license"])
+    found = re.findall(r"^## (\S+)(?: \((\d{4}-\d\d-\d\d)\))?$", (ROOT / "CHANGELOG.md").read_text(), re.M)
+    assert next(pair for pair in found if pair[1])[0] == project["version"]
+    for manifest in ROOT.glob("ros_pkgs/*/package.xml"):  # with setup.cfg: test_workspace.py
+        assert f"<version>{project['version']}</version>" in manifest.read_text(), manifest
+
+
+def test_the_page_on_a_new_version_has_every_verb_that_has_another_name():
+    page = (ROOT / "ros_pkgs/softrig_bringup/doc/upgrade.md").read_text()
+    table = re.search(r"<!-- verbs -->\n(.*?)<!-- end -->", page, re.S)[1].replace("\\|", "|")
+    rows = dict(re.findall(r"^\| `softrig (\w+)` \| `softrig (.+)` \|$", table, re.M))
+    assert rows == FORMER
+    verbs = set(make_parser()._subparsers._group_actions[0].choices)
+    assert {new.split()[0] for new in rows.values()} <= verbs
+    assert not verbs & rows.keys()
 
 
 def test_links_of_who_contributes_lead_somewhere():

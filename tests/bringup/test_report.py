@@ -422,6 +422,7 @@ def test_columns_that_say_nothing_are_left_out(make_run):
 def test_report_shows_parameters_with_units_versions_and_command(make_run):
     page = Page(make_run() / "report.html")
     assert page.tags.count("details") == len(BLOCKS)
+    assert "Repeat this runsoftrig run flux_demo --set" in page.text  # not by the path of whoever ran it
     for text in ("J0.02 kg m²", "period0.001 s", platform.python_version(), "seed3", "ticks200"):
         assert text in page.text
 
@@ -464,6 +465,8 @@ def test_several_runs_get_an_index_and_stand_side_by_side(make_run, tmp_path):
     assert index[1] == ["first", "0.60695", "−1.25", "0.25"]
     assert compared[1] == ["second", "0.60695", "−1.25", "0.25"]
     assert page.references[:3] == ["#run-1", "#run-2", "#run-3"]
+    assert page.tags.count("section") == 3
+    assert page.tags.count("details") == 3 * (1 + len(BLOCKS))  # each run by itself is folded
     assert "This run has no pictures" in page.text
     assert not list(tmp_path.glob("*.part"))
 

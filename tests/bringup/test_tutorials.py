@@ -14,7 +14,15 @@ from softrig_bringup.cli import FOREIGN, SCRIPT, make_parser
 from softrig_core import simulate
 from softrig_core.processes.domain import free_domain
 
-GUIDES = ("bags_pandas", "linear_view", "paper_figures", "reports", "send", "studies")  # whose steps follow each other
+GUIDES = (
+    "bags_pandas",
+    "linear_view",
+    "paper_figures",
+    "reports",
+    "send",
+    "studies",
+    "upgrade",
+)  # whose steps follow each other
 TUTORIALS = (*KINDS["tutorials"][2], *GUIDES)
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$|(?<=\n\n)((?:    [^\n]*\n)+)", re.S | re.M)
 _COMMAND = re.compile(r"((?:scripts/)?softrig|ls|sed|export|cd|kill|python)\b")
@@ -111,7 +119,7 @@ def test_the_commands_of_a_tutorial_are_commands(name):
         if block.kind == "commands" and "<<" not in block.text:
             for line in re.sub(r"\\\n", " ", block.text).splitlines():
                 words = shlex.split(re.split(r" (?:\|\||&|2?>|#)", line)[0], comments=True)
-                if words[0] != "softrig":
+                if words[0] != "softrig" or words[1] == "--version":
                     continue
                 words = words[3:] if words[1] == "--workspace" else words[1:]
                 assert words[0] in known, line

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from types import SimpleNamespace
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import HTTPCookieProcessor, Request, build_opener, urlopen
@@ -18,12 +19,14 @@ from conftest import PATIENCE
 from softrig_bags.compare import compare
 from softrig_bags.read import signals
 from softrig_bringup.cli import main
+from softrig_bringup.view.beside import Beside
 from softrig_bringup.view.control import Control, Knob
 from softrig_bringup.view.page import Page, reach
 from softrig_bringup.view.serve import OneLine
 from softrig_bringup.view.sources import Recorded
 from softrig_bringup.view.tracks import Track
-from softrig_core import Recording, Signals, rig_of
+from softrig_core import Recording, Signals, load_scenario, rig_of
+from softrig_core.processes.placement import Placement
 
 
 @contextmanager
@@ -93,19 +96,24 @@ def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_t
     with running("view", *words, "--mode", mode, "--out", tmp_path / "seen") as process:
         url = address(process)
         first, second = Browser(url), Browser(url)
-        first.until(lambda: "paused" in first["state"].text and first["pace"].label == "resume")
+        first.until(lambda: "paused" in first["state"].text and first["hold"].label == "resume")
         for t in ("0.0001", "0.0002"):
             first.press("step")
             first.says("step: one step")
             first.until(lambda t=t: f">{mode}: {t} of 0.1 s, paused<" in first["state"].text)
-        first["dc_motor_smc.c"].value = -1.0
+        first["dc_motor_smc.c"].value = "-1.0"
         first.says("c out of range")
         second.says("c out of range")  # what one is refused, all can read
-        first.until(lambda: first["dc_motor_smc.c"].value == second["dc_motor_smc.c"].value > 0.0)
+        first.until(lambda: first["dc_motor_smc.c"].value == second["dc_motor_smc.c"].value != "-1.0")
+        first["pace"].value = "0.5"
+        first.says("pace 0.5")
+        second.says("pace 0.5")
+        second.until(lambda: second["pace"].value == "0.5")
         second.close()  # in the middle
-        first.press("pace")
+        first.press("hold")
         first.until(lambda: "ended" in first["state"].text)
-        first["dc_motor_smc.k"].value = 70.0
+        assert "the run is over" in first["state"].text
+        first["dc_motor_smc.k"].value = "70.0"
         first.says("refused: the run is over")
         speed = first["Speed follows its reference: motor/state/shaft/velocity"].data
         first.close()
@@ -198,14 +206,19 @@ def test_a_slider_turns_the_knob_of_its_number_and_follows_it():
     assert request == {"node": "noise", "set": {"probability": 0.25}}
     answered(False, "no")
     page.update()
-    assert (number.value, slider.value) == (1.0, 1.0)
+    assert (number.value, slider.value) == ("1.0", 1.0)
     slider.trigger("value_throttled", 0.25, 0.75)
     asked[-1][1](True, "")
     document.select_one({"name": "echo"}).text = document.select_one({"name": "beat"}).text
-    for _ in range(4):
-        page.update()
-    assert (number.value, slider.value) == (0.75, 0.75)
+    page.update()
+    assert (number.value, slider.value) == ("0.75", 0.75)
     assert len(asked) == 2
+    for typed in ("0,5", "0.5 V", ""):  # nothing that was typed is left out
+        number.value = typed
+        assert control.said[-1].text == f"noise.probability = {typed!r} refused: expected a number, such as 2.5 or 1e-3"
+    number.value = "5e-1"
+    assert asked[2][0] == {"node": "noise", "set": {"probability": 0.5}}
+    assert len(asked) == 3
 
 
 @pytest.mark.parametrize(("bounds", "value", "ends"), [
@@ -214,7 +227,7 @@ def test_a_slider_turns_the_knob_of_its_number_and_follows_it():
     ((0.0, 1.0), 0.01, (0.0, 1.0)),
 ])  # fmt: skip
 def test_a_slider_spans_what_is_near_its_value(bounds, value, ends):
-    assert reach(Knob("node", "name", "", "", value, float, bounds, False)) == ends
+    assert reach(Knob("node", "name", "", "", value, float, bounds)) == ends
 
 
 def test_what_is_asked_of_a_run_that_is_over_or_of_a_recording_is_refused_in_words():
@@ -232,3 +245,42 @@ def test_what_is_asked_of_a_run_that_is_over_or_of_a_recording_is_refused_in_wor
     assert control.knobs["dc_motor_smc.k"].value != 3.0
     answered(True, "")
     assert control.knobs["dc_motor_smc.k"].value == 3.0
+
+
+def test_the_knobs_of_the_laws_come_first_and_those_of_plants_and_sources_last():
+    control = Control(rig_of("dc_motor_smc_faults"), lambda *words: None, lambda: 0.0, lambda: "")
+    assert [*dict.fromkeys(control.roles.values())] == ["law", "fault", "source", "plant"]
+    assert next(iter(control.roles)) == "dc_motor_smc"
+    assert next(iter(control.knobs)).startswith("dc_motor_smc.")
+
+
+def test_pictures_begin_at_the_length_of_the_run_and_the_drawing_at_rest():
+    document, rig = Document(), rig_of("dc_motor_smc_b2")
+    source = Recorded(rig, Signals(Recording([])), {})
+    source.live, source.outcome, source.length = True, "", 6.0
+    control = Control(rig, lambda *words: None, lambda: 0.0, lambda: "", True, 1.0)
+    page = Page(document, source, control, lambda: ((), True), "me", "here", "light")
+    page.update()
+    assert (page.time.start, page.time.end) == (0.0, 6.0)
+    assert "<svg" in document.select_one({"name": "drawing"}).text
+    assert "0 of 6 s, paused" in document.select_one({"name": "state"}).text
+    control.held = False
+    echo, beat = (document.select_one({"name": name}) for name in ("echo", "beat"))
+    echo.text = beat.text
+    page.update()
+    assert "running at the wall&#x27;s pace" in document.select_one({"name": "state"}).text
+
+
+def test_a_page_that_breaks_is_started_again_and_at_last_the_run_is_let_go(tmp_path, capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr("softrig_bringup.view.beside.Remote", lambda *words: SimpleNamespace(
+        ask=lambda request, answered: asked.append(request), close=lambda: None))  # fmt: skip
+    page = Beside(load_scenario("dc_motor_smc"), tmp_path, Placement("container", paused=True, pace=1.0), "127.0.0.1:0")
+    monkeypatch.setattr(page, "_start", lambda: subprocess.Popen(["false"], stdin=subprocess.PIPE, text=True))
+    page.open(7)
+    page.keeper.join(PATIENCE)
+    said = capsys.readouterr().err
+    assert said.count("the page has broken (status 1): it is started again") == 3
+    assert said.count("the page has broken (status 1): the run goes on without it") == 1
+    assert asked == [{"node": "dc_motor_plant", "call": "resume"}]
+    page.close()

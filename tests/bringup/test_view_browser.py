@@ -1,7 +1,10 @@
 """The page in a real browser: values are read off it, a gain turned, a fault switched, a button pressed."""
 
 import json
+import os
 import shutil
+import signal
+from pathlib import Path
 
 import pytest
 from conftest import PATIENCE, SLOW_DRIVE
@@ -75,10 +78,10 @@ def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
         browser = Chromium(address(process))
         try:
             if pace == "lockstep":
-                browser.until(f"return {MODEL}.label === 'resume'", "pace")
+                browser.until(f"return {MODEL}.label === 'resume'", "hold")
                 browser.click("step")
                 browser.says("step: one step")
-            browser.turn("speed_controller.kp", "value", 2.5)
+            browser.turn("speed_controller.kp", "value", "2.5")
             browser.says("speed_controller.kp = 2.5")
             browser.turn("offset.active", "active", True)
             browser.says("offset.active = True")
@@ -87,7 +90,7 @@ def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
             browser.click("offset/toggle")
             browser.says("offset/toggle: toggle pressed")
             if pace == "lockstep":
-                browser.click("pace")
+                browser.click("hold")
             browser.until(f"return {MODEL}.text.includes('ended')", "state")
             browser.says("kp = 2.5 from this tick on")
             speed = browser.driver.execute_script(
@@ -113,3 +116,24 @@ def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
     said = capsys.readouterr().err
     late = pace == "real time" and "that run was late: " in said  # a machine that does not keep up
     assert "run number for number: " in said or (late and "differs from" in said), said
+
+
+@pytest.mark.long
+def test_a_page_whose_server_is_killed_comes_back_and_the_run_goes_on(tmp_path):
+    with running("view", "dc_motor_smc_b2", "--no-plots", "--out", tmp_path / "run") as process:
+        browser = Chromium(address(process))
+        try:
+            browser.until(f"return {MODEL}.label === 'resume'", "hold")
+            browser.driver.execute_script("window.before = true")
+            (page,) = (
+                int(found.parent.name) for found in Path("/proc").glob("[0-9]*/cmdline")
+                if b"softrig_bringup.view.serve" in (line := found.read_bytes()) and str(tmp_path).encode() in line
+            )  # fmt: skip
+            os.kill(page, signal.SIGKILL)
+            browser.until("return window.before === undefined && window.Bokeh !== undefined && Bokeh.documents.length")
+            browser.until(f"return {MODEL} && {MODEL}.label === 'resume'", "hold")
+            browser.click("hold")
+            browser.until(f"return {MODEL}.text.includes('the run is over')", "state")
+        finally:
+            browser.driver.quit()
+        assert process.wait(PATIENCE) == 0

@@ -11,9 +11,13 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from softrig_bringup.cli import make_parser
+from softrig_core.guard import WITHOUT_ROS
 
 ROOT = Path(__file__).parents[2]
-DEPENDENCIES = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+PAGE = (ROOT / "ros_pkgs/softrig_bringup/doc/wheel.md").read_text()
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+DEPENDENCIES, VERSION = PROJECT["dependencies"], PROJECT["version"]
 PACKAGES = sorted(p.parent.name for p in ROOT.glob("ros_pkgs/*/package.xml"))
 OURS = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "COLCON_", "SOFTRIG_", "ROS_", "PYTEST_")
 
@@ -54,6 +58,31 @@ def test_everything_is_in_it_and_nothing_of_this_machine(wheel):
     lines = [line.partition(": ")[2] for line in metadata.splitlines() if line.startswith("Requires-Dist:")]
     assert names(DEPENDENCIES) == names(line for line in lines if "extra ==" not in line)
 
+    assert metadata.partition("\n\n")[2].strip() == PAGE.strip()
+
+
+def test_its_page_shows_what_it_has():
+    shown = re.findall(r"^    softrig (\w+)", PAGE, re.MULTILINE)
+    assert {"list", "run", "new"} <= set(shown) <= set(make_parser()._subparsers._group_actions[0].choices)
+    assert not {"setup", "docs", "bench", "env"} & set(shown)
+    assert re.findall(r"scripts/softrig (\w+)", PAGE) == ["python", "VERB"]  # how it is made, and what to read instead
+
+
+WITHOUT = """
+import sys
+sys.modules |= dict.fromkeys(["rclpy", "std_msgs", "sensor_msgs", "geometry_msgs", "std_srvs", "rcl_interfaces"])
+from softrig_bringup.cli import main
+run = ["run", "dc_motor_smc_b2", "--no-plots", "--out"]
+for verb in ([*run, "one", "--mode", "inprocess"], ["bag", "info", "one/bag"], [*run, "two"], ["bag", "record"]):
+    print("status", main(verb), flush=True)
+"""
+
+
+def test_without_ros_what_needs_it_says_so_and_the_rest_works(tmp_path):
+    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert re.findall(r"^status (\d)", done.stdout, re.MULTILINE) == ["0", "0", "2", "2"]
+    assert done.stderr.splitlines() == [f"softrig: {WITHOUT_ROS}"] * 2
+
 
 def names(requirements):
     return {re.sub(r"[._]", "-", re.split(r"[ ;<>=]", line)[0]).lower() for line in requirements}
@@ -68,6 +97,7 @@ def use(prefix, folder, variables):
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
+    assert call("bin/softrig", "--version") == f"softrig {VERSION}\n"
     assert "dc_motor_smc_b2" in call("bin/softrig", "list")
     call("bin/softrig", "run", "dc_motor_smc_b2", "--no-plots", "--out", "out")
     metrics = json.loads((folder / "out" / "metrics.json").read_text())
@@ -88,6 +118,24 @@ def test_it_works_beside_the_packages_that_are_here(wheel, tmp_path):
     shared = Path(importlib.metadata.distribution("numpy").locate_file(""))
     (library / "shared.pth").write_text(f"import site; site.addsitedir({str(shared)!r})\n")
     use(prefix, tmp_path, environment(tmp_path, AMENT_PREFIX_PATH=sys.prefix))
+
+
+@pytest.mark.long
+def test_the_sdist_makes_the_same_wheel(wheel, tmp_path):
+    """From a checkout that is set up, where links in .ws lead to the packages once more."""
+    build = f"from hatchling.build import build_sdist; print(build_sdist({str(tmp_path)!r}))"
+    done = subprocess.run([sys.executable, "-c", build], cwd=ROOT, check=True, capture_output=True, text=True)
+    sdist = tmp_path / done.stdout.split()[-1]
+    assert sdist.name == f"softrig-{VERSION}.tar.gz"
+    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path, sdist]
+    subprocess.run(command, check=True, cwd=tmp_path)
+    (again,) = tmp_path.glob("*.whl")
+    assert contents(again) == contents(wheel)
+
+
+def contents(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        return {entry.filename: entry.CRC for entry in archive.infolist()}
 
 
 @pytest.mark.long

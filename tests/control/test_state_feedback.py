@@ -96,7 +96,7 @@ def test_other_gains_go_on_without_a_bump():
 def test_replay_is_the_plant_itself(late, commands, start):
     phi, gamma = zero_order_hold(MASSES[0], [[b] for b in MASSES[1]], 0.05)
     replay = CommandReplay(phi, gamma, 12)
-    history, x, past = (), np.array(start), [np.array(start)]
+    history, x, past = replay.nothing(), np.array(start), [np.array(start)]
     for u in commands:
         history = replay.record(history, u)
         x = np.array(phi) @ x + np.array(gamma)[:, 0] * u
@@ -107,10 +107,9 @@ def test_replay_is_the_plant_itself(late, commands, start):
 def test_replay_knows_how_far_back_it_can_see():
     phi, gamma = zero_order_hold(MOTOR[0], [[b] for b in MOTOR[1]], 0.01)
     replay = CommandReplay(phi, gamma, 5)
-    assert replay.present((), (1.0, 2.0), 0) == (1.0, 2.0)
-    history = ()
+    history = replay.nothing()
+    assert replay.present(history, (1.0, 2.0), 0) == (1.0, 2.0)
     for k in range(9):
-        assert (replay.present(history, (0.0, 0.0), 3) is None) == (k < 3)
+        assert history.known == min(k, 5)
         history = replay.record(history, float(k))
-    assert history == (8.0, 7.0, 6.0, 5.0, 4.0)
-    assert replay.present(history, (0.0, 0.0), 6) is None
+    assert history == ((8.0, 7.0, 6.0, 5.0, 4.0), 5)

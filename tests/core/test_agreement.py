@@ -51,7 +51,9 @@ def test_those_who_speak_of_one_quantity_must_agree(change, text):
 
 
 def test_the_last_digit_of_a_product_is_no_disagreement():
-    Rig.from_blocks({"one": Judge(mass=0.3), "other": Judge(mass=0.1 * 3.0)}, 1.0)
+    rig = Rig.from_blocks({"one": Judge(mass=0.3), "other": Judge(mass=0.1 * 3.0)}, 1.0)
+    masses = [m.params.mass for m in rig.members if m.name != rig.clock.name]
+    assert masses == [0.3, 0.1 * 3.0]
 
 
 def test_what_a_law_takes_for_granted_may_differ_and_is_told():

@@ -203,6 +203,31 @@ def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
     assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.3, script, faults=OFFSET), seed))
 
 
+@pytest.mark.parametrize("late", [-1, 0, 1])
+def test_sets_at_the_very_moment_of_a_tick_hold_from_one_tick_and_a_repetition_has_the_same_bytes(late):
+    """Of two people who turn one knob between the same two ticks the later one counts, and the other is told."""
+    rig, world, told = changed_rig("dc_motor_smc_b2", 0.1, {}), World(), []
+    run = SimulatedRig(rig, world, "lockstep")
+    law = run.adapters["dc_motor_smc"]
+    publish, seen = law.publish, []
+
+    def tick(t, rows):
+        publish(t, rows)
+        if len(seen) == 4:
+            for value in (30.0, 40.0):
+                world.at(world.now + max(late, 0), lambda value=value: told.append(law.step.set({"k": value})))
+            if late < 0:  # within the tick itself
+                told.append(law.step.set({"k": 20.0}))
+        seen.append(t)
+
+    law.publish = tick
+    assert set(run.run().values()) == {"done"}
+    script = dict(events(run.recording))
+    assert [*script.values()][-1] == {"dc_motor_smc.k": 40.0}
+    assert sum(map(bool, told)) == len(told) - len(script)
+    assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.1, script)))
+
+
 def test_of_a_flood_of_sets_each_holds_from_a_tick_or_is_named_as_replaced():
     """Also before the first tick, where each set once checked all that waited: a rig that was flooded never began."""
     rig, world, rng, told = changed_rig("dc_motor_smc_b2", 0.3, {}), World(), random.Random(1), []
@@ -254,13 +279,13 @@ def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
     assert main(["run", "--like", str(tmp_path)]) == 2
     assert "expected the directory of a run" in capsys.readouterr().err
     assert main(["run"]) == 2
-    assert "expected a scenario, or --like RUN" in capsys.readouterr().err
+    assert "expected a scenario, --like RUN, or --from RUN@T" in capsys.readouterr().err
 
 
 def test_of_nothing_no_repetition_is_said(tmp_path):
     run = simulate("dc_motor_smc_b2", duration=0.1)
-    before = Recalled(tmp_path, Namespace(), tmp_path, Recording(()), 0, {})
-    same, told = compared(before, run)
+    before = Recalled(tmp_path, Namespace(), tmp_path, Recording(()), 0, {}, {})
+    same, told = compared(before, run, {})
     assert not same
     assert told == [f"nothing of {tmp_path} could be compared: no message of any node that runs here"]
 

@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import event, given, strategies as st
 from rosbags.typesys import Stores, get_typestore
 from softrig_core import Refused, array, button, command, joint_state, number, reference, scalars, vector3, wrench
 from softrig_core.block.codec import Decoder, selection
@@ -182,12 +182,16 @@ def test_any_numbers_are_refused_or_what_they_are(port, numbers):
 def test_a_damaged_message_is_refused_or_finite(data):
     port = PORTS[0]
     whole = bytearray(port.layout().encode(123, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
+    numbers = st.integers(len(whole) - 32, len(whole) - 1)  # what is refused there is refused for its value
     for _ in range(data.draw(st.integers(1, 4))):
-        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+        whole[data.draw(numbers | st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    end = data.draw(st.just(len(whole)) | st.integers(0, len(whole)))
     try:
-        _, values = Decoder(port)(bytes(whole[: data.draw(st.integers(0, len(whole)))]))
+        _, values = Decoder(port)(bytes(whole[:end]))
     except Refused:
+        event("refused")
         return
+    event("taken")
     assert all(math.isfinite(v) for v in values)
 
 

@@ -398,3 +398,8 @@ def test_an_unknown_signal_is_explained(lag_rig):
         signals["lag/state/x/force"]
     with pytest.raises(KeyError, match="no topic for signal"):
         signals["nothing/x"]
+
+
+def test_a_topic_outlives_its_recording_and_its_neighbours(lag_rig):
+    topic = in_process(lag_rig).topics["lag/state"]
+    assert len(topic.data) == len(topic.times) == 101

@@ -103,6 +103,17 @@ def test_back_and_on_with_other_gains_is_the_run_that_had_them_from_there_on():
     assert session.recording.topics == plain.recording.topics != simulate(scripted).recording.topics
 
 
+def test_changes_of_the_scenario_are_taken_once_whenever_it_goes_back():
+    own = [{"at": 0.02, "set": {"dc_motor_smc.delta": 0.3}}, {"at": 0.07, "set": {"dc_motor_smc.delta": 0.8}}]
+    scenario = rig_of("dc_motor_smc", duration=0.1).scenario.having(changes=own)
+    session = Session(scenario)
+    for t in (0.01, 0.08, 0.05):
+        session.go()
+        session.rewind(t)
+    session.go()
+    assert session.recording.topics == simulate(scenario).recording.topics
+
+
 def test_a_branch_leaves_its_run_alone():
     session = short()
     session.go(0.03)

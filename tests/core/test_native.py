@@ -19,6 +19,7 @@ from softrig_core import (
     param,
     rig_of,
     scalars,
+    simulate,
 )
 from softrig_core.native import engine
 from softrig_core.native.compile import plain
@@ -79,6 +80,19 @@ def test_scenarios_are_what_they_are_in_python(name: str, monkeypatch: pytest.Mo
 def test_numba_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     native = the_same(lambda: rig_of("dc_motor_smc_c1", duration=1.0), monkeypatch, engine.compiled)
     assert native.ticks == 99
+
+
+def test_figures_of_many_runs_are_those_of_single_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit for bit, and what one run leaves behind does not reach the next."""
+    monkeypatch.setattr(engine, "_texts", [])
+    variants = [{"dc_motor_plant.J": inertia} for inertia in (3e-4, 4e-4, 5e-4, 3e-4)]
+    single, many = ([simulate("dc_motor_smc_c1", duration=20.0, overrides=v, runs=n) for v in variants]
+                    for n in (1, 10**6))  # fmt: skip
+    for one, other in zip(single, many, strict=True):
+        ticks = [run.blocks["dc_motor_plant"].native[0] for run in (one, other)]  # type: ignore[attr-defined]
+        assert ticks == [0, 1999]
+        assert repr([r.number for r in other.results]) == repr([r.number for r in one.results])
+        assert other.recording.topics == one.recording.topics
 
 
 SIGNAL = scalars("signal", "signal", {"x": "", "y": ""})
@@ -207,7 +221,8 @@ def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch
     steps = core(rig())
     monkeypatch.setattr(engine, "_texts", [])
     assert engine.unwanted(steps) == "750 answers a run, native code is worth its making from 4,000,000 on"
-    assert engine.unwanted(steps, 10_000) == ""
+    assert engine.unwanted(steps, 10**6).endswith("from 2,000 on")
+    assert engine.unwanted(core(rig(duration=2.0)), 10**6) == ""
     monkeypatch.setenv("SOFTRIG_JIT", "0")
     assert engine.unwanted(steps, 10_000) == "SOFTRIG_JIT=0"
 

@@ -64,6 +64,9 @@ def test_a_requirement_is_a_figure_of_a_run_and_passes_where_it_holds():
 def test_units_of_both_sides_must_fit_and_several_need_a_scale():
     with pytest.raises(ScenarioError, match="requirement it: 'm' beside 'N'"):
         figures_of(wired("always state <= command"))
+    with pytest.raises(ScenarioError, match=r"requirement it: .*a pure number' beside 'N'"):
+        figures_of(wired("always sin(state) <= command"))
+    figures_of(wired("always command <= 10 * sin(level)"))  # a number may stand for anything
     both = "always (state <= 1 and command <= 20)"
     with pytest.raises(ScenarioError, match=r"in N, m.*what counts as one"):
         figures_of(wired(both))

@@ -57,7 +57,8 @@ def test_units_that_do_not_fit_are_refused_where_the_rig_is_wired(units, message
 
 @pytest.mark.parametrize("units", [{}, {"voltage": ""}, {"voltage": "W/A"}, {"voltage": "kg m^2/s^3/A"}])
 def test_units_that_say_the_same_and_those_not_stated_fit(units):
-    Rig.from_blocks({"plant": buck(), "law": law(**units)}, 0.01)
+    rig = Rig.from_blocks({"plant": buck(), "law": law(**units)}, 0.01)
+    assert signal_units(rig)["buck/state/voltage/position"] == "V"
 
 
 def test_a_link_hands_on_the_units_of_what_it_carries():

@@ -3,7 +3,7 @@
 First the tests given (files or folders; all of them is an hour) are run once and told line by line which of them runs
 what: `--lines FILE` keeps that, or reads it when FILE is there. Then mutants are drawn among the lines that were run,
 the kind first, and each is run against its tests, the quickest first, until one fails. All this happens in a worktree
-of HEAD, at low priority. What survives is either equivalent, which a person says, or a hole.
+of HEAD, or of the commit that FILE is of, at low priority. What survives is equivalent, which a person says, or a hole.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import ast
 import json
 import os
 import random
+import signal
 import subprocess
 import sys
 import tempfile
@@ -33,7 +34,7 @@ class Tests:
         self.seconds: dict[str, float] = {}
         self.of_line: dict[str, dict[int, list[str]]] = defaultdict(lambda: defaultdict(list))
         self.failed: list[str] = []
-        for text in file.read_text().splitlines():
+        for text in file.read_text().splitlines()[1:]:
             told = json.loads(text)
             if told["outcome"] != "passed":
                 self.failed += [told["test"]] if told["outcome"] == "failed" else []
@@ -70,37 +71,45 @@ def _asserting(source: str) -> set[int]:
     return found
 
 
-def _run(tree: Path, arguments: list[str], limit: float | None = None, **variables: str) -> tuple[int | None, str]:
-    """Run pytest in the worktree; status, None when it took too long, and the end of what it said."""
-    command = ["nice", "scripts/softrig", "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments]
-    process = subprocess.Popen(command, cwd=tree, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                               stdin=subprocess.DEVNULL, env=os.environ | variables, process_group=0)  # fmt: skip
-    try:
-        said = process.communicate(timeout=limit)[0]
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, 9)
-        process.communicate()
-        return None, "took too long"
-    return process.returncode, said
+class Warm:
+    """Runs pytest in a worktree, again and again, without importing everything each time."""
+
+    def __init__(self, tree: Path) -> None:
+        command = ["nice", "scripts/softrig", "python", str(Path(__file__).with_name("warm.py"))]
+        self._process = subprocess.Popen(command, cwd=tree, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    def __call__(self, arguments: list[str], limit: float) -> int | None:
+        """Give pytest's exit status; None when it took more than `limit` s."""
+        self._process.stdin.write(json.dumps([arguments, limit]) + "\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
 
 
 def trace(tree: Path, what: list[str], out: Path) -> None:
-    """Run tests once; a line of JSON each goes to `out`."""
+    """Run tests once; a line of JSON each goes to `out`, behind one that says of which commit they are."""
+    out.write_text(f"{_head(tree)}\n")
     with tempfile.TemporaryDirectory() as folder:
         paths = f"{tree / TRACED}:{os.environ.get('PYTHONPATH', '')}"
-        status, said = _run(tree, ["-p", "lines_of_tests", *what], PYTHONPATH=paths, SOFTRIG_TRACED=folder,
-                            SOFTRIG_TRACED_TESTS=str(out.resolve()))  # fmt: skip
+        found = {"PYTHONPATH": paths, "SOFTRIG_TRACED": folder, "SOFTRIG_TRACED_TESTS": str(out.resolve())}
+        command = ["nice", "scripts/softrig", "python", "-m", "pytest", "-q", "-p", "lines_of_tests", *what]
+        status = subprocess.run(command, cwd=tree, env=os.environ | found, stdout=sys.stderr, check=False).returncode
     if status not in (0, 1):
-        raise SystemExit(f"the tests could not be run:\n{said[-2000:]}")
+        raise SystemExit("the tests could not be run")
 
 
-def met(tree: Path, known: Tests, under: str) -> dict[str, list[tuple[str, Mutant]]]:
+def _head(tree: Path) -> str:
+    return subprocess.run(["git", "rev-parse", "HEAD"], cwd=tree, check=True, capture_output=True, text=True).stdout[
+        :-1
+    ]
+
+
+def met(tree: Path, known: Tests, under: tuple[str, ...]) -> dict[str, list[tuple[str, Mutant]]]:
     """Mutants that a test meets, by kind."""
     found = defaultdict(list)
     for place in sorted(known.of_line):
-        if place.startswith(f"ros_pkgs/{under}") and "/test/" not in place:
+        if place.startswith(under) and "/test/" not in place:
             for mutant in mutants((tree / place).read_text()):
-                if known.meeting(place, mutant):
+                if any(line in known.of_line[place] for line in mutant.runs or (0, *known.of_line[place])):
                     found[mutant.kind].append((place, mutant))
     return found
 
@@ -113,12 +122,14 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=80)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=30.0, help="begin no further mutant after")
-    parser.add_argument("--under", default="", metavar="softrig_X/...", help="mutants of these files only")
+    parser.add_argument("--under", nargs="+", default=["ros_pkgs/"], metavar="PATH", help="mutants of these files only")
     parser.add_argument("--seconds", type=float, default=60.0, help="of tests a mutant, the quickest first")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the worktree goes then, too
     with tempfile.TemporaryDirectory(prefix="mutants") as folder:
         tree, lines = Path(folder) / "tree", options.lines or Path(folder) / "lines.jsonl"
-        subprocess.run(["git", "worktree", "add", "--detach", tree, "HEAD"], cwd=ROOT, check=True, capture_output=True)
+        commit = lines.read_text().split("\n", 1)[0] if lines.exists() else "HEAD"
+        subprocess.run(["git", "worktree", "add", "--detach", tree, commit], cwd=ROOT, check=True, capture_output=True)
         try:
             subprocess.run(["nice", "scripts/softrig", "setup", "test"], cwd=tree, check=True, capture_output=True)
             if not lines.exists():
@@ -135,9 +146,9 @@ def main() -> int:
 
 
 def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
-    all_of = met(tree, known, options.under)
+    all_of = met(tree, known, tuple(options.under))
     generator, tally, started = random.Random(options.seed), Counter(), time.monotonic()
-    done = set()
+    done, run = set(), Warm(tree)
     while tally["killed"] + tally["survived"] < options.count and time.monotonic() - started < 60 * options.minutes:
         kind = generator.choice([kind for kind in KINDS if all_of[kind]])
         place, mutant = generator.choice(all_of[kind])
@@ -149,8 +160,9 @@ def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
             compile(mutant.applied(source), place, "exec")
         except SyntaxError:
             continue
-        outcome, said = _tried(tree, known, place, mutant, options.seconds)
+        outcome, said = _tried(tree, run, known, place, mutant, options.seconds)
         tally[outcome] += 1
+        print(f"{sum(tally.values())}: {outcome} {place}:{mutant.start[0]} {mutant.kind}", file=sys.stderr, flush=True)
         if outcome != "killed":
             print(f"{outcome}: {place}:{mutant.start[0]} {mutant.told(source)} ({said})", flush=True)
     total = tally["killed"] + tally["survived"]
@@ -159,7 +171,9 @@ def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
     return int(tally["survived"] > 0)
 
 
-def _tried(tree: Path, known: Tests, place: str, mutant: Mutant, most: float) -> tuple[str, str]:
+def _tried(
+    tree: Path, run: Warm, known: Tests, place: str, mutant: Mutant, most: float
+) -> tuple[str, str]:  # fmt: skip
     """Run the tests of a mutant; whether one killed it, and how many there were."""
     tests = known.meeting(place, mutant)
     chosen, seconds = [], 0.0
@@ -174,10 +188,10 @@ def _tried(tree: Path, known: Tests, place: str, mutant: Mutant, most: float) ->
     asked.write_text("\n".join(chosen))
     try:
         file.write_text(mutant.applied(source))
-        status, _ = _run(tree, ["-x", f"@{asked}"], 120.0 + 10.0 * seconds)
+        status = run(["-x", f"@{asked}"], 120.0 + 10.0 * seconds)
     finally:
         file.write_text(source)
-    if status == 4 and _run(tree, ["--collect-only", f"@{asked}"])[0]:  # not because the mutant cannot be imported
+    if status == 4 and run(["--collect-only", f"@{asked}"], 120.0):  # not because the mutant cannot be imported
         return "not tried", "pytest does not find these tests by their names"
     return "survived" if status == 0 else "killed", f"{len(chosen)} of {len(tests)} tests, {seconds:.0f} s"
 

@@ -24,7 +24,6 @@ from softrig_power.lines.modal import (
     CLARKE,
     KARRENBAUER,
     KARRENBAUER_INVERSE,
-    phase_impedance,
 )
 from softrig_power.lines.section import Section
 
@@ -145,7 +144,8 @@ def test_branch_in_the_steady_state():
 def test_modal_transforms():
     np.testing.assert_allclose(CLARKE @ CLARKE.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(KARRENBAUER @ KARRENBAUER_INVERSE, np.eye(3), atol=1e-15)
-    transposed = phase_impedance(10.0 + 2.0j, 3.0 + 1.0j)
+    zero, positive = 10.0 + 2.0j, 3.0 + 1.0j  # of a transposed element: self (z0 + 2 z1)/3, mutual (z0 - z1)/3
+    transposed = np.full((3, 3), (zero - positive) / 3.0) + positive * np.eye(3)
     for modal in (
         CLARKE @ transposed @ CLARKE.T,
         KARRENBAUER @ transposed @ KARRENBAUER_INVERSE,

@@ -58,7 +58,8 @@ def test_nodes_that_must_agree_are_refused_by_name(scenario, change, quantity):
 def test_what_a_law_assumes_of_its_plant_may_be_wrong():
     for scenario, change in (("tcp_aqm_smc", {"tcp_fluid.N": 54}), ("optimal_control_mvim_s4", {}),
                              ("tcp_aqm_smc", {"aqm_controller.C": 3000.0})):  # fmt: skip
-        rig_of(load_scenario(scenario, change))
+        rig = rig_of(load_scenario(scenario, change))
+        assert all(rig.parameter(*name.split(".")) == value for name, value in change.items())
 
 
 def test_figures_of_the_queue_follow_the_set_point_and_the_network():

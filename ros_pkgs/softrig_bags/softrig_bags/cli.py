@@ -39,10 +39,9 @@ def _leaving(tool: Main) -> Main:
     @wraps(tool)
     def main(argv: Sequence[str] | None = None) -> int:
         status = tool(argv)
-        from .ros import Session
-
-        if Session.opened is not None:
-            leave([Session.opened.node], status)
+        ros = sys.modules.get(f"{__package__}.ros")  # whoever has opened a session has it
+        if ros is not None and ros.Session.opened is not None:
+            leave([ros.Session.opened.node], status)
         return status
 
     return main

@@ -9,11 +9,12 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
 from softrig_core.command_line import Parser, without_ros
-from softrig_core.guard import guarded
+from softrig_core.guard import guarded, quietly
 
 from .verbs import declared
 
@@ -97,7 +98,8 @@ def _verb(arguments: list[str]) -> int:
     if asks:
         completion.complete(parser)
     options = parser.parse_args(arguments)
-    return int(options.verb(options))
+    with quietly() if getattr(options, "quiet", False) else nullcontext():
+        return int(options.verb(options))
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -113,6 +115,9 @@ def make_parser() -> argparse.ArgumentParser:
     def verb(name: str, function: str, text: str, among: Any = verbs) -> argparse.ArgumentParser:
         sub: argparse.ArgumentParser = among.add_parser(name, help=text, description=text)
         sub.set_defaults(verb=partial(_late, function))
+        if name != "node":  # whose words are those of the executable
+            sub.add_argument("-q", "--quiet", action="store_true", default=argparse.SUPPRESS,
+                             help="print nothing but what goes wrong; the exit status tells")  # fmt: skip
         return sub
 
     declared.verbs(verb)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib.util
 import io
 import os
 import re
@@ -10,7 +11,7 @@ import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,12 @@ from .errors import RunError, ScenarioError
 # of terminals, all but tab and new line, and those that turn the direction of writing
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
 LINE = 1000  # characters of a failure that are shown
+_quiet = False
+# where its wheels are not to be had (they are for Linux on x86-64), everything else is as it is anywhere
+WITHOUT_ROS = (
+    "nodes, topics, recording and playing need ROS 2 (rclpy), which is not here: source a Jazzy installation; runs "
+    "with --mode inprocess, studies, falsification, reports and bags need none"
+)
 # the caller has named what cannot be read or written: bad input, nothing that broke
 _NAMED = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
 
@@ -63,10 +70,48 @@ def guarded(work: Callable[[], int]) -> int:
     except MemoryError:
         say("out of memory; a shorter run or a smaller size may fit")
         return 3
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "rclpy":
+            return _wrong(error)
+        say(WITHOUT_ROS)
+        return 2
     except Exception as error:
-        say(f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in "
-            f"{vars(error).get('log') or keep_traceback()}")  # fmt: skip
-        return 4
+        return _wrong(error)
+
+
+def _wrong(error: Exception) -> int:
+    say(f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in "
+        f"{vars(error).get('log') or keep_traceback()}")  # fmt: skip
+    return 4
+
+
+def need_ros() -> None:
+    """See to it that ROS 2 is there, for what is to run over topics.
+
+    Raises
+    ------
+    ScenarioError
+        It is not; says what can be done without.
+    """
+    if importlib.util.find_spec("rclpy") is None:
+        raise ScenarioError(WITHOUT_ROS)
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Print nothing on the standard output, and no progress; what goes wrong is said all the same."""
+    global _quiet
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+        _quiet = True
+        try:
+            yield
+        finally:
+            _quiet = False
+
+
+def is_quiet() -> bool:
+    """Whether nobody wants to read of progress (`quietly`)."""
+    return _quiet
 
 
 def say(what: object) -> None:

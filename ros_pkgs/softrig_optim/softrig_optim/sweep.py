@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -18,11 +19,13 @@ from typing import Any, TypeVar
 
 from softrig_core import ScenarioError
 from softrig_core.extras import need
+from softrig_core.guard import is_quiet
 
 C = TypeVar("C")
 R = TypeVar("R")
 
 ATTEMPTS = 3  # of a case whose worker died under it
+NEWS = 10.0  # s of wall-clock time between two lines of a few long cases
 AHEAD = 3  # cases handed to each worker at a time: none idles, and memory stays bounded
 
 
@@ -230,15 +233,20 @@ def _connected(scheduler: str) -> Any:
 
 @contextmanager
 def progress(title: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar on a terminal, a line every tenth elsewhere; gives a function to call for each case done."""
+    """Show a progress bar, a line now and then where there is no terminal; gives a function to call for each case."""
+    if is_quiet():
+        yield lambda: None
+        return
     if not sys.stderr.isatty():
-        count = 0
+        count, last = 0, time.monotonic()
 
         def advance() -> None:
-            nonlocal count
+            nonlocal count, last
             count += 1
-            if total >= 20 and count * 10 // total != (count - 1) * 10 // total:
-                print(f"softrig: {title}: {count} of {total}", file=sys.stderr)
+            tenth = total >= 20 and count * 10 // total != (count - 1) * 10 // total
+            if tenth or time.monotonic() - last > NEWS:
+                last = time.monotonic()
+                print(f"softrig: {title}: {count} of {total}", file=sys.stderr, flush=True)
 
         yield advance
         return

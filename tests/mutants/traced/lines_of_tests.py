@@ -31,7 +31,8 @@ def pytest_runtest_logfinish(nodeid, location):
         if head == f"# {nodeid}":
             for one in told:
                 place, _, line = one.rpartition(":")
-                ours.setdefault(place, set()).add(int(line or 0))
+                if line.isdigit():
+                    ours.setdefault(place, set()).add(int(line))
             file.unlink()
     test = {"test": nodeid, "seconds": round(seconds, 3), "outcome": lines.outcome,
             "lines": {file: sorted(numbers) for file, numbers in ours.items()}}  # fmt: skip

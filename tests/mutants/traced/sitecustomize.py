@@ -4,8 +4,10 @@ Python imports it at its start where this folder is on PYTHONPATH. A line is tol
 their speed. Needs Python 3.12.
 """
 
+import fcntl
 import os
 import sys
+from contextlib import suppress
 from functools import cache
 
 FOLDER = os.environ.get("SOFTRIG_TRACED")  # where what is found goes; without it nothing happens here
@@ -32,7 +34,8 @@ def told(code, line):
         if _out[0] < 0:
             found.setdefault(file, set()).add(line)
         else:
-            os.write(_out[0], f"{file}:{line}\n".encode())
+            with suppress(OSError):  # what runs here may have closed it
+                os.write(_out[0], f"{file}:{line}\n".encode())
     return events.DISABLE
 
 
@@ -47,7 +50,9 @@ def begin():
 def child():
     """Write to a file of this process from here on: it may end at any time."""
     name = os.environ.get("PYTEST_CURRENT_TEST", "")
-    _out[0] = os.open(f"{FOLDER}/{os.getpid()}", os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
+    opened = os.open(f"{FOLDER}/{os.getpid()}", os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
+    _out[0] = fcntl.fcntl(opened, fcntl.F_DUPFD_CLOEXEC, 500)  # not one that a test gives to a stream that it closed
+    os.close(opened)
     os.write(_out[0], f"# {name.rpartition(' ')[0]}\n".encode())
     events.restart_events()
 

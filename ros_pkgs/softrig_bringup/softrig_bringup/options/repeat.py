@@ -59,6 +59,29 @@ def scenario_word(name: str) -> str:
     return name if name == found and path.parent in known else str(path.absolute())
 
 
+def for_reader(command: str) -> str:
+    """Give a command that repeats a run as others can type it: without the folders of whoever ran it.
+
+    Parameters
+    ----------
+    command : str
+        As metrics.json has it.
+    """
+    try:
+        parts = shlex.split(command)
+    except ValueError:
+        return command
+    kept = [os.path.basename(parts[0])] if parts else []
+    left = iter(parts[1:])
+    for word in left:
+        if word in ("--workspace", "--out"):
+            next(left, "")
+            continue
+        shipped = word.endswith(".yaml") and Path(word).parent.parts[-2:] == ("config", "scenarios")
+        kept.append(Path(word).stem if shipped else os.path.basename(word.rstrip("/")) if word[:1] == "/" else word)
+    return shlex.join(kept)
+
+
 def joined(parts: Iterable[str]) -> str:
     """Join words for a shell."""
     return shlex.join(parts)

@@ -55,7 +55,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
     parser.add_argument("--connect", action="store_true", help="print how nodes of your own see the rig")
-    parser.set_defaults(view=False, paused=False, address="", recalled=None)  # those of the verb `view`
+    parser.set_defaults(view=False, paused=False, pace=0.0, address="", recalled=None)  # those of the verb `view`
 
 
 def _moment(text: str) -> tuple[Path, float]:
@@ -144,7 +144,7 @@ def placement_of(options: argparse.Namespace) -> Placement:
     from softrig_core.processes.placement import Placement
 
     return Placement(options.mode, "realtime" if options.realtime else "lockstep", options.domain, only=options.only,
-                     wait=options.wait, paused=options.paused, restart=options.restart)  # fmt: skip
+                     wait=options.wait, paused=options.paused, pace=options.pace, restart=options.restart)  # fmt: skip
 
 
 def changed_words(options: argparse.Namespace) -> list[str]:

@@ -93,7 +93,7 @@ pre { background: var(--panel); border: 1px solid var(--line); border-radius: 6p
   white-space: pre-wrap; overflow-wrap: anywhere; }
 .what, .note, figcaption { color: var(--soft); }
 .note, figcaption { font-size: .87rem; }
-* + .run { border-top: 3px solid var(--line); margin-top: 3rem; padding-top: .5rem; }
+* + section.run { border-top: 3px solid var(--line); margin-top: 3rem; padding-top: .5rem; }
 dl { margin: 0; }
 dt { color: var(--soft); font-size: .82rem; }
 dd { margin: 0; font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
@@ -138,10 +138,13 @@ figure { margin: 0 0 1.4rem; break-inside: avoid; }
 img { display: block; max-width: 100%; height: auto; }
 details { border-top: 1px solid var(--line); padding: .35rem 0; }
 summary { cursor: pointer; }
+details.run > summary { font-size: 1.15rem; font-weight: 600; padding: .4rem 0; }
 details .pairs { padding: .3rem 0 .6rem 1.1rem; }
 @media screen and (max-width: 640px) {
   main { padding: 1.2rem .9rem 3rem; }
-  figure { overflow-x: auto; }
+  figure, .wide { overflow-x: auto; }
+  figure::before, .wide::before { content: "\\2194  moves sideways"; position: sticky; left: 0; color: var(--soft);
+    font-size: .82rem; }
   figure img { max-width: none; width: 680px; }
   figcaption { position: sticky; left: 0; overflow-wrap: anywhere; }
   thead { display: none; }
@@ -164,7 +167,7 @@ details .pairs { padding: .3rem 0 .6rem 1.1rem; }
   img { filter: none; max-height: 235mm; width: auto; }
   h2, h3 { break-after: avoid; }
   tr { break-inside: avoid; }
-  * + .run { break-before: page; }
+  * + section.run { break-before: page; }
   .scroll { overflow: visible; }
   details::details-content { content-visibility: visible; block-size: auto; }
 }

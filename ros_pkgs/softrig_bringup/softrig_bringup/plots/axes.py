@@ -88,6 +88,8 @@ def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Arti
     wanted: list[float] = []
     for mark in marks:
         if mark.axis == "violated":
+            if mark.end * scale < x0 or mark.start * scale > x1:
+                continue
             thin = 0.001 * (x1 - x0)  # an instant is seen, too
             drawn["violated"] = ax.axvspan(mark.start * scale - thin, mark.end * scale + thin, **_VIOLATED)
             continue
@@ -201,10 +203,14 @@ def legend(
         text = f"{len(curves)} {what}, dark to light from first to last"
         ax.set_title(f"{title}: {text}" if title else text, loc="left", fontsize=9)
         return
-    names = [textwrap.fill(name, width) for name in (*(curve.label for curve in curves), *(n for _, n in marks))]
+    lines = [(line, c.label) for line, c in zip(ax.lines, curves, strict=False) if np.isfinite(line.get_ydata()).any()]
+    shown = [*lines, *marks]  # not what has no value here
+    if not shown:
+        return
+    names = [textwrap.fill(name, width) for _, name in shown]
     longest = max(map(len, names)) + 6
     ax.legend(
-        [*ax.lines[: len(curves)], *(artist for artist, _ in marks)],
+        [artist for artist, _ in shown],
         names,
         title=title or None,
         alignment="left",

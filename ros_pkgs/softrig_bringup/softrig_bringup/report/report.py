@@ -64,7 +64,9 @@ def write_report(directories: Sequence[Path], output: Path, labels: Sequence[str
             *differences(records, named),
             *overlaid(runs, named),
         ]
-        body += [run_section(*run, named[i], "h2", f"run-{i + 1}") for i, run in enumerate(runs)]
+        body.append(e("h2", "Each run by itself"))  # folded: what tells them apart stands above
+        for i, (run, name) in enumerate(zip(runs, named, strict=True), 1):
+            body.append(e("details", e("summary", name), run_section(*run, name, "h2", f"run-{i}"), class_="run"))
     if without:
         body.append(e("p", f"Left out, for want of a metrics.json: {', '.join(without)}", class_="note"))
     write_page(output, title, body)

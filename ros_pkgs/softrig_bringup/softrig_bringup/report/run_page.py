@@ -15,13 +15,18 @@ from softrig_core import ScenarioError
 from softrig_core.judge.units import pretty_unit
 from softrig_core.verdict.figures import Result
 
+from ..options.repeat import for_reader
 from ..page.citations import sources
-from ..page.diagram import draw_diagram
+from ..page.diagram import SMALLEST, draw_diagram
 from ..page.html import NONE, e, mark, picture, table
 from ..page.wording import NEVER, accepted, difference, measured, measured_here, number
 from ..plots.pictures import OVERVIEW, plot_name
 from .record import RunRecord
 from .redraw import draw_missing
+
+PHONE = 360  # px of a page on a narrow screen
+ELSEWHERE = ("For a machine that lacks the scenario or its packages, softrig pack makes one file of this run's folder; "
+             "softrig run --like FILE repeats it there.")  # fmt: skip
 
 
 def run_section(directory: Path, run: RunRecord, title: str, heading: str, anchor: str) -> Element:
@@ -44,7 +49,7 @@ def run_section(directory: Path, run: RunRecord, title: str, heading: str, ancho
         ("Figures", [metrics(run)]),
         ("Signals", list(_pictures(directory, run))),
         ("Block diagram", list(_rig(run))),
-        ("Repeat this run", [e("pre", run.command)]),
+        ("Repeat this run", [e("pre", for_reader(run.command)), e("p", ELSEWHERE, class_="note")]),
         ("Parameters", list(_parameters(run))),
         ("Changed while it ran", list(_changes(run))),
         ("Nodes", list(_nodes(run))),
@@ -161,7 +166,9 @@ def _rig(run: RunRecord) -> Iterator[Element]:
     """The block diagram."""
     wiring = run.wiring
     if wiring.nodes:
-        yield e("div", draw_diagram(wiring), class_="scroll")
+        diagram = draw_diagram(wiring)
+        least = float(diagram.attrib["viewBox"].split()[2]) * SMALLEST
+        yield e("div", diagram, class_="scroll wide" if least > PHONE else "scroll")
         notes = ["The plant, shaded, owns time.", "Dashed: a node outside, its parameters unknown.",
                  "A ring ends a topic that no node of the rig reads."]  # fmt: skip
         there = [any(n.plant for n in wiring.nodes.values()), any(n.outside for n in wiring.nodes.values()),

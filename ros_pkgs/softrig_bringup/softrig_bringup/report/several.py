@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from softrig_bags.errors import BagError
@@ -97,10 +99,16 @@ def _machine(run: RunRecord) -> dict[str, str]:
     return {k: v for k, v in run.versions.items() if k not in ("commit", "requirements.lock") or not run.code}
 
 
-def differing(runs: Sequence[RunRecord]) -> dict[str, list[str]]:
+def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
     """Give what differs between runs, by what it is: its value in each of them, as text; empty where it is not there.
 
-    Scenario, mode, length, what ended it, code of each package, nodes, parameters, seed, and what they ran on.
+    Returns
+    -------
+    changed : dict of str to list of str
+        What a person has done: another scenario, mode, seed or length, what the command line or a hand changed; code
+        of each package, nodes, what they ran on, and how they ended.
+    follows : dict of str to list of str
+        Parameters that differ because of it. Of runs between which nobody says what was changed, they are the change.
     """
     about: dict[str, Callable[[RunRecord], str]] = {
         "scenario": lambda r: r.scenario,
@@ -113,14 +121,44 @@ def differing(runs: Sequence[RunRecord]) -> dict[str, list[str]]:
     for kind, part in (("code of", lambda r: r.code), ("version of", _machine)):
         for name in dict.fromkeys(name for r in runs for name in part(r)):
             found[f"{kind} {name}"] = [part(r).get(name, "") for r in runs]
+    values: dict[str, list[str]] = {}
     for node in dict.fromkeys(name for r in runs for name in r.wiring.nodes):
         there = [r.wiring.nodes.get(node) for r in runs]
         found[f"node {node}"] = [f"{n.executable}{', outside' if n.outside else ''}" if n else "" for n in there]
         if len({*found[f"node {node}"]}) == 1:
-            values = [r.parameters.get(node, {}) for r in runs]
-            for name in dict.fromkeys(name for v in values for name in v):
-                found[f"{node}.{name}"] = [json.dumps(v[name]).strip('"') if name in v else "" for v in values]
-    return {what: values for what, values in found.items() if len({*values}) > 1}
+            parts = [dict(_leaves(node, r.parameters.get(node, {}))) for r in runs]
+            values |= {name: [p.get(name, "") for p in parts] for p in parts for name in p}
+    follows = {what: own for what, own in values.items() if len({*own}) > 1}
+    said = [dict(_said(text) for text in r.changed if r.stopped != text) for r in runs]
+    for what in dict.fromkeys(key for own in said for key in own):
+        found.setdefault(what, follows.pop(what, []) or [own.get(what, "as in the scenario") for own in said])
+    changed = {what: own for what, own in found.items() if len({*own}) > 1}
+    causes = {"scenario", *(key for own in said for key in own)} - {"seed"}
+    return (changed, follows) if causes & changed.keys() else (changed | follows, {})
+
+
+def _said(text: str) -> tuple[str, str]:
+    """Part what was changed into what and how: ``node.k=3``, ``duration 3``, or a text by itself."""
+    what, sign, value = text.partition("=")
+    if sign:
+        return what, value
+    what, _, value = text.partition(" ")
+    return ("duration, s", value) if what == "duration" else (what, value) if what == "seed" else (text, "yes")
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Give each value below a name as text; what is JSON in a parameter is taken apart, too."""
+    if isinstance(value, str) and value[:1] in ("{", "["):
+        with suppress(ValueError):
+            value = json.loads(value)
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from _leaves(f"{name}.{key}", part)
+    elif isinstance(value, list) and any(isinstance(part, dict) for part in value):
+        for k, part in enumerate(value):
+            yield from _leaves(f"{name}[{k}]", part)
+    else:
+        yield name, value if isinstance(value, str) else json.dumps(value)
 
 
 def differences(runs: Sequence[RunRecord], named: Sequence[str]) -> Iterator[Element]:
@@ -129,18 +167,25 @@ def differences(runs: Sequence[RunRecord], named: Sequence[str]) -> Iterator[Ele
         mine = [(run, name) for run, name in zip(runs, named, strict=True) if run.system == system]
         if len(mine) < 2:
             continue
-        found = differing([run for run, _ in mine])
+        changed, follows = differing([run for run, _ in mine])
         yield e("h2", f"{system}: what differs")
-        if not found:
+        if not changed:
             yield e("p", "Nothing: equal code, parameters, seed and machine.", class_="note")
             continue
-        rows = []
-        for what, values in list(found.items())[:MOST]:
-            by = {v: [name for (_, name), own in zip(mine, values, strict=True) if own == v] for v in values}
-            rows.append((what, e("div", *(e("div", e("b", v or NONE), f" in {_listed(of)}") for v, of in by.items()))))
-        yield table(("What", "In which run"), rows)
-        if len(found) > MOST:
-            yield e("p", f"And {len(found) - MOST} more parameters.", class_="note")
+        yield from _differing(changed, [name for _, name in mine])
+        if follows:
+            count = f"{len(follows)} parameter{'s that differ' if len(follows) > 1 else ' that differs'} because of it"
+            yield e("details", e("summary", count), *_differing(follows, [name for _, name in mine]))
+
+
+def _differing(found: Mapping[str, Sequence[str]], named: Sequence[str]) -> Iterator[Element]:
+    rows = []
+    for what, values in list(found.items())[:MOST]:
+        by = {v: [name for name, own in zip(named, values, strict=True) if own == v] for v in values}
+        rows.append((what, e("div", *(e("div", e("b", v or NONE), f" in {_listed(of)}") for v, of in by.items()))))
+    yield table(("What", "In which run"), rows)
+    if len(found) > MOST:
+        yield e("p", f"And {len(found) - MOST} more.", class_="note")
 
 
 def _listed(words: Sequence[str]) -> str:

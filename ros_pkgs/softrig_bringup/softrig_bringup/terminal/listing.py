@@ -14,9 +14,12 @@ from rich.console import Console
 from rich.text import Text
 from rich.tree import Tree
 from softrig_core import Scenario, ScenarioError, list_scenarios, load_scenario, rig_of
+from softrig_core.errors import closest
 from softrig_core.guard import plain, say
 from softrig_core.rig.members import signal_units
 from softrig_core.wire.signals import short_name
+
+FOLDED = 1  # levels of variants that are shown of all systems
 
 
 def console(**options: Any) -> Console:
@@ -50,7 +53,10 @@ def main(options: argparse.Namespace) -> int:
 
 
 def list_scenarios_of(part: str) -> int:
-    """Print the scenarios with a text in their name or system; 2 when there are files that are none."""
+    """Print the scenarios with a text in their name or system; 1 when there are none, 2 when files are no scenarios.
+
+    On a terminal variants of variants are folded unless a text is given.
+    """
     broken: list[ScenarioError] = []
     scenarios = []
     for name in sorted(list_scenarios(broken)):
@@ -61,24 +67,33 @@ def list_scenarios_of(part: str) -> int:
     for what in broken:
         say(what)
     chosen = [s for s in scenarios if part in s.name or part in s.system]
+    if part and not chosen:
+        near = closest(part, {word for s in scenarios for word in (s.name, s.system)})
+        say(f"nothing matches {part!r}{near}; softrig list shows all {len(scenarios)} scenarios")
+        return 2 if broken else 1
     if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
         for s in chosen:
             print(plain(f"{s.name}\t{s.system}\t{s.duration:g} s\t{s.title}\t{s.source}"))
         return 2 if broken else 0
     show = console()
     for system in sorted({s.system for s in chosen}):
-        show.print(_tree(system, [s for s in chosen if s.system == system]))
+        show.print(_tree(system, [s for s in chosen if s.system == system], FOLDED if not part else len(chosen)))
     return 2 if broken else 0
 
 
-def _tree(system: str, scenarios: list[Scenario]) -> Tree:
+def _tree(system: str, scenarios: list[Scenario], depth: int) -> Tree:
+    """Give the scenarios of a system, variants below what they are variants of; those below `depth` as a number."""
     sources = {s.source for s in scenarios}
     tree = Tree(styled((system, "bold"), *(("  ", (sources.pop(), "dim")) if len(sources) == 1 else ())))
     branches: list[tuple[str, Tree]] = []
     for s in scenarios:  # sorted, so that a variant comes after what it is a variant of
         while branches and not s.name.startswith(f"{branches[-1][0]}_"):
             branches.pop()
-        facts = ", ".join([f"{s.duration:g} s", *_took(s.name)])
+        if len(branches) > depth:
+            continue
+        below = sum(other.name.startswith(f"{s.name}_") for other in scenarios) if len(branches) == depth else 0
+        more = [f"{below} variant{'s' if below > 1 else ''}: list {s.name}"] if below else []
+        facts = ", ".join([f"{s.duration:g} s", *_took(s.name), *more])
         label = styled(f"{s.name}  ", (facts, "dim"), f"  {s.title}")
         branches.append((s.name, (branches[-1][1] if branches else tree).add(label)))
     return tree

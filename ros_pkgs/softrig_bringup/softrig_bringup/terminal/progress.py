@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from softrig_core.guard import say
+from softrig_core.guard import is_quiet, say
 
 NEWS = 10.0  # s of wall-clock time between two lines
 REDRAWN = 0.1  # s of wall-clock time between two states of a notebook's bar
@@ -32,6 +32,9 @@ def progress(title: str, duration: float) -> Iterator[Tell]:
     callable
         To be called with the time in ns.
     """
+    if is_quiet():
+        yield lambda t: None
+        return
     if (show := _notebook()) is not None:
         yield from _cell(show, title, duration)
         return

@@ -42,6 +42,8 @@ def _run_and_look(verb: Verb) -> None:
     look.add_argument("--address", default="127.0.0.1:0", metavar="HOST:PORT", help="of the page (this host, a free "
                       "port); it is seen with the token in its address only")  # fmt: skip
     look.add_argument("--running", action="store_true", help="does not begin paused; in real time nothing does")
+    look.add_argument("--pace", type=_pace, default=1.0, metavar="X", help="simulated by wall-clock time: 1 (default), "
+                      "0.1, 10, ..., or full: as fast as it goes; the page changes it")  # fmt: skip
     look.set_defaults(mode="container")
     report = verb("report", "report.report:main", "one self-contained HTML page from one or more runs")
     report.add_argument("runs", nargs="+", type=Path, metavar="DIR")
@@ -73,6 +75,10 @@ def _run_and_look(verb: Verb) -> None:
                         help="signals of a scenario: unit, message type, who publishes and who reads them")  # fmt: skip
     listed.add_argument("--figures", nargs="?", const="", metavar="NAME",
                         help="functions that figures of a scenario may name, or all about one")  # fmt: skip
+
+
+def _pace(word: str) -> float:
+    return 0.0 if word == "full" else Number(float, 0.001, 1000)(word)
 
 
 def _vary(verb: Verb) -> None:

@@ -21,7 +21,7 @@ from softrig_core import (
     rig_of,
     simulate,
 )
-from softrig_core.guard import say
+from softrig_core.guard import is_quiet, say
 from softrig_core.rig.code import fingerprints
 from softrig_core.verdict.findings import Finding, findings, needed, values
 from softrig_optim.sweep import sweep
@@ -146,6 +146,8 @@ def gather(
     """
     scenarios = list(scenarios)
     names = sorted(set().union(*(needed(s) for s in scenarios)))
+    if not is_quiet():
+        say(f"{len(names)} scenarios are run, or taken from the last time where nothing has changed")
     runs = sweep(measure, [(name, keep) for name in names], title="scenarios", workers=workers)
     measured = {found.name: found for found in runs}
 

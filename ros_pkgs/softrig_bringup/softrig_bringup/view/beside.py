@@ -5,20 +5,25 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from softrig_core import Run, Scenario
+from softrig_core import Run, Scenario, rig_of
 from softrig_core.guard import say
 from softrig_core.processes.placement import Placement
 
-from .remote import let_go
+from .remote import Remote, let_go
+
+RESTARTS = 3  # of a page that breaks
 
 
 class Beside:
     """The process of the pages of one run (`view.serve`); it only reads what the nodes write.
+
+    A page that breaks is started again at its address; after the last time the run is let go, and goes on without.
 
     Parameters
     ----------
@@ -31,24 +36,50 @@ class Beside:
     """
 
     def __init__(self, scenario: Scenario, directory: Path, placement: Placement, address: str) -> None:
-        self._directory = directory
-        self._told = {
+        self._directory, self._address = directory, address
+        self._told: dict[str, Any] = {
             "scenario": scenario.model_dump(mode="json", exclude_unset=True), "directory": str(directory),
-            "realtime": placement.clock == "realtime", "paused": placement.paused, "how": str(placement),
-            "address": address,
+            "realtime": placement.clock == "realtime", "paused": placement.paused, "pace": placement.pace,
+            "how": str(placement),
         }  # fmt: skip
         self._process: subprocess.Popen[str] | None = None
+        self._ends = False  # whether its end is no break
+        self.keeper = threading.Thread(target=self._keep, daemon=True)
         self.said: Any = None  # where it says its address; this process's own error stream if that is nowhere
 
     def open(self, domain: int) -> None:
         """Serve the page of a rig in this domain."""
-        file = self._directory / "view.json"
-        file.write_text(json.dumps(self._told | {"domain": domain}))
-        command = [sys.executable, "-P", "-m", "softrig_bringup.view.serve", str(file)]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=self.said, text=True, process_group=0)
+        from .serve import free_address, new_token
+
+        host, port = free_address(self._address)
+        self._told |= {"domain": domain, "address": f"{host}:{port}", "token": new_token()}
+        (self._directory / "view.json").write_text(json.dumps(self._told))
+        self._process = self._start()
+        self.keeper.start()
+
+    def _start(self) -> subprocess.Popen[str]:
+        command = [sys.executable, "-P", "-m", "softrig_bringup.view.serve", str(self._directory / "view.json")]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stderr=self.said, text=True, process_group=0)
+
+    def _keep(self) -> None:
+        """Start a page that breaks again."""
+        for left in range(RESTARTS, -1, -1):
+            assert self._process is not None
+            status = self._process.wait()
+            if self._ends:
+                return
+            what = "it is started again" if left else "the run goes on without it"
+            say(f"the page has broken (status {status}): {what}")
+            if left:
+                self._process = self._start()
+        if self._told["paused"]:  # nobody could have it go on
+            rig = rig_of(Scenario.model_validate(self._told["scenario"]))
+            remote = Remote(self._told["domain"], self._directory, lambda call: call())
+            remote.ask({"node": rig.clock.name, "call": "resume"}, lambda done, reason: remote.close())
 
     def over(self, run: Run, folder: Path) -> None:
         """Tell the pages that the run is over, and wait until nobody looks any more; Ctrl-C ends the wait."""
+        self._ends = True
         if self._process is None or self._process.poll() is not None or self._process.stdin is None:
             return
         how = f"broke: {run.error}" if run.error else run.stopped_at or "ended"
@@ -60,10 +91,12 @@ class Beside:
             return
         say("the page stays until it is closed, or Ctrl-C")
         with suppress(KeyboardInterrupt):
-            self._process.wait()
+            if status := self._process.wait():
+                say(f"the page has broken (status {status}); the results are there")
 
     def close(self) -> None:
         """End the process."""
+        self._ends = True
         if self._process is not None:
             let_go(self._process, 5.0)
 

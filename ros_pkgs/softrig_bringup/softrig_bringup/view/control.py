@@ -1,4 +1,4 @@
-"""What people do to a running rig from a page: knobs, buttons, pause and step; all pages share one of these."""
+"""What people do to a running rig from a page: knobs, buttons, pause, step and pace; all pages share one of these."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from softrig_core import Rig
+from softrig_core import Rig, ScenarioError
 from softrig_core.block.change import changeable
 from softrig_core.block.params import LARGEST, declarations, flatten
+from softrig_core.rig.members import Member
 from softrig_core.scenario.faults import EXECUTABLE, PACKAGE
+from softrig_core.scenario.yaml_file import read_yaml
 
 KEPT = 100  # lines of what was said
+ROLES = ("law", "fault", "command", "observer", "source", "plant")  # in the order in which a page shows their knobs
 
 Answer = Callable[[bool, str], object]
 Ask = Callable[[Mapping[str, Any], Answer], object]
@@ -31,8 +34,6 @@ class Knob:
     kind : type
     bounds : (float, float)
         As declared; infinite where nothing was.
-    fault : bool
-        Whether it belongs to a fault of the scenario.
     """
 
     node: str
@@ -42,12 +43,37 @@ class Knob:
     value: Any
     kind: type
     bounds: tuple[float, float]
-    fault: bool
 
     @property
     def key(self) -> str:
         """Its name as scenarios write it."""
         return f"{self.node}.{self.name}"
+
+    @property
+    def number(self) -> bool:
+        """Whether it is one number."""
+        return self.kind in (int, float) and isinstance(self.value, int | float | None)
+
+    def read(self, text: str) -> Any:
+        """Give what somebody has typed as a value.
+
+        Raises
+        ------
+        ScenarioError
+            It is none.
+        """
+        if self.kind is str:
+            return text
+        if not self.number:
+            value = read_yaml(text, self.key)
+            if value is None:
+                raise ScenarioError(f"{self.key}: expected a value")
+            return value
+        what = "a whole number" if self.kind is int else "a number, such as 2.5 or 1e-3"
+        try:
+            return self.kind(text)
+        except ValueError:
+            raise ScenarioError(f"{self.key} = {text!r} refused: expected {what}") from None
 
 
 class Said(NamedTuple):
@@ -73,11 +99,15 @@ class Control:
         Says how the run ended; empty while it goes on.
     held : bool or None
         Whether the run is paused; None where it cannot be.
+    pace : float
+        Simulated by wall-clock time; 0: as fast as it goes.
 
     Attributes
     ----------
     knobs : dict of str to Knob
-        By `Knob.key`.
+        By `Knob.key`, those of the laws first.
+    roles : dict of str to str
+        What each node with a knob is, see `role`.
     buttons : list of (node, name)
     said : deque of Said
     lines : int
@@ -85,12 +115,15 @@ class Control:
     """
 
     def __init__(self, rig: Rig, ask: Ask | None, now: Callable[[], float], over: Callable[[], str],
-                 held: bool | None = None) -> None:  # fmt: skip
+                 held: bool | None = None, pace: float = 0.0) -> None:  # fmt: skip
         self._ask, self._now, self._over = ask, now, over
-        self.held = held
+        self.held, self.pace = held, pace
         self.clock = rig.clock.name
         own = [m for m in rig.members if not m.external] if ask is not None else []
-        self.knobs = {k.key: k for m in own for k in _knobs(m)}
+        roles = {m.name: role(rig, m) for m in own}
+        first = sorted(own, key=lambda m: ROLES.index(roles[m.name]))
+        self.knobs = {k.key: k for m in first for k in _knobs(m)}
+        self.roles = {knob.node: roles[knob.node] for knob in self.knobs.values()}
         self.buttons = [
             (m.name, p.name) for m in own for p in m.inputs
             if p.msgtype == "std_msgs/msg/Bool" and p.name not in m.links
@@ -120,7 +153,7 @@ class Control:
         """Press a button of the rig."""
         self._call(who, node, name, f"{node}/{name}")
 
-    def pace(self, who: str, what: str) -> None:
+    def hold(self, who: str, what: str) -> None:
         """Pause, resume or step the run."""
 
         def after() -> None:
@@ -128,6 +161,17 @@ class Control:
                 self.held = what == "pause"
 
         self._call(who, self.clock, what, what, after)
+
+    def go_at(self, who: str, pace: float) -> None:
+        """Have the run go at a pace, simulated by wall-clock time; 0: as fast as it goes."""
+        text = f"pace {pace:g}" if pace else "as fast as it goes"
+
+        def answered(done: bool, reason: str) -> None:
+            if done:
+                self.pace = pace
+            self.say(who, text if done else f"{text} refused: {reason}", not done)
+
+        self._send(who, text, {"node": self.clock, "set": {"run.pace": pace}}, answered)
 
     def _call(self, who: str, node: str, name: str, text: str, after: Callable[[], object] = lambda: None) -> None:
         def answered(done: bool, reason: str) -> None:
@@ -154,15 +198,40 @@ class Control:
             self.lines += 1
 
 
-def _knobs(member: Any) -> list[Knob]:
-    fault = (member.package, member.executable) == (PACKAGE, EXECUTABLE)
+def role(rig: Rig, member: Member) -> str:
+    """Say what a node is to somebody who tunes: a law where it lies on a loop of the plant; one of `ROLES`."""
+    if (member.package, member.executable) == (PACKAGE, EXECUTABLE):
+        return "fault"
+    if member.is_plant:
+        return "plant"
+    if not member.links:
+        return "source"
+    plants = [m for m in rig.members if m.is_plant]
+    leads = any(member in _before(plant) for plant in plants)
+    if leads and not _before(member).isdisjoint(plants):
+        return "law"
+    return "command" if leads else "observer"
+
+
+def _before(member: Member) -> set[Member]:
+    """Give the nodes whose messages a node depends on, those of others included."""
+    found: set[Member] = set()
+    left = [member]
+    while left:
+        new = {link.source for link in left.pop().links.values()} - found
+        found |= new
+        left += new
+    return found
+
+
+def _knobs(member: Member) -> list[Knob]:
     live, values = changeable(type(member.params)), flatten(member.params)
     found = []
     for d in declarations(type(member.params)):
         if d.name in live:
             low = -math.inf if d.lower is None or d.lower <= -LARGEST else float(d.lower)
             high = math.inf if d.upper is None or d.upper >= LARGEST else float(d.upper)
-            found.append(Knob(member.name, d.name, d.unit, d.doc, values[d.name], d.type, (low, high), fault))
+            found.append(Knob(member.name, d.name, d.unit, d.doc, values[d.name], d.type, (low, high)))
     return found
 
 

@@ -39,15 +39,34 @@ VARIABLES = """
   --accent: #56b4e9; --wrong: #ff8a80; --good: #5fd6ac; }
 body { margin: 0; background: var(--paper); color: var(--ink);
   font: 14px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", sans-serif; }
-.page { display: grid; grid-template-columns: minmax(0, 1fr) minmax(300px, 380px); gap: 8px 20px; padding: 10px 16px;
-  max-width: 1900px; margin: 0 auto; }
-.head { grid-column: 1 / -1; }
-@media (max-width: 900px) { .page { grid-template-columns: minmax(0, 1fr); padding: 8px; } }
+.page { box-sizing: border-box; display: grid; gap: 4px 20px; padding: 8px 16px; max-width: 2200px; height: 100vh;
+  margin: 0 auto; grid-template: auto auto minmax(0, 1fr) / minmax(320px, 5fr) minmax(0, 8fr) minmax(300px, 4fr);
+  grid-template-areas: "head head head" "drawing curves knobs" "tables curves knobs"; }
+.head { grid-area: head; } .drawing { grid-area: drawing; } .curves { grid-area: curves; } .knobs { grid-area: knobs; }
+.tables { grid-area: tables; } .stage { display: contents; } .more { display: none; }
+.curves, .knobs, .tables { overflow: hidden auto; overscroll-behavior: contain; }
+details { border-top: 1px solid var(--line); padding: 2px 0; }
+summary { cursor: pointer; padding: 3px 0; font-weight: 600; }
+summary small { color: var(--soft); font-weight: normal; }
+#lost { display: none; position: fixed; inset: 0 0 auto 0; z-index: 9; padding: 8px 16px; background: var(--wrong);
+  color: var(--paper); }
+@media (max-width: 1250px) { .page {
+  grid-template: auto auto minmax(0, 3fr) minmax(0, 2fr) / minmax(0, 3fr) minmax(290px, 2fr);
+  grid-template-areas: "head head" "drawing knobs" "curves knobs" "curves tables"; } }
+@media (max-width: 800px) {
+  .page { display: block; height: auto; padding: 6px 8px; } .curves, .knobs, .tables { overflow: visible; }
+  .stage { display: block; position: sticky; top: 0; z-index: 5; background: var(--paper); }
+  .curves { display: grid; grid-auto-flow: column; grid-auto-columns: 100%; overflow: auto hidden;
+    scroll-snap-type: x mandatory; } .curves > * { scroll-snap-align: start; }
+  .more { display: block; color: var(--soft); font-size: 12px; border-bottom: 1px solid var(--line); } }
 """
+# the name of a number beside it
+BESIDE = ".bk-input-group { display: grid; grid-template-columns: minmax(0, 1fr) 110px; white-space: normal; }"
 # within the widgets, each of which is a world of its own
 WIDGETS = """
 :host { color: var(--ink); font: inherit; }
 .bk-input, .bk-btn-default, .bk-btn-primary { background: var(--field); color: var(--ink); border-color: var(--line); }
+.bk-input[disabled] { background: var(--paper); color: var(--soft); }
 .bk-btn-default:hover { background: var(--line); color: var(--ink); }
 .bk-btn-default.bk-active, .bk-btn-primary { background: var(--accent); color: var(--paper); }
 .bk-input-group label, .bk-slider-title, label { color: var(--ink); }
@@ -56,11 +75,19 @@ h1 { font-size: 18px; margin: 0; }
 p { margin: 2px 0; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; font-size: 13px; }
 td, th { padding: 1px 8px 1px 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line);
-  overflow-wrap: anywhere; }
-td.n, th.n { text-align: right; white-space: nowrap; }
+  overflow-wrap: break-word; }
+td.n, th.n { text-align: right; } td.n, th.n, td.u { white-space: nowrap; }
 th { color: var(--soft); font-weight: normal; }
 .soft { color: var(--soft); } .wrong { color: var(--wrong); } .good { color: var(--good); }
-svg { width: 100%; height: auto; max-height: 420px; }
+svg { width: 100%; height: auto; max-height: 46vh; }
+.bk-description > .bk-icon { background-color: var(--soft); }
+.over { color: var(--wrong); font-weight: 600; }
+@media (max-width: 800px) { svg { max-height: 24vh; } }
+"""
+
+COME_BACK = """document.getElementById('lost').style.display = 'block'
+const server = () => fetch('static/js/bokeh.min.js', {method: 'HEAD', cache: 'no-store'})
+const ask = setInterval(() => server().then(() => { clearInterval(ask); location.reload() }, () => 0), 1000)
 """
 
 TEMPLATE = (
@@ -76,10 +103,18 @@ const go = asked => { const address = new URL(location.href), wanted = dark.matc
     address.searchParams.set('look', wanted); location.replace(address) } }
 go(false); dark.addEventListener('change', () => go(true))
 </script>{% endblock %}
-{% block contents %}<div class="page">
+{% block contents %}<div id="lost" role="alert">The page has lost its run: it comes back
+by itself while that goes on.</div>
+<div class="page">
 <header class="head">{{ embed(roots.head) }}</header>
-<main>{{ embed(roots.pictures) }}</main>
-<aside>{{ embed(roots.side) }}</aside>
+<div class="stage">{% if drawn %}<div class="drawing">{{ embed(roots.drawing) }}</div>{% endif %}
+<main class="curves">{% for name in curves %}{{ embed(roots[name]) }}{% endfor %}</main>
+{% if curves | length > 1 %}<div class="more">{{ curves | length }} pictures: move them sideways</div>{% endif %}</div>
+<aside class="knobs">{% for name, title, what, open in groups %}
+<details {{ "open" if open }}><summary>{{ title | e }} <small>{{ what | e }}</small></summary>
+{{ embed(roots[name]) }}</details>
+{% endfor %}</aside>
+<section class="tables">{{ embed(roots.tables) }}</section>
 </div>{% endblock %}
 """
 )

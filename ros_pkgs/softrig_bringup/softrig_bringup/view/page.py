@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,7 +16,6 @@ from bokeh.models import (
     CustomJS,
     Div,
     InlineStyleSheet,
-    NumericInput,
     Range1d,
     Select,
     Slider,
@@ -26,21 +26,23 @@ from bokeh.models import (
 from bokeh.themes import Theme
 from softrig_core import ScenarioError
 from softrig_core.drawing import drawing_for
-from softrig_core.scenario.yaml_file import read_yaml
 from softrig_core.verdict.figures import Result
 
 from ..film.film import PAST, rows
 from ..film.svg import still
 from . import words
 from .control import Control, Knob
-from .look import CHANGED, TEMPLATE, WIDGETS, theme
+from .look import BESIDE, CHANGED, COME_BACK, TEMPLATE, WIDGETS, theme
 from .pictures import Picture, plots_of
 from .sources import Source
 
-EVERY = 250  # ms between two states of a page: nodes hand over what they record four times a second
+EVERY = 250  # ms: nodes hand over what they record four times a second
+FRAME = 100  # ms between two states of a page: in between the drawing moves on by what has come
+PACES = ("0.1", "0.5", "1", "2", "10", "full")  # simulated by wall-clock time
 WINDOWS = ("0.1", "0.5", "2", "10", "60", "all")  # s
 WIDE = 20  # times the value (or 1) that a slider spans at most before it shows a part of it
-SLOW = 4  # states of the pictures between two of the tables
+SLOW = 10  # frames between two states of the tables
+WHAT = {"law": "", "fault": "fault"}  # beside the name of a node, by its role; others by that
 
 
 class Page:
@@ -66,12 +68,15 @@ class Page:
     ) -> None:  # fmt: skip
         self._source, self._control, self._figures = source, control, figures
         self._who, self._how = who, how
-        self._sheet = InlineStyleSheet(css=WIDGETS)
+        self._sheet, self._beside = InlineStyleSheet(css=WIDGETS), InlineStyleSheet(css=BESIDE)
         self._calm = False  # what changes is changed by us
         self._shown: tuple[Any, ...] = ()
         self._texts: tuple[Any, ...] = ()
+        self._told: tuple[Any, ...] = ()
         self._count = 0
-        self.time = Range1d(0.0, max(source.end, 1e-3))
+        self._at = self._speed = self._ahead = 0.0  # of the drawing: s, s a frame, newest that it knew of
+        self._drawn_at = -1.0
+        self.time = Range1d(0.0, source.length)
         self._cursor = Span(dimension="height", location=math.nan, line_color=CHANGED[look], line_width=1.5)
         self._changes = ColumnDataSource({"t": []}, name="changes")
         rig = source.rig
@@ -93,22 +98,25 @@ class Page:
         if not source.live:
             top.append(self._recorded())
         found = [f for p in self._pictures for f in p.figures]
-        grid = {"display": "grid", "grid-template-columns": "repeat(auto-fit, minmax(min(100%, 460px), 1fr))"}
-        roots = {
-            "head": column(*top, self._beat, self._echo, sizing_mode="stretch_width"),
-            "pictures": column(
-                *([self._drawn] if self._drawing else []), *found, sizing_mode="stretch_width", styles=grid
-            ),
-            "side": column(*self._side(), sizing_mode="stretch_width"),
-        }
+        groups = self._groups()
+        roots = {"head": column(*top, self._beat, self._echo, sizing_mode="stretch_width")}
+        roots |= {"drawing": self._drawn} if self._drawing else {}
+        roots |= {f"curve {k}": f for k, f in enumerate(found)} | {name: root for name, root, *_ in groups}
+        roots["tables"] = column(*self._below(), sizing_mode="stretch_width")
         for name, root in roots.items():
             root.name = name
             document.add_root(root)
+        document.template_variables.update({
+            "look": look, "drawn": self._drawing is not None, "curves": [name for name in roots if name[:5] == "curve"],
+            "groups": [(name, title, what, opened) for name, _, title, what, opened in groups],
+        })  # fmt: skip
+        # by itself Bokeh would take up the session again, of which a server that was started anew knows nothing
+        document.config.update(reconnect_session=False, notify_connection_status=False)
+        document.js_on_event("connection_lost", CustomJS(code=COME_BACK))
         document.theme = Theme(json=theme(look))
         document.template = TEMPLATE
-        document.template_variables["look"] = look
         document.title = f"{rig.scenario.name} - softrig"
-        document.add_periodic_callback(self.update, EVERY)
+        document.add_periodic_callback(self.update, FRAME)
 
     # what it is made of --------------------------------------------------------------------------------------------
 
@@ -133,11 +141,17 @@ class Page:
         self._follow.on_change("active", self._again)
         found: list[Any] = [self._window, self._follow]
         if self._control.held is not None and self._source.live:
-            self._pace = self._button("pause", self._pause, "pace")
-            step = self._button("step", lambda: self._control.pace(self._who, "step"))
-            found += [self._pace, step]
-            for button in (self._pace, step):
-                button.align = "end"
+            self._hold = self._button("pause", self._pause, "hold")
+            found += [self._hold, self._button("step", lambda: self._control.hold(self._who, "step"))]
+        if self._control.held is not None or not self._source.live:
+            now = _pace(self._control.pace if self._source.live else 1.0)
+            paces = [*PACES, *([] if now in PACES else [now])]
+            self._pace = Select(title="pace", value=now, options=paces, width=90, stylesheets=sheet, name="pace")
+            if self._source.live:
+                self._pace.on_change("value", self._go)
+            found.append(self._pace)
+        for widget in found:
+            widget.align = "end"
         return found
 
     def _recorded(self) -> Any:
@@ -149,38 +163,39 @@ class Page:
         self._play = Toggle(label="play", width=90, stylesheets=[self._sheet], name="play", align="end")
         return row(self._slider, self._play, sizing_mode="stretch_width")
 
-    def _side(self) -> list[Any]:
-        found: list[Any] = []
-        control = self._control
+    def _below(self) -> list[Any]:
         if not self._source.live:
             self._values = self._div("values")
-            found.append(self._values)
+        return [*([] if self._source.live else [self._values]), *self._tables.values()]
+
+    def _groups(self) -> list[tuple[str, Any, str, str, bool]]:
+        """Give the buttons, and the knobs by node: name of the root, root, title, what else, whether it is open."""
+        control, found = self._control, []
         if control.buttons:
-            found.append(Div(text="<h2>Buttons</h2>", stylesheets=[self._sheet]))
-            found.append(row(*(self._press(*b) for b in control.buttons), styles={"flex-wrap": "wrap"}))
-        for fault, title in ((True, "Faults"), (False, "Knobs")):
-            keys = [key for key, knob in control.knobs.items() if knob.fault is fault]
-            if keys:
-                found.append(Div(text=f"<h2>{title}</h2>", stylesheets=[self._sheet]))
-                found += [w for key in keys for w in (self._knobs[key], self._sliders.get(key)) if w is not None]
-        return [self._tables["figures"], *found, self._tables["health"], self._tables["log"]]
+            buttons = row(*(self._press(*b) for b in control.buttons), styles={"flex-wrap": "wrap"})
+            found.append(("buttons", buttons, "Buttons", "", True))
+        first = next(iter(control.roles.values()), "")
+        for node, role in control.roles.items():
+            keys = [key for key, knob in control.knobs.items() if knob.node == node]
+            widgets = [w for key in keys for w in (self._knobs[key], self._sliders.get(key)) if w is not None]
+            what = f"{WHAT.get(role, role)} {len(keys)}".strip()
+            group = column(*widgets, sizing_mode="stretch_width")
+            found.append((f"knobs {node}", group, node, what, role in (first, "law", "fault")))
+        return found
 
     def _knob(self, knob: Knob) -> Any:
         """Give the widget of a parameter; what is no number, switch or text is written as YAML."""
-        title = f"{knob.key}{f', {knob.unit}' if knob.unit else ''}"
+        title = f"{knob.name}{f', {knob.unit}' if knob.unit else ''}"
         about: dict[str, Any] = {"name": knob.key, "stylesheets": [self._sheet], "sizing_mode": "stretch_width"}
         if knob.kind is bool:
             found: Any = Toggle(label=title, active=bool(knob.value), **about)
             found.on_change("active", lambda attr, old, new: self._turned(knob, new))
             return found
-        if knob.kind in (int, float) and isinstance(knob.value, int | float | None):
-            mode = "int" if knob.kind is int else "float"
-            found = NumericInput(title=f"{title}{_range(knob)}", value=knob.value, mode=mode,
-                                 description=knob.doc or None, **about)  # fmt: skip
-            if (ends := reach(knob)) is not None:
-                self._sliders[knob.key] = self._slider_of(knob, *ends)
-        else:
-            found = TextInput(title=title, value=_text(knob.value), description=knob.doc or None, **about)
+        if knob.number and (ends := reach(knob)) is not None:
+            self._sliders[knob.key] = self._slider_of(knob, *ends)
+        title += _range(knob)
+        about["stylesheets"] = [self._sheet, self._beside]
+        found = TextInput(title=title, value=_text(knob.value), description=knob.doc or None, **about)
         found.on_change("value", lambda attr, old, new: self._turned(knob, new))
         return found
 
@@ -197,20 +212,21 @@ class Page:
     def _turned(self, knob: Knob, value: Any) -> None:
         if self._calm:
             return
-        if isinstance(value, str):
-            try:
-                value = read_yaml(value, knob.key) if knob.kind is not str else value
-            except ScenarioError as error:
-                self._control.say(self._who, str(error), True)
-                value = None
-        if value is None:
-            self._control.say(self._who, f"{knob.key}: expected a value", True)
-        elif value != knob.value:
-            self._control.turn(self._who, knob.key, value)
+        try:
+            value = knob.read(value) if isinstance(value, str) else value
+            if value != knob.value:
+                self._control.turn(self._who, knob.key, value)
+        except ScenarioError as error:
+            self._control.say(self._who, str(error), True)
         self._texts = ()
 
     def _pause(self) -> None:
-        self._control.pace(self._who, "resume" if self._control.held else "pause")
+        self._control.hold(self._who, "resume" if self._control.held else "pause")
+
+    def _go(self, attr: str, old: Any, new: Any) -> None:
+        if not self._calm and new in self._pace.options:
+            self._control.go_at(self._who, 0.0 if new == "full" else float(new))
+            self._texts = ()
 
     def _moved(self, attr: str, old: Any, new: Any) -> None:
         """A browser has zoomed or moved: it looks at what it has chosen until it follows again."""
@@ -246,10 +262,21 @@ class Page:
             return
         pane = self._source.pane(t - drawing.trail, t)
         known = {name: pane[name] for name in drawing.signals if name in pane}
-        if not known:  # nothing has come yet
-            return
-        past = rows(known, np.linspace(max(0.0, t - drawing.trail), t, PAST)) if drawing.trail else ()
-        self._drawn.text = still(drawing, drawing.frame(rows(known, np.array([t]))[0], past), self._look == "dark")
+        past = rows(known, np.linspace(max(0.0, t - drawing.trail), t, PAST)) if drawing.trail and known else ()
+        try:
+            now = rows(known, np.array([t]))[0] if known else {}  # at rest before anything has come
+            self._drawn.text = still(drawing, drawing.frame(now, past), self._look == "dark")
+        except Exception as error:  # of somebody's plant: the page goes on without it
+            self._drawing = None
+            self._drawn.text = f"<p class=wrong>{drawing.title}: no drawing: {html.escape(repr(error))}</p>"
+
+    def _moving(self) -> float:
+        """Give the time of the drawing, s: what has come in one piece is shown in as many frames as it took."""
+        end = self._source.end
+        if end != self._ahead:
+            self._speed, self._ahead = (end - self._at) * FRAME / EVERY, end
+        self._at = end if self._source.outcome else min(end, self._at + self._speed)
+        return self._at
 
     # what is shown -------------------------------------------------------------------------------------------------
 
@@ -257,7 +284,9 @@ class Page:
         """Show what is new, if the browser has shown the last state."""
         source = self._source
         if not source.live and self._play.active:
-            following = self._slider.value + self._slider.end / 100
+            pace = self._pace.value
+            step = self._slider.end / 100 if pace == "full" else float(pace) * FRAME / 1000
+            following = self._slider.value + step
             self._slider.value = 0.0 if following > self._slider.end else following
         if self._beat.text != self._echo.text:
             return
@@ -269,7 +298,9 @@ class Page:
                 self._window.value, self._follow.active = "all", True
                 changed = self._draw()
             self._count += 1
-            if self._count % SLOW == 1 or source.outcome:
+            said = (self._control.lines, self._control.held, self._control.pace)
+            if self._count % SLOW == 1 or source.outcome or said != self._told:
+                self._told = said
                 changed = self._write() or changed
         finally:
             self._calm = False
@@ -279,29 +310,34 @@ class Page:
     def _draw(self) -> bool:
         source = self._source
         if self._follow.active:
-            first, last = 0.0, max(source.end, 1e-3)
+            first, last = 0.0, max(source.length, source.end)
             if self._window.value != "all":
-                first = max(0.0, last - float(self._window.value))
+                last = max(source.end, float(self._window.value))
+                first = last - float(self._window.value)
             self.time.update(start=first, end=last)
         first, last = float(self.time.start), float(self.time.end)
         now = (source.version, first, last)
+        at = min(last, self._moving()) if source.live else float(self._slider.value)
+        if moved := at != self._drawn_at:
+            self._drawn_at = at
+            self._draw_plant(at)
         if now == self._shown:
-            return False
+            return moved
         self._shown = now
-        pane = source.pane(first, last)
+        pane, end = source.pane(first, min(last, source.end)), min(last, source.end)
         for picture in self._pictures:
-            picture.show(pane, min(last, source.end))
-        self._draw_plant(min(last, source.end) if source.live else float(self._slider.value))
+            picture.show(pane, end)
         if len(source.changes) != len(self._changes.data["t"]):
             self._changes.data = {"t": [t for t, _, _ in source.changes]}
-        self._head.text = words.head(source, self._how, self._control.held)
+        self._head.text = words.head(source, self._how, self._control)
         return True
 
     def _write(self) -> bool:
         source, control = self._source, self._control
         results, so_far = self._figures()
         texts = (words.figures(results, so_far), words.health(source.status), words.log(control.said),
-                 tuple(repr(k.value) for k in control.knobs.values()), control.held, source.outcome)  # fmt: skip
+                 tuple(repr(k.value) for k in control.knobs.values()), control.held, control.pace,
+                 source.outcome)  # fmt: skip
         if texts == self._texts:
             return False
         self._texts = texts
@@ -313,15 +349,27 @@ class Page:
             if knob.kind is bool:
                 widget.active = bool(knob.value)
             else:
-                widget.value = _text(knob.value) if isinstance(widget, TextInput) else knob.value
+                widget.value = _text(knob.value)
+            widget.disabled = bool(source.outcome)
             if (slider := self._sliders.get(key)) is not None and slider.value != knob.value:
                 if not slider.start <= knob.value <= slider.end and (ends := reach(knob)) is not None:
                     slider.update(start=ends[0], end=ends[1])
                 slider.value = knob.value
         if control.held is not None and source.live:
-            self._pace.label = "resume" if control.held else "pause"
-        self._head.text = words.head(source, self._how, control.held)
+            self._hold.label = "resume" if control.held else "pause"
+            self._pace.value = _pace(control.pace)
+        self._head.text = words.head(source, self._how, control)
         return True
+
+
+def bare(document: Document, control: Control, who: str, error: Exception) -> None:
+    """Show what is left when a page cannot be made: why, and how the run goes on."""
+    why = html.escape(f"{type(error).__name__}: {error}")
+    document.add_root(Div(text=f"<h1>This page cannot be shown</h1><p>{why}</p><p>The run does not depend on it.</p>"))
+    for what in ("resume", "pause") if control.held is not None else ():
+        button = Button(label=what, name=what)
+        button.on_click(lambda what=what: control.hold(who, what))
+        document.add_root(button)
 
 
 def reach(knob: Knob) -> tuple[float, float] | None:
@@ -342,6 +390,10 @@ def _range(knob: Knob) -> str:
     if math.isinf(high):
         return f" (at least {low:g})"
     return f" (to {high:g})" if math.isinf(low) else f" ({low:g} to {high:g})"
+
+
+def _pace(pace: float) -> str:
+    return f"{pace:g}" if pace else "full"
 
 
 def _text(value: Any) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, CrosshairTool, DataRange1d, HoverTool, Range1d, Span
+from bokeh.models import ColumnDataSource, CrosshairTool, DataRange1d, HoverTool, InlineStyleSheet, Range1d, Span
 from bokeh.plotting import figure
 from softrig_core import Rig
 from softrig_core.judge.units import pretty_unit
@@ -19,6 +19,8 @@ from .look import CHANGED, COLOURS, INK, SOFT
 from .tracks import Pane
 
 COLUMNS = 500  # pixel columns of a picture: a curve has at most four points in each
+LOW = "@media (max-width: 800px) { :host { height: 230px !important; } }"  # knobs below it stay in sight
+LEGEND = 3  # curves beside each other in it: more are two lines on a narrow page
 TOOLS = "xpan,box_zoom,xwheel_zoom,save"
 
 
@@ -98,8 +100,12 @@ class Picture:
             source = self.sources[name] = ColumnDataSource({"x": [], "y": []}, name=f"{self._entry.title}: {name}")
             lines.append(found.line("x", "y", source=source, legend_label=curve.label, name=curve.label, **style))
         found.legend.orientation, found.legend.click_policy, found.legend.ncols = "horizontal", "hide", "auto"
+        if len(lines) > LEGEND:
+            found.legend.ncols = LEGEND
+        found.legend.location = "left"
         found.add_layout(found.legend[0], "above")
         found.toolbar.autohide = True
+        found.stylesheets = [InlineStyleSheet(css=LOW)]
         return lines
 
     def show(self, pane: Pane, end: float) -> None:

@@ -34,7 +34,7 @@ from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
 from .control import Control
-from .page import EVERY, Page
+from .page import EVERY, Page, bare
 from .remote import Remote
 from .sources import Live, Source
 
@@ -56,8 +56,12 @@ class Watched(BaseModel):
     realtime, paused : bool
     how : str
         Mode and place, in words.
+    pace : float
+        Simulated by wall-clock time at the beginning; 0: as fast as it goes.
     address : str
         ``host:port``; port 0: a free one.
+    token : str
+        That lets a browser in.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -66,8 +70,10 @@ class Watched(BaseModel):
     directory: str
     realtime: bool
     paused: bool
+    pace: float
     how: str
     address: str
+    token: str
 
 
 class OneLine(logging.Filter):
@@ -142,6 +148,11 @@ def free_address(address: str) -> tuple[str, int]:
     return host, chosen
 
 
+def new_token() -> str:
+    """Make a word that lets a browser in; on this host, too: other users, and pages of others whose name leads here."""
+    return secrets.token_urlsafe(16)
+
+
 class Pages:
     """The pages of one source.
 
@@ -153,6 +164,8 @@ class Pages:
         Mode and place of the run.
     address : str
         ``host:port``.
+    token : str
+        That lets a browser in.
 
     Raises
     ------
@@ -160,7 +173,7 @@ class Pages:
         Nothing can be served there.
     """
 
-    def __init__(self, source: Source, control: Control, how: str, address: str, loop: IOLoop) -> None:
+    def __init__(self, source: Source, control: Control, how: str, address: str, token: str, loop: IOLoop) -> None:
         self._source, self._control, self._how = source, control, how
         self._numbers = count(1)
         self._results: Sequence[Result] = ()
@@ -170,7 +183,8 @@ class Pages:
         host, chosen = free_address(address)
         for name in ("bokeh.server.protocol_handler", "bokeh.server.views.ws", "tornado.application"):
             logging.getLogger(name).addFilter(OneLine())
-        token = secrets.token_urlsafe(16)  # on this host, too: other users, and pages of others whose name leads here
+        for name in ("bokeh.server.views.ws", "bokeh.server.contexts"):  # a browser may be closed at any moment
+            logging.getLogger(name).setLevel(logging.ERROR)
         if host in LOOPBACK:
             origins = [f"{name}:{chosen}" for name in ("localhost", host)]
         else:  # whoever has the token may come by any name of this host, and Bokeh need not warn of that
@@ -193,7 +207,13 @@ class Pages:
         arguments = document.session_context.request.arguments if document.session_context else {}
         look = "dark" if arguments.get("look", [b""])[0] == b"dark" else "light"
         number = next(self._numbers)
-        Page(document, self._source, self._control, self._figures, f"browser {number}", self._how, look)
+        who = f"browser {number}"
+        try:
+            Page(document, self._source, self._control, self._figures, who, self._how, look)
+        except Exception as error:  # of somebody's plant or plots: the run can be told to go on without them
+            say(f"a page cannot be shown: {type(error).__name__}: {error}")
+            document.clear()
+            bare(document, self._control, who, error)
 
     def left(self) -> bool:
         """Note who is there; whether a browser has shown a page, none does, and none may come back by reloading."""
@@ -234,7 +254,8 @@ class Pages:
 def serve(source: Source, how: str, address: str) -> None:
     """Show a recording until it is interrupted."""
     loop = IOLoop.current()
-    pages = Pages(source, Control(source.rig, None, lambda: source.end, lambda: source.outcome), how, address, loop)
+    control = Control(source.rig, None, lambda: source.end, lambda: source.outcome)
+    pages = Pages(source, control, how, address, new_token(), loop)
     say(f"the page is {pages.url}; Ctrl-C ends it")
     try:
         loop.start()
@@ -251,14 +272,17 @@ def beside(watched: Watched, lines: Any) -> None:
     source = Live(rig, directory, watched.realtime)
     remote = Remote(watched.domain, directory, loop.add_callback)
     held = None if watched.realtime or rig.clock.external else watched.paused
-    control = Control(rig, remote.ask, lambda: source.end, lambda: source.outcome, held)
-    pages = Pages(source, control, watched.how, watched.address, loop)
+    control = Control(rig, remote.ask, lambda: source.end, lambda: source.outcome, held, watched.pace)
+    pages = Pages(source, control, watched.how, watched.address, watched.token, loop)
     say(f"the page is {pages.url}")
-    told = 0
+    told, paced = 0, (held, watched.pace)
 
     def look() -> None:
-        nonlocal told
+        nonlocal told, paced
         source.look()
+        now = source.status[control.clock] if held is not None else {}
+        if "pace" in now and paced != (paced := (now["held"], now["pace"])):  # whoever has changed it
+            control.held, control.pace = paced
         for change in source.changes[told:]:
             control.took_effect(*change)
         told = len(source.changes)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import time
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from softrig_core.wire.signals import Signals, Table
 
 from .tracks import Pane, Track
 
+LATELY = 12  # looks over which a speed is measured
 Turned = tuple[float, str, Mapping[str, Any]]  # s, node, new values
 
 
@@ -38,7 +41,7 @@ class Live:
     live : bool
         Whether more may come.
     end : float
-        Time of the newest message, s.
+        Up to when all nodes have handed over what they record, s; in real time, and in the end, of the newest message.
     version : int
         Another one when there is something new.
     status : dict
@@ -49,6 +52,10 @@ class Live:
         Figures as metrics.json has them; empty before the end.
     outcome : str
         How it ended; empty while it goes on.
+    length : float
+        What pictures begin with, s: of the whole run.
+    speed : float
+        Of late, simulated by wall-clock time.
     """
 
     def __init__(self, rig: Rig, directory: Path, realtime: bool) -> None:
@@ -61,6 +68,19 @@ class Live:
         self.changes: list[Turned] = []
         self.results: list[Mapping[str, Any]] = []
         self.end, self.version = 0.0, 0
+        self.length = rig.scenario.duration
+        self._newest: dict[str, float] = {}
+        # s for which a message stands: only in lockstep nobody is behind the others for longer than he takes to write
+        self._holds = {} if realtime else {
+            p.topic: m.params.period for m in rig.members if not m.external for p in m.outputs if not p.sporadic
+        }  # fmt: skip
+        self._marks: deque[tuple[float, float]] = deque(maxlen=LATELY)
+
+    @property
+    def speed(self) -> float:
+        """Simulated by wall-clock time, over the last looks."""
+        (first, at), (last, end) = self._marks[0], self._marks[-1]
+        return (end - at) / (last - first) if last > first else 0.0
 
     @property
     def thinned(self) -> bool:
@@ -75,6 +95,7 @@ class Live:
         for name in self._names:
             # half written, or being replaced: what it said before stands
             self.status[name] = read_status(self._directory / f"{name}.status") or self.status[name]
+        self._marks.append((time.monotonic(), self.end))
 
     def read(self) -> bool:
         """Read a part of what the nodes have recorded; whether there is more."""
@@ -90,7 +111,10 @@ class Live:
                 if table.columns:
                     self._tracks[name].append(table.t, table.columns)
                     self.version += 1
-                self.end = max(self.end, float(table.t[-1]))
+                self._newest[name] = float(table.t[-1])
+        if self._newest:
+            reached = [t + self._holds[name] for name, t in self._newest.items() if name in self._holds]
+            self.end = min([max(self._newest.values()), *reached])
         for t, node, values in recorded(recording, epoch):
             self.changes.append((t / SECOND, node, values))
             self.version += 1
@@ -101,6 +125,7 @@ class Live:
         while self.read():
             pass
         self.look()
+        self.end = max(self._newest.values(), default=0.0)
         if folder is not None:
             content = json.loads((folder / "metrics.json").read_text())
             self.results, self.status = content["metrics"], content["nodes"]
@@ -125,6 +150,7 @@ class Recorded:
     """
 
     live = thinned = False
+    speed = 0.0
 
     def __init__(self, rig: Rig, signals: Signals, content: Mapping[str, Any]) -> None:
         self.rig = rig
@@ -133,6 +159,7 @@ class Recorded:
         self.end = max((float(t.t[-1]) for t in self._tables.values()), default=0.0)
         self.status, self.results = content.get("nodes", {}), content.get("metrics", [])
         self.changes = [(c["at_s"], c["node"], c["set"]) for c in content.get("changes", [])]
+        self.length = max(self.end, 1e-9)
         self.outcome = content.get("error", "") or content.get("stopped", "") or "recorded"
         self.version = 1
 

@@ -11,7 +11,7 @@ from softrig_core.judge.units import pretty_unit
 from softrig_core.verdict.figures import Result
 
 from ..page.wording import accepted, in_words, measured_here
-from .control import Said
+from .control import Control, Said
 from .sources import Source
 
 COUNTS = {
@@ -20,16 +20,31 @@ COUNTS = {
 }  # fmt: skip
 
 
-def head(source: Source, how: str, held: bool | None) -> str:
-    """Say what is shown and how far it is."""
+def head(source: Source, how: str, control: Control) -> str:
+    """Say what is shown, how far it is, and what was last said."""
     scenario = source.rig.scenario
-    if source.outcome:
-        state = f"{source.end:.6g} s, {source.outcome}"
-    else:
-        state = f"{source.end:.6g} of {scenario.duration:g} s, {'paused' if held else 'running'}"
+    state, look = f"{source.end:.6g} s, {source.outcome}", "soft"
+    if source.outcome and source.live:
+        state, look = f"the run is over: {state}; its knobs act no more", "over"
+    elif not source.outcome:
+        state = f"{source.end:.6g} of {scenario.duration:g} s, {_going(source, control)}"
     note = "; of what is old only the extremes are kept" if source.thinned else ""
+    said = "".join(f'<p class="{"wrong" if s.wrong else "soft"}">{html.escape(f"{s.who}: {s.text}")}</p>'
+                   for s in list(control.said)[-1:])  # fmt: skip
     return (f"<h1>{html.escape(scenario.name)}</h1><p>{html.escape(scenario.title)}</p>"
-            f'<p class="soft">{html.escape(how)}: {html.escape(state + note)}</p>')  # fmt: skip
+            f'<p class="{look}">{html.escape(how)}: {html.escape(state + note)}</p>{said}')  # fmt: skip
+
+
+def _going(source: Source, control: Control) -> str:
+    """Say whether it runs, at what pace, and that the machine does not keep up with it."""
+    if control.held:
+        return "paused"
+    if control.held is None:
+        return "running"
+    if not control.pace:
+        return "running as fast as it goes"
+    late = f", of which this machine reaches {source.speed:.2g}" if 0 < source.speed < 0.8 * control.pace else ""
+    return f"running at {f'{control.pace:g} of ' if control.pace != 1 else ''}the wall's pace{late}"
 
 
 def figures(results: Iterable[Result], so_far: bool) -> str:
@@ -43,7 +58,8 @@ def figures(results: Iterable[Result], so_far: bool) -> str:
         value = "-" if f.value is None else f"{f.value:.5g}"
         unit = pretty_unit(f.unit)
         said = unit if f.value is not None or (so_far and not measured_here(f)) else in_words(f)
-        rows.append(f'<tr><td>{html.escape(f.name)}</td><td class="n">{value}</td><td>{html.escape(said)}</td>'
+        look = 'class="u"' if said == unit else ""
+        rows.append(f'<tr><td>{_broken(f.name)}</td><td class="n">{value}</td><td {look}>{html.escape(said)}</td>'
                     f'<td>{html.escape(accepted(f))}</td><td class="n">{mark}</td></tr>')  # fmt: skip
     first = '<tr><th>name</th><th class="n">value</th><th></th><th>expected</th><th></th></tr>'
     return _section("Figures and margins" + (", so far" if so_far else ""), first, rows)
@@ -78,6 +94,11 @@ def values(names: Mapping[str, tuple[float | None, str]], t: float) -> str:
     rows = [f'<tr><td>{html.escape(label)}</td><td class="n">{"-" if v is None or math.isnan(v) else f"{v:.6g}"}</td>'
             f"<td>{html.escape(pretty_unit(unit))}</td></tr>" for label, (v, unit) in names.items()]  # fmt: skip
     return _section(f"At {t:.6g} s", "", rows)
+
+
+def _broken(name: str) -> str:
+    """Give a name as HTML that a narrow table breaks between its words."""
+    return html.escape(name).replace("_", "_<wbr>")
 
 
 def _section(title: str, first: str, rows: Iterable[str]) -> str:

@@ -461,5 +461,5 @@ def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
     ticks = _answers(steps)
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
     known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts if kept.kinds[-1] is compiled)
-    least = QUICK if known else WORTH // max(1, runs)
+    least = QUICK if known else max(QUICK, WORTH // max(1, runs))
     return "" if ticks > least else f"{ticks:,} answers a run, native code is worth its making from {least:,} on"

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ScenarioError
+from ..guard import need_ros
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..wire.recording import Recording
@@ -80,8 +81,9 @@ def run_processes(
     Raises
     ------
     ScenarioError
-        A node refused its parameters, or nodes of this placement could not be started again.
+        A node refused its parameters, nodes of this placement could not be started again, or there is no ROS 2.
     """
+    need_ros()
     check_restart(rig, placement)
     directory.mkdir(parents=True, exist_ok=True)
     domain, only, wait = placement.domain, placement.only, placement.wait
@@ -108,13 +110,15 @@ def run_processes(
                    "run.pace": placement.pace}  # fmt: skip
 
         def begin(group: list[Member], again: bool = False) -> list[Child]:
-            # A signal waits until it is known who has been started; what Python does at a fork would swallow it with
-            # a traceback, besides.
-            with unstopped():
-                return start(rig, group, seed, directory, options, placement.record, variables,
-                             None if own_domain else (), returns=placement.restart > 0, again=again)  # fmt: skip
+            return start(rig, group, seed, directory, options, placement.record, variables, None if own_domain else (),
+                         returns=placement.restart > 0, again=again)  # fmt: skip
 
-        restarts = Restarts(placement.restart, lambda member: begin([member], again=True)[0], listener.announce)
+        def restart(k: int) -> None:
+            with unstopped():
+                old, (children[k],) = children[k], begin([children[k].member], again=True)
+                os.close(old.end)
+
+        restarts = Restarts(placement.restart, restart, listener.announce)
         guests = Guests(rig, listener.announce)
         if listener.opened is not None:
             listener.opened(domain)
@@ -123,7 +127,10 @@ def run_processes(
                 try:
                     guests.invite(domain)
                     for group in members:
-                        children += begin(group)
+                        # A signal waits until it is known who has been started; what Python does at a fork would
+                        # swallow it with a traceback, besides.
+                        with unstopped():
+                            children += begin(group)
                     error = supervise(
                         rig, children, listener.progress, guests, placement.clock == "realtime", stopping, restarts
                     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,7 +13,7 @@ from ..rig.rig import Rig
 from .children import Child, read_status
 from .placement import Placement
 
-Again = Callable[[Member], Child]
+Again = Callable[[int], object]
 
 
 def check_restart(rig: Rig, placement: Placement) -> None:
@@ -51,7 +50,7 @@ class Restarts:
     ----------
     most : int
     again : callable
-        Starts a node that has died.
+        Starts the node of a child anew, by its number, and puts it in its place.
     announce : callable, optional
         Gets a text when that is done.
 
@@ -104,8 +103,7 @@ class Restarts:
         t = read_status(children[k].status).get("t", 0) / 1e9
         self.counts[name] = self.counts.get(name, 0) + 1
         del self._looks[name]
-        os.close(children[k].end)
-        children[k] = self._again(children[k].member)
+        self._again(k)
         if self._announce is not None:
             self._announce(f"node {name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s; it is started "
                            f"again ({self.counts[name]} of {self.most})")  # fmt: skip

@@ -37,10 +37,10 @@ def supervise(
     while True:
         stopping.check()
         running = [c for c in children if c.process.poll() is None]
-        started = sum(restarts.counts.values())
+        started = dict(restarts.counts)
         if failed := restarts.look(children):
             return _reason(children, failed, restarts)
-        if sum(restarts.counts.values()) > started:
+        if restarts.counts != started:
             comes_up = time.monotonic() + rig.scenario.start_timeout
         if all(c.process.poll() == 0 for c in children):
             return ""

@@ -241,19 +241,19 @@ class Recording:
         """Give what appends one message of each of some topics; their bytes are made when somebody asks for them."""
         buffer, pack = bytearray(), _row_packer(layouts.values())
         # weak: what a topic calls must not keep it, or memory stays taken until Python looks for cycles
-        topics = [(weakref.proxy(self._order[number]), layout) for number, layout in layouts.items()]
+        topics = [(weakref.ref(self._order[number]), layout) for number, layout in layouts.items()]
 
         def settle() -> None:
             if buffer:
                 content = bytes(buffer)
                 buffer.clear()
-                _read_rows(memoryview(content), topics)
+                _read_rows(memoryview(content), [(topic(), layout) for topic, layout in topics])
 
         def add(t: int, values: Sequence[float]) -> None:
             buffer.extend(pack(t, _ROW, *values))
 
-        for topic, _ in topics:
-            topic.settle = settle
+        for number in layouts:
+            self._order[number].settle = settle
         return add
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
@@ -393,7 +393,7 @@ def _row_packer(layouts: Iterable[Layout]) -> Callable[..., bytes]:
     return struct.Struct(f"{_ROW_HEAD.format}{sum(layout.size for layout in layouts)}d").pack
 
 
-def _read_rows(content: memoryview, row: Sequence[tuple[Topic, Layout]]) -> int:
+def _read_rows(content: memoryview, row: Sequence[tuple[Topic | None, Layout]]) -> int:
     """Add the messages of the whole rows at the beginning of some bytes; gives how many bytes that are."""
     length = _ROW_HEAD.size + 8 * sum(layout.size for _, layout in row)
     block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
@@ -403,7 +403,8 @@ def _read_rows(content: memoryview, row: Sequence[tuple[Topic, Layout]]) -> int:
     values = np.ascontiguousarray(block[:, _ROW_HEAD.size :]).view("<f8")
     first = 0
     for topic, layout in row:
-        topic.add_columns(Columns(times, values[:, first : first + layout.size], layout))
+        if topic is not None:  # else nobody has it any more
+            topic.add_columns(Columns(times, values[:, first : first + layout.size], layout))
         first += layout.size
     return int(block.size)
 

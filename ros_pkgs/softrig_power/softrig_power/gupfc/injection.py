@@ -60,19 +60,3 @@ def converter_power(v1: Any, a1: Any, v2: Any, a2: Any, e: Any, f: Any, z: compl
     g = z.real / (z.real**2 + z.imag**2)
     cross = e * (v1 * np.cos(a1) - v2 * np.cos(a2)) + f * (v1 * np.sin(a1) - v2 * np.sin(a2))
     return p1 + p2 + g * (e * e + f * f) + 2.0 * g * cross
-
-
-def shunt_reactive_power(v1: float, alpha1: float, v_sh: float, alpha_sh: float, z: complex) -> float:
-    """Reactive power of the shunt converter into bus 1, (14) with the missing term.
-
-    Parameters
-    ----------
-    v1, alpha1 : float
-        Magnitude and angle (rad) of the bus voltage.
-    v_sh, alpha_sh : float
-        Magnitude and angle of the converter voltage.
-    z : complex
-        Impedance of the shunt transformer.
-    """
-    theta, scale = alpha1 - alpha_sh, 1.0 / (z.real**2 + z.imag**2)
-    return float(v1 * v_sh * scale * (z.imag * np.cos(theta) + z.real * np.sin(theta)) - scale * z.imag * v1**2)

@@ -24,9 +24,3 @@ AERIAL: Matrix = np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0], [-1.0, 0.0, 1.0]]
 """Phases to the three aerial modes (a - b)/3, (b - c)/3, (c - a)/3, of which every fault excites at least two."""
 for _matrix in (CLARKE, KARRENBAUER, KARRENBAUER_INVERSE, AERIAL):
     _matrix.setflags(write=False)
-
-
-def phase_impedance(zero: complex, positive: complex) -> NDArray[np.complex128]:
-    """Phase matrix of a transposed element from its sequence values: self (z0 + 2 z1)/3, mutual (z0 - z1)/3."""
-    own, mutual = (zero + 2.0 * positive) / 3.0, (zero - positive) / 3.0
-    return np.full((3, 3), mutual, dtype=complex) + (own - mutual) * np.eye(3)

@@ -125,14 +125,6 @@ def quotient(a: Series, b: Series) -> Series:
     return q
 
 
-def sin_cos(a: Series) -> tuple[Series, Series]:
-    """Sine and cosine of a series."""
-    s, c = np.zeros(len(a)), np.zeros(len(a))
-    for k in range(len(a)):
-        s[k], c[k] = sin_cos_at(a, s, c, k)
-    return s, c
-
-
 def exp(a: Series) -> Series:
     """Exponential of a series."""
     e = np.zeros(len(a))
@@ -146,12 +138,4 @@ def log(a: Series) -> Series:
     y = np.zeros(len(a))
     for k in range(len(a)):
         y[k] = log_at(a, y, k)
-    return y
-
-
-def constant_power(a: Series, p: float) -> Series:
-    """Give a series, whose constant term is not 0, to a constant power."""
-    y = np.zeros(len(a))
-    for k in range(len(a)):
-        y[k] = power_at(a, p, y, k)
     return y
