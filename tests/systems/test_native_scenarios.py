@@ -93,7 +93,7 @@ STAYS = {
     "PvPlant.outputs: ArrayParams.sources.<locals>.<lambda>()": 33,
     "Track.open: an assignment to a part of something": 4,
     "RectifierPlant._moving: import": 34,
-    "_Base.fill: slice": 1,
+    "MoveSolver.solve: slice": 1,
     "TcpPackets.seen: .inside of Traffic": 7,
 }
 
