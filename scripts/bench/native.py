@@ -1,4 +1,4 @@
-"""Native code beside a loop written in C by hand: dc_motor_smc, ns a tick."""
+"""Native code beside a loop written in C by hand, and beside Python: ns a tick."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
-from softrig_core import Recording, ScenarioError, rig_of
+from softrig_core import Recording, Rig, ScenarioError, rig_of
+from softrig_core.block.runner import Runner
+from softrig_core.native.compile import compiled, plain
 from softrig_core.native.engine import Engine
 from softrig_core.run.inprocess import record, wired
 
@@ -18,6 +20,8 @@ from .console import console
 from .timing import least
 
 SECONDS = 60.0  # simulated
+RIGS = ("dc_motor_smc", "dc_motor_fsfb", "induction_dtc", "lsrm_fuzzy", "tcp_aqm_smc", "rehab_impedance",
+        "manipulator_adsmc")  # fmt: skip
 CODE = Path(__file__).with_name("dc_motor_smc.c")
 
 
@@ -75,8 +79,37 @@ def _constants(blocks: dict[str, Any]) -> list[float]:
 
 
 def print_table() -> None:
-    """Native code of dc_motor_smc beside a loop in C by hand, ns of CPU a tick; needs gcc."""
+    """Native code of dc_motor_smc beside C by hand, then of rigs beside Python, ns of CPU a tick; needs gcc."""
     table = Table("loop", "ns a tick", box=None, pad_edge=False)
     for name, ns in rates().items():
         table.add_row(name, f"{ns:.1f}")
     console.print(table)
+    table = Table("rig", "ticks", "one by one", "one text in Python", "native", "times", box=None, pad_edge=False)
+    for name in RIGS:
+        rig = rig_of(name)
+        one, text, compiled_ = (ns_of(rig, make) for make in (None, plain, compiled))
+        table.add_row(
+            name, f"{rig.ticks:,}", f"{one:,.0f}", f"{text:,.0f}", f"{compiled_:,.0f}", f"{one / compiled_:.1f}"
+        )
+    console.print(table)
+
+
+def ns_of(rig: Rig, make: Any) -> float:
+    """Measure ns of CPU a tick of a whole run, everything recorded, observers in the rig; the least of five.
+
+    Parameters
+    ----------
+    rig : Rig
+    make : callable or None
+        As for `Engine`; None: members answer one by one.
+    """
+
+    def run() -> None:
+        recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+        steps = wired(rig, {m.name: m.block(rig.scenario.seed) for m in rig.members})
+        record(rig, steps, recording)
+        members = list(steps.values())
+        for _ in Runner(members).run() if make is None else Engine(members, make).run():
+            pass
+
+    return least(run) / rig.ticks * 1e9

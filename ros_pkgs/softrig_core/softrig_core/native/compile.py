@@ -37,7 +37,8 @@ def compiled(made: RigText) -> Callable[..., Any]:
     _teach(numba)
     names = made.program.names
     scope = {"same_": same, **BASE}
-    arrays = any(isinstance(thing, Jit) for thing in names.values())  # what these make has to be given back
+    # arrays that are made on the way have to be given back
+    arrays = "array_(" in made.text or any(isinstance(thing, Jit) for thing in names.values())
     options = {"error_model": "python", "boundscheck": True, "nogil": True, "_nrt": arrays}
     inner = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # called by the rig's alone
     content = hashlib.sha256(f"{options} {inner}\0{made.text}".encode())
