@@ -91,6 +91,7 @@ class Engine:
         self.native = Native()
         watchers = [s for s in self.steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
         self._watchers = watchers
+        self._tick_by_tick = {w.name for w in watchers if type(w.block).at_once is Observer.at_once}  # type: ignore[attr-defined]
         self._core = [s for s in self.steps if s not in watchers]
         stride = math.gcd(*(s.schedule.every for s in self.steps))
         self._every = {id(s): s.schedule.every // stride for s in self.steps}
@@ -346,6 +347,8 @@ class Engine:
     def _at_once(self, watcher: Step, first: int, last: int, said: Mapping[int, Any]) -> bool:
         """Let one who watches have all that its ticks see, if it takes that so."""
         ticks, every = self._own(watcher, first, last), self._every[id(watcher)]
+        if watcher.name in self._tick_by_tick:
+            return False
         if not ticks:
             return True
         messages: dict[str, list[tuple[int, Any]]] = {}
@@ -364,6 +367,7 @@ class Engine:
         t = watcher.schedule.time(ticks[-1])
         x = watcher.block.at_once(watcher.x, t, messages)  # type: ignore[attr-defined]
         if x is None:
+            self._tick_by_tick.add(watcher.name)
             return False
         watcher.x, watcher.t = x, t
         return True
