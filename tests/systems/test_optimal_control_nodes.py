@@ -293,7 +293,8 @@ def test_a_plan_that_comes_ticks_after_its_stamp_is_played():
     player.block.ages = lambda name: {"plan": None, "summary": 2 * S}.get(name)
     assert player.update(2 * S, state=STATE, plan=plan, summary=summary)["command"] == (0.0, 0.0, 0.0)  # half of it
     player.block.ages = lambda name: 3 * S
-    command = player.update(3 * S, state=STATE, plan=plan, summary=summary)["command"]
+    elsewhere = (0.02, *STATE[1:])  # by then
+    command = player.update(3 * S, state=elsewhere, plan=plan, summary=summary)["command"]
     assert command == pytest.approx(found(3.5)[6:], rel=1e-12)
 
 
@@ -303,9 +304,11 @@ def test_markers_show_the_momentum():
 
 
 def test_a_plan_that_is_over_or_another_problems_is_refused():
-    for plan, why in ((planned(start=-100.0), "over"), (planned(x=(0.02, 0.0, 0.0)), "another problem")):
+    other = (W0[0] + 1e-6, *W0[1:])
+    cases = (0, -100.0, W0, "over"), (0, 0.0, other, "another problem"), (5, 5.0, other, "another problem")
+    for t, start, x, why in cases:
         player = ByHand(OcpPlayer())
-        assert fed(player, 0, *plan)["command"] == (0.0, 0.0, 0.0)
+        assert fed(player, t * S, *planned(start=start, x=x))["command"] == (0.0, 0.0, 0.0)
         assert player.reports["plan_refused"][0] is Level.ERROR
         assert why in player.reports["plan_refused"][1]
     player = ByHand(OcpPlayer())
