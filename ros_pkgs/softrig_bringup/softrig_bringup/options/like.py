@@ -8,9 +8,8 @@ import json
 import shlex
 import struct
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, rig_of
@@ -67,7 +66,7 @@ class Recalled:
     epoch: int
     late: Mapping[str, Mapping[str, int]]
     made_with: Mapping[str, Mapping[str, Any]]
-    digests: Mapping[str, Digest] = MappingProxyType({})
+    digests: Mapping[str, Digest] = field(default_factory=dict)
 
 
 def _reached(recording: Recording, epoch: int) -> int:
