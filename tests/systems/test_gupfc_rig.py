@@ -206,7 +206,8 @@ def test_line_against_a_pi_ladder(solver):
     sigma = np.array([NETWORK.shunt_sigma, *(2.0 * math.asin(abs(v) / (NETWORK.series_limit * v_dc)) for v in series)])
     angle = np.array([cmath.phase(v) for v in (first.v_sh, *series)])
     rows = [np.empty((count + 1, n), dtype=complex) for n in (6, 5, 3)]
-    steps.advance(prepared, lines, state, 0, sigma, angle, np.full(3, NETWORK.omega), 0, False, *rows)
+    turning = steps.Turning(sigma, angle, np.full(3, NETWORK.omega))
+    steps.advance(prepared, lines, state, 0, turning, 0, False, steps.Rows(*rows))
     t = params.step * np.arange(count + 1)
     u2, u1, i12 = rows[0][:, steps.BUS2], np.abs(rows[0][:, steps.BUS1]), rows[1][:, steps.I12]
     p1 = (u2 * i12.conj()).real
@@ -320,8 +321,10 @@ def test_plain_and_native_code_give_the_same_bits():
         state = steps.State(*(x.copy() for x in point.start.state))
         rows = [np.zeros((17, n), dtype=complex) for n in (6, 5, 3)]
         sigma, angle = np.array([3.0, 1.1, 2.2]), np.array([0.1, -1.5, -2.0])
-        powers = [function(prepared, lines, state, 16 * k, sigma, angle + k * TURN, np.full(3, 377.0), 1, False, *rows)
-                  for k in range(6)]  # fmt: skip
+        powers = []
+        for k in range(6):
+            turning = steps.Turning(sigma, angle + k * TURN, np.full(3, 377.0))
+            powers.append(function(prepared, lines, state, 16 * k, turning, 1, False, steps.Rows(*rows)))
         results.append([np.array(powers), *(x.copy() for x in (*state, *rows))])
     for a, b in zip(*results, strict=True):
         assert np.array_equal(a, b)
@@ -390,11 +393,11 @@ def test_bad_command_is_held_then_blocks_the_converter(which, bad):
     assert all(math.isfinite(x) for x in found.values())
     if which == 0:
         assert plant.x.commands[0].sigma == NETWORK.shunt_sigma
-        u1, v_sh = complex(*plant.outputs(0)["u1"][:2]), plant.x.seen.converter[-1, 0]
+        u1, v_sh = complex(*plant.outputs(0)["u1"][:2]), plant.x.seen.rows.converter[-1, 0]
         assert cmath.phase(v_sh / u1) == pytest.approx(-0.5 * TURN / 16, abs=0.02)  # alpha = 0
     else:
         assert found[("v12", "v34")[which - 1]] == 0.0
-        assert np.all(plant.x.seen.converter[1:, which] == 0.0)
+        assert np.all(plant.x.seen.rows.converter[1:, which] == 0.0)
     plant.advance(0, **commands(plant, 30))
     assert [c.bad for c in plant.x.commands] == [0, 0, 0]
     assert plant.outputs(0)["status"][8 + which] > 0.1 or which == 0

@@ -34,7 +34,7 @@ from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.figures import repeatability
 from softrig_robots.rehab.computation import PUBLISHED, computation_times
 from softrig_robots.rehab.controller import VoltageController
-from softrig_robots.rehab.emvc import Emvc
+from softrig_robots.rehab.emvc import Emvc, EmvcGains
 from softrig_robots.rehab.impedance import Impedance
 from softrig_robots.rehab.model import JOINTS, foot_jacobian, rehab_urdf
 from softrig_robots.rehab.patient import Patient
@@ -741,7 +741,7 @@ def test_start_outside_the_range_can_be_allowed():
 
 
 def test_emvc_by_hand():
-    law = Emvc(alpha_hat=2.0, lam=3.0, resistance=5.0, T=1e-3, v_max=24.0)
+    law = Emvc(EmvcGains(alpha_hat=2.0, lam=3.0, resistance=5.0).of_joint("emvc", 0, 1), T=1e-3, v_max=24.0)
     # psi = (1 - 5*0.1)/2 - 0.4 = -0.15, V = 0.5 + 2*(0.6 + 3*0.2 - 0.15)
     x, V = law(law.first(), q=0.3, qd=0.4, current=0.1, ref=0.5, ref_d=0.6, ref_dd=0.0, V=1.0)
     assert (x.psi, V) == pytest.approx((-0.15, 2.6))
