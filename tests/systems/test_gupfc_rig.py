@@ -520,20 +520,6 @@ def test_gains_beyond_the_published_range():
     assert not settled(**shunt(24.0, 300.0))
 
 
-def test_monitor():
-    """The figures of the running rig since the last step are those of its recording."""
-    found = run("gupfc_stretch")
-    figures = {name: value for name, (value, _) in found.blocks["gupfc_monitor"].status().items()}
-    for name in ("p1", "p2"):
-        assert figures[f"{name}_settling_time"] == pytest.approx(
-            found.figures[f"{name}_settling_third"], abs=1.1 * PERIOD
-        )
-    for name in ("v1_min", "v1_max", "v_dc_min", "v_dc_max"):
-        assert figures[name] == pytest.approx(found.figures[name])
-    assert figures["p1_mean_error"] == pytest.approx(np.mean(1.2 - status(found, "p1")[2880:]), abs=1e-4)
-    assert abs(figures["power_balance"]) < 1e-3
-
-
 def test_power_flow_node():
     """Answers at the start, on a press, on a new reference; diverged: status and mismatch, no voltages."""
     node = ByHand(PowerFlowNode())

@@ -43,7 +43,6 @@ from softrig_power.pv.converter import (
 from softrig_power.pv.curves import PvCurves
 from softrig_power.pv.figures import POWER
 from softrig_power.pv.module import ModuleParams, cell
-from softrig_power.pv.monitor import MpptMonitor
 from softrig_power.pv.mppt import MpptOptimizer
 from softrig_power.pv.plant import PvPlant
 from softrig_power.pv.shading import ShadingSource
@@ -545,25 +544,6 @@ def test_tracker_knows_nothing_of_the_plant():
     assert not {"module", "converter", "irradiance", "R_L"} & set(MpptOptimizer.Params.model_fields)
 
 
-def test_metrics_node():
-    """Its running figures are those of the recording."""
-    node = ByHand(MpptMonitor(period=0.5))
-    best = string(PATTERN1).gmpp
-    everything = PATTERN1 + ROOM
-    node.update(0, port=(best.v, 0.5 * best.i, 25.0), environment=everything)
-    node.update(500_000_000, port=(best.v, best.i, 25.0), environment=everything)
-    figures = {name: value for name, (value, _) in node.status().items()}
-    assert figures == pytest.approx({"gmpp": best.p, "power": best.p, "in_global_basin": 1.0, "tracking_time": 0.5,
-                                     "efficiency": 100.0, "energy_share": 75.0})  # fmt: skip
-    node.update(1_000_000_000, port=(best.v, best.i, 25.0), environment=UNIFORM + ROOM)
-    node.update(1_500_000_000, port=(best.v, best.i, 25.0), environment=UNIFORM + ROOM)
-    figures = {name: value for name, (value, _) in node.status().items()}
-    assert figures["efficiency"] == pytest.approx(100.0 * 116.460 / 239.528, abs=0.02)
-    assert figures["tracking_time"] == pytest.approx(1.0)
-    node.update(2_000_000_000, port=(0.0, 0.0, 25.0), environment=(0.0,) * 4 + ROOM)
-    assert "efficiency" not in node.status()
-
-
 def test_curves_on_request():
     node = ByHand(PvCurves(n_points=101))
     first = np.reshape(node.update(0, environment=None, request=None)["curves"], (3, 101))
@@ -667,13 +647,6 @@ def test_impossible_conditions_are_refused(change, text):
     assert text in plant.reports["environment"][1]
     plant.advance(0, duty=(0.5,), environment=PATTERN2 + ROOM)
     assert plant.x.conditions == PATTERN2 + ROOM
-
-    node, best = ByHand(MpptMonitor()), string(PATTERN1).gmpp
-    for t in (0, 1_000_000):
-        node.update(t, port=(best.v, best.i, 25.0), environment=change)
-    assert text in node.reports["environment"][1]
-    assert node.status()["efficiency"][0] == pytest.approx(100.0)
-    assert node.status()["tracking_time"][0] == 0.0
 
     node = ByHand(PvCurves())
     node.update(0, environment=PATTERN2 + ROOM, request=None)

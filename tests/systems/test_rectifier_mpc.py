@@ -41,7 +41,6 @@ from softrig_power.rectifier.averaged import ode_abc
 from softrig_power.rectifier.circuit import INJECTION, SPWM, Circuit, Period, grid, phases
 from softrig_power.rectifier.controller import RectifierGpc
 from softrig_power.rectifier.models import SEED19_DEN, SEED19_NUM, d2, linearised, n3, seed19
-from softrig_power.rectifier.monitor import RectifierMonitor
 from softrig_power.rectifier.parameters import RectifierConstants
 from softrig_power.rectifier.plant import RectifierPlant
 from softrig_power.rectifier.ports import DC_LINK, POWER_QUALITY, V_DROP, events
@@ -717,23 +716,6 @@ def test_divergence_ends_as_a_reported_trip():
     _, state = run.signals["health/state/position"]
     assert set(u[state == 3.0]) == {0.0}
     assert np.isfinite(run.signals["output/v_dc/position"].x).all()
-
-
-def test_metrics_by_event():
-    run = run_of("rectifier_mpc")
-    found = run.blocks["rig_metrics"].status()
-    v = run.signals["dc_link/voltage/position"]
-    after = v.x[v.t >= 0.15]
-    assert found["event_1_v_min"] == (after.min(), "V")
-    assert found["event_1_v_max"] == (after.max(), "V")
-    assert found["event_1_final"][0] == pytest.approx(400.0, abs=1e-6)
-    assert found["event_1_settling"][0] == pytest.approx(37 * T, abs=1e-9)
-    assert found["event_0_settling"] == (0.0, "s")
-    watcher = ByHand(RectifierMonitor(set_point=100.0))
-    for k, y in enumerate((0.0, 90.0, 104.0, 99.0)):
-        watcher.update(k * 10**9, dc_link=(y, 0.0), reference=None, events=None)
-    assert watcher.status()["event_0_overshoot"] == (pytest.approx(4.0), "%")
-    assert watcher.status()["event_0_settling"] == (3.0, "s")
 
 
 def test_the_certificate_of_the_papers_model_does_not_help_the_plant():
