@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from softrig_core import Observer, Rig, ScenarioError, figures_of, list_scenarios, load_scenario, rig_of, simulate
+from softrig_core import Observer, ScenarioError, figures_of, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.block.params import flatten
 from softrig_core.judge.registry import find, registered
 from softrig_core.scenario.scenario_file import locate, resolve
@@ -445,7 +445,7 @@ def test_figures_of_another_module_than_the_plants_are_refused():
     scenario = load_scenario("pv_mppt")
     entry = scenario.figures["gmpp"].model_copy(update={"arguments": {"at": 3.0, "module": {"I_sc": 8.21}}})
     with pytest.raises(ScenarioError, match=r"figure gmpp: argument module = .* but pv_plant has .* leave it out"):
-        figures_of(Rig.from_scenario(scenario.model_copy(update={"figures": {"gmpp": entry}})))
+        rig_of(scenario.model_copy(update={"figures": {"gmpp": entry}}))
 
 
 def test_an_axis_that_goes_back_rests_where_it_was_asked_to():
