@@ -16,7 +16,7 @@ from scipy.sparse import lil_matrix
 from scipy.sparse.linalg import spsolve
 from softrig_control.filters import SecondOrderFilter
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
-from softrig_core import ByHand, Level, ParameterError, Signals, load_scenario, rig_of, run_processes, simulate
+from softrig_core import ByHand, Level, Signals, load_scenario, rig_of, run_processes, simulate
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment
 from softrig_core.processes.placement import Listener, Placement
@@ -476,27 +476,6 @@ def test_refused_measurement_turns_the_last_voltage_on():
             assert after[0] == before[0]
             assert math.remainder(after[1] - before[1] - TURN, math.tau) == pytest.approx(0.0, abs=1e-12)
             before = after
-
-
-@pytest.mark.parametrize(
-    ("network", "text"),
-    [({"half_length": 0.0}, "half_length"), ({"r1": -1.0}, "r1"), ({"l1": -1.0}, "l1"), ({"c1": 0.0}, "c1"),
-     ({"half_length": 20.0}, "steps"), ({"source_r": -0.1}, "source_r"), ({"l1": math.nan}, "l1")],
-)  # fmt: skip
-def test_impossible_lines_are_refused_at_the_start(network, text):
-    """Zero length, negative r, l, c, a delay shorter than 4 steps."""
-    for block in (GupfcPlant, SeriesController, ShuntController):
-        with pytest.raises(ParameterError, match=text):
-            block(network=network)
-
-
-def test_impossible_operating_points_are_refused_at_the_start():
-    with pytest.raises(ParameterError, match="no solution"):
-        GupfcPlant(initial={"p1": 8.0, "p2": 8.0})
-    with pytest.raises(ParameterError, match=r"V12 = 0\.251.* limit is 0\.245"):
-        GupfcPlant(initial={"p1": 1.2, "p2": -1.2})
-    with pytest.raises(ParameterError, match="48"):
-        GupfcPlant(waveform="pulse", network={"frequency": 50.0})
 
 
 @pytest.mark.long

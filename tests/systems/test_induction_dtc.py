@@ -15,7 +15,6 @@ from softrig_bringup.run.run import checked, execute
 from softrig_core import (
     ByHand,
     Level,
-    ParameterError,
     Refused,
     Scenario,
     ScenarioError,
@@ -420,34 +419,6 @@ def test_flux_error_is_drawn_as_a_difference(monkeypatch, tmp_path):
 
 
 # bad input
-
-
-@pytest.mark.parametrize(
-    ("block", "values", "text"),
-    [
-        (ImPlant, {"R_s": 0.0}, "R_s = 0"),
-        (ImPlant, {"R_R": -1.0}, "R_R"),
-        (ImPlant, {"L_sigma": 0.0}, "L_sigma"),
-        (ImPlant, {"L_M": 0.0}, "L_M"),
-        (ImPlant, {"J": 0.0}, "J = 0"),
-        (ImPlant, {"U_dc": 0.0}, "U_dc"),
-        (ImPlant, {"period": 0.0}, "period"),
-        (ImPlant, {"full_scale": 0.0}, "full_scale"),
-        (ImPlant, {"bits": 1}, "bits"),
-        (ImPlant, {"bits": 25}, "bits"),
-        (ImPlant, {"dither_p": 1.01}, "dither_p"),
-        (ImPlant, {"dither_p": float("nan")}, "dither_p"),
-        (ImPlant, {"adc_mode": "round"}, "adc_mode"),
-        (DtcController, {"flux_band": -0.01}, "flux_band"),
-        (DtcController, {"torque_band": -0.5}, "torque_band"),
-        (DtcController, {"table": "takahashi"}, "table"),
-        (DtcController, {"flux_ramp": 0.3}, "does not end within magnetising_time"),
-        (SpeedController, {"slew": 0.0}, "slew"),
-    ],
-)
-def test_bad_parameter_is_named(block, values, text):
-    with pytest.raises(ParameterError, match=text):
-        block(**values)
 
 
 def test_periods_that_do_not_fit_are_refused():

@@ -12,13 +12,12 @@ from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
 from softrig_control.fuzzy import TakagiSugeno, sum_rules
-from softrig_core import ByHand, Level, ParameterError, Refused, list_scenarios, load_scenario, simulate
+from softrig_core import ByHand, Level, Refused, list_scenarios, load_scenario, simulate
 from softrig_core.block.codec import Decoder
 from softrig_core.wire.cdr import Layout
 from softrig_drives.lsrm.current_controller import CurrentController
 from softrig_drives.lsrm.figures import FORCE, POSITION, SPEED, arrival, overshoot, peak_force
 from softrig_drives.lsrm.fuzzy import TABLE_II, THIRDS, LsrmFuzzy
-from softrig_drives.lsrm.load import LsrmLoad
 from softrig_drives.lsrm.machine import Geometry, distance, inductance, slope
 from softrig_drives.lsrm.mrac import LsrmMrac
 from softrig_drives.lsrm.pi import LsrmPi
@@ -515,41 +514,6 @@ def test_translator_is_drawn_over_its_stator():
 
 
 # bad input
-
-
-@pytest.mark.parametrize(
-    ("block", "values", "text"),
-    [
-        (LsrmPlant, {"M": 0.0}, "M = 0"),
-        (LsrmPlant, {"R": 0.0}, "R = 0"),
-        (LsrmPlant, {"tau": 0.0}, "tau = 0"),
-        (LsrmPlant, {"G": -0.8}, "G = -0.8"),
-        (LsrmPlant, {"L_u": 0.0}, "L_u = 0"),
-        (LsrmPlant, {"w": 6.5e-3}, "expected less than h"),
-        (LsrmPlant, {"c": 20e-3}, "leaves 0 to tau/2"),
-        (LsrmPlant, {"substeps": 0}, "substeps"),
-        (LsrmPlant, {"x_0": math.nan}, "x_0"),
-        (CurrentController, {"resolution": 0.0}, "resolution"),
-        (CurrentController, {"K_pc": -1.0}, "K_pc"),
-        (LsrmFuzzy, {"K_e": 0.0}, "K_e = 0"),
-        (LsrmFuzzy, {"K_de": -0.01}, "K_de"),
-        (LsrmFuzzy, {"rules": TABLE_II[:-1]}, "rules has 48 values, expected 7 x 7"),
-        (LsrmFuzzy, {"rules": (4, *TABLE_II[1:])}, "expected -3 to 3, got 4"),
-        (LsrmFuzzy, {"peaks": (-1.0, -0.5, -0.5, 0.0, 0.3, 0.6, 1.0)}, "expected 7 increasing"),
-        (LsrmFuzzy, {"peaks": (-1.0, 0.0, 1.0)}, "expected 7 increasing"),
-        (LsrmFuzzy, {"conjunction": "sum"}, "conjunction"),
-        (LsrmMrac, {"theta_0": (0.5, 10.0, 0.0)}, "not between"),
-        (LsrmMrac, {"gains": (-1.0, 1.0, 1.0)}, "none negative"),
-        (ProfileGenerator, {"t_d": 0.0}, "t_d = 0"),
-        (ProfileGenerator, {"profile": "sine"}, "profile"),
-        (LsrmLoad, {"masses": (0.0, -1.0)}, "expected 0 to 100000, got -1.0"),
-        (LsrmLoad, {"times": (0.5, 1.0)}, "first to be 0"),
-        (LsrmLoad, {"times": (0.0, 0.0)}, "later than the one before"),
-    ],
-)
-def test_bad_parameter_is_named(block, values, text):
-    with pytest.raises(ParameterError, match=text):
-        block(**values)
 
 
 def test_reference_that_the_motor_cannot_follow_warns():

@@ -18,7 +18,6 @@ from softrig_bringup.study.work import Work, run as run_case
 from softrig_core import (
     ByHand,
     Level,
-    ParameterError,
     Signals,
     evaluate,
     list_scenarios,
@@ -772,41 +771,6 @@ def test_search_in_the_dark_makes_no_claim():
         state = tracked(tracker, tick * 1_000_000, (0.0, 0.0, 25.0))["state"]
         assert state[0] == 1.0
     assert tracker.reports["no signal"][0] is Level.WARN
-
-
-@pytest.mark.parametrize(
-    ("block", "changes", "name"),
-    [
-        (PvPlant, {"converter.L": 0.0}, "converter.L"),
-        (PvPlant, {"converter.C_i": -1e-6}, "converter.C_i"),
-        (PvPlant, {"converter.R_L": 0.0}, "converter.R_L"),
-        (PvPlant, {"module.R_p": 0.0}, "module.R_p"),
-        (PvPlant, {"module.R_s": -0.1}, "module.R_s"),
-        (PvPlant, {"module.a": 0.5}, "module.a"),
-        (PvPlant, {"module.a": 2.5}, "module.a"),
-        (PvPlant, {"d_min": 0.9, "d_max": 0.1}, "d_min"),
-        (PvPlant, {"d_min": 0.0}, "d_min"),
-        (PvPlant, {"d_max": 1.0}, "d_max"),
-        (PvPlant, {"period": 0.00101, "model": "switched"}, "period"),
-        (PvPlant, {"step": 3e-4}, "step"),
-        (PvPlant, {"irradiance": (1000.0,)}, "temperature of 4"),
-        (PvPlant, {"irradiance": (1000.0, 2000.0, 0.0, 0.0)}, "module 2"),
-        (MpptOptimizer, {"d_min": 0.9, "d_max": 0.9}, "d_min"),
-        (MpptOptimizer, {"d_max": 1.0}, "d_max"),
-        (MpptOptimizer, {"n_pop": 0}, "n_pop"),
-        (MpptOptimizer, {"n_iter": 0}, "n_iter"),
-        (MpptOptimizer, {"algorithm": "de_best1", "n_pop": 3}, "n_pop"),
-        (MpptOptimizer, {"algorithm": "perturb_observe", "initial": 0.95}, "initial"),
-        (MpptOptimizer, {"algorithm": "ramp", "ramp_time": 0.001}, "n_ramp"),
-        (ShadingSource, {"times": (0.0, 1.0)}, "irradiance has 4 values"),
-        (ShadingSource, {"times": (1.0, 1.0), "irradiance": PATTERN1 * 2}, "times"),
-        (ShadingSource, {"temperature": (25.0,)}, "temperature has 1"),
-        (ShadingSource, {"temperature": (25.0, 25.0, 25.0, 120.0)}, "module 4"),
-    ],
-)
-def test_bad_parameters_are_named(block, changes, name):
-    with pytest.raises(ParameterError, match=name):
-        block(**changes)
 
 
 def test_metric_outside_the_record():
