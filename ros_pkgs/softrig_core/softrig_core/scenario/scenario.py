@@ -53,7 +53,8 @@ class FigureEntry(_Model):
         Unit of the figure; that of the function and its signal when absent.
     since : str
         A signal from whose newest step on it is measured: `start` and `end` count from there, `final` is the signal's
-        value after it, `initial` what is measured then, unless `final` is given. Empty: the whole run.
+        value after it, `initial` what is measured then, unless `final` is given. With several, a comma and a blank
+        between: from the newest step of any of them on, and `final` must be given. Empty: the whole run.
     """
 
     function: str = ""
