@@ -59,14 +59,12 @@ class TopicComparison:
 
     Parameters
     ----------
-    topic, msgtype : str
     count_a, count_b : int
         Number of messages.
     missing, extra : int
         Messages of a that b lacks, messages of b that a lacks.
     differing : int
         Paired messages that disagree.
-    first : Difference, optional
     largest : dict of str to float
         Largest ``|b - a|`` of each field that differs at all, within tolerance or not.
     """
@@ -155,10 +153,6 @@ def compare(
         Topics to compare; default all of both.
     ignore : sequence of str
         Patterns of topics left out.
-
-    Returns
-    -------
-    Comparison
     """
     topics_a, topics_b = a.recording.topics, b.recording.topics
     for name in topics or ():

@@ -20,7 +20,6 @@ def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[
 
     Parameters
     ----------
-    recording : Recording
     texts : mapping of str to str
         Topic to what is latched there, as ``robot_description``; what is recorded already stays as it is.
     status : mapping of str to mapping

@@ -26,8 +26,6 @@ def play(
 
     Parameters
     ----------
-    options : argparse.Namespace
-    ros_arguments : list of str
     parameters : sequence of (Declaration, value)
         The options as the node shows them.
     """

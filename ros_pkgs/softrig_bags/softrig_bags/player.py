@@ -46,9 +46,6 @@ class Sender:
 
     Parameters
     ----------
-    session : Session
-    bag : BagReader
-    topics : sequence of BagTopic
     remap : mapping of str to str
         Recorded name to name to publish.
     """
@@ -141,10 +138,6 @@ class Player:
 
     Parameters
     ----------
-    session : Session
-    bag : BagReader
-    sender : Sender
-    part : Span
     rate : float
         Bag seconds a wall-clock second.
     loop : bool
@@ -289,15 +282,12 @@ class LockstepPlayer:
 
     Parameters
     ----------
-    session : Session
-    bag : BagReader
     sender : Sender
         Of the topics that are played: none of the answers.
     answers : sequence of str
         Recorded names of the topics that the node under test publishes.
     remap : mapping of str to str
         Recorded name to the name on which the node publishes.
-    part : Span
     timeout : float
         Wall-clock seconds without progress that end the replay.
     """

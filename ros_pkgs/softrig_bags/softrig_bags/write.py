@@ -33,7 +33,6 @@ def write_bag(
     ----------
     directory : Path or str
         The new bag; must not exist.
-    recording : Recording
     storage : str
         ``mcap`` or ``sqlite3``.
     compression : str

@@ -39,7 +39,6 @@ class Pid:
 
     Parameters
     ----------
-    gains : PidParams
     period : float
         Ts in s.
 

@@ -26,10 +26,8 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
     ----------
     runs : mapping of str to Run
         By label; what the last one violates is shaded.
-    requirement : str
     path : Path
         The PNG.
-    title : str
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure

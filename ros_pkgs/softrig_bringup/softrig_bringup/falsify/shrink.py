@@ -18,7 +18,6 @@ def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], b
 
     Parameters
     ----------
-    space : Space
     overrides : dict
         Of the violation.
     violates : callable

@@ -85,7 +85,6 @@ class Space:
     ----------
     scenario : Scenario
         With a fault for each profile.
-    overs : tuple of Over
     targets : tuple of str
         Of each: the parameter that is set, ``node.parameter``.
     nominal : tuple

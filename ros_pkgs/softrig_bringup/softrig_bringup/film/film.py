@@ -26,7 +26,6 @@ class Film:
 
     Parameters
     ----------
-    drawing : Drawing
     times : float array of shape (n,)
         Simulated time of each frame, s.
     frames : list of lists of Shape
@@ -70,7 +69,6 @@ def film(drawing: Drawing, signals: Mapping[str, Signal], start: float, end: flo
 
     Parameters
     ----------
-    drawing : Drawing
     signals : mapping of str to (t, x)
         `Signals` of the run; one that the run has not is drawn at rest.
     start, end : float

@@ -47,7 +47,6 @@ class Recalled:
         As it was named.
     options : argparse.Namespace
         Of its command.
-    bag : Path
     recording : Recording
         Empty where the bag was left out of a pack.
     epoch : int
@@ -210,14 +209,11 @@ def compared(before: Recalled, run: Run, made_with: Mapping[str, Any]) -> tuple[
 
     Parameters
     ----------
-    before : Recalled
-    run : Run
     made_with : mapping
         What has made the repetition, as ``metrics.json`` has it.
 
     Returns
     -------
-    same : bool
     told : list of str
         The last line says whether it repeats, and if not, which version differs first.
     """

@@ -37,10 +37,6 @@ class Box:
 def draw_diagram(wiring: Wiring) -> Element:
     """Draw the block diagram of a rig.
 
-    Parameters
-    ----------
-    wiring : Wiring
-
     Returns
     -------
     Element

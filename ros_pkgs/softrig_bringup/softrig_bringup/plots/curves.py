@@ -27,7 +27,6 @@ class Curve:
 
     Parameters
     ----------
-    label, unit : str
     x, y : float arrays of shape (n,)
     held : bool
         The value stays until the next sample: drawn as steps.
@@ -118,7 +117,6 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
 
     Parameters
     ----------
-    curve : Curve
     window : (float, float), optional
         First and last time, s; none leaves the curve as it is.
     """

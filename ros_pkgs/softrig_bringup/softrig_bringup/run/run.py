@@ -57,10 +57,8 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
     ----------
     rig : Rig
         As `checked` gives it.
-    placement : Placement
     directory : Path
         For the logs of node processes.
-    listener : Listener
     """
     started, seed = time.perf_counter(), rig.scenario.seed
     run = Run(rig, seed, Recording((t, p.msgtype) for t, p in rig.topics.items()), mode=str(placement))
@@ -246,10 +244,8 @@ def save(
 
     Parameters
     ----------
-    run : Run
     content : mapping
         From `summary`.
-    folder : ResultsFolder
     record : bool
         Whether the bag is written.
     health : bool
@@ -274,8 +270,6 @@ def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
 
     Parameters
     ----------
-    run : Run
-    folder : ResultsFolder
     also : str
         See `softrig_bringup.plots.pictures.plot_run`.
     """

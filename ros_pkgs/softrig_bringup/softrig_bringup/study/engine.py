@@ -28,7 +28,6 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
 
     Parameters
     ----------
-    study : Study
     out : Path
         Gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
     workers, scheduler

@@ -33,12 +33,10 @@ def draw_study(
 
     Parameters
     ----------
-    study : Study
     rows : sequence
         By number.
     signals : iterable
         Rows with the key ``signals``; read once.
-    folder : Path
     units : mapping
         Unit of each figure, parameter (``node.name``) and signal.
 

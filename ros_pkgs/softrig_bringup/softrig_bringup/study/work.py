@@ -21,8 +21,6 @@ class Work(NamedTuple):
 
     Parameters
     ----------
-    case : Case
-    duration : float, optional
     figures : tuple of str
         All when empty.
     signals, samples

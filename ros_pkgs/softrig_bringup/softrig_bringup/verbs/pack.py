@@ -182,10 +182,6 @@ def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -
 def standing_alone(scenario: Scenario) -> tuple[bytes, Mapping[str, Path]]:
     """Write a scenario that needs no other file than those that its nodes name, which lie beside it by their content.
 
-    Parameters
-    ----------
-    scenario : Scenario
-
     Returns
     -------
     bytes

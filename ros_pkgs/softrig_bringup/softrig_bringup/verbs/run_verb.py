@@ -157,7 +157,6 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
     ----------
     options : argparse.Namespace
         Of the verb `run`.
-    done : Run
     folder : ResultsFolder or None
         None: nothing is written.
 

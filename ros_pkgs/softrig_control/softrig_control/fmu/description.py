@@ -126,14 +126,12 @@ class Description:
 
     Attributes
     ----------
-    path : Path
     version : str
         Of the FMI: ``2.0``, ``3.0``.
     interfaces : tuple of str
         Which it has of ``co_simulation``, ``model_exchange`` and ``scheduled_execution``.
     serialises : bool
         Whether its state can be kept as bytes.
-    variables : dict of str to Variable
     digest : str
         SHA-256 of its file.
     """
@@ -289,7 +287,6 @@ def conversion(found: Variable, wanted: str) -> tuple[float, float]:
 
     Parameters
     ----------
-    found : Variable
     wanted : str
         Unit at the port; empty: that of the variable.
 

@@ -33,7 +33,6 @@ def export(rig: Rig, node: str, folder: Path) -> Path:
 
     Parameters
     ----------
-    rig : Rig
     node : str
         Its name.
     folder : Path

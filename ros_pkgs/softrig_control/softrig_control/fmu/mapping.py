@@ -53,7 +53,6 @@ def mapped(
 
     Parameters
     ----------
-    unit : Description
     entries : sequence of str
         ``TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE``; without a unit that of the variable holds.
     outward : bool

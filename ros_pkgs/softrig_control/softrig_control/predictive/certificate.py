@@ -78,7 +78,6 @@ def check(a: ArrayLike, b: ArrayLike, gain: ArrayLike, terminal: ArrayLike, q: A
     terminal : (n, n)
         Qbar.
     q : (n, n)
-    r : float
     """
     a, b, k, p, q = (np.atleast_2d(np.asarray(m, dtype=float)) for m in (a, b, gain, terminal, q))
     closed = a + b @ k
@@ -98,7 +97,6 @@ def certify(model: Carima, r: float = 1.0, q: float = 1.0) -> Certificate:
 
     Parameters
     ----------
-    model : Carima
     r, q : float
         Weights of u and y, positive.
 

@@ -67,11 +67,6 @@ class Gpc:
     of which the first is made. Everything but y, w and the past moves is known beforehand, so G' (w - f) is
     kept as three small matrices acting on them.
 
-    Parameters
-    ----------
-    model : Carima
-    tuning : Tuning
-
     Raises
     ------
     ValueError

@@ -20,7 +20,6 @@ def check(found: Any, port: Port, node: str, t: int) -> Row | None:
     ----------
     found : mapping
         What the block gave, port name to values; anything else is refused.
-    port : Port
     node : str
         For the error.
     t : int

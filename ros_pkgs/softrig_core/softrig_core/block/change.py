@@ -81,7 +81,6 @@ def check(block_class: type[Block], params: BlockParams, values: Mapping[str, An
 
     Parameters
     ----------
-    block_class : type of Block
     params : BlockParams
         As they are.
     values : mapping

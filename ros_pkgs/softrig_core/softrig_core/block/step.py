@@ -30,8 +30,6 @@ class Step(Held):
     ----------
     name : str
         Node name, for errors.
-    block : Block
-    schedule : Schedule
     inputs, outputs : sequence of Port
     changes : iterable of Change
         Of the block's parameters, in the order of their times.
@@ -226,8 +224,6 @@ class Step(Held):
 
         Parameters
         ----------
-        output : str
-        reader : Step
         name : str
             Of its input.
         pick : callable or None

@@ -84,7 +84,6 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
         Between 0 and n - 1 where first <= last.
     pick : ufunc
         ``np.minimum`` or ``np.maximum``.
-    none : float
     """
     if len(first) == 1:
         return pick.reduce(values[..., first[0] : last[0] + 1], axis=-1, keepdims=True, initial=none)
@@ -334,7 +333,6 @@ def truth(condition: Condition, now: Array | float, before: Array | float) -> Ar
 
     Parameters
     ----------
-    condition : Condition
     now, before : array or float
         Its signal at each instant, and at the one before.
     """

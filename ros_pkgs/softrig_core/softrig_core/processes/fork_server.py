@@ -40,13 +40,7 @@ _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib"
 
 
 class Forked:
-    """A process that the server has forked; what it can do is as `subprocess.Popen` has it.
-
-    Parameters
-    ----------
-    pid : int
-    server : ForkServer
-    """
+    """A process that the server has forked; what it can do is as `subprocess.Popen` has it."""
 
     def __init__(self, pid: int, server: ForkServer) -> None:
         self.pid = pid
@@ -120,7 +114,6 @@ class ForkServer:
 
         Parameters
         ----------
-        package, executable : str
         command : sequence of str
             The path of the executable and its arguments.
         variables : mapping

@@ -33,7 +33,6 @@ class Outcome:
 
     Parameters
     ----------
-    recording : Recording
     status : dict
         Status file of each node (`adapter.Adapter.write_status`).
     domain : int
@@ -65,12 +64,8 @@ def run_processes(
 
     Parameters
     ----------
-    rig : Rig
-    seed : int
     directory : Path
         For logs, parameter files, shards and status files.
-    placement : Placement
-    listener : Listener
 
     Returns
     -------
@@ -161,7 +156,6 @@ def gathered(rig: Rig, directory: Path, names: Iterable[str],
 
     Parameters
     ----------
-    rig : Rig
     directory : Path
         Of the `FILES` that the nodes wrote.
     names : iterable of str

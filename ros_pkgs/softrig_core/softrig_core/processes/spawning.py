@@ -36,9 +36,6 @@ def node_parameters(rig: Rig, member: Member, seed: int, mode: str, *,
 
     Parameters
     ----------
-    rig : Rig
-    member : Member
-    seed : int
     mode : {"lockstep", "realtime"}
     recorders : sequence of str, optional
         Nodes outside the rig that read everything and are awaited, besides those that ask for it; None: the domain is
@@ -126,10 +123,8 @@ def container_arguments(
 
     Parameters
     ----------
-    group : sequence of Member
     given : mapping
         Parameters by node, as `node_parameters` gives them.
-    directory : Path
     shared : mapping of str to str, optional
         Remaps of all of them.
     """
@@ -156,10 +151,8 @@ def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Pat
 
     Parameters
     ----------
-    member : Member
     parameters : mapping
         As `node_parameters` gives them.
-    directory : Path
     """
     file = directory / f"{member.name}.params.yaml"
     lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]

@@ -51,7 +51,6 @@ class InputLink(BaseModel):
     ----------
     period : str
         Of the sender, s, as a fraction.
-    node : str
     at_end : bool
         Whether it also sends at the end time of the run, as plants do.
     port : str

@@ -56,7 +56,6 @@ class Rig(Members):
         ----------
         scenario : Scenario
             That of the rig, with them.
-        names : iterable of str
 
         Raises
         ------
@@ -105,7 +104,6 @@ class Rig(Members):
             In s.
         remap : mapping, optional
             By node name: its topic to the topic that it is to have.
-        name : str
         **keys
             Further keys of `Scenario`: ``figures``, ``expect``, ``plots``, ``seed``, ``title``.
 
@@ -142,7 +140,6 @@ def members_of(
 
     Parameters
     ----------
-    scenario : Scenario
     classes : mapping of node name to type of Block
         Of those that no executable gives.
     names : iterable of str, optional

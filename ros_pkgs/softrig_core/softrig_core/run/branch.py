@@ -24,7 +24,6 @@ def branched(
     ----------
     rig : Rig
         Of the recorded run.
-    recording : Recording
     at : float
         s; the first tick of each node that is not earlier is the first that may differ.
     values : mapping

@@ -29,7 +29,6 @@ def run_inprocess(
 
     Parameters
     ----------
-    rig : Rig
     seed : int
         Rig seed.
     sink : Sink, optional
@@ -107,7 +106,6 @@ def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
 
     Parameters
     ----------
-    rig : Rig
     blocks : dict of str to Block
         Of the members that live here, by name.
     """
@@ -149,8 +147,6 @@ def recorder(sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[in
 
     Parameters
     ----------
-    sink : Sink
-    step : Step
     ports : sequence of Port
         Its outputs; with /clock after them when it is the clock.
     numbers : sequence of int

@@ -53,7 +53,6 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
     ----------
     where : str
         Name of the scenario, for errors.
-    entries : sequence of ChangeEntry
     members : iterable
         The nodes of the rig.
 

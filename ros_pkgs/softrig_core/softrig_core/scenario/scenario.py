@@ -67,7 +67,6 @@ class PlotEntry(_Model):
 
     Parameters
     ----------
-    title : str
     signals : dict of str to str
         Signal name to label (empty: the signal's own name). Over time also ``one - other``: a signal less the newest
         value of another.

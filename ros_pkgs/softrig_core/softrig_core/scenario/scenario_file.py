@@ -256,7 +256,6 @@ def find(name: str, first: Path | None = None) -> Path | None:
 
     Parameters
     ----------
-    name : str
     first : Path, optional
         A folder to look into before those of `scenario_folders`.
 

@@ -92,9 +92,6 @@ class Adapter:
 
     Parameters
     ----------
-    middleware : Middleware
-    block : Block
-    options : RunOptions
     sink : Sink, optional
         Gets what the node publishes, instead of the file that the options name.
     """

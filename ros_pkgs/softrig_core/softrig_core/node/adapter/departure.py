@@ -31,8 +31,6 @@ class Departure:
 
     Parameters
     ----------
-    node : Adapter
-    handshake : Handshake
     local : set of str
         Other nodes of this process.
     begin : callable

@@ -18,7 +18,6 @@ class Handshake:
 
     Parameters
     ----------
-    node : Adapter
     awaited : sequence of (Input, str)
         What must have a writer, and whose.
     wanted : sequence of (Output, list of str)

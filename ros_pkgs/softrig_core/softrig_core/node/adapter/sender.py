@@ -21,7 +21,6 @@ class Sender(Input):
     ----------
     node : Adapter
         Who reads.
-    port : Port
     who : str
         Node name of the sender, for errors.
 

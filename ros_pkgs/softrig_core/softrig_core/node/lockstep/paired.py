@@ -26,7 +26,6 @@ class PairedSenders:
 
     Parameters
     ----------
-    node : Adapter
     turn : callable
         Has the ticks go on; called when the tick under way lacks nothing any more.
 
@@ -134,9 +133,6 @@ class Paired(Sender):
 
     Parameters
     ----------
-    table : PairedSenders
-    port : Port
-    who : str
     schedule : Schedule
         Of the sender.
     earlier : bool
