@@ -24,10 +24,7 @@ def play(
 ) -> int:  # fmt: skip
     """Play as the options of `cli.main_play` say; give the exit status.
 
-    Parameters
-    ----------
-    parameters : sequence of (Declaration, value)
-        The options as the node shows them.
+    `parameters` (sequence of (Declaration, value)): the options as the node shows them.
     """
     selection = Selection.of(options.topics, options.regex, options.exclude)
     answers = [absolute(name) for name in options.lockstep]

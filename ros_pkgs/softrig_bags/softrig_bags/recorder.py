@@ -85,10 +85,7 @@ class Recorder:
     def run(self) -> None:
         """Record until a signal comes, then take what has arrived and close the bag.
 
-        Raises
-        ------
-        RunError
-            The disk is full or broken; the bag is closed and holds everything written before.
+        Raises RunError: the disk is full or broken; the bag is closed and holds everything written before.
         """
         self._discover()
         gc.collect()

@@ -71,10 +71,7 @@ class ResultsFolder:
 
         What is killed, or refused by one of its nodes, must not stop the next one.
 
-        Raises
-        ------
-        ScenarioError
-            Nothing can be written there.
+        Raises ScenarioError: nothing can be written there.
         """
         try:
             if (other := self.hold()) is not None:
@@ -158,10 +155,7 @@ class ResultsFolder:
     def anew(self) -> Iterator[Path]:
         """Give a folder for new files; they take the places of the old ones when all are written, or none does.
 
-        Raises
-        ------
-        ScenarioError
-            One of them would replace a file of somebody else.
+        Raises ScenarioError: one of them would replace a file of somebody else.
         """
         self.begin()
         new = self.path / NEW
@@ -184,10 +178,7 @@ class ResultsFolder:
     def alone(self) -> Iterator[None]:
         """Hold the folder against other calls at the same time.
 
-        Raises
-        ------
-        ScenarioError
-            Another call is at work there.
+        Raises ScenarioError: another call is at work there.
         """
         self.begin()
         try:

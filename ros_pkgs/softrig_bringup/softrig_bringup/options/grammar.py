@@ -68,10 +68,7 @@ def _steps(name: str, text: str) -> list[Any]:
 def span(name: str, text: object) -> Span:
     """Read a range.
 
-    Raises
-    ------
-    ScenarioError
-        Another form, a range upside down, a logarithm of what is not above 0.
+    Raises ScenarioError: another form, a range upside down, a logarithm of what is not above 0.
     """
     found = _SPAN.fullmatch(str(text).strip())
     if not found:

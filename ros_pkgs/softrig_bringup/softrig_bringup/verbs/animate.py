@@ -47,19 +47,10 @@ def animate(options: argparse.Namespace) -> int:
 def film_of(what: str, start: float = 0.0, end: float | None = None, speed: float | None = None) -> Film:
     """Make the film of a run or of a scenario.
 
-    Parameters
-    ----------
-    what : str
-        Folder of a run, or name or file of a scenario.
-    start, end : float
-        s; to the end of the run without `end`.
-    speed : float, optional
-        See `softrig_bringup.film.film.film`.
-
-    Raises
-    ------
-    ScenarioError
-        Nothing to draw, or nothing in that window.
+    `what`: folder of a run, or name or file of a scenario.
+    `start`, `end`: s; to the end of the run without `end`.
+    `speed`: see `softrig_bringup.film.film.film`.
+    Raises ScenarioError: nothing to draw, or nothing in that window.
     """
     from softrig_core import rig_of, simulate
 

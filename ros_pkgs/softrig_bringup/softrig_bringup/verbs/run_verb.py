@@ -153,17 +153,9 @@ class _Kept(NamedTuple):
 def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> int:
     """Write what a run has brought, print its figures, judge it.
 
-    Parameters
-    ----------
-    options : argparse.Namespace
-        Of the verb `run`.
-    folder : ResultsFolder or None
-        None: nothing is written.
-
-    Returns
-    -------
-    int
-        Exit status.
+    `options`: of the verb `run`.
+    `folder`: none: nothing is written.
+    Returns: exit status.
     """
     kept = _keep(options, done, folder)
     if slow := _too_slow(options, done):

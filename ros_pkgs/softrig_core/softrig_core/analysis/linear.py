@@ -57,10 +57,7 @@ class Linear(NamedTuple):
     def system(self, **names: Sequence[str]) -> control.StateSpace:
         """Give it as a system of the python-control library, for poles, margins, Bode and step figures.
 
-        Parameters
-        ----------
-        **names
-            ``states``, ``inputs``, ``outputs``: sequences of names.
+        `names`: ``states``, ``inputs``, ``outputs``: sequences of names.
         """
         import control
 

@@ -94,10 +94,7 @@ class _Link(NamedTuple):
 def _links(nodes: Sequence[Adapter]) -> list[_Link]:
     """Find who reads whom.
 
-    Raises
-    ------
-    RunError
-        Two ports of a topic do not fit, or two nodes publish it.
+    Raises RunError: two ports of a topic do not fit, or two nodes publish it.
     """
     written: dict[tuple[str, str], tuple[Adapter, Output]] = {}
     for node in nodes:

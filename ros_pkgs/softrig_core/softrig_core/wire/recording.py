@@ -39,10 +39,7 @@ class Sink(Protocol):
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
         """Give what appends one message of each of some topics, all of one time, by their numbers.
 
-        Parameters
-        ----------
-        layouts : mapping of int to Layout
-            By number of the topic; arrays are numbered in the order of the calls.
+        `layouts`: by number of the topic; arrays are numbered in the order of the calls.
         """
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
@@ -364,10 +361,7 @@ class ShardTail:
     def read(self, recording: Recording) -> bool:
         """Add what is new to a recording; whether there may be more than one look takes.
 
-        Parameters
-        ----------
-        recording : Recording
-            Of the shard's topics.
+        `recording`: of the shard's topics.
         """
         try:
             with self._path.open("rb") as file:

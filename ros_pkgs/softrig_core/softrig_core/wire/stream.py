@@ -69,10 +69,7 @@ class Reader:
     def take(self, code: str, n: int = 1) -> tuple[Any, ...]:
         """Read `n` values of a struct's code.
 
-        Raises
-        ------
-        CdrError
-            The bytes end before.
+        Raises CdrError: the bytes end before.
         """
         if not n:
             return ()
@@ -90,10 +87,7 @@ class Reader:
     def count(self, what: str, size: int) -> int:
         """Read how many items follow, of at least so many bytes each.
 
-        Raises
-        ------
-        CdrError
-            More than fit.
+        Raises CdrError: more than fit.
         """
         n: int = self.one("I")
         if n * size > len(self._data):
@@ -103,10 +97,7 @@ class Reader:
     def text(self) -> str:
         """Read a string.
 
-        Raises
-        ------
-        CdrError
-            It does not fit.
+        Raises CdrError: it does not fit.
         """
         n: int = self.one("I")
         if n == 0 or self._at + n > len(self._data):

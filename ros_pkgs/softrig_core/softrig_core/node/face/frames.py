@@ -56,10 +56,7 @@ class Frames:
 def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
     """Give the bytes of a tf2_msgs/msg/TFMessage.
 
-    Parameters
-    ----------
-    stamp : int
-        ns.
+    `stamp`: ns.
     """
     poses = list(poses)
     out = Writer()

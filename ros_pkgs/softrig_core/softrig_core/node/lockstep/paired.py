@@ -79,12 +79,8 @@ class PairedSenders:
     def follow_ticks(self, local: Set[str], then: Callable[[], object]) -> None:
         """Read the acknowledgements of nodes of other processes that we wait for or that may be silent.
 
-        Parameters
-        ----------
-        local : set of str
-            Nodes of this process.
-        then : callable
-            Called after each.
+        `local`: nodes of this process.
+        `then`: called after each.
         """
         node, links = self.node, self.node.links
         silent: dict[str, list[Paired]] = {}

@@ -48,10 +48,7 @@ class Monitor:
     def arrive(self, work: Callable[[], object]) -> None:
         """Do some work, now or when whatever is under way has returned; for any thread, which is never held up.
 
-        Parameters
-        ----------
-        work : callable
-            Takes a message and does what follows from it. What it raises comes out of `serve`.
+        `work`: takes a message and does what follows from it. What it raises comes out of `serve`.
         """
         came, lock = self._came, self._lock
         came.append(work)
