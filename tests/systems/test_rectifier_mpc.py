@@ -19,7 +19,7 @@ from scipy.special import jv
 from softrig_control.limit_cycle import Swinging, limit_cycle
 from softrig_control.linear_plant import LinearPlant
 from softrig_control.predictive.carima import Carima, diophantine, multiply, predict
-from softrig_control.predictive.certificate import certify, check
+from softrig_control.predictive.certificate import assess, certify
 from softrig_control.predictive.certificate_node import CertificateNode
 from softrig_control.predictive.controller import GpcController
 from softrig_control.predictive.gpc import Gpc, Tuning, invert
@@ -251,7 +251,7 @@ def test_certificate():
 )  # fmt: skip
 def test_the_papers_equation_33_is_no_certificate(gain, moduli):
     c = np.array([[0.2383, 0.218]])
-    found = check([[1.83, -0.83], [1, 0]], [[1], [0]], [gain], [[5.34, 1.83], [1.83, 1]], c.T @ c, 1.0)
+    found = assess([[1.83, -0.83], [1, 0]], [[1], [0]], [gain], [[5.34, 1.83], [1.83, 1]], c.T @ c, 1.0)
     assert found.moduli == pytest.approx(moduli, abs=2e-3)
     assert found.definite > 0
     assert found.residual > 1.0
@@ -262,8 +262,8 @@ def test_a_certificate_is_refused_when_one_entry_is_wrong():
     found = certify(seed19(T))
     a, b = [[-x for x in seed19(T).a[1:]], [1, 0]], [[1], [0]]
     c = np.array([seed19(T).b])
-    assert check(a, b, found.gain, found.terminal, c.T @ c, 1.0).valid
-    assert not check(a, b, found.gain, found.terminal * 0.99, c.T @ c, 1.0).valid
+    assert assess(a, b, found.gain, found.terminal, c.T @ c, 1.0).valid
+    assert not assess(a, b, found.gain, found.terminal * 0.99, c.T @ c, 1.0).valid
 
 
 def test_closed_form_is_the_least_squares_solution():

@@ -13,7 +13,7 @@ from .port import Port, Sample
 Row = tuple[float, ...] | Sample  # what an output says at a tick
 
 
-def check(found: Any, port: Port, node: str, t: int) -> Row | None:
+def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
     """Make sure that a block's answer may leave it: right length, plain floats, all finite and within `Port.limits`.
 
     Parameters

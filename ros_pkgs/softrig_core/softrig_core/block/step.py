@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from ..errors import RunError, describe
-from .answer import Row, check, flat
+from .answer import Row, admit, flat
 from .block import Block, Level, Plant
 from .bound import mover, sayer
-from .change import Change, check as check_change, revise
+from .change import Change, permit, revise
 from .held import Held
 from .params import flatten
 from .port import Port, Sample
@@ -176,13 +176,13 @@ class Step(Held):
         Raises
         ------
         ParameterError
-            See `softrig_core.block.change.check`.
+            See `softrig_core.block.change.permit`.
         """
         waiting: dict[str, Any] = {}
         for change in self.changes:
             waiting |= change.values if change.at <= self.t else {}
         now = revise(self.params, waiting) if waiting else self.params
-        known = flatten(check_change(type(self.block), now, values, self.name))
+        known = flatten(permit(type(self.block), now, values, self.name))
         while self.changes and self.changes[0].at <= self.t:
             self.changes.popleft()
         self.changes.appendleft(Change(self.t, waiting | {name: known[name] for name in values}))
@@ -214,12 +214,12 @@ class Step(Held):
 
     def checked(self, found: Any) -> Rows:
         """Give what each output says, checked."""
-        rows = tuple([check(found, port, self.name, self.t) for port in self.outputs])
+        rows = tuple([admit(found, port, self.name, self.t) for port in self.outputs])
         if self.plain and rows:
             self.numbers = flat(rows)
         return rows
 
-    def feeds(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
+    def hands_to(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
         """Have an output fill an input of another step of this process.
 
         Parameters

@@ -111,7 +111,7 @@ def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
     for member in members:
         for name, link in member.links.items():
             if link.source.name in steps:
-                steps[link.source.name].feeds(link.port.name, steps[member.name], name, link.pick)
+                steps[link.source.name].hands_to(link.port.name, steps[member.name], name, link.pick)
     return steps
 
 
@@ -127,7 +127,7 @@ def record(rig: Rig, steps: Mapping[str, Step], sink: Sink, said: Mapping[str, i
         ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
         if not ports:
             continue
-        step.send = recorder(sink, step, ports, [numbers[p.topic] for p in ports], said)
+        step.send = keeper(sink, step, ports, [numbers[p.topic] for p in ports], said)
         if step.plain:
             step.send_all = sink.rows({numbers[p.topic]: p.layout() for p in ports})
         step.changed = noter(sink, step.name)
@@ -138,7 +138,7 @@ def noter(sink: Sink, name: str) -> Callable[[int, Mapping[str, Any]], object]:
     return lambda t, values: sink.note(t, parameter_event.encode(t, f"/{name}", values))
 
 
-def recorder(sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[int],
+def keeper(sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[int],
              said: Mapping[str, int] | None = None) -> Callable[[int, Rows], object]:  # fmt: skip
     """Give what records the answers of a step.
 

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..block.block import Block
-from ..block.change import Change, check
+from ..block.change import Change, permit
 from ..block.params import ParameterError, flatten
 from ..errors import ScenarioError, closest
 from ..timebase import to_ns
@@ -51,7 +51,7 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
 
     `where`: name of the scenario, for errors.
     `members`: the nodes of the rig.
-    Raises ScenarioError: no such node, a node of somebody else, or values that `softrig_core.block.change.check`
+    Raises ScenarioError: no such node, a node of somebody else, or values that `softrig_core.block.change.permit`
     refuses.
     """
     known = {m.name: m for m in members}
@@ -82,7 +82,7 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
             if member.external:
                 raise ScenarioError(f"{at}: node {node} is external: its parameters are not ours to change")
             try:
-                now[node] = check(member.block_class, now[node], values, node)
+                now[node] = permit(member.block_class, now[node], values, node)
             except (ParameterError, ValueError) as error:
                 raise ScenarioError(f"{at}: node {node}: {error}") from None
             member.changes = (*member.changes, Change(to_ns(entry.at), values))
