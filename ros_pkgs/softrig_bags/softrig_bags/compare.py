@@ -207,9 +207,7 @@ class _Pairing:
     ) -> TopicComparison:
         result = self.result
         data_a, data_b = self.one.data, self.two.data
-        unequal = np.array(
-            [data_a[i] != data_b[j] for i, j in zip(self.rows_a, self.rows_b, strict=True)], dtype=bool
-        )  # fmt: skip
+        unequal = np.array([data_a[i] != data_b[j] for i, j in zip(self.rows_a, self.rows_b, strict=True)], dtype=bool)
         bad = np.zeros(len(self.times), dtype=bool)
         if bitwise:
             default, tolerances = Tolerance(), {}

@@ -19,9 +19,7 @@ from .topics import absolute
 from .write import write_bag
 
 
-def play(
-    options: argparse.Namespace, ros_arguments: list[str], parameters: Sequence[tuple[Declaration, Any]]
-) -> int:  # fmt: skip
+def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequence[tuple[Declaration, Any]]) -> int:
     """Play as the options of `cli.main_play` say; give the exit status.
 
     `parameters` (sequence of (Declaration, value)): the options as the node shows them.

@@ -232,9 +232,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         """Nothing is on the line."""
         return State(line=Line(self.p.port("sent", self.p.topic_in).size))
 
-    def update(
-        self, x: State, t: int, *, sent: Sample
-    ) -> tuple[State, Mapping[str, Sample | tuple[float, ...]]]:  # fmt: skip
+    def update(self, x: State, t: int, *, sent: Sample) -> tuple[State, Mapping[str, Sample | tuple[float, ...]]]:
         """Take the newest message sent, give the newest that has arrived."""
         newest, line, held, k = x
         if held is None:
@@ -272,9 +270,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
                 return line, k
         data = sample.data
         if self.p.quantum:
-            data = tuple(
-                math.floor(x / q + 0.5) * q if q else x for x, q in zip(data, self.p.quantum, strict=True)
-            )  # fmt: skip
+            data = tuple(math.floor(x / q + 0.5) * q if q else x for x, q in zip(data, self.p.quantum, strict=True))
         return line.put(t + late, sample.stamp, data), k
 
 

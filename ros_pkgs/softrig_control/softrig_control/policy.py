@@ -203,9 +203,7 @@ class Policy(Block[PolicyParams]):
             found.append(given[k])
         return tuple(found)
 
-    def update(
-        self, x: State, t: int, **inputs: Any
-    ) -> tuple[State, Mapping[str, tuple[float, ...] | Sample | None]]:  # fmt: skip
+    def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...] | Sample | None]]:
         """Say what the policy commands."""
         given = x.act(self.observation(inputs))
         if len(given) != len(self._bounds):

@@ -102,7 +102,7 @@ def prepare(task: Falsification) -> Prepared:
 
 def falsify(
     task: Falsification, prepared: Prepared, out: Path, *, workers: int | None = None, scheduler: str = ""
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     """Search, and make what is found small.
 
     `prepared`: what `prepare` gave of it.

@@ -269,8 +269,7 @@ def _parallel(search: Search, rows: Sequence[Row]) -> Figure:
     for k in range(len(sure)):
         ax.plot(range(len(columns)), [(c[k] - lo) / span for c, (lo, span) in zip(columns, spans, strict=True)],
                 color=colormaps["viridis"](shares[k]), alpha=0.2 + 0.6 * shares[k], linewidth=0.8)  # fmt: skip
-    ticks = [f"{n}\n{lo:.4g} to {lo + span:.4g}" for n, (lo, span) in
-             zip([*names, search.figure], spans, strict=True)]  # fmt: skip
+    ticks = [f"{n}\n{lo:.4g} to {lo + span:.4g}" for n, (lo, span) in zip([*names, search.figure], spans, strict=True)]
     ax.set_xticks(range(len(columns)), ticks, fontsize=8)
     ax.set_yticks([])
     ax.margins(x=0.05)

@@ -192,8 +192,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
             content["repeats"] = told
             same = same or bool(options.recalled.late) or bool(done.epoch)
         if folder is not None:
-            save(done, content, folder, not options.no_record,
-                 options.record_all or done.rig.scenario.record == "all")  # fmt: skip
+            save(done, content, folder, not options.no_record, options.record_all or done.rig.scenario.record == "all")
     if folder is not None and not options.no_plots:
         illustrate(done, folder, options.format)
     if options.junit is not None:

@@ -288,9 +288,7 @@ class FmuLaw(_Fmu):
     has at the end of the period.
     """
 
-    def update(
-        self, x: State, t: int, **inputs: tuple[float, ...]
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
+    def update(self, x: State, t: int, **inputs: tuple[float, ...]) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Answer one tick."""
         x = self._step(x, inputs)
         return x, self._said(x)

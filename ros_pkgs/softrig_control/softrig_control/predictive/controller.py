@@ -38,8 +38,7 @@ class GpcLawParams(BlockParams):
     solver: Literal["closed_form", "daqp"] = param(
         "closed_form", "closed form, clipped to u_min and u_max, or DAQP, which keeps all bounds for all moves"
     )
-    set_point: float = param(0.0, "reference until one arrives", ge=-UNBOUNDED, le=UNBOUNDED,
-                             live=True)  # fmt: skip
+    set_point: float = param(0.0, "reference until one arrives", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
     u_start: float = param(0.0, "command that was applied before the start", ge=-UNBOUNDED, le=UNBOUNDED)
     u_safe: float = param(0.0, "command after a trip", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
     trip_low: float = param(-UNBOUNDED, "measured value at or below which the law trips", ge=-UNBOUNDED, le=UNBOUNDED,

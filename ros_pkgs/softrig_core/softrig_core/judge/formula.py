@@ -189,9 +189,7 @@ def nodes(tree: Tree) -> Iterator[tuple[str, Any]]:
 def _map(tree: Tree, change: Callable[[str, Any], tuple[str, Any]]) -> Tree:
     """Copy a formula with every node changed, from the leaves up."""
     if isinstance(tree, dict):
-        return dict(
-            change(k, _map(v, change)) if k[:1].isupper() else (k, _map(v, change)) for k, v in tree.items()
-        )  # fmt: skip
+        return dict(change(k, _map(v, change)) if k[:1].isupper() else (k, _map(v, change)) for k, v in tree.items())
     return [_map(part, change) for part in tree] if isinstance(tree, list) else tree
 
 

@@ -142,7 +142,7 @@ class Record:
             open_from = min(open_from, self.times[-1])
         return Margin(
             value, at, violated or (((at, at),) if value < 0.0 else ()), (least, greatest), open_from / SECOND
-        )  # fmt: skip
+        )
 
     def bounds(self, tree: Tree) -> Array:
         """Give a formula's robustness at each instant.
@@ -316,7 +316,7 @@ class Record:
         edges = np.flatnonzero(np.diff(np.concatenate(([0], bad.astype(np.int8), [0]))))
         return tuple(
             (float(self.times[a] / SECOND), float(self.times[b - 1] / SECOND)) for a, b in edges.reshape(-1, 2)
-        )  # fmt: skip
+        )
 
 
 def truth(condition: Condition, now: Array | float, before: Array | float) -> Array:

@@ -103,9 +103,7 @@ class Adapter:
         self.block = block
         self.options = options
         self.links = Links.model_validate_json(options.links) if options.links else _by_hand(block, options)
-        self.schedule = Schedule(
-            block.p.period, self.links.base or None, options.duration, block.speaks_at_end()
-        )  # fmt: skip
+        self.schedule = Schedule(block.p.period, self.links.base or None, options.duration, block.speaks_at_end())
         inputs, outputs = block.ports(block.p)
         self.step = Step(middleware.name, block, self.schedule, inputs, outputs, loads(options.changes))
         self.values = self.step.values
@@ -170,9 +168,8 @@ class Adapter:
         recorded = [(relative(o.topic), o.port.msgtype) for o in self.outputs]
         records = self.links.records
         outside = [
-            p for p in self.step.inputs
-            if (p.name not in self.links.inputs if records is None else p.name in records)
-        ]  # fmt: skip
+            p for p in self.step.inputs if (p.name not in self.links.inputs if records is None else p.name in records)
+        ]
         self.foreign = {port.name: len(recorded) + k for k, port in enumerate(outside)}
         recorded += [(relative(self.middleware.resolve(p.topic)), p.msgtype) for p in outside]
         self.extra_numbers = len(recorded)
