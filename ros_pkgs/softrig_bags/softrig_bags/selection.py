@@ -16,12 +16,8 @@ _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 class Selection:
     """A choice of topics.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Absolute names.
-    regex, exclude : re.Pattern, optional
-        Searched for in the absolute name.
+    `names`: absolute names.
+    `regex`, `exclude`: searched for in the absolute name.
     """
 
     names: tuple[str, ...] = ()

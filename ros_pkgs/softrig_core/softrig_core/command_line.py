@@ -15,12 +15,8 @@ from .errors import ScenarioError, closest
 class Number:
     """Type of an option that is a number within bounds.
 
-    Parameters
-    ----------
-    kind : type
-        `int` or `float`.
-    low, high : float
-        Bounds, both allowed; infinity and NaN are not.
+    `kind`: `int` or `float`.
+    `low`, `high`: bounds, both allowed; infinity and NaN are not.
     """
 
     def __init__(self, kind: type[int] | type[float], low: float, high: float = math.inf) -> None:

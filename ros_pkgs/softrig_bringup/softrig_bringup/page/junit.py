@@ -16,12 +16,8 @@ from ..folder import replace
 class Case:
     """One thing that was judged.
 
-    Parameters
-    ----------
-    failure : str
-        Why it does not hold; empty when it does.
-    text : str
-        What was measured.
+    `failure`: why it does not hold; empty when it does.
+    `text`: what was measured.
     """
 
     name: str
@@ -33,12 +29,8 @@ class Case:
 class Suite:
     """What was judged of a run.
 
-    Parameters
-    ----------
-    seconds : float
-        Wall-clock time.
-    error : str
-        Why the run broke; empty when it did not.
+    `seconds`: wall-clock time.
+    `error`: why the run broke; empty when it did not.
     """
 
     name: str

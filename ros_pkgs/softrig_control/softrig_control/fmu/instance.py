@@ -47,10 +47,7 @@ class Refusal(RuntimeError):
 class Instance:
     """An FMU; see `Plan`.
 
-    Raises
-    ------
-    Refusal
-        By every method.
+    Raises Refusal: by every method.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -287,14 +284,9 @@ class Instance:
 class Cells(NamedTuple):
     """Variables of one type that are read or set in one call.
 
-    Attributes
-    ----------
-    total : int
-        Number of their values, those of arrays one after the other.
-    where : list of (int, int)
-        Of each cell: its place among all, and that of its value.
-    arrays : bool
-        Whether one of them is an array.
+    `total`: number of their values, those of arrays one after the other.
+    `where` (list of (int, int)): of each cell: its place among all, and that of its value.
+    `arrays`: whether one of them is an array.
     """
 
     references: list[int]

@@ -19,12 +19,8 @@ FORMS = "expected a number, 'X +- T', 'X +- P %', 'at most X', 'at least X' or '
 class Expectation(BaseModel):
     """Limits of a figure; those that are None judge nothing.
 
-    Parameters
-    ----------
-    expected, tolerance : float, optional
-        Two-sided: |value - expected| <= tolerance.
-    at_most, at_least : float, optional
-        Bounds.
+    `expected`, `tolerance`: two-sided: |value - expected| <= tolerance.
+    `at_most`, `at_least`: bounds.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -13,12 +13,8 @@ class CdrError(ValueError):
 class Writer:
     """Puts the parts of a message behind each other, little endian.
 
-    Attributes
-    ----------
-    data : bytearray
-        The message so far, the four bytes of the encapsulation included; alignment counts after these.
-    written : list of (int, int)
-        Start and end of what has been written: not of padding, nor of what was left open.
+    `data` (bytearray): the message so far, the four bytes of the encapsulation included; alignment counts after these.
+    `written` (list of (int, int)): start and end of what has been written: not of padding, nor of what was left open.
     """
 
     def __init__(self) -> None:
@@ -54,12 +50,8 @@ class Writer:
 class Reader:
     """Takes the parts of a message one after the other, in either byte order.
 
-    Parameters
-    ----------
-    msgtype : str
-        Named in errors.
-    data : bytes
-        The four bytes of the encapsulation included.
+    `msgtype`: named in errors.
+    `data`: the four bytes of the encapsulation included.
     """
 
     def __init__(self, msgtype: str, data: bytes) -> None:

@@ -33,12 +33,8 @@ class Item(NamedTuple):
 class MessageType:
     """What the suite knows of a message type.
 
-    Parameters
-    ----------
-    name : str
-        ``package/msg/Type``.
-    schema : tuple of Item
-        All that is on the wire, in order.
+    `name`: ``package/msg/Type``.
+    `schema`: all that is on the wire, in order.
     """
 
     name: str

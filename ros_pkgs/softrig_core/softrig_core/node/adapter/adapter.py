@@ -39,12 +39,8 @@ CLOCK_LAYOUT = Layout(CLOCK.msgtype)
 class Drive(Protocol):
     """What says when the ticks of a node are ready.
 
-    Attributes
-    ----------
-    t : int
-        Time of the tick under way, ns.
-    status_every : int
-        Status files a running node writes: one in so many watch periods.
+    `t`: time of the tick under way, ns.
+    `status_every`: status files a running node writes: one in so many watch periods.
     """
 
     status_every: int
@@ -90,10 +86,7 @@ def _by_hand(block: Block, options: RunOptions) -> Links:
 class Adapter:
     """A block as a node.
 
-    Parameters
-    ----------
-    sink : Sink, optional
-        Gets what the node publishes, instead of the file that the options name.
+    `sink`: gets what the node publishes, instead of the file that the options name.
     """
 
     drive: Drive

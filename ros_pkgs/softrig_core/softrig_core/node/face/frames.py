@@ -21,9 +21,7 @@ PERIOD = SECOND // 30  # ns of the wall between two sets of moving frames: a vie
 class Frames:
     """Publishes on /tf_static, for whoever comes, the frames that stand, and on /tf, while it is read, those that move.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
+    `node` (rclpy.node.Node).
     """
 
     def __init__(self, node: Node, adapter: Adapter) -> None:

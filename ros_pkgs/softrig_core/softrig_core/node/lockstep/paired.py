@@ -396,12 +396,8 @@ class Pace(Paired):
 class Ticks(Pace):
     """The acknowledgements of a node: of its ticks, and of the sporadic ports that have spoken at them.
 
-    Parameters
-    ----------
-    silent_rows : iterable of Paired
-        What we read of these ports.
-    then : callable
-        Called after each.
+    `silent_rows`: what we read of these ports.
+    `then`: called after each.
     """
 
     def __init__(self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool,
