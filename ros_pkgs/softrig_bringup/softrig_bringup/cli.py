@@ -13,6 +13,7 @@ from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
+from softrig_core import ScenarioError
 from softrig_core.command_line import Parser, without_ros
 from softrig_core.guard import guarded, quietly
 
@@ -89,8 +90,6 @@ def _verb(arguments: list[str]) -> int:
             module, function, _ = FOREIGN[name]
             return int(getattr(importlib.import_module(module), function)(arguments[words:]))
     if arguments and arguments[0] in FORMER:
-        from softrig_core import ScenarioError
-
         raise ScenarioError(f"`softrig {arguments[0]}` is `softrig {FORMER[arguments[0]]}` now")
     if arguments[:1] != ["node"]:
         arguments = without_ros(arguments)
@@ -170,8 +169,6 @@ def _late(target: str, options: argparse.Namespace) -> int:
 
 def of_the_script(options: argparse.Namespace) -> int:
     """Refuse a verb of the script that sets up a checkout."""
-    from softrig_core import ScenarioError
-
     raise ScenarioError(f"{', '.join(SCRIPT)} are verbs of scripts/softrig, which has not been used here")
 
 

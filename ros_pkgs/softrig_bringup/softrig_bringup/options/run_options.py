@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from softrig_core import ScenarioError
 from softrig_core.command_line import Number
 
 if TYPE_CHECKING:
@@ -106,8 +107,6 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
 
 def _repeated(options: argparse.Namespace) -> Scenario:
     """Give the scenario of the run that --like or --from names, with what was changed of it before and while it ran."""
-    from softrig_core import ScenarioError
-
     from .branch import continued
     from .grammar import settings
     from .like import recall, repeated
@@ -188,7 +187,6 @@ def repeat(options: argparse.Namespace) -> list[str]:
 
 def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     from pydantic import ValidationError
-    from softrig_core import ScenarioError
     from softrig_core.errors import closest
     from softrig_core.scenario.places import explain
     from softrig_core.scenario.scenario import merge

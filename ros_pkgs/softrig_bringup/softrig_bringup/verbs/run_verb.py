@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from softrig_core import ScenarioError
 from softrig_core.guard import plain, say
 
 from ..options.run_options import begun, changed_words, folder_name, placement_of, repeat, scenario_of
@@ -37,7 +38,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run_reserved(options: argparse.Namespace) -> int:
-    from softrig_core import ScenarioError
     from softrig_core.processes.executables import environment
     from softrig_core.processes.fork_server import prepare
     from softrig_core.processes.placement import Listener
@@ -82,7 +82,6 @@ def _run_reserved(options: argparse.Namespace) -> int:
 
 def _check_view(options: argparse.Namespace) -> None:
     """Refuse what has no page; bring the library."""
-    from softrig_core import ScenarioError
     from softrig_core.extras import need
 
     if options.mode == "inprocess" or options.only:
@@ -106,8 +105,6 @@ def _how_to_connect(domain: int, directory: Path) -> str:
 
 def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:
     """Clear the folder for the results of a run, and say what it replaces."""
-    from softrig_core import ScenarioError
-
     from ..folder import ResultsFolder
 
     out = (options.out or Path("runs") / folder_name(scenario, options)).absolute()
