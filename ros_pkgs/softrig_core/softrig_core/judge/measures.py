@@ -237,7 +237,7 @@ def mean_absolute(e: Array) -> float:
 @_statistic("{signal}")
 def sum_absolute(e: Array) -> float:
     """Sum of the absolute values of all samples (SAE); grows with their number."""
-    return np.abs(e).sum()
+    return float(np.abs(e).sum())
 
 
 @_statistic("{signal}")
