@@ -117,8 +117,9 @@ class Comparison:
         lines = []
         for t in self.topics:
             counts = str(t.count_a) if t.count_a == t.count_b else f"{t.count_a} against {t.count_b}"
-            faults = [f"{n} {what}" for n, what in ((t.missing, "missing"), (t.extra, "extra"), (t.differing, "differ"))
-                      if n]  # fmt: skip
+            faults = [
+                f"{n} {what}" for n, what in ((t.missing, "missing"), (t.extra, "extra"), (t.differing, "differ")) if n
+            ]
             lines.append(f"{t.topic}: {counts} messages, {', '.join(faults) or 'equal'}")
             lines += [f"    {name}: largest deviation {value:.3g}" for name, value in t.largest.items()]
         lines.append(f"first difference: {self.first}" if self.first else "the bags agree")

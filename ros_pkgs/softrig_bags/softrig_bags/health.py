@@ -56,5 +56,6 @@ def _status(name: str, status: Mapping[str, Any]) -> Any:
 
 def _message(name: str, level: int, text: str, values: Mapping[str, str]) -> Any:
     pairs = [make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()]
-    return make("diagnostic_msgs/msg/DiagnosticStatus", level=level, name=name, message=text, hardware_id="",
-                values=pairs)  # fmt: skip
+    return make(
+        "diagnostic_msgs/msg/DiagnosticStatus", level=level, name=name, message=text, hardware_id="", values=pairs
+    )

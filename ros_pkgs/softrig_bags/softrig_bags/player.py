@@ -73,8 +73,9 @@ def _class(topic: BagTopic) -> Any:
     try:
         return message_class(topic.msgtype)
     except (ImportError, AttributeError):
-        raise BagError(f"{topic.name} is of type {topic.msgtype}, which is not installed here; leave it out with "
-                       "--exclude") from None  # fmt: skip
+        raise BagError(
+            f"{topic.name} is of type {topic.msgtype}, which is not installed here; leave it out with --exclude"
+        ) from None
 
 
 class Pauser:
@@ -426,8 +427,9 @@ class LockstepPlayer:
 
     def _was_set(self, node: str, values: Mapping[str, Any], answer: Any) -> None:
         if not answer.result.successful:
-            raise RunError(f"{node} refuses {', '.join(values)} at t = {self._following[0] / SECOND:.9g} s: "
-                           f"{answer.result.reason}")  # fmt: skip
+            raise RunError(
+                f"{node} refuses {', '.join(values)} at t = {self._following[0] / SECOND:.9g} s: {answer.result.reason}"
+            )
         self._setting = False
         self._step()
 

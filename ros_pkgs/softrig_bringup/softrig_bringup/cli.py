@@ -104,10 +104,11 @@ def _verb(arguments: list[str]) -> int:
 def make_parser() -> argparse.ArgumentParser:
     """Make the parser of all verbs; those with a command line of their own, or of scripts/softrig, only by name."""
     parser = Parser(
-        prog="softrig", description="Closed loops over ROS 2 topics that come out the same every time.",
+        prog="softrig",
+        description="Closed loops over ROS 2 topics that come out the same every time.",
         epilog="Before the verb: --workspace DIR, also the packages in DIR; remembered, until --workspace none.",
         formatter_class=_InGroups,
-    )  # fmt: skip
+    )
     parser.add_argument("--version", action=_Version, nargs=0, help="print version and commit")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
 

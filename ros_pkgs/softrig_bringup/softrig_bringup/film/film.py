@@ -104,8 +104,9 @@ def rows(known: Mapping[str, Signal], times: NDArray[np.float64]) -> list[dict[s
     return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
-def _with_time(drawing: Drawing, row: Mapping[str, float], past: Sequence[Mapping[str, float]], t: float,
-               speed: float) -> list[Shape]:  # fmt: skip
+def _with_time(
+    drawing: Drawing, row: Mapping[str, float], past: Sequence[Mapping[str, float]], t: float, speed: float
+) -> list[Shape]:
     x, y, width, height = drawing.bounds
     pen = Pen()
     digits = max(0, min(6, 1 - math.floor(math.log10(speed)))) if speed < 10 else 0

@@ -57,14 +57,16 @@ def _jumps(places: Sequence[Sequence[Point]]) -> bool:
     """Whether a shape jumps somewhere: then it is not moved between frames."""
     return any(
         abs(a[0] - b[0]) > JUMP or abs(a[1] - b[1]) > JUMP
-        for before, now in pairwise(places) for a, b in zip(before, now)
-    )  # fmt: skip
+        for before, now in pairwise(places)
+        for a, b in zip(before, now)
+    )
 
 
 def _animate(name: str, values: Sequence[str], film: Film, jump: bool) -> Element:
     discrete = {"calcMode": "discrete"} if jump else {}
-    return e("animate", attributeName=name, values=";".join(values), dur=_seconds(film), repeatCount="indefinite",
-             **discrete)  # fmt: skip
+    return e(
+        "animate", attributeName=name, values=";".join(values), dur=_seconds(film), repeatCount="indefinite", **discrete
+    )
 
 
 def _shift(shifts: Sequence[Point], film: Film, discrete: bool = False) -> Element:

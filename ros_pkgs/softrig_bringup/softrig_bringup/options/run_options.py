@@ -29,8 +29,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
                         help="change a parameter (node.parameter) or a shared value")  # fmt: skip
-    parser.add_argument("--params-file", type=Path, metavar="FILE",
-                        help="change parameters, in the form of ros2 param dump")  # fmt: skip
+    parser.add_argument(
+        "--params-file", type=Path, metavar="FILE", help="change parameters, in the form of ros2 param dump"
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this one")

@@ -111,8 +111,9 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
         ends = y[[np.searchsorted(x, first, "right") - 1, end]]
     else:
         ends = np.interp(edges, x, y)
-    return replace(curve, x=np.concatenate([edges[:1], x[chosen], edges[1:]]),
-                   y=np.concatenate([ends[:1], y[chosen], ends[1:]]))  # fmt: skip
+    return replace(
+        curve, x=np.concatenate([edges[:1], x[chosen], edges[1:]]), y=np.concatenate([ends[:1], y[chosen], ends[1:]])
+    )
 
 
 class Source:

@@ -187,9 +187,10 @@ def turned(run: Run) -> list[str]:
     }
     return [
         f"{node}.{name}={json.dumps(value)} from {t / SECOND:.9g} s"
-        for t, node, values in recorded(run.recording, run.epoch) for name, value in values.items()
+        for t, node, values in recorded(run.recording, run.epoch)
+        for name, value in values.items()
         if (t, node, name) not in scripted
-    ]  # fmt: skip
+    ]
 
 
 def _plant_ticks(run: Run) -> int:

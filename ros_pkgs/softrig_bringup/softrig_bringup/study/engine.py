@@ -131,8 +131,9 @@ def _search(study: Study, search: Search, batch: Batch) -> None:
         trials = [asked.ask(space) for _ in range(min(search.batch, search.count - start))]
         works = [
             _work(study, Case((start + i) * len(seeds) + k, study.scenario, "", dict(trial.params), seed))
-            for i, trial in enumerate(trials) for k, seed in enumerate(seeds)
-        ]  # fmt: skip
+            for i, trial in enumerate(trials)
+            for k, seed in enumerate(seeds)
+        ]
         rows = batch.rows(works)
         for i, trial in enumerate(trials):
             own = rows[i * len(seeds) : (i + 1) * len(seeds)]

@@ -235,8 +235,9 @@ def _distribution(study: Study, rows: Sequence[Row], names: Sequence[str], units
 
 def _history(search: Search, rows: Sequence[Row], units: Mapping[str, str]) -> Figure:
     figure, (ax,) = _axes(1, 3.5)
-    n, y = (np.array([f(row) for row in rows], float)
-            for f in (lambda r: r["number"], lambda r: value_of(r, search.figure)))  # fmt: skip
+    n, y = (
+        np.array([f(row) for row in rows], float) for f in (lambda r: r["number"], lambda r: value_of(r, search.figure))
+    )
     sure = np.isfinite(y)
     kept = sure & [all(limits.holds(value_of(row, f)) for f, limits in search.subject_to.items()) for row in rows]
     ax.plot(n[kept], y[kept], ".", markersize=4, alpha=0.5, label="run")

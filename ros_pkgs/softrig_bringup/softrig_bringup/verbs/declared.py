@@ -133,16 +133,18 @@ def _workers(parser: argparse.ArgumentParser) -> None:
 
 
 def _judge(verb: Verb) -> None:
-    check = verb("check", "verbs.check:main",
-                 "figures, requirements and claims of many scenarios, for continuous integration")  # fmt: skip
+    check = verb(
+        "check", "verbs.check:main", "figures, requirements and claims of many scenarios, for continuous integration"
+    )
     check.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
     results = verb("results", "verbs.results:main", "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",
                          help="results.html and .md, or results_SYSTEM.html, go here (runs/results)")  # fmt: skip
     results.add_argument("--studies", action="store_true", help="the claims of studies too: hundreds of runs")
-    golden = verb("golden", "verbs.golden:main",
-                  "make golden bags anew and show the difference to the old, or check them")  # fmt: skip
+    golden = verb(
+        "golden", "verbs.golden:main", "make golden bags anew and show the difference to the old, or check them"
+    )
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
     golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
     golden.add_argument("--duration", type=float, metavar="S", help="another length of the golden run")

@@ -82,8 +82,9 @@ def _check_view(options: argparse.Namespace) -> None:
     """Refuse what has no page; bring the library."""
     if options.mode == "inprocess" or options.only:
         what = "--mode inprocess" if options.mode == "inprocess" else "--only"
-        raise ScenarioError(f"view shows a whole rig of nodes, which {what} is not; expected --mode container or "
-                            "processes")  # fmt: skip
+        raise ScenarioError(
+            f"view shows a whole rig of nodes, which {what} is not; expected --mode container or processes"
+        )
     need("bokeh", "view")
     from ..view.serve import free_address
 
@@ -224,8 +225,9 @@ def _too_slow(options: argparse.Namespace, done: Run) -> str:
     trips = tripped(done.rig, done.status)
     most = MISSED if options.max_missed is None else options.max_missed
     most = 0.0 if trips or done.error else most
-    late = [f"{node} missed {share:.3g} % of its deadlines" for node, share in _missed(done.status).items()
-            if share > most]  # fmt: skip
+    late = [
+        f"{node} missed {share:.3g} % of its deadlines" for node, share in _missed(done.status).items() if share > most
+    ]
     if not late:
         return ""
     why = "".join(f", {node}: {text}" for node, text in trips.items())

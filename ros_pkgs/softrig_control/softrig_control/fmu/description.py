@@ -232,8 +232,9 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
         dims = tuple(int(d.start if d.start is not None else d.variable.start) for d in v.dimensions or ())
         start = " ".join(map(str, v.start)) if isinstance(v.start, list | tuple) else v.start
         least, largest = (None if x is None or kind == "String" else float(x) for x in (v.min, v.max))
-        variables[v.name] = Variable(v.name, v.valueReference, kind, v.causality, start, least, largest, known,
-                                     v.variability == "tunable", dims)  # fmt: skip
+        variables[v.name] = Variable(
+            v.name, v.valueReference, kind, v.causality, start, least, largest, known, v.variability == "tunable", dims
+        )
     found = {"co_simulation": model.coSimulation, "model_exchange": model.modelExchange,
              "scheduled_execution": model.scheduledExecution}  # fmt: skip
     either = model.coSimulation or model.modelExchange

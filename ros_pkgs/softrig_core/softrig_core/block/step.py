@@ -156,8 +156,9 @@ class Step(Held):
         """Give what was said last, at first the safe values; silence on sporadic ports."""
         return {
             p.name: self.said.get(p.name) or (Sample(self.t, p.safe) if p.delayed else p.safe)
-            for p in self.outputs if not p.sporadic
-        }  # fmt: skip
+            for p in self.outputs
+            if not p.sporadic
+        }
 
     def refused(self, t: int) -> Any:
         """Answer a tick of which something was refused."""

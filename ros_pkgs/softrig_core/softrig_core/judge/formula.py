@@ -94,8 +94,9 @@ def _check_arithmetic(tree: Tree) -> None:
             name, given = body
             several = name in SEVERAL
             if len(given) < 2 if several else len(given) != 1:
-                raise ScenarioError(f"{name} takes {'two numbers or more' if several else 'one number'}, "
-                                    f"got {len(given)}")  # fmt: skip
+                raise ScenarioError(
+                    f"{name} takes {'two numbers or more' if several else 'one number'}, got {len(given)}"
+                )
         if kind == "Binary" and body[0] in ("Div", "Mod") and not variables(body[2]) and not arithmetic(body[2], {}):
             raise ScenarioError("a division by zero")
         if kind in ("Call", "Binary") and not variables(body) and math.isnan(arithmetic({kind: body}, {})):

@@ -103,8 +103,9 @@ class ForkServer:
                 stderr=subprocess.DEVNULL,
             )  # fmt: skip
 
-    def start(self, package: str, executable: str, command: Sequence[str], variables: Mapping[str, str],
-              output: int) -> Forked | None:  # fmt: skip
+    def start(
+        self, package: str, executable: str, command: Sequence[str], variables: Mapping[str, str], output: int
+    ) -> Forked | None:
         """Fork a node.
 
         `command`: the path of the executable and its arguments.
@@ -171,8 +172,9 @@ def forget() -> None:
 atexit.register(forget)
 
 
-def start_node(package: str, executable: str, command: Sequence[str], variables: Mapping[str, str],
-               output: int) -> Forked | None:  # fmt: skip
+def start_node(
+    package: str, executable: str, command: Sequence[str], variables: Mapping[str, str], output: int
+) -> Forked | None:
     """Fork a node from the server of this process; see `ForkServer.start`.
 
     A server whose modules have been edited since is replaced.

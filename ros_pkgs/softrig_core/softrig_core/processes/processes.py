@@ -146,8 +146,9 @@ def run_processes(
     return Outcome(recording, status, domain, epoch, error, stopped)
 
 
-def gathered(rig: Rig, directory: Path, names: Iterable[str],
-             namespace: str = "") -> tuple[Recording, dict[str, dict[str, Any]]]:  # fmt: skip
+def gathered(
+    rig: Rig, directory: Path, names: Iterable[str], namespace: str = ""
+) -> tuple[Recording, dict[str, dict[str, Any]]]:
     """Give what the nodes of a run have recorded and what each said of itself.
 
     `directory`: of the `FILES` that the nodes wrote.

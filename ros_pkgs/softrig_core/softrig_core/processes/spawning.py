@@ -30,8 +30,9 @@ def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = 
     return [g for g in shared if g] + [[m] for m in own.values()]
 
 
-def node_parameters(rig: Rig, member: Member, seed: int, mode: str, *,
-                    recorders: Sequence[str] | None = None, returns: bool = False) -> dict[str, Any]:  # fmt: skip
+def node_parameters(
+    rig: Rig, member: Member, seed: int, mode: str, *, recorders: Sequence[str] | None = None, returns: bool = False
+) -> dict[str, Any]:
     """Give the ROS parameters that start a member of a rig: those of its block that differ, and how it runs.
 
     `mode` ({"lockstep", "realtime"}).

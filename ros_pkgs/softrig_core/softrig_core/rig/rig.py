@@ -72,8 +72,9 @@ class Rig(Members):
         clock = self.clock
         for m in new:
             try:
-                m.schedule = Schedule(m.params.period, clock.params.period, scenario.duration,
-                                      m.block_class.speaks_at_end())  # fmt: skip
+                m.schedule = Schedule(
+                    m.params.period, clock.params.period, scenario.duration, m.block_class.speaks_at_end()
+                )
             except ValueError as error:
                 raise ScenarioError(f"{scenario.name}: node {m.name}: {error}, {clock.name}") from None
         if clock.schedule.ticks is not None and clock.schedule.ticks > TICKS:

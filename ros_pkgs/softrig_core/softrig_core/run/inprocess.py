@@ -138,8 +138,9 @@ def noter(sink: Sink, name: str) -> Callable[[int, Mapping[str, Any]], object]:
     return lambda t, values: sink.note(t, parameter_event.encode(t, f"/{name}", values))
 
 
-def keeper(sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[int],
-             said: Mapping[str, int] | None = None) -> Callable[[int, Rows], object]:  # fmt: skip
+def keeper(
+    sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[int], said: Mapping[str, int] | None = None
+) -> Callable[[int, Rows], object]:
     """Give what records the answers of a step.
 
     `ports`: its outputs; with /clock after them when it is the clock.

@@ -69,8 +69,9 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
         for key, value in entry.set.items():
             node, _, parameter = key.partition(".")
             if node not in known or not parameter:
-                raise ScenarioError(f"{at}: {key!r}{closest(node, known)}: expected node.parameter with node one of "
-                                    f"{', '.join(known)}")  # fmt: skip
+                raise ScenarioError(
+                    f"{at}: {key!r}{closest(node, known)}: expected node.parameter with node one of {', '.join(known)}"
+                )
             if (known[node].package, known[node].executable) == (PACKAGE, EXECUTABLE):
                 parameter = WORDS.get(parameter, parameter)
             by_node.setdefault(node, {})[parameter] = fill_parameters(value, partial(at_start, at))

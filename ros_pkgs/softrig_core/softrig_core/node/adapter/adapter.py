@@ -346,8 +346,9 @@ class Adapter:
         }  # fmt: skip
         status |= self.drive.counts()
         if self.lacking:
-            status["published"] = {t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)]
-                                   for t in self.middleware.topics()}  # fmt: skip
+            status["published"] = {
+                t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)] for t in self.middleware.topics()
+            }
         if self.state != "running":  # what takes longer than a tick
             status |= {"peak_memory_mb": peak_memory()} | self.drive.statistics()
         if self.state == "done":

@@ -152,8 +152,9 @@ class Paired(Sender):
         Stamp of the newest refused message that is answered: a better one that follows is too late.
     """
 
-    def __init__(self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool = False,
-                 silent: str = "") -> None:  # fmt: skip
+    def __init__(
+        self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool = False, silent: str = ""
+    ) -> None:
         super().__init__(table.node, port, who)
         self.table = table
         self.schedule = schedule
