@@ -13,7 +13,7 @@ from softrig_core import (
     load_scenario,
     simulate,
 )
-from softrig_core.block.answer import check
+from softrig_core.block.answer import admit
 from softrig_systems.optimal_control import collocation
 from softrig_systems.optimal_control.collocation_planner import CollocationPlanner
 from softrig_systems.optimal_control.evaluator import FIGURES, OcpEvaluator
@@ -70,12 +70,12 @@ def test_a_state_that_escapes_may_not_be_said(kind):
     plant = ByHand(kind())
     (port,) = plant.block.ports(plant.block.p)[1]
     while max(map(abs, plant.x)) <= 1e3:
-        check(plant.outputs(0), port, "plant", 0)
+        admit(plant.outputs(0), port, "plant", 0)
         plant.advance(0, command=(1e6,))
     with pytest.raises(
         RunError, match=r"plant: state .* became (inf|nan|.* expected at most 1000 in magnitude) at t = "
     ):
-        check(plant.outputs(0), port, "plant", 0)
+        admit(plant.outputs(0), port, "plant", 0)
 
 
 def test_torques_are_limited_and_biased():

@@ -30,7 +30,6 @@ class Outcome:
 
     Parameters
     ----------
-    space : Space
     names : tuple of str
         The requirements.
     nominal, worst : dict of str to float or None
@@ -41,7 +40,6 @@ class Outcome:
         The worst run; None when no run could be measured.
     small : Case, optional
         The violation made small; None when there is none.
-    small_margins : dict
     shrinking : int
         Runs that this took.
     broken : list of (dict, str)
@@ -68,15 +66,9 @@ class Outcome:
 class Prepared(NamedTuple):
     """A falsification whose input has been judged.
 
-    Parameters
-    ----------
-    space : Space
-    names : tuple of str
-        The requirements.
-    nominal : dict of str to float or None
-        Their margins without changes.
-    content : dict
-        What makes it this one and no other.
+    `names`: the requirements.
+    `nominal`: their margins without changes.
+    `content`: what makes it this one and no other.
     """
 
     space: Space
@@ -88,10 +80,7 @@ class Prepared(NamedTuple):
 def prepare(task: Falsification) -> Prepared:
     """Judge the input of a falsification, and run its scenario as it is; nothing is written.
 
-    Raises
-    ------
-    ScenarioError
-        Bad input, a package that is missing, or a run that cannot be judged.
+    Raises ScenarioError: bad input, a package that is missing, or a run that cannot be judged.
     """
     scenario = load_scenario(task.scenario).changed(duration=task.duration)
     names = _requirements(scenario, task.requirements)
@@ -108,23 +97,13 @@ def prepare(task: Falsification) -> Prepared:
 
 def falsify(
     task: Falsification, prepared: Prepared, out: Path, *, workers: int | None = None, scheduler: str = ""
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     """Search, and make what is found small.
 
-    Parameters
-    ----------
-    task : Falsification
-    prepared : Prepared
-        What `prepare` gave of it.
-    out : Path
-        Gets ``falsification.json`` and ``rows.jsonl``; the runs that an earlier call left there are not run again.
-    workers, scheduler
-        See `softrig_optim.sweep.Workers`.
-
-    Raises
-    ------
-    ScenarioError
-        The folder holds another falsification.
+    `prepared`: what `prepare` gave of it.
+    `out`: gets ``falsification.json`` and ``rows.jsonl``; the runs that an earlier call left there are not run again.
+    `workers`, `scheduler`: see `softrig_optim.sweep.Workers`.
+    Raises ScenarioError: the folder holds another falsification.
     """
     space, names, nominal, content = prepared
     replace(out / "falsification.json", same(content, out / "falsification.json", "falsification"))

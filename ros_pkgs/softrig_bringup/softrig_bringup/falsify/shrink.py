@@ -16,21 +16,11 @@ HALVINGS = 12  # of the way of a parameter back to its nominal value: it is foun
 def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], bool], budget: int) -> tuple[Case, int]:
     """Make a violation small while it stays one.
 
-    Parameters
-    ----------
-    space : Space
-    overrides : dict
-        Of the violation.
-    violates : callable
-        Runs a case.
-    budget : int
-        Largest number of runs.
-
-    Returns
-    -------
-    case : (Scenario, dict)
-    runs : int
-        How many were needed.
+    `overrides`: of the violation.
+    `violates`: runs a case.
+    `budget`: largest number of runs.
+    Gives `case` (Scenario, dict).
+    Gives `runs`: how many were needed.
     """
     runs = 0
 
@@ -82,9 +72,7 @@ def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:
     return case
 
 
-def _nearer(
-    over: Over, target: str, nominal: Any, whole: bool, case: Case, still: Callable[[Case], bool]
-) -> Case:  # fmt: skip
+def _nearer(over: Over, target: str, nominal: Any, whole: bool, case: Case, still: Callable[[Case], bool]) -> Case:
     """A parameter between its nominal value and its own, as near as the violation lasts; lists as a whole."""
     scenario, overrides = case
     worst, good = (x if isinstance(x, list) else [x] for x in (overrides[target], nominal))

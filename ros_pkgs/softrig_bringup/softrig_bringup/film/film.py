@@ -24,15 +24,9 @@ STRIP = 30.0  # units below the drawing: time, and how fast it goes
 class Film:
     """A drawing over a window of time.
 
-    Parameters
-    ----------
-    drawing : Drawing
-    times : float array of shape (n,)
-        Simulated time of each frame, s.
-    frames : list of lists of Shape
-        One a time.
-    speed : float
-        Simulated seconds in one second of film.
+    `times` (float array of shape (n,)): simulated time of each frame, s.
+    `frames` (list of lists of Shape): one a time.
+    `speed`: simulated seconds in one second of film.
     """
 
     drawing: Drawing
@@ -68,20 +62,10 @@ def comfortable(span: float) -> float:
 def film(drawing: Drawing, signals: Mapping[str, Signal], start: float, end: float, speed: float | None = None) -> Film:
     """Draw a run's frames.
 
-    Parameters
-    ----------
-    drawing : Drawing
-    signals : mapping of str to (t, x)
-        `Signals` of the run; one that the run has not is drawn at rest.
-    start, end : float
-        s, of the simulated time.
-    speed : float, optional
-        Simulated seconds in one of film; a `comfortable` one without it.
-
-    Raises
-    ------
-    ScenarioError
-        Nothing to draw from, or more than `LONGEST` frames.
+    `signals` (mapping of str to (t, x)): `Signals` of the run; one that the run has not is drawn at rest.
+    `start`, `end`: s, of the simulated time.
+    `speed`: simulated seconds in one of film; a `comfortable` one without it.
+    Raises ScenarioError: nothing to draw from, or more than `LONGEST` frames.
     """
     speed = speed or comfortable(end - start)
     count = 1 + round((end - start) / speed * FRAMES)
@@ -120,8 +104,9 @@ def rows(known: Mapping[str, Signal], times: NDArray[np.float64]) -> list[dict[s
     return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
-def _with_time(drawing: Drawing, row: Mapping[str, float], past: Sequence[Mapping[str, float]], t: float,
-               speed: float) -> list[Shape]:  # fmt: skip
+def _with_time(
+    drawing: Drawing, row: Mapping[str, float], past: Sequence[Mapping[str, float]], t: float, speed: float
+) -> list[Shape]:
     x, y, width, height = drawing.bounds
     pen = Pen()
     digits = max(0, min(6, 1 - math.floor(math.log10(speed)))) if speed < 10 else 0

@@ -16,10 +16,7 @@ FONT = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', 'DejaVu Sans', sans-ser
 def sheet(dark: bool | None = None) -> str:
     """Give the style sheet: a class a role for strokes, one for fills.
 
-    Parameters
-    ----------
-    dark : bool, optional
-        Colours for dark ground, or light; by what the reader's system prefers without it.
+    `dark`: colours for dark ground, or light; by what the reader's system prefers without it.
     """
 
     def rules(which: int) -> str:
@@ -78,12 +75,7 @@ def number(value: float) -> str:
 def still(drawing: Drawing, shapes: Sequence[Shape], dark: bool | None = None) -> str:
     """Write one frame as a file by itself.
 
-    Parameters
-    ----------
-    drawing : Drawing
-    shapes : sequence of Shape
-        From `Drawing.frame`.
-    dark : bool, optional
-        See `sheet`.
+    `shapes`: from `Drawing.frame`.
+    `dark`: see `sheet`.
     """
     return tostring(root(drawing.bounds, drawing.title, *map(element, shapes), dark=dark), "unicode")

@@ -46,7 +46,6 @@ class Recalled:
         As it was named.
     options : argparse.Namespace
         Of its command.
-    bag : Path
     recording : Recording
         Empty where the bag was left out of a pack.
     epoch : int
@@ -83,18 +82,10 @@ def lateness(status: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int
 def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
     """Find out what a run was, from its bag alone or from what `softrig pack` has made of it.
 
-    Parameters
-    ----------
-    path : Path
-        Directory of the run, its bag, a single .mcap file of it, or a pack.
-    parse : callable
-        Gives the options of what follows ``softrig run``.
-
-    Raises
-    ------
-    ScenarioError
-        No such run, it has no bag, which alone knows what was changed while it ran, or a package that it needs is not
-        installed here.
+    `path`: directory of the run, its bag, a single .mcap file of it, or a pack.
+    `parse`: gives the options of what follows ``softrig run``.
+    Raises ScenarioError: no such run, it has no bag, which alone knows what was changed while it ran, or a package that
+    it needs is not installed here.
     """
     from softrig_bags.errors import BagError
     from softrig_bags.read import read_bag
@@ -154,10 +145,7 @@ def _content(metrics: Path) -> Mapping[str, Any]:
 def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     """Give the scenario of a run with what was changed while it ran, and a node that says what came from outside.
 
-    Raises
-    ------
-    ScenarioError
-        Somebody else's plant: it alone knows what it does.
+    Raises ScenarioError: somebody else's plant: it alone knows what it does.
     """
     if run.digests:
         return scenario  # its file has them
@@ -166,8 +154,9 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
         by_time.setdefault(t / SECOND, {}).update({f"{node}.{name}": value for name, value in values.items()})
     rig = rig_of(scenario.having(changes=[]))
     if rig.clock.external:
-        raise ScenarioError(f"--like {run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat "
-                            "them")  # fmt: skip
+        raise ScenarioError(
+            f"--like {run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat them"
+        )
     nodes: dict[str, Any] = {name: entry for name, entry in scenario.nodes.items() if not entry.external}
     nodes |= tape(rig, run)
     return scenario.having(nodes=nodes, changes=[{"at": at, "set": values} for at, values in by_time.items()])
@@ -207,18 +196,8 @@ def compared(before: Recalled, run: Run, made_with: Mapping[str, Any]) -> tuple[
 
     The end counts as far as both have come: in real time the last tick may be over before all have answered it.
 
-    Parameters
-    ----------
-    before : Recalled
-    run : Run
-    made_with : mapping
-        What has made the repetition, as ``metrics.json`` has it.
-
-    Returns
-    -------
-    same : bool
-    told : list of str
-        The last line says whether it repeats, and if not, which version differs first.
+    `made_with`: what has made the repetition, as ``metrics.json`` has it.
+    Gives `told`: the last line says whether it repeats, and if not, which version differs first.
     """
     lines, messages, topics = _differences(before, run)
     same = not lines and messages > 0
@@ -288,9 +267,10 @@ def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
     own = sorted(there.get("code", ()), key=lambda name: (name.startswith("softrig_"), name))
     rest = [name for name in there.get("versions", ()) if name not in (*DECIDE, "commit", "run.lock")]
     for what, found in (
-        ("the code of ", pairs("code", own)), ("the files of ", pairs("contents", there.get("contents", ()))),
+        ("the code of ", pairs("code", own)),
+        ("the files of ", pairs("contents", there.get("contents", ()))),
         ("", pairs("versions", [*DECIDE, *rest])),
-    ):  # fmt: skip
+    ):
         for name, a, b in found:
             commits = [str(w.get("versions", {}).get("commit", ""))[:LETTERS] for w in (there, here)]
             of = f" (commit {commits[0]} there, {commits[1]} here)" if what == "the code of " and all(commits) else ""
@@ -301,8 +281,9 @@ def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
 
 def words(late: Mapping[str, Mapping[str, int]]) -> str:
     """Say what nodes have counted."""
-    return "; ".join(f"{node} {', '.join(f'{n} {LATE.get(key, key)}' for key, n in counts.items())}"
-                     for node, counts in late.items())  # fmt: skip
+    return "; ".join(
+        f"{node} {', '.join(f'{n} {LATE.get(key, key)}' for key, n in counts.items())}" for node, counts in late.items()
+    )
 
 
 def _values(port: Port, topic: Topic, epoch: int) -> Iterable[tuple[int, int, tuple[float, ...]]]:

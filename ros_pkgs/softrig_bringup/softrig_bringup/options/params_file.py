@@ -18,17 +18,9 @@ def params_of(file: Path, nodes: Iterable[str]) -> dict[str, Any]:
 
     Those that every ROS node has are left out, and so are ``run.*``, which the rig sets.
 
-    Parameters
-    ----------
-    file : Path
-        ``NODE: {ros__parameters: {NAME: VALUE}}``, NODE with or without its namespace, names dotted or nested.
-    nodes : iterable of str
-        Of the scenario.
-
-    Raises
-    ------
-    ScenarioError
-        The file cannot be read, has another form, or names a node that is not of the scenario.
+    `file`: ``NODE: {ros__parameters: {NAME: VALUE}}``, NODE with or without its namespace, names dotted or nested.
+    `nodes`: of the scenario.
+    Raises ScenarioError: the file cannot be read, has another form, or names a node that is not of the scenario.
     """
     nodes = list(nodes)
     try:
@@ -41,8 +33,9 @@ def params_of(file: Path, nodes: Iterable[str]) -> dict[str, Any]:
     for key, entry in content.items():
         node = str(key).rpartition("/")[2]
         if node not in nodes:
-            raise ScenarioError(f"params file {file}: {key}: no such node{closest(node, nodes)}; the nodes are "
-                                f"{', '.join(nodes)}")  # fmt: skip
+            raise ScenarioError(
+                f"params file {file}: {key}: no such node{closest(node, nodes)}; the nodes are {', '.join(nodes)}"
+            )
         values = entry.get("ros__parameters") if isinstance(entry, Mapping) else None
         if not isinstance(values, Mapping):
             raise ScenarioError(f"params file {file}: {key}: expected ros__parameters: {{NAME: VALUE}}")

@@ -16,13 +16,8 @@ from ..folder import replace
 class Case:
     """One thing that was judged.
 
-    Parameters
-    ----------
-    name : str
-    failure : str
-        Why it does not hold; empty when it does.
-    text : str
-        What was measured.
+    `failure`: why it does not hold; empty when it does.
+    `text`: what was measured.
     """
 
     name: str
@@ -34,14 +29,8 @@ class Case:
 class Suite:
     """What was judged of a run.
 
-    Parameters
-    ----------
-    name : str
-    seconds : float
-        Wall-clock time.
-    cases : sequence of Case
-    error : str
-        Why the run broke; empty when it did not.
+    `seconds`: wall-clock time.
+    `error`: why the run broke; empty when it did not.
     """
 
     name: str
@@ -64,13 +53,7 @@ def write_reports(junit: Path | None, suites: Sequence[Suite], as_json: Path | N
 
 
 def write_junit(path: Path, suites: Sequence[Suite]) -> None:
-    """Write a report that appears whole or not at all.
-
-    Parameters
-    ----------
-    path : Path
-    suites : sequence of Suite
-    """
+    """Write a report that appears whole or not at all."""
     root = Element("testsuites", _counts(suites))
     for suite in suites:
         node = SubElement(root, "testsuite", {"name": _printable(suite.name)} | _counts([suite]))

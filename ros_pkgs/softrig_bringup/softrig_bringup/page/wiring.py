@@ -13,14 +13,9 @@ SWEEPS = 8  # over the columns, until neighbours stand side by side
 class Node(BaseModel):
     """A node as a box of the diagram.
 
-    Parameters
-    ----------
-    executable : str
-        With its package: ``softrig_drives/dc_motor_plant``.
-    period : float
-        s.
-    plant, outside : bool
-        Whether it owns time; whether somebody else starts it.
+    `executable`: with its package: ``softrig_drives/dc_motor_plant``.
+    `period`: s.
+    `plant`, `outside`: whether it owns time; whether somebody else starts it.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -63,10 +58,11 @@ def wiring_of(rig: Rig) -> Wiring:
     """Give the wiring of a rig; a clock that is no plant has no wires and is left out."""
     members = [m for m in rig.members if m.inputs or m.outputs]
     nodes = {
-        m.name: Node(executable=f"{m.package}/{m.executable}", period=m.params.period, plant=m.is_plant,
-                     outside=m.external)
+        m.name: Node(
+            executable=f"{m.package}/{m.executable}", period=m.params.period, plant=m.is_plant, outside=m.external
+        )
         for m in members
-    }  # fmt: skip
+    }
     wires = tuple(
         Wire(topic=p.topic, type=p.msgtype, source=m.name,
              readers=tuple(dict.fromkeys(r.name for r, _ in rig.readers(m, p))))

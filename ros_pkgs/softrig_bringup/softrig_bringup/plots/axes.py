@@ -30,12 +30,7 @@ _PUBLISHED: dict[str, Any] = {"color": look.PUBLISHED, "linestyle": ":", "linewi
 def draw(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
     """Draw curves over time, those with the most ink below the others, references on top.
 
-    Parameters
-    ----------
-    ax : Axes
-    curves : sequence of Curve
-    scale : float
-        From seconds to the unit of the time axis.
+    `scale`: from seconds to the unit of the time axis.
     """
     ink = [float(np.abs(np.diff(c.y)).sum()) for c in curves]
     for curve, style, own in zip(curves, styles(curves), ink, strict=True):
@@ -75,13 +70,8 @@ def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Arti
 
     What lies far outside of the curves is left out: it would press them flat.
 
-    Parameters
-    ----------
-    ax : Axes
-        With its curves.
-    marks : sequence of Mark
-    scale : float
-        From seconds to the unit of the time axis.
+    `ax`: with its curves.
+    `scale`: from seconds to the unit of the time axis.
     """
     (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
     drawn: dict[str, Artist] = {}
@@ -186,18 +176,10 @@ def legend(
 ) -> None:  # fmt: skip
     """Put the legend above the axes, where it covers no data.
 
-    Parameters
-    ----------
-    ax : Axes
-    curves : sequence of Curve
-        Those that were drawn first, in order.
-    title : str
-    width : int
-        Of the axes, in letters.
-    marks : sequence of (Artist, str)
-        From `draw_marks`.
-    what : str
-        What the curves are, where there are too many to be named.
+    `curves`: those that were drawn first, in order.
+    `width`: of the axes, in letters.
+    `marks` (sequence of (Artist, str)): from `draw_marks`.
+    `what`: what the curves are, where there are too many to be named.
     """
     if len(curves) > look.MANY:
         text = f"{len(curves)} {what}, dark to light from first to last"

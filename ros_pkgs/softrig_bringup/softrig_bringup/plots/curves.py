@@ -25,16 +25,10 @@ _AXES = {"alpha_beta": ("α", "β", "0"), "dq": ("d", "q", "0"), "abc": ("a", "b
 class Curve:
     """One line of a picture.
 
-    Parameters
-    ----------
-    label, unit : str
-    x, y : float arrays of shape (n,)
-    held : bool
-        The value stays until the next sample: drawn as steps.
-    reference : bool
-        Drawn as a thin dark dashed line on top.
-    signal : str
-        Name of the signal that it shows; empty for a difference.
+    `x`, `y` (float arrays of shape (n,)).
+    `held`: the value stays until the next sample: drawn as steps.
+    `reference`: drawn as a thin dark dashed line on top.
+    `signal`: name of the signal that it shows; empty for a difference.
     """
 
     label: str
@@ -49,10 +43,7 @@ class Curve:
 def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[float] | None) -> Rig:
     """Give a rig with one plot of some signals, or its scenario's own when none are named, in a window of time.
 
-    Raises
-    ------
-    ScenarioError
-        No such signal, or the scenario has no plots of its own.
+    Raises ScenarioError: no such signal, or the scenario has no plots of its own.
     """
     own = (PlotEntry(title=title, signals=dict.fromkeys(names, "")),) if names else rig.scenario.plots
     if not own:
@@ -66,10 +57,7 @@ def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[floa
 def check_plots(rig: Rig) -> None:
     """Check that the rig has the signals of its scenario's plots.
 
-    Raises
-    ------
-    ScenarioError
-        A plot names a signal that the rig does not have.
+    Raises ScenarioError: a plot names a signal that the rig does not have.
     """
     known = signal_units(rig)
     for entry in rig.scenario.plots:
@@ -89,17 +77,9 @@ def check_plots(rig: Rig) -> None:
 def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
     """Reduce a long signal to what can be seen: first, lowest, highest and last value of each pixel column.
 
-    Parameters
-    ----------
-    x, y : float arrays of shape (n,)
-        x ascending.
-    columns : int
-        Width of the axes in pixels.
-
-    Returns
-    -------
-    x, y : float arrays of shape (at most 4 columns,)
-        The signal itself when it is not longer than that.
+    `x`, `y` (float arrays of shape (n,)): x ascending.
+    `columns`: width of the axes in pixels.
+    Gives `x, y` (float arrays of shape (at most 4 columns,)): the signal itself when it is not longer than that.
     """
     if len(x) <= 4 * columns:
         return x, y
@@ -116,11 +96,7 @@ def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
 def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
     """Cut a curve over time to a window, to whose edges it is drawn: no value from outside of it.
 
-    Parameters
-    ----------
-    curve : Curve
-    window : (float, float), optional
-        First and last time, s; none leaves the curve as it is.
+    `window` ((float, float)): first and last time, s; none leaves the curve as it is.
     """
     if window is None or not len(curve.x):
         return curve
@@ -135,19 +111,16 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
         ends = y[[np.searchsorted(x, first, "right") - 1, end]]
     else:
         ends = np.interp(edges, x, y)
-    return replace(curve, x=np.concatenate([edges[:1], x[chosen], edges[1:]]),
-                   y=np.concatenate([ends[:1], y[chosen], ends[1:]]))  # fmt: skip
+    return replace(
+        curve, x=np.concatenate([edges[:1], x[chosen], edges[1:]]), y=np.concatenate([ends[:1], y[chosen], ends[1:]])
+    )
 
 
 class Source:
     """The curves of a run by signal name.
 
-    Parameters
-    ----------
-    signals : Signals
-        Of the run's recording.
-    rig : Rig
-        Says units, which topics are held between samples, which are references.
+    `signals`: of the run's recording.
+    `rig`: says units, which topics are held between samples, which are references.
     """
 
     def __init__(self, signals: Signals, rig: Rig) -> None:

@@ -30,16 +30,9 @@ _SAMPLES = 1000  # of a band
 class Overlay:
     """A run to be laid over others.
 
-    Parameters
-    ----------
-    label : str
-        What tells it apart.
-    group : str
-        The same for runs that are draws of the same, else the label.
-    plots : sequence of PlotEntry
-    shown : mapping
-        Of the signals of its plots.
-    signals : Signals
+    `label`: what tells it apart.
+    `group`: the same for runs that are draws of the same, else the label.
+    `shown`: of the signals of its plots.
     """
 
     label: str
@@ -58,11 +51,7 @@ def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str,
     Each signal has its own axes, each run or group of draws its own colour. A group of `LEAST` or more runs is its
     median and the band between the quantiles `BAND`. A reference that is the same in all runs is drawn once.
 
-    Parameters
-    ----------
-    runs : sequence of Overlay
-    note : str
-        Behind each title.
+    `note`: behind each title.
     """
     from matplotlib import rc_context
 
@@ -164,14 +153,8 @@ def _overlaid(ax: Axes, found: Drawn, references: Sequence[Curve], scale: float)
 def band(curves: Sequence[Curve]) -> tuple[Array, Array, Array, Array]:
     """Give median and quantiles of draws of one signal.
 
-    Parameters
-    ----------
-    curves : sequence of Curve
-        Each held, or taken as straight between its samples; compared as long as all of them go.
-
-    Returns
-    -------
-    t, low, middle, high : arrays of shape (n,)
+    `curves`: each held, or taken as straight between its samples; compared as long as all of them go.
+    Gives `t, low, middle, high` (arrays of shape (n,)).
     """
     t = np.linspace(max(c.x[0] for c in curves), min(c.x[-1] for c in curves), _SAMPLES)
     rows = [c.y[np.searchsorted(c.x, t, "right") - 1] if c.held else np.interp(t, c.x, c.y) for c in curves]

@@ -26,20 +26,14 @@ MM = 25.4  # in an inch
 def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
     """Give the rig of a run and its signals.
 
-    Parameters
-    ----------
-    directory : Path
-        Of a run, or a bag that a run has written.
-
-    Raises
-    ------
-    ScenarioError
-        Neither, or no bag in it, or its scenario is unknown here.
+    `directory`: of a run, or a bag that a run has written.
+    Raises ScenarioError: neither, or no bag in it, or its scenario is unknown here.
     """
     bag = directory / "bag" if (directory / "metrics.json").is_file() else directory
     if not bag.is_dir():
-        raise ScenarioError(f"{directory}: no bag in it, expected the directory of a run or a bag; pictures are drawn "
-                            "from the bag")  # fmt: skip
+        raise ScenarioError(
+            f"{directory}: no bag in it, expected the directory of a run or a bag; pictures are drawn from the bag"
+        )
     found = signals(bag)
     if (bag.parent / "metrics.json").is_file():
         return _as_it_ran(read_run(bag.parent).made_by), found

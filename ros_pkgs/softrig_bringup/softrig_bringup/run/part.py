@@ -20,28 +20,17 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
 
     Figures need what all parts have recorded: `softrig bag repair` makes one bag of all shards in a folder.
 
-    Parameters
-    ----------
-    rig : Rig
-        The whole.
-    options : argparse.Namespace
-        Of the verb `run`.
-
-    Returns
-    -------
-    int
-        Exit status.
-
-    Raises
-    ------
-    ScenarioError
-        No such node, no domain, or a placement without processes.
+    `rig`: the whole.
+    `options`: of the verb `run`.
+    Returns: exit status.
+    Raises ScenarioError: no such node, no domain, or a placement without processes.
     """
     names = [m.name for m in rig.members if not m.external]
     for name in options.only:
         if name not in names:
-            raise ScenarioError(f"--only {name}: no such node{closest(name, names)}; those to be started are "
-                                f"{', '.join(names)}")  # fmt: skip
+            raise ScenarioError(
+                f"--only {name}: no such node{closest(name, names)}; those to be started are {', '.join(names)}"
+            )
     if options.domain is None:
         raise ScenarioError("--only: expected --domain N, the same on all machines of the rig")
     if options.mode == "inprocess":

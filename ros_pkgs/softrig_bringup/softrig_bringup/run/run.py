@@ -53,14 +53,8 @@ from ..plots.pictures import plot_run
 def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener = NOBODY) -> Run:
     """Run a rig; one that broke or was stopped says so in `error` or `stopped` and has what was recorded.
 
-    Parameters
-    ----------
-    rig : Rig
-        As `checked` gives it.
-    placement : Placement
-    directory : Path
-        For the logs of node processes.
-    listener : Listener
+    `rig`: as `checked` gives it.
+    `directory`: for the logs of node processes.
     """
     started, seed = time.perf_counter(), rig.scenario.seed
     run = Run(rig, seed, Recording((t, p.msgtype) for t, p in rig.topics.items()), mode=str(placement))
@@ -193,9 +187,10 @@ def turned(run: Run) -> list[str]:
     }
     return [
         f"{node}.{name}={json.dumps(value)} from {t / SECOND:.9g} s"
-        for t, node, values in recorded(run.recording, run.epoch) for name, value in values.items()
+        for t, node, values in recorded(run.recording, run.epoch)
+        for name, value in values.items()
         if (t, node, name) not in scripted
-    ]  # fmt: skip
+    ]
 
 
 def _plant_ticks(run: Run) -> int:
@@ -244,16 +239,9 @@ def save(
 ) -> None:
     """Write metrics.json and bag/ into a folder, and the list of what was written.
 
-    Parameters
-    ----------
-    run : Run
-    content : mapping
-        From `summary`.
-    folder : ResultsFolder
-    record : bool
-        Whether the bag is written.
-    health : bool
-        Whether what the nodes say beside their signals is in it.
+    `content`: from `summary`.
+    `record`: whether the bag is written.
+    `health`: whether what the nodes say beside their signals is in it.
     """
     with _writing(folder) as directory, unstopped():
         # first: if the disk is full, this is what tells why
@@ -272,12 +260,7 @@ def save(
 def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
     """Add the plots and report.html to what `save` has written.
 
-    Parameters
-    ----------
-    run : Run
-    folder : ResultsFolder
-    also : str
-        See `softrig_bringup.plots.pictures.plot_run`.
+    `also`: see `softrig_bringup.plots.pictures.plot_run`.
     """
     from ..report.report import write_report
 

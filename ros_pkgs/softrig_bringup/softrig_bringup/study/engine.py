@@ -26,24 +26,11 @@ from .work import Work, value_of
 def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> Log:
     """Run what is not yet done of a study.
 
-    Parameters
-    ----------
-    study : Study
-    out : Path
-        Gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
-    workers, scheduler
-        See `softrig_optim.sweep.Workers`.
-
-    Returns
-    -------
-    Log
-        The rows, closed.
-
-    Raises
-    ------
-    ScenarioError
-        Bad input, or the directory holds another study, files of somebody else under our names, or another call is at
-        work there.
+    `out`: gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
+    `workers`, `scheduler`: see `softrig_optim.sweep.Workers`.
+    Returns: the rows, closed.
+    Raises ScenarioError: bad input, or the directory holds another study, files of somebody else under our names, or
+    another call is at work there.
     """
     folder = ResultsFolder(out, STUDY)
     free = {"title", "source", "summaries", "expect", "claims", "name"}  # what the rows do not depend on
@@ -144,8 +131,9 @@ def _search(study: Study, search: Search, batch: Batch) -> None:
         trials = [asked.ask(space) for _ in range(min(search.batch, search.count - start))]
         works = [
             _work(study, Case((start + i) * len(seeds) + k, study.scenario, "", dict(trial.params), seed))
-            for i, trial in enumerate(trials) for k, seed in enumerate(seeds)
-        ]  # fmt: skip
+            for i, trial in enumerate(trials)
+            for k, seed in enumerate(seeds)
+        ]
         rows = batch.rows(works)
         for i, trial in enumerate(trials):
             own = rows[i * len(seeds) : (i + 1) * len(seeds)]

@@ -21,8 +21,6 @@ class Work(NamedTuple):
 
     Parameters
     ----------
-    case : Case
-    duration : float, optional
     figures : tuple of str
         All when empty.
     signals, samples
@@ -64,10 +62,7 @@ def run(work: Work) -> dict[str, Any]:
 
     Where margins are wanted, so does one whose parameters do not fit each other.
 
-    Raises
-    ------
-    ScenarioError
-        Bad input: no run of such a study can work.
+    Raises ScenarioError: bad input: no run of such a study can work.
     """
     case = work.case
     seed = seed_of(case.scenario) if case.seed is None else case.seed
@@ -75,8 +70,9 @@ def run(work: Work) -> dict[str, Any]:
                             "passed": False, "error": ""}  # fmt: skip
     started = time.perf_counter()
     try:
-        done = simulate(work.scenario or case.scenario, seed=seed, duration=work.duration, overrides=case.overrides,
-                        runs=work.runs)  # fmt: skip
+        done = simulate(
+            work.scenario or case.scenario, seed=seed, duration=work.duration, overrides=case.overrides, runs=work.runs
+        )
         row |= _margins(done, work.figures) if work.margins else _figures(done, work)
     except (RunError, ScenarioError) as error:
         if isinstance(error, ScenarioError) and not work.margins:

@@ -49,10 +49,8 @@ class Recipe(BaseModel):
 
     Parameters
     ----------
-    scenario : str
     duration : float
         Length of the golden run, s; usually shorter than the scenario's.
-    seed : int
     default : Allowed
         For every signal without a pattern of its own. Tolerances are for other versions than those that wrote the bag
         (another C library, numpy, casadi, machine; another Python only for blocks that are not softrig's); with the
@@ -153,12 +151,7 @@ class Golden:
     ) -> Comparison:
         """Compare a new recording with the golden one: byte for byte, or elsewhere within the recipe's tolerances.
 
-        Parameters
-        ----------
-        new : Recording
-        topics : sequence of str, optional
-        elsewhere : bool, optional
-            Whether to allow what another build may change; found out when absent.
+        `elsewhere`: whether to allow what another build may change; found out when absent.
         """
         old, found = Signals(self.recording()), Signals(new)
         if not (bool(self.others) if elsewhere is None else elsewhere):
@@ -179,12 +172,8 @@ class Golden:
 
         The old one is there until the new one is written.
 
-        Raises
-        ------
-        ScenarioError
-            What is there was not made as a golden bag.
-        RunError
-            The new bag could not be written.
+        Raises ScenarioError: what is there was not made as a golden bag.
+        Raises RunError: the new bag could not be written.
         """
         _ours(self.bag)
         new = self.rerun()
@@ -208,10 +197,7 @@ def _era(python: str) -> int:
 def line(others: Iterable[str]) -> str:
     """Say which line of the table of doc/bits.md a machine is.
 
-    Parameters
-    ----------
-    others : iterable of str
-        What is not as it was when golden bags were made: `Golden.others` of all of them.
+    `others`: what is not as it was when golden bags were made: `Golden.others` of all of them.
     """
     differ = set(others)
     if "machine" in differ:
@@ -226,10 +212,7 @@ def line(others: Iterable[str]) -> str:
 def _ours(bag: Path) -> None:
     """Make sure that a folder holds a bag and nothing else, if it is there.
 
-    Raises
-    ------
-    ScenarioError
-        Names what is not of a bag.
+    Raises ScenarioError: names what is not of a bag.
     """
     other = [p for p in bag.glob("*") if not re.fullmatch(r"metadata\.yaml|bag_\d+\.mcap", p.name) or p.is_symlink()]
     if bag.is_symlink() or other or (bag.exists() and not bag.is_dir()):
@@ -248,16 +231,8 @@ def _allowed(rig: Rig, name: str, value: float) -> bool:
 def load(folder: Path, **changes: Any) -> Golden:
     """Read a golden folder.
 
-    Parameters
-    ----------
-    folder : Path
-    **changes
-        Keys of the recipe that are to differ from golden.yaml.
-
-    Raises
-    ------
-    ScenarioError
-        golden.yaml is missing or wrong; names file and key.
+    `changes`: keys of the recipe that are to differ from golden.yaml.
+    Raises ScenarioError: golden.yaml is missing or wrong; names file and key.
     """
     recipe = _read(folder, changes)
     return Golden(folder, recipe, _rig(recipe))

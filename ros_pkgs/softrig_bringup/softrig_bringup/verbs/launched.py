@@ -64,17 +64,9 @@ def strange(words: Sequence[str]) -> str:
 class Launched:
     """The processes of a rig, for whoever starts them and says when they have ended.
 
-    Parameters
-    ----------
-    values : mapping of str to str
-        What is given of `ARGUMENTS`.
-
-    Raises
-    ------
-    ScenarioError
-        The scenario, or what is changed of it, is wrong.
-    RunError
-        The domain is a run's own.
+    `values`: what is given of `ARGUMENTS`.
+    Raises ScenarioError: the scenario, or what is changed of it, is wrong.
+    Raises RunError: the domain is a run's own.
     """
 
     def __init__(self, values: Mapping[str, str]) -> None:
@@ -111,12 +103,13 @@ class Launched:
         own: dict[str, object] = {"run.start_timeout": 0.0} if any(m.external for m in rig.members) else {}
         own |= {} if self._frames else {"run.frames": False}
         given = {
-            m.name: node_parameters(rig, m, self._seed, "realtime" if self._realtime else "lockstep",
-                                    recorders=recorders)
-            | own | {"run.status": str(log / f"{m.name}.status"),
-                     "run.shard": str(log / f"{m.name}.shard") if keep else ""}
+            m.name: node_parameters(
+                rig, m, self._seed, "realtime" if self._realtime else "lockstep", recorders=recorders
+            )
+            | own
+            | {"run.status": str(log / f"{m.name}.status"), "run.shard": str(log / f"{m.name}.shard") if keep else ""}
             for m in group
-        }  # fmt: skip
+        }
         # topics that are nowhere below a namespace: two rigs would drive each other
         moved = {f"/{name}": f"/{namespace}/{name}" for name in ROOTED} if namespace else {}
         if len(group) > 1:
@@ -124,25 +117,17 @@ class Launched:
             return Process("softrig_core", "container", arguments=container_arguments(group, given, log, shared))
         m = group[0]
         file = parameter_file(m, given[m.name], log)
-        return Process(m.package, m.executable, m.name, namespace, parameters=[str(file)],
-                       remappings=[*(m.remap | moved).items()])  # fmt: skip
+        return Process(
+            m.package, m.executable, m.name, namespace, parameters=[str(file)], remappings=[*(m.remap | moved).items()]
+        )
 
     def ended(self, name: str, status: int, interrupted: bool) -> str:
         """Note that a process has ended; when it was the last one, do what `softrig run` does at the end of a run.
 
-        Parameters
-        ----------
-        name : str
-            Of the process.
-        status : int
-            Its exit status.
-        interrupted : bool
-            Whether the launch was being shut down already.
-
-        Returns
-        -------
-        str
-            Why the launch is to end with a failure; empty when it is not.
+        `name`: of the process.
+        `status`: its exit status.
+        `interrupted`: whether the launch was being shut down already.
+        Returns: why the launch is to end with a failure; empty when it is not.
         """
         self._running -= 1
         self._stopped = self._stopped or interrupted

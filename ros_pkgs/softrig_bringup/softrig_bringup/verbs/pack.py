@@ -63,17 +63,10 @@ def main(options: argparse.Namespace) -> int:
 def collect(run: Path, *, bag: bool = True) -> _Pack:
     """Gather what somebody needs who repeats a run.
 
-    Parameters
-    ----------
-    run : Path
-        Its folder, its bag, or a pack of it.
-    bag : bool
-        Whether the bag is in it; otherwise digests of what was said on each topic.
-
-    Raises
-    ------
-    ScenarioError
-        No run; what it was made of is no longer what it was; its bag alone has what is needed, and is to be left out.
+    `run`: its folder, its bag, or a pack of it.
+    `bag`: whether the bag is in it; otherwise digests of what was said on each topic.
+    Raises ScenarioError: no run; what it was made of is no longer what it was; its bag alone has what is needed, and is
+    to be left out.
     """
     parser = argparse.ArgumentParser(exit_on_error=False)
     arguments(parser)
@@ -104,8 +97,9 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
     if citations := content.get("citations"):
         files[f"{SCENARIO}/{REFERENCES}"] = "\n\n".join(c["bibtex"] for c in citations).encode()
     if content:
-        files[METRICS] = (json.dumps(content | {"command": f"softrig run --like {scenario.name}{SUFFIX}"}, indent=1)
-                          + "\n").encode()  # fmt: skip
+        files[METRICS] = (
+            json.dumps(content | {"command": f"softrig run --like {scenario.name}{SUFFIX}"}, indent=1) + "\n"
+        ).encode()
     for name, folder in sources.items():
         files |= {f"{PACKAGES}/{name}/{file.relative_to(folder)}": file for file in _files(folder)} if folder else {}
     if bag:
@@ -117,10 +111,7 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
 def write(packed: _Pack, out: Path) -> None:
     """Write a file; the same run gives the same bytes.
 
-    Raises
-    ------
-    ScenarioError
-        It would be larger than who unpacks it takes.
+    Raises ScenarioError: it would be larger than who unpacks it takes.
     """
     files: dict[str, bytes | Path] = {ABOUT: packed.about.model_dump_json(indent=1).encode() + b"\n", **packed.files}
     size = sum(len(c) if isinstance(c, bytes) else c.stat().st_size for c in files.values())
@@ -182,16 +173,8 @@ def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -
 def standing_alone(scenario: Scenario) -> tuple[bytes, Mapping[str, Path]]:
     """Write a scenario that needs no other file than those that its nodes name, which lie beside it by their content.
 
-    Parameters
-    ----------
-    scenario : Scenario
-
-    Returns
-    -------
-    bytes
-        The text of its file.
-    dict of str to Path
-        Relative place to file.
+    Returns: the text of its file.
+    Returns: relative place to file.
     """
     found: dict[str, Path] = {}
 

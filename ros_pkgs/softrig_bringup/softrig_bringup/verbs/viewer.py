@@ -20,10 +20,8 @@ class Process:
 
     Parameters
     ----------
-    package, executable : str
     name : str
         Of the node; empty for a container.
-    namespace : str
     arguments : list of str
         Of a container: its nodes.
     parameters : list of str
@@ -46,15 +44,9 @@ class Process:
 def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
     """Give RViz with its file: the first robot, and what blocks draw.
 
-    Parameters
-    ----------
-    rig : Rig
-    folder : Path
-        For files.
-    namespace : str
-        Of the rig, without slashes; empty for the root.
-    simulated : bool
-        Whether the stamps are those of /clock.
+    `folder`: for files.
+    `namespace`: of the rig, without slashes; empty for the root.
+    `simulated`: whether the stamps are those of /clock.
     """
     own = f"/{namespace}" if namespace else ""
     moved = [(f"/{name}", f"{own}/{name}") for name in ROOTED] if namespace else []
@@ -67,11 +59,7 @@ def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
 def rviz_file(rig: Rig, namespace: str = "") -> str:
     """Give the text of a configuration of RViz for a rig.
 
-    Parameters
-    ----------
-    rig : Rig
-    namespace : str
-        That its nodes are in, with a leading slash.
+    `namespace`: that its nodes are in, with a leading slash.
     """
     robot, drawn = seen(rig)
     shown = _rviz(f"{namespace}/robot_description" if robot else "", [f"{namespace}/{n}/markers" for n in drawn])

@@ -90,10 +90,7 @@ class Variable:
     def at(self, indices: Sequence[int]) -> Variable:
         """Give one value of an array, by its indices, counted from 1 as in Modelica.
 
-        Raises
-        ------
-        ValueError
-            There is none.
+        Raises ValueError: there is none.
         """
         inside = len(indices) == len(self.dims) and all(1 <= i <= n for i, n in zip(indices, self.dims, strict=True))
         if not inside:
@@ -124,18 +121,10 @@ def _example(dims: Sequence[int]) -> str:
 class Description:
     """An FMU as far as a rig needs to know it.
 
-    Attributes
-    ----------
-    path : Path
-    version : str
-        Of the FMI: ``2.0``, ``3.0``.
-    interfaces : tuple of str
-        Which it has of ``co_simulation``, ``model_exchange`` and ``scheduled_execution``.
-    serialises : bool
-        Whether its state can be kept as bytes.
-    variables : dict of str to Variable
-    digest : str
-        SHA-256 of its file.
+    `version`: of the FMI: ``2.0``, ``3.0``.
+    `interfaces`: which it has of ``co_simulation``, ``model_exchange`` and ``scheduled_execution``.
+    `serialises`: whether its state can be kept as bytes.
+    `digest`: SHA-256 of its file.
     """
 
     path: Path
@@ -148,10 +137,7 @@ class Description:
     def variable(self, name: str, indices: Sequence[int] | None = None) -> Variable:
         """Find a variable; an element of an array by its indices, counted from 1: ``x[2]``, ``A[1,3]``.
 
-        Raises
-        ------
-        ValueError
-            There is none, or it is of a type that no channel carries.
+        Raises ValueError: there is none, or it is of a type that no channel carries.
         """
         indexed = _INDEXED.fullmatch(name)
         if name not in self.variables and indexed and indexed["name"] in self.variables:
@@ -168,15 +154,8 @@ class Description:
 def describe(source: str) -> Description:
     """Read the description of an FMU.
 
-    Parameters
-    ----------
-    source : str
-        A file, or ``package://PACKAGE/path``.
-
-    Raises
-    ------
-    ValueError
-        There is no such file, it is no FMU of FMI 2.0 or 3.0, or has no binary for this machine.
+    `source`: a file, or ``package://PACKAGE/path``.
+    Raises ValueError: there is no such file, it is no FMU of FMI 2.0 or 3.0, or has no binary for this machine.
     """
     path = resource(source, "FMU").resolve()
     stat = path.stat()
@@ -186,10 +165,7 @@ def describe(source: str) -> Description:
 def unpacked(path: Path) -> Path:
     """Give the folder with the content of an FMU, in the cache: nothing is left behind by a node that is killed.
 
-    Raises
-    ------
-    ParameterError
-        It cannot be unpacked, or is larger or deeper than `LARGEST` and `DEEPEST` allow.
+    Raises ParameterError: it cannot be unpacked, or is larger or deeper than `LARGEST` and `DEEPEST` allow.
     """
     folder = cache_folder() / "fmu" / _digest(path)[:32]
     if folder.is_dir():
@@ -256,8 +232,9 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
         dims = tuple(int(d.start if d.start is not None else d.variable.start) for d in v.dimensions or ())
         start = " ".join(map(str, v.start)) if isinstance(v.start, list | tuple) else v.start
         least, largest = (None if x is None or kind == "String" else float(x) for x in (v.min, v.max))
-        variables[v.name] = Variable(v.name, v.valueReference, kind, v.causality, start, least, largest, known,
-                                     v.variability == "tunable", dims)  # fmt: skip
+        variables[v.name] = Variable(
+            v.name, v.valueReference, kind, v.causality, start, least, largest, known, v.variability == "tunable", dims
+        )
     found = {"co_simulation": model.coSimulation, "model_exchange": model.modelExchange,
              "scheduled_execution": model.scheduledExecution}  # fmt: skip
     either = model.coSimulation or model.modelExchange
@@ -287,16 +264,8 @@ def _unit(found: object) -> Unit:
 def conversion(found: Variable, wanted: str) -> tuple[float, float]:
     """Give how values of a variable become those of a port: ``scale * x + offset``.
 
-    Parameters
-    ----------
-    found : Variable
-    wanted : str
-        Unit at the port; empty: that of the variable.
-
-    Raises
-    ------
-    ValueError
-        They measure different quantities.
+    `wanted`: unit at the port; empty: that of the variable.
+    Raises ValueError: they measure different quantities.
     """
     if not wanted or found.unit is None or powers(wanted) == powers(found.unit.name):
         return 1.0, 0.0

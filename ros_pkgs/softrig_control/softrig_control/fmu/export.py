@@ -31,28 +31,16 @@ class {model}(Node, Fmi2Slave):
 def export(rig: Rig, node: str, folder: Path) -> Path:
     """Write a node of a rig as an FMU for co-simulation (FMI 2.0).
 
-    Parameters
-    ----------
-    rig : Rig
-    node : str
-        Its name.
-    folder : Path
-        The file ``NODE.fmu`` goes here.
-
-    Returns
-    -------
-    Path
-        Of the FMU. It runs where softrig is installed: it holds the node's parameters, not its code.
-
-    Raises
-    ------
-    ScenarioError
-        There is no such node, or it has a link that an FMU cannot have.
+    `node`: its name.
+    `folder`: the file ``NODE.fmu`` goes here.
+    Returns: of the FMU. It runs where softrig is installed: it holds the node's parameters, not its code.
+    Raises ScenarioError: there is no such node, or it has a link that an FMU cannot have.
     """
     members = {m.name: m for m in rig.members}
     if node not in members:
-        raise ScenarioError(f"{rig.scenario.name} has no node {node!r}{closest(node, members)}; it has "
-                            f"{', '.join(members)}")  # fmt: skip
+        raise ScenarioError(
+            f"{rig.scenario.name} has no node {node!r}{closest(node, members)}; it has {', '.join(members)}"
+        )
     member = members[node]
     _check(member)
     need("pythonfmu", "an export as an FMU")
@@ -101,8 +89,9 @@ def _first(rig: Rig, member: Member) -> dict[str, list[float]]:
 def _check(member: Member) -> None:
     for port in (*member.inputs, *member.outputs):
         if port.delayed:
-            raise ScenarioError(f"node {member.name}: {port.topic} carries acquisition times of its own, which an FMU "
-                                "cannot")  # fmt: skip
+            raise ScenarioError(
+                f"node {member.name}: {port.topic} carries acquisition times of its own, which an FMU cannot"
+            )
     if member.external:
         raise ScenarioError(f"node {member.name} is external: its code is not here")
 

@@ -23,7 +23,6 @@ class Plan(NamedTuple):
         Where the FMU is unpacked.
     exchange : bool
         Model exchange in place of co-simulation.
-    inputs, outputs : tuple of Cell
     start : tuple of (type, value reference, values)
         Parameters and start values, set before the initialisation.
     steps : int
@@ -48,10 +47,7 @@ class Refusal(RuntimeError):
 class Instance:
     """An FMU; see `Plan`.
 
-    Raises
-    ------
-    Refusal
-        By every method.
+    Raises Refusal: by every method.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -288,15 +284,9 @@ class Instance:
 class Cells(NamedTuple):
     """Variables of one type that are read or set in one call.
 
-    Attributes
-    ----------
-    references : list of int
-    total : int
-        Number of their values, those of arrays one after the other.
-    where : list of (int, int)
-        Of each cell: its place among all, and that of its value.
-    arrays : bool
-        Whether one of them is an array.
+    `total`: number of their values, those of arrays one after the other.
+    `where` (list of (int, int)): of each cell: its place among all, and that of its value.
+    `arrays`: whether one of them is an array.
     """
 
     references: list[int]

@@ -51,37 +51,29 @@ def mapped(
 ) -> Mapped:
     """Make the ports of one side of an FMU.
 
-    Parameters
-    ----------
-    unit : Description
-    entries : sequence of str
-        ``TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE``; without a unit that of the variable holds.
-    outward : bool
-        Whether these are outputs.
-    trajectories : sequence of str
-        Topics that carry JointTrajectory messages.
-    frames : mapping of str to str
-        Topics that carry Vector3Stamped messages, and their frames.
-
-    Raises
-    ------
-    ValueError
-        An entry cannot be read, names a variable that is not there, another quantity or the same place as another.
+    `entries`: ``TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE``; without a unit that of the variable holds.
+    `outward`: whether these are outputs.
+    `trajectories`: topics that carry JointTrajectory messages.
+    `frames`: topics that carry Vector3Stamped messages, and their frames.
+    Raises ValueError: an entry cannot be read, names a variable that is not there, another quantity or the same place
+    as another.
     """
     frames = frames or {}
     topics: dict[str, dict[tuple[str, str], tuple[str, Variable, tuple[float, float]]]] = {}
     for entry in entries:
         found = _ENTRY.fullmatch(entry.strip())
         if found is None or found["field"] not in FIELDS:
-            raise ValueError(f"{entry!r}: expected TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE with field one of "
-                             f"{', '.join(FIELDS)}")  # fmt: skip
+            raise ValueError(
+                f"{entry!r}: expected TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE with field one of {', '.join(FIELDS)}"
+            )
         variable = unit.variable(found["name"])
         if not outward and variable.causality != "input":
             raise ValueError(f"{entry!r}: {variable.name} is {variable.causality} of {unit.path.name}, expected an "
                              f"input; it has {_names(unit, 'input')}")  # fmt: skip
         if outward and variable.causality == "input":
-            raise ValueError(f"{entry!r}: {variable.name} is an input of {unit.path.name}; its outputs are "
-                             f"{_names(unit, 'output')}")  # fmt: skip
+            raise ValueError(
+                f"{entry!r}: {variable.name} is an input of {unit.path.name}; its outputs are {_names(unit, 'output')}"
+            )
         if variable.kind == "String":
             raise ValueError(f"{entry!r}: {variable.name} is a text, which no channel carries")
         try:
@@ -148,10 +140,7 @@ def _names(unit: Description, causality: str) -> str:
 def start_values(unit: Description, entries: Sequence[str]) -> tuple[tuple[Variable, float | int | bool | str], ...]:
     """Read ``VARIABLE = VALUE``: parameters and start values, in the FMU's own units.
 
-    Raises
-    ------
-    ValueError
-        There is no such variable, it cannot be set, or the value is none of its type or bounds.
+    Raises ValueError: there is no such variable, it cannot be set, or the value is none of its type or bounds.
     """
     found: dict[str, tuple[Variable, float | int | bool | str]] = {}
     for entry in entries:

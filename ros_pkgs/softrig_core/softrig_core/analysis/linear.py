@@ -57,10 +57,7 @@ class Linear(NamedTuple):
     def system(self, **names: Sequence[str]) -> control.StateSpace:
         """Give it as a system of the python-control library, for poles, margins, Bode and step figures.
 
-        Parameters
-        ----------
-        **names
-            ``states``, ``inputs``, ``outputs``: sequences of names.
+        `names`: ``states``, ``inputs``, ``outputs``: sequences of names.
         """
         import control
 
@@ -119,10 +116,6 @@ def linearise(model: Any, x: Sequence[float], u: Sequence[float]) -> Linear:
         ``(x, u) -> (dx, y)``.
     x, u : sequence of float
         Operating point; it need not be an equilibrium.
-
-    Returns
-    -------
-    Linear
     """
     at, held = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
     evaluate, jacobian = _derivatives(model, at.size, held.size)

@@ -47,10 +47,7 @@ class Place(NamedTuple):
 def signal_of(rig: Rig, name: str) -> str:
     """Give the whole name of a signal that a member says, called by its own or a shared name.
 
-    Raises
-    ------
-    ScenarioError
-        There is none.
+    Raises ScenarioError: there is none.
     """
     known = {f"{p.topic}/{label}" for m in rig.members for p in m.outputs for label in p.labels}
     shared = names_of(rig, signal_units(rig))[1]
@@ -128,10 +125,8 @@ class StateMap:
 
     Parameters
     ----------
-    rig : Rig
     at : float
         When, s; the first tick from then on at which all members that count are due.
-    seed : int
     outputs : sequence of str
         Whole names of signals. Members that none of them hears of are left out.
     inputs : sequence of str
@@ -266,21 +261,11 @@ class StateMap:
     ) -> tuple[Array, dict[str, float]]:
         """Go one period on.
 
-        Parameters
-        ----------
-        numbers : array
-            Of `names`, where it begins.
-        added : mapping
-            What is added to inputs over the period.
-        fixed : mapping, optional
-            What is held in the place of what is said.
-
-        Returns
-        -------
-        array
-            The numbers after it.
-        dict
-            What each signal said at the beginning, before anything was added.
+        `numbers`: of `names`, where it begins.
+        `added`: what is added to inputs over the period.
+        `fixed`: what is held in the place of what is said.
+        Returns: the numbers after it.
+        Returns: what each signal said at the beginning, before anything was added.
         """
         return next(self.go_on(numbers, 1, added, fixed))
 

@@ -13,28 +13,14 @@ from .port import Port, Sample
 Row = tuple[float, ...] | Sample  # what an output says at a tick
 
 
-def check(found: Any, port: Port, node: str, t: int) -> Row | None:
+def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
     """Make sure that a block's answer may leave it: right length, plain floats, all finite and within `Port.limits`.
 
-    Parameters
-    ----------
-    found : mapping
-        What the block gave, port name to values; anything else is refused.
-    port : Port
-    node : str
-        For the error.
-    t : int
-        Time in ns, for the error.
-
-    Returns
-    -------
-    tuple of float, Sample or None
-        None for the silence of a sporadic port.
-
-    Raises
-    ------
-    RunError
-        Names node, port, value and time.
+    `found` (mapping): what the block gave, port name to values; anything else is refused.
+    `node`: for the error.
+    `t`: time in ns, for the error.
+    Returns (tuple of float, Sample or None): none for the silence of a sporadic port.
+    Raises RunError: names node, port, value and time.
     """
     try:
         given: Any = found[port.name]

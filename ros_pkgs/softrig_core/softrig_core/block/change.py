@@ -17,12 +17,8 @@ if TYPE_CHECKING:
 class Change(NamedTuple):
     """New values of parameters.
 
-    Parameters
-    ----------
-    at : int
-        ns; it takes effect at the first tick of its node that is not earlier.
-    values : mapping
-        Value by dotted name.
+    `at`: ns; it takes effect at the first tick of its node that is not earlier.
+    `values`: value by dotted name.
     """
 
     at: int
@@ -38,10 +34,7 @@ def dumps(changes: Iterable[Change]) -> str:
 def loads(text: str) -> list[Change]:
     """Read what `dumps` has written.
 
-    Raises
-    ------
-    ParameterError
-        Something else.
+    Raises ParameterError: something else.
     """
     try:
         return [Change(int(at), dict(values)) for at, values in json.loads(text or "[]")]
@@ -57,10 +50,7 @@ def changeable(model: type[BlockParams]) -> list[str]:
 def revise(params: BlockParams, values: Mapping[str, Any]) -> BlockParams:
     """Give the parameters with other values.
 
-    Raises
-    ------
-    ParameterError
-        One of them is unknown, may not change while running, or does not fit; names it.
+    Raises ParameterError: one of them is unknown, may not change while running, or does not fit; names it.
     """
     known, free = flatten(params), changeable(type(params))
     for name in values:
@@ -76,29 +66,15 @@ def _told(ports: tuple[tuple[Port, ...], tuple[Port, ...]]) -> list[list[Port]]:
     return [[replace(p, safe=()) if p.held and not p.partial else p for p in side] for side in ports]
 
 
-def check(block_class: type[Block], params: BlockParams, values: Mapping[str, Any], name: str = "") -> BlockParams:
+def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, Any], name: str = "") -> BlockParams:
     """Make sure that a block could begin with the changed parameters, and that its rig would still fit together.
 
-    Parameters
-    ----------
-    block_class : type of Block
-    params : BlockParams
-        As they are.
-    values : mapping
-        Value by dotted name.
-    name : str
-        Of the node.
-
-    Returns
-    -------
-    BlockParams
-        As they are to be.
-
-    Raises
-    ------
-    ParameterError
-        See `revise`; or the block cannot be set up with them, its ports would be others, or what the nodes of its rig
-        must agree on would differ.
+    `params`: as they are.
+    `values`: value by dotted name.
+    `name`: of the node.
+    Returns: as they are to be.
+    Raises ParameterError: see `revise`; or the block cannot be set up with them, its ports would be others, or what the
+    nodes of its rig must agree on would differ.
     """
     revised = revise(params, values)
     block_class(revised, name)

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from ..errors import RunError, describe
-from .answer import Row, check, flat
+from .answer import Row, admit, flat
 from .block import Block, Level, Plant
 from .bound import mover, sayer
-from .change import Change, check as check_change, revise
+from .change import Change, permit, revise
 from .held import Held
 from .params import flatten
 from .port import Port, Sample
@@ -30,8 +30,6 @@ class Step(Held):
     ----------
     name : str
         Node name, for errors.
-    block : Block
-    schedule : Schedule
     inputs, outputs : sequence of Port
     changes : iterable of Change
         Of the block's parameters, in the order of their times.
@@ -158,8 +156,9 @@ class Step(Held):
         """Give what was said last, at first the safe values; silence on sporadic ports."""
         return {
             p.name: self.said.get(p.name) or (Sample(self.t, p.safe) if p.delayed else p.safe)
-            for p in self.outputs if not p.sporadic
-        }  # fmt: skip
+            for p in self.outputs
+            if not p.sporadic
+        }
 
     def refused(self, t: int) -> Any:
         """Answer a tick of which something was refused."""
@@ -175,16 +174,13 @@ class Step(Held):
     def set(self, values: Mapping[str, Any]) -> list[str]:
         """Change parameters at the next tick, all or none; names those of which another value waits for it already.
 
-        Raises
-        ------
-        ParameterError
-            See `softrig_core.block.change.check`.
+        Raises ParameterError: see `softrig_core.block.change.permit`.
         """
         waiting: dict[str, Any] = {}
         for change in self.changes:
             waiting |= change.values if change.at <= self.t else {}
         now = revise(self.params, waiting) if waiting else self.params
-        known = flatten(check_change(type(self.block), now, values, self.name))
+        known = flatten(permit(type(self.block), now, values, self.name))
         while self.changes and self.changes[0].at <= self.t:
             self.changes.popleft()
         self.changes.appendleft(Change(self.t, waiting | {name: known[name] for name in values}))
@@ -216,22 +212,16 @@ class Step(Held):
 
     def checked(self, found: Any) -> Rows:
         """Give what each output says, checked."""
-        rows = tuple([check(found, port, self.name, self.t) for port in self.outputs])
+        rows = tuple([admit(found, port, self.name, self.t) for port in self.outputs])
         if self.plain and rows:
             self.numbers = flat(rows)
         return rows
 
-    def feeds(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
+    def hands_to(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
         """Have an output fill an input of another step of this process.
 
-        Parameters
-        ----------
-        output : str
-        reader : Step
-        name : str
-            Of its input.
-        pick : callable or None
-            How the values of the one become those of the other.
+        `name`: of its input.
+        `pick`: how the values of the one become those of the other.
         """
         k = next(i for i, p in enumerate(self.outputs) if p.name == output)
         port = next(p for p in reader.inputs if p.name == name)
@@ -255,10 +245,7 @@ class Step(Held):
     def doubt(self, t: int, port: Port, found: Row) -> None:
         """Take a message that may be bad, as one that comes over a wire: what an input refuses never reaches the block.
 
-        Raises
-        ------
-        RunError
-            A plant has no command for its tick.
+        Raises RunError: a plant has no command for its tick.
         """
         reason = port.beyond(found.data if isinstance(found, Sample) else found)
         if not reason:

@@ -95,12 +95,8 @@ class Claim(BaseModel):
     def agrees(self, value: float, others: Mapping[str, float] | None = None) -> bool:
         """Whether the measurement agrees with the statement.
 
-        Parameters
-        ----------
-        value : float
-            Of the claim's figure; infinity for what never happens, NaN for what could not be measured.
-        others : mapping, optional
-            The values behind `compared`.
+        `value`: of the claim's figure; infinity for what never happens, NaN for what could not be measured.
+        `others`: the values behind `compared`.
         """
         if math.isnan(value):
             return False
@@ -126,10 +122,7 @@ class Claim(BaseModel):
     def asks(self, others: Mapping[str, float | None]) -> str:
         """Write what agrees with it: ``0.607 ± 0.03 (5 %)``, ``below 0.02``, ``above a.rise_time = 0.69 here``.
 
-        Parameters
-        ----------
-        others : mapping
-            The values behind `compared`; None for one that is not known.
+        `others`: the values behind `compared`; None for one that is not known.
         """
 
         def near(wanted: float) -> str:

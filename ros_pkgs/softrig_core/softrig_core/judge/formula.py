@@ -47,24 +47,11 @@ class Condition:
 def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str, Condition]]:
     """Read a formula.
 
-    Parameters
-    ----------
-    given : str
-        Such as ``always (fault -> eventually[0, 0.05] abs(current) < 0.1)``, times in s.
-    known : mapping
-        What its names stand for: a number, or None for a signal.
-
-    Returns
-    -------
-    tree : plain data
-        With intervals in ns, numbers filled in.
-    conditions : dict
-        By variable.
-
-    Raises
-    ------
-    ScenarioError
-        It does not parse, or a name is unknown: with the nearest one.
+    `given`: such as ``always (fault -> eventually[0, 0.05] abs(current) < 0.1)``, times in s.
+    `known`: what its names stand for: a number, or None for a signal.
+    Gives `tree` (plain data): with intervals in ns, numbers filled in.
+    Gives `conditions`: by variable.
+    Raises ScenarioError: it does not parse, or a name is unknown: with the nearest one.
     """
     tree, conditions = _read(given, tuple(known.items()))
     return tree, dict(conditions)
@@ -107,8 +94,9 @@ def _check_arithmetic(tree: Tree) -> None:
             name, given = body
             several = name in SEVERAL
             if len(given) < 2 if several else len(given) != 1:
-                raise ScenarioError(f"{name} takes {'two numbers or more' if several else 'one number'}, "
-                                    f"got {len(given)}")  # fmt: skip
+                raise ScenarioError(
+                    f"{name} takes {'two numbers or more' if several else 'one number'}, got {len(given)}"
+                )
         if kind == "Binary" and body[0] in ("Div", "Mod") and not variables(body[2]) and not arithmetic(body[2], {}):
             raise ScenarioError("a division by zero")
         if kind in ("Call", "Binary") and not variables(body) and math.isnan(arithmetic({kind: body}, {})):
@@ -202,9 +190,7 @@ def nodes(tree: Tree) -> Iterator[tuple[str, Any]]:
 def _map(tree: Tree, change: Callable[[str, Any], tuple[str, Any]]) -> Tree:
     """Copy a formula with every node changed, from the leaves up."""
     if isinstance(tree, dict):
-        return dict(
-            change(k, _map(v, change)) if k[:1].isupper() else (k, _map(v, change)) for k, v in tree.items()
-        )  # fmt: skip
+        return dict(change(k, _map(v, change)) if k[:1].isupper() else (k, _map(v, change)) for k, v in tree.items())
     return [_map(part, change) for part in tree] if isinstance(tree, list) else tree
 
 
@@ -238,18 +224,11 @@ def variables(tree: Tree) -> list[str]:
 def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]) -> tuple[Tree, str]:
     """Find the unit that a formula's margin has, and divide comparisons by their scale.
 
-    Parameters
-    ----------
-    tree : plain data
-    units : mapping
-        Unit of each variable that is no condition.
-    scale : mapping
-        By unit, what counts as one; empty: margins stay in their unit, which must then be one.
-
-    Raises
-    ------
-    ScenarioError
-        Sides of a comparison, or terms of a sum, of other units; comparisons of several units without a scale.
+    `tree` (plain data).
+    `units`: unit of each variable that is no condition.
+    `scale`: by unit, what counts as one; empty: margins stay in their unit, which must then be one.
+    Raises ScenarioError: sides of a comparison, or terms of a sum, of other units; comparisons of several units without
+    a scale.
     """
     found: set[str] = set()
 

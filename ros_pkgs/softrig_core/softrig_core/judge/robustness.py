@@ -77,14 +77,9 @@ def _joined(kind: str, a: Array, b: Array) -> Array:
 def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick, none: float) -> Array:
     """Give the least or greatest of ``values[..., first..last]`` for each pair of them, `none` where that is empty.
 
-    Parameters
-    ----------
-    values : array, shape (2, 2, n)
-    first, last : array of int, shape (m,)
-        Between 0 and n - 1 where first <= last.
-    pick : ufunc
-        ``np.minimum`` or ``np.maximum``.
-    none : float
+    `values` (array, shape (2, 2, n)).
+    `first`, `last` (array of int, shape (m,)): between 0 and n - 1 where first <= last.
+    `pick` (ufunc): ``np.minimum`` or ``np.maximum``.
     """
     if len(first) == 1:
         return pick.reduce(values[..., first[0] : last[0] + 1], axis=-1, keepdims=True, initial=none)
@@ -132,10 +127,7 @@ class Record:
     def margin(self, tree: Tree) -> Margin:
         """Measure a formula at the first instant.
 
-        Raises
-        ------
-        NotJudged
-            It may hold or not: says what is undefined, or where the record ends.
+        Raises NotJudged: it may hold or not: says what is undefined, or where the record ends.
         """
         found = self._at(tree, 0)
         least, greatest = float(found[0, 0]), float(found[1, 1])
@@ -150,15 +142,13 @@ class Record:
             open_from = min(open_from, self.times[-1])
         return Margin(
             value, at, violated or (((at, at),) if value < 0.0 else ()), (least, greatest), open_from / SECOND
-        )  # fmt: skip
+        )
 
     def bounds(self, tree: Tree) -> Array:
         """Give a formula's robustness at each instant.
 
-        Returns
-        -------
-        array, shape (2, 2, n)
-            By least and greatest over what may come after the record, and over what is undefined.
+        Returns (array, shape (2, 2, n)): by least and greatest over what may come after the record, and over what is
+        undefined.
         """
         if id(tree) not in self._found:
             ((kind, body),) = tree.items()
@@ -326,17 +316,13 @@ class Record:
         edges = np.flatnonzero(np.diff(np.concatenate(([0], bad.astype(np.int8), [0]))))
         return tuple(
             (float(self.times[a] / SECOND), float(self.times[b - 1] / SECOND)) for a, b in edges.reshape(-1, 2)
-        )  # fmt: skip
+        )
 
 
 def truth(condition: Condition, now: Array | float, before: Array | float) -> Array:
     """Say whether a condition holds: infinity or less infinity, it decides but is no distance; NaN where undefined.
 
-    Parameters
-    ----------
-    condition : Condition
-    now, before : array or float
-        Its signal at each instant, and at the one before.
+    `now`, `before`: its signal at each instant, and at the one before.
     """
     edge = EDGES.get(condition.edge)
     lost = np.isnan(now) | (np.isnan(before) if edge else False)

@@ -24,10 +24,7 @@ SLICE = 5_000_000  # ns: how long ticks may keep a timer waiting
 class Group:
     """Nodes of one process, driven together.
 
-    Parameters
-    ----------
-    nodes : sequence of Adapter
-        All in lockstep, or all in real time.
+    `nodes`: all in lockstep, or all in real time.
     """
 
     def __init__(self, nodes: Sequence[Adapter]) -> None:
@@ -94,10 +91,7 @@ class _Link(NamedTuple):
 def _links(nodes: Sequence[Adapter]) -> list[_Link]:
     """Find who reads whom.
 
-    Raises
-    ------
-    RunError
-        Two ports of a topic do not fit, or two nodes publish it.
+    Raises RunError: two ports of a topic do not fit, or two nodes publish it.
     """
     written: dict[tuple[str, str], tuple[Adapter, Output]] = {}
     for node in nodes:
@@ -124,7 +118,7 @@ def _links(nodes: Sequence[Adapter]) -> list[_Link]:
 def _feed(links: Sequence[_Link]) -> None:
     """Have what is said fill the inputs at once."""
     for writer, output, reader, item, pick in links:
-        writer.step.feeds(output.name, reader.step, item.name, pick)
+        writer.step.hands_to(output.name, reader.step, item.name, pick)
 
 
 def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:

@@ -22,10 +22,7 @@ MARGIN = 2  # s: an announcement in 0.5 s renews the lease; on a busy host it co
 def find_executable(package: str, executable: str) -> Path:
     """Find ``lib/<package>/<executable>`` of a sourced workspace.
 
-    Raises
-    ------
-    ScenarioError
-        It is not there; lists what the package has.
+    Raises ScenarioError: it is not there; lists what the package has.
     """
     installed = prefixes()
     for prefix in installed:
@@ -37,8 +34,9 @@ def find_executable(package: str, executable: str) -> Path:
         packages = [folder.name for prefix in installed for folder in (prefix / "lib").glob("*") if folder.is_dir()]
         raise ScenarioError(f"package {package!r} has no executables here{closest(package, packages)}; one of your own "
                             "is in the folder that --workspace DIR names before the verb")  # fmt: skip
-    raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, there)}; it has "
-                        f"{', '.join(there)}")  # fmt: skip
+    raise ScenarioError(
+        f"package {package} has no executable {executable!r}{closest(executable, there)}; it has {', '.join(there)}"
+    )
 
 
 def default_profile() -> Path:
@@ -85,10 +83,7 @@ def node_main(package: str, executable: str, arguments: list[str]) -> int:
     """Become an executable: what ``ros2 run`` does. One of Python runs in this process, so that what stops its module
     from being imported is told with its place; any other replaces it.
 
-    Raises
-    ------
-    ScenarioError
-        No such executable, or its module cannot be imported.
+    Raises ScenarioError: no such executable, or its module cannot be imported.
     """
     path = find_executable(package, executable)
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(default_profile()))

@@ -40,13 +40,7 @@ _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib"
 
 
 class Forked:
-    """A process that the server has forked; what it can do is as `subprocess.Popen` has it.
-
-    Parameters
-    ----------
-    pid : int
-    server : ForkServer
-    """
+    """A process that the server has forked; what it can do is as `subprocess.Popen` has it."""
 
     def __init__(self, pid: int, server: ForkServer) -> None:
         self.pid = pid
@@ -61,9 +55,7 @@ class Forked:
     def wait(self, timeout: float | None = None) -> int:
         """Wait for the end.
 
-        Raises
-        ------
-        subprocess.TimeoutExpired
+        Raises subprocess.TimeoutExpired.
         """
         status = self._ended(timeout)
         if status is None:
@@ -94,10 +86,7 @@ class Forked:
 class ForkServer:
     """A server of this process: it ends with this process, and its nodes with it.
 
-    Parameters
-    ----------
-    variables : mapping
-        Environment of its nodes, as far as it is not in `OWN`.
+    `variables`: environment of its nodes, as far as it is not in `OWN`.
     """
 
     def __init__(self, variables: Mapping[str, str]) -> None:
@@ -114,24 +103,15 @@ class ForkServer:
                 stderr=subprocess.DEVNULL,
             )  # fmt: skip
 
-    def start(self, package: str, executable: str, command: Sequence[str], variables: Mapping[str, str],
-              output: int) -> Forked | None:  # fmt: skip
+    def start(
+        self, package: str, executable: str, command: Sequence[str], variables: Mapping[str, str], output: int
+    ) -> Forked | None:
         """Fork a node.
 
-        Parameters
-        ----------
-        package, executable : str
-        command : sequence of str
-            The path of the executable and its arguments.
-        variables : mapping
-            Its environment.
-        output : int
-            File descriptor for what it prints.
-
-        Returns
-        -------
-        Forked, or None
-            None when this server cannot; then another one, or the executable by itself, can.
+        `command`: the path of the executable and its arguments.
+        `variables`: its environment.
+        `output`: file descriptor for what it prints.
+        Returns: none when this server cannot; then another one, or the executable by itself, can.
         """
         request = {"package": package, "executable": executable, "command": list(command), "variables": dict(variables),
                    "directory": os.getcwd()}  # fmt: skip
@@ -192,8 +172,9 @@ def forget() -> None:
 atexit.register(forget)
 
 
-def start_node(package: str, executable: str, command: Sequence[str], variables: Mapping[str, str],
-               output: int) -> Forked | None:  # fmt: skip
+def start_node(
+    package: str, executable: str, command: Sequence[str], variables: Mapping[str, str], output: int
+) -> Forked | None:
     """Fork a node from the server of this process; see `ForkServer.start`.
 
     A server whose modules have been edited since is replaced.

@@ -17,7 +17,7 @@ class Guests:
         self._announce = announce
         self._needed = {
             m.name: {p.topic for p in m.outputs if ours(rig.readers(m, p))} for m in rig.members if m.external
-        }  # fmt: skip
+        }
         self._rig = rig
         self._said: set[str] = set()
         self._awaited = [name for name, topics in self._needed.items() if topics]
@@ -39,10 +39,8 @@ class Guests:
     def look(self, states: Mapping[str, Mapping[str, Any]]) -> None:
         """Say who has come since the last look, and, once, what stands in the way of the others.
 
-        Parameters
-        ----------
-        states : mapping
-            What each node of ours has said of itself, by name (`softrig_core.node.adapter.adapter.Adapter.status`).
+        `states`: what each node of ours has said of itself, by name
+        (`softrig_core.node.adapter.adapter.Adapter.status`).
         """
         if not self._needed:
             return

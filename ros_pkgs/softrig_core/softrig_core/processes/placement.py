@@ -17,7 +17,6 @@ class Placement:
     ----------
     mode : {"processes", "container", "inprocess"}
         Each in a process of its own; together in those that the scenario names, or all in one; as blocks alone.
-    clock : {"lockstep", "realtime"}
     domain : int, optional
         ROS_DOMAIN_ID; a free one when absent.
     containers : sequence of sequences of str, optional
@@ -64,14 +63,9 @@ class Placement:
 class Listener:
     """Who hears of a run while it lasts.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Gets the plant's time in ns.
-    announce : callable, optional
-        Gets a text when an external node is waited for, and when it has come.
-    opened : callable, optional
-        Gets the domain before the first node is started.
+    `progress`: gets the plant's time in ns.
+    `announce`: gets a text when an external node is waited for, and when it has come.
+    `opened`: gets the domain before the first node is started.
     """
 
     progress: Callable[[int], object] | None = None

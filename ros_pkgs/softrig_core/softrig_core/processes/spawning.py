@@ -30,21 +30,15 @@ def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = 
     return [g for g in shared if g] + [[m] for m in own.values()]
 
 
-def node_parameters(rig: Rig, member: Member, seed: int, mode: str, *,
-                    recorders: Sequence[str] | None = None, returns: bool = False) -> dict[str, Any]:  # fmt: skip
+def node_parameters(
+    rig: Rig, member: Member, seed: int, mode: str, *, recorders: Sequence[str] | None = None, returns: bool = False
+) -> dict[str, Any]:
     """Give the ROS parameters that start a member of a rig: those of its block that differ, and how it runs.
 
-    Parameters
-    ----------
-    rig : Rig
-    member : Member
-    seed : int
-    mode : {"lockstep", "realtime"}
-    recorders : sequence of str, optional
-        Nodes outside the rig that read everything and are awaited, besides those that ask for it; None: the domain is
-        the rig's own, nobody else is in it.
-    returns : bool
-        Whether a node that died is started again.
+    `mode` ({"lockstep", "realtime"}).
+    `recorders`: nodes outside the rig that read everything and are awaited, besides those that ask for it; None: the
+    domain is the rig's own, nobody else is in it.
+    `returns`: whether a node that died is started again.
     """
     default = flatten(member.block_class.Params())
     own = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
@@ -66,12 +60,8 @@ def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: di
            again: bool = False) -> list[Child]:  # fmt: skip
     """Start a node, or several in a container.
 
-    Parameters
-    ----------
-    recorders, returns
-        As `node_parameters` takes them.
-    again : bool
-        It has died, and comes back.
+    `recorders`, `returns`: as `node_parameters` takes them.
+    `again`: it has died, and comes back.
     """
     log = directory / f"{'+'.join(m.name for m in group)[:200]}.log"
     given = {}
@@ -124,14 +114,8 @@ def container_arguments(
 ) -> list[str]:  # fmt: skip
     """Write the parameter files of nodes that share a process and give the command line of their container.
 
-    Parameters
-    ----------
-    group : sequence of Member
-    given : mapping
-        Parameters by node, as `node_parameters` gives them.
-    directory : Path
-    shared : mapping of str to str, optional
-        Remaps of all of them.
+    `given`: parameters by node, as `node_parameters` gives them.
+    `shared`: remaps of all of them.
     """
     arguments: list[str] = []
     for member in group:
@@ -154,12 +138,7 @@ def _ros_arguments(member: Member, parameters: dict[str, Any], directory: Path) 
 def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Path) -> Path:
     """Write the parameters of a node as `--params-file` takes them.
 
-    Parameters
-    ----------
-    member : Member
-    parameters : mapping
-        As `node_parameters` gives them.
-    directory : Path
+    `parameters`: as `node_parameters` gives them.
     """
     file = directory / f"{member.name}.params.yaml"
     lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]

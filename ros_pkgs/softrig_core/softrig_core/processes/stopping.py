@@ -14,10 +14,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 class Stopped(KeyboardInterrupt):
     """A signal asks for the end.
 
-    Attributes
-    ----------
-    number : int
-        Of the signal; a process that ends because of it has the status 128 + number.
+    `number`: of the signal; a process that ends because of it has the status 128 + number.
     """
 
     def __init__(self, number: int) -> None:

@@ -17,10 +17,7 @@ _NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the
 def load_main(package: str, executable: str) -> Any:
     """Import the main function of an installed Python executable; None when the package has none of this name.
 
-    Raises
-    ------
-    ScenarioError
-        Its module cannot be imported; says why and where.
+    Raises ScenarioError: its module cannot be imported; says why and where.
     """
     try:
         points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
@@ -41,10 +38,7 @@ def load_main(package: str, executable: str) -> Any:
 def load_block(package: str, executable: str) -> type[Block]:
     """Find the block class behind an installed executable; one that was found stays.
 
-    Raises
-    ------
-    ScenarioError
-        The package or executable is not installed, cannot be imported, or is not a softrig node.
+    Raises ScenarioError: the package or executable is not installed, cannot be imported, or is not a softrig node.
     """
     return _found(package, executable, tuple(sys.path))
 
@@ -58,8 +52,9 @@ def _found(package: str, executable: str, _: tuple[str, ...]) -> type[Block]:
         raise ScenarioError(f"package {package!r} is not installed in this environment{near}") from None
     names = sorted(points.names)
     if executable not in names:
-        raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, names)}; it has "
-                            f"{', '.join(names)}")  # fmt: skip
+        raise ScenarioError(
+            f"package {package} has no executable {executable!r}{closest(executable, names)}; it has {', '.join(names)}"
+        )
     block: type[Block] | None = getattr(load_main(package, executable), "block", None)
     if block is None:
         raise ScenarioError(f"{package}/{executable} is a tool, not the node of a block")

@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint
 from itertools import pairwise
 from typing import Any
 
-from ..block.answer import check
+from ..block.answer import admit
 from ..block.block import Plant
 from ..block.held import ByHand
 from ..block.params import ParameterError, build
@@ -27,19 +27,9 @@ def check_entry_point(point: EntryPoint) -> str:
     A block's ports have distinct names and topics of their own, it can be set up, and a plant's outputs at the start
     are finite and the same after a reset.
 
-    Parameters
-    ----------
-    point : importlib.metadata.EntryPoint
-
-    Returns
-    -------
-    str
-        Why less was checked; empty when all was.
-
-    Raises
-    ------
-    Exception
-        Whatever is wrong with it.
+    `point` (importlib.metadata.EntryPoint).
+    Returns: why less was checked; empty when all was.
+    Raises Exception: whatever is wrong with it.
     """
     target: Any = point.load()
     if not callable(target):
@@ -72,4 +62,4 @@ def check_entry_point(point: EntryPoint) -> str:
 def _outputs(block: Plant, ports: Any, seed: int) -> list[Any]:
     block.reset(seed)
     found = ByHand(block).outputs(0)
-    return [check(found, port, block.name, 0) for port in ports]
+    return [admit(found, port, block.name, 0) for port in ports]

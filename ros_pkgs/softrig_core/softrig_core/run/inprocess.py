@@ -29,7 +29,6 @@ def run_inprocess(
 
     Parameters
     ----------
-    rig : Rig
     seed : int
         Rig seed.
     sink : Sink, optional
@@ -105,18 +104,14 @@ def _searched_seldom() -> Iterator[None]:
 def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
     """Make the steps of a rig's members, each handing what it says to those that read it.
 
-    Parameters
-    ----------
-    rig : Rig
-    blocks : dict of str to Block
-        Of the members that live here, by name.
+    `blocks`: of the members that live here, by name.
     """
     members = [m for m in rig.members if m.name in blocks]
     steps = {m.name: step_of(m, blocks[m.name]) for m in members}
     for member in members:
         for name, link in member.links.items():
             if link.source.name in steps:
-                steps[link.source.name].feeds(link.port.name, steps[member.name], name, link.pick)
+                steps[link.source.name].hands_to(link.port.name, steps[member.name], name, link.pick)
     return steps
 
 
@@ -132,7 +127,7 @@ def record(rig: Rig, steps: Mapping[str, Step], sink: Sink, said: Mapping[str, i
         ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
         if not ports:
             continue
-        step.send = recorder(sink, step, ports, [numbers[p.topic] for p in ports], said)
+        step.send = keeper(sink, step, ports, [numbers[p.topic] for p in ports], said)
         if step.plain:
             step.send_all = sink.rows({numbers[p.topic]: p.layout() for p in ports})
         step.changed = noter(sink, step.name)
@@ -143,20 +138,14 @@ def noter(sink: Sink, name: str) -> Callable[[int, Mapping[str, Any]], object]:
     return lambda t, values: sink.note(t, parameter_event.encode(t, f"/{name}", values))
 
 
-def recorder(sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[int],
-             said: Mapping[str, int] | None = None) -> Callable[[int, Rows], object]:  # fmt: skip
+def keeper(
+    sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[int], said: Mapping[str, int] | None = None
+) -> Callable[[int, Rows], object]:
     """Give what records the answers of a step.
 
-    Parameters
-    ----------
-    sink : Sink
-    step : Step
-    ports : sequence of Port
-        Its outputs; with /clock after them when it is the clock.
-    numbers : sequence of int
-        Of their topics in the sink.
-    said : mapping of str to int, optional
-        Messages that the sink has already, by topic.
+    `ports`: its outputs; with /clock after them when it is the clock.
+    `numbers`: of their topics in the sink.
+    `said`: messages that the sink has already, by topic.
     """
     layouts = [p.layout() for p in ports]
     if step.plain:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..block.block import Block
-from ..block.change import Change, check
+from ..block.change import Change, permit
 from ..block.params import ParameterError, flatten
 from ..errors import ScenarioError, closest
 from ..timebase import to_ns
@@ -20,12 +20,9 @@ from .references import fill_parameters, pick
 class ChangeEntry(BaseModel):
     """New values of parameters from a time on.
 
-    Parameters
-    ----------
-    at : float
-        In s. Each node takes its own at its first tick that is not earlier.
-    set : dict
-        ``node.parameter`` to value; of a fault, ``fault.active``. ``$node.parameter`` is what a parameter is at first.
+    `at`: in s. Each node takes its own at its first tick that is not earlier.
+    `set`: ``node.parameter`` to value; of a fault, ``fault.active``. ``$node.parameter`` is what a parameter is at
+    first.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -49,18 +46,10 @@ class Changing(Protocol):
 def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changing]) -> None:
     """Give each member its changes, in the order of their times, each checked against those before it.
 
-    Parameters
-    ----------
-    where : str
-        Name of the scenario, for errors.
-    entries : sequence of ChangeEntry
-    members : iterable
-        The nodes of the rig.
-
-    Raises
-    ------
-    ScenarioError
-        No such node, a node of somebody else, or values that `softrig_core.block.change.check` refuses.
+    `where`: name of the scenario, for errors.
+    `members`: the nodes of the rig.
+    Raises ScenarioError: no such node, a node of somebody else, or values that `softrig_core.block.change.permit`
+    refuses.
     """
     known = {m.name: m for m in members}
 
@@ -80,8 +69,9 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
         for key, value in entry.set.items():
             node, _, parameter = key.partition(".")
             if node not in known or not parameter:
-                raise ScenarioError(f"{at}: {key!r}{closest(node, known)}: expected node.parameter with node one of "
-                                    f"{', '.join(known)}")  # fmt: skip
+                raise ScenarioError(
+                    f"{at}: {key!r}{closest(node, known)}: expected node.parameter with node one of {', '.join(known)}"
+                )
             if (known[node].package, known[node].executable) == (PACKAGE, EXECUTABLE):
                 parameter = WORDS.get(parameter, parameter)
             by_node.setdefault(node, {})[parameter] = fill_parameters(value, partial(at_start, at))
@@ -90,7 +80,7 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
             if member.external:
                 raise ScenarioError(f"{at}: node {node} is external: its parameters are not ours to change")
             try:
-                now[node] = check(member.block_class, now[node], values, node)
+                now[node] = permit(member.block_class, now[node], values, node)
             except (ParameterError, ValueError) as error:
                 raise ScenarioError(f"{at}: node {node}: {error}") from None
             member.changes = (*member.changes, Change(to_ns(entry.at), values))

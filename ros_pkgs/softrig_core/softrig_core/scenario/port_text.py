@@ -19,25 +19,20 @@ def reader(port: Port, name: str, held: bool = False) -> Port:
 
 def ports_text(ports: Sequence[Port]) -> str:
     """Write ports as JSON, each with what differs from a port's defaults."""
-    return json.dumps([
-        {f.name: v for f in fields(p) if (v := getattr(p, f.name)) != f.default} for p in ports
-    ])  # fmt: skip
+    return json.dumps([{f.name: v for f in fields(p) if (v := getattr(p, f.name)) != f.default} for p in ports])
 
 
 def ports_of(text: str) -> tuple[Port, ...]:
     """Read ports from JSON.
 
-    Raises
-    ------
-    ValueError
-        The text is no JSON, or not of ports; says what was expected.
+    Raises ValueError: the text is no JSON, or not of ports; says what was expected.
     """
     try:
         given: list[dict[str, Any]] = json.loads(text)
         shaped: list[dict[str, Any]] = [
             {k: tuple(v) if k in _TUPLES else tuple(map(tuple, v)) if k == "dims" else v for k, v in p.items()}
             for p in given
-        ]  # fmt: skip
+        ]
         return tuple(Port(**about) for about in shaped)
     except (TypeError, AttributeError, KeyError, ValueError) as error:
         raise ValueError(f"ports: {error}; expected a JSON list of ports") from None

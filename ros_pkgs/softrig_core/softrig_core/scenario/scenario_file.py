@@ -58,15 +58,8 @@ def list_scenarios(broken: list[ScenarioError] | None = None) -> dict[str, Path]
 def locate(name: str) -> tuple[str, Path]:
     """Find a scenario: its name and the file it is in.
 
-    Parameters
-    ----------
-    name : str
-        A name, a variant's name, or the path of a YAML file.
-
-    Raises
-    ------
-    ScenarioError
-        There is none of that name; gives the closest.
+    `name`: a name, a variant's name, or the path of a YAML file.
+    Raises ScenarioError: there is none of that name; gives the closest.
     """
     path = Path(name)
     if path.suffix in (".yaml", ".yml") and isfile(path):
@@ -76,18 +69,16 @@ def locate(name: str) -> tuple[str, Path]:
         raise ScenarioError(f"{name}: no such file, expected a scenario's YAML file or its name")
     if found is None:
         known = list_scenarios()
-        raise ScenarioError(f"scenario {name!r} is unknown{closest(name, known)}; `softrig list` shows all "
-                            f"{len(known)}")  # fmt: skip
+        raise ScenarioError(
+            f"scenario {name!r} is unknown{closest(name, known)}; `softrig list` shows all {len(known)}"
+        )
     return name, found
 
 
 def read(path: Path) -> dict[str, Any]:
     """Read the mapping of a scenario file; a file that has not changed is read once a process.
 
-    Raises
-    ------
-    ScenarioError
-        Cannot be read, not YAML, or not a mapping.
+    Raises ScenarioError: cannot be read, not YAML, or not a mapping.
     """
     try:
         state = path.stat()
@@ -113,10 +104,7 @@ def names(path: Path) -> Iterator[str]:
 def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]:
     """Apply `extends` and the variant that the name asks for; the file's own data stays as it is.
 
-    Raises
-    ------
-    ScenarioError
-        Extends itself or nobody.
+    Raises ScenarioError: extends itself or nobody.
     """
     if name in seen:
         raise ScenarioError(f"{path.name}: extends itself: {' -> '.join((*seen, name))}")
@@ -170,19 +158,16 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
     executable loses the inherited parameters, a figure with another function all that is inherited: it would mean
     nothing.
 
-    Parameters
-    ----------
-    base : mapping
-        What is inherited; left as it is.
-    change : mapping
-        The scenario's own entry, or a variant's.
+    `base`: what is inherited; left as it is.
+    `change` (mapping): the scenario's own entry, or a variant's.
     """
     if not isinstance(change, Mapping):
         raise ScenarioError(f"a variant is a mapping of changes, got {change!r}")
     below = {k: v for k, v in base.items() if k not in OWN}
     for part, what, lost in (
-        ("nodes", "executable", ("parameters",)), ("figures", "function", ("arguments", "unit", "since")),
-    ):  # fmt: skip
+        ("nodes", "executable", ("parameters",)),
+        ("figures", "function", ("arguments", "unit", "since")),
+    ):
         old, new = below.get(part), change.get(part)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
             below[part] = {k: _without(v, new.get(k), what, lost) for k, v in old.items()}
@@ -206,12 +191,8 @@ class Over(NamedTuple):
 def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     """Lay one mapping over another, level by level; null removes a key.
 
-    Parameters
-    ----------
-    base : mapping
-        What lies below; left as it is.
-    change : mapping
-        What goes over it. A mapping over a reference ``$name`` becomes an `Over`.
+    `base`: what lies below; left as it is.
+    `change`: what goes over it. A mapping over a reference ``$name`` becomes an `Over`.
     """
     merged = dict(base)
     for key, value in change.items():
@@ -254,16 +235,8 @@ def parent_of(path: Path, parent: Any) -> Path:
 def find(name: str, first: Path | None = None) -> Path | None:
     """Find the file of a scenario: that of its own name, else the longest beginning of it that has this variant.
 
-    Parameters
-    ----------
-    name : str
-    first : Path, optional
-        A folder to look into before those of `scenario_folders`.
-
-    Returns
-    -------
-    Path or None
-        None: there is none of that name.
+    `first`: a folder to look into before those of `scenario_folders`.
+    Returns: none: there is none of that name.
     """
     for folder in chain([first] if first else [], scenario_folders()):
         stem = "" if "/" in name else name

@@ -49,15 +49,9 @@ class Work:
 class Worker:
     """Calls one function in a process of its own.
 
-    Parameters
-    ----------
-    function : callable
-        ``function(request, work)`` of an importable module: request and answer can be pickled, `work` is a `Work`.
-
-    Raises
-    ------
-    ValueError
-        The function cannot be imported by name (defined at a prompt or within another function).
+    `function`: ``function(request, work)`` of an importable module: request and answer can be pickled, `work` is a
+    `Work`.
+    Raises ValueError: the function cannot be imported by name (defined at a prompt or within another function).
     """
 
     def __init__(self, function: Callable[[Any, Work], Any]) -> None:
@@ -95,16 +89,8 @@ class Worker:
     def submit(self, request: Any, job: object = None) -> None:
         """Begin to work on a request.
 
-        Parameters
-        ----------
-        request : any
-        job : object
-            By which the caller knows it: `job` until the next one or `cancel`.
-
-        Raises
-        ------
-        RuntimeError
-            It works on another one.
+        `job`: by which the caller knows it: `job` until the next one or `cancel`.
+        Raises RuntimeError: it works on another one.
         """
         if self.state == "working":
             raise RuntimeError("a worker does one thing at a time; cancel it first")
@@ -162,12 +148,8 @@ class Worker:
 class _Process:
     """The process as its callers see it, one after the other.
 
-    Parameters
-    ----------
-    module, name : str
-        Of the function that it calls.
-    key : hashable
-        What a caller must have in common with the one that it was started for.
+    `module`, `name`: of the function that it calls.
+    `key` (hashable): what a caller must have in common with the one that it was started for.
     """
 
     idle: ClassVar[list[_Process]] = []  # the longest without an owner first

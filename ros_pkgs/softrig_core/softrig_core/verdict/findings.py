@@ -25,10 +25,8 @@ class Finding(BaseModel):
         Where the claim stands.
     text, where, reason : str
         What the paper says, where, and why the verdict is what it is.
-    figure, unit : str
     asked : str
         What agrees with it: the number with its tolerance, or what it is compared with.
-    published : float, optional
     measured : float, optional
         None when the claim cannot be checked or the figure is not finite; `measured_text` is for people.
     verdict : str
@@ -74,13 +72,8 @@ def values(results: Iterable[Result]) -> dict[str, float]:
 def findings(scenario: Scenario, figures: Callable[[str], Figures | None], units: Mapping[str, str]) -> list[Finding]:
     """Hold the claims of a scenario against measurements.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    figures : callable
-        Figures of a scenario by its name; None when it has not been run.
-    units : mapping
-        Unit of the scenario's own figures.
+    `figures`: figures of a scenario by its name; None when it has not been run.
+    `units`: unit of the scenario's own figures.
     """
     return hold(scenario.name, scenario.claims, figures, units)
 
@@ -90,16 +83,10 @@ def hold(
 ) -> list[Finding]:
     """Hold claims, of a scenario or of a study, against measurements; see `findings`.
 
-    Parameters
-    ----------
-    name : str
-        Of the scenario or study.
-    claims : mapping of str to Claim
-        By key.
-    figures : callable
-        Gives the figures of a scenario by its name; None when it was not run or broke.
-    units : mapping of str to str
-        Unit by figure.
+    `name`: of the scenario or study.
+    `claims`: by key.
+    `figures`: gives the figures of a scenario by its name; None when it was not run or broke.
+    `units`: unit by figure.
     """
     return [_finding(name, key, claim, figures, units) for key, claim in claims.items()]
 
@@ -140,10 +127,7 @@ def _words(key: str) -> str:
 def needed(scenario: Scenario) -> set[str]:
     """Names of the scenarios whose figures its claims need, itself included.
 
-    Raises
-    ------
-    ScenarioError
-        A claim names a scenario that is not there.
+    Raises ScenarioError: a claim names a scenario that is not there.
     """
     names = {scenario.name}
     for key, claim in scenario.claims.items():

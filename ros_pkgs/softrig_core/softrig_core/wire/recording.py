@@ -39,10 +39,7 @@ class Sink(Protocol):
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
         """Give what appends one message of each of some topics, all of one time, by their numbers.
 
-        Parameters
-        ----------
-        layouts : mapping of int to Layout
-            By number of the topic; arrays are numbered in the order of the calls.
+        `layouts`: by number of the topic; arrays are numbered in the order of the calls.
         """
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
@@ -60,13 +57,8 @@ class ShardWriter:
     What a node says at each of its ticks is a row: its messages have one stamp, and only their numbers are written.
     Their bytes are made when the shard is read, from the layouts in its head.
 
-    Parameters
-    ----------
-    path : Path
-    topics : sequence of (name, message type)
-        In the order of the numbers that `add` takes.
-    row : mapping of int to Layout
-        The messages of a row, in order: number of the topic and layout.
+    `topics` (sequence of (name, message type)): in the order of the numbers that `add` takes.
+    `row`: the messages of a row, in order: number of the topic and layout.
     """
 
     LIMIT = 1 << 12  # bytes: the loop waits while they are written, 2 us a kB in files that are new
@@ -290,7 +282,6 @@ class Recording:
 
         Parameters
         ----------
-        path : Path
         namespace : str
             Of the node that wrote it, below which its topics are: ``a/``; empty for the root.
 
@@ -350,10 +341,7 @@ class Recording:
 class ShardTail:
     """A shard that is still being written: what has come since the last look.
 
-    Parameters
-    ----------
-    path : Path
-        It need not be there yet.
+    `path`: it need not be there yet.
     """
 
     LIMIT = 1 << 22  # bytes of one look
@@ -366,10 +354,7 @@ class ShardTail:
     def read(self, recording: Recording) -> bool:
         """Add what is new to a recording; whether there may be more than one look takes.
 
-        Parameters
-        ----------
-        recording : Recording
-            Of the shard's topics.
+        `recording`: of the shard's topics.
         """
         try:
             with self._path.open("rb") as file:

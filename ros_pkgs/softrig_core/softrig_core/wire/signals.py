@@ -34,16 +34,8 @@ class Table(NamedTuple):
 def full_name(name: str, known: Iterable[str]) -> str:
     """Give the whole name of a signal that was called without its field: ``buck/state/voltage`` of ``.../position``.
 
-    Parameters
-    ----------
-    name : str
-    known : iterable of str
-        All signals.
-
-    Returns
-    -------
-    str
-        The name itself when it is whole, or when none or several signals begin so.
+    `known`: all signals.
+    Returns: the name itself when it is whole, or when none or several signals begin so.
     """
     names = list(known)
     if name in names:
@@ -68,7 +60,6 @@ class Signals(Mapping[str, Signal]):
 
     Parameters
     ----------
-    recording : Recording
     epoch : int
         Time in ns that becomes 0 s (realtime runs are stamped with the wall clock).
 

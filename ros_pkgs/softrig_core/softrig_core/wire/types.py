@@ -33,12 +33,8 @@ class Item(NamedTuple):
 class MessageType:
     """What the suite knows of a message type.
 
-    Parameters
-    ----------
-    name : str
-        ``package/msg/Type``.
-    schema : tuple of Item
-        All that is on the wire, in order.
+    `name`: ``package/msg/Type``.
+    `schema`: all that is on the wire, in order.
     """
 
     name: str
@@ -80,14 +76,9 @@ class MessageType:
     def labels(self, fields: Mapping[str, int], names: Sequence[str] = (), dims: Dims | None = None) -> tuple[str, ...]:
         """Name each value below the topic: ``shaft/velocity``, ``force/x``; ``x`` or ``data`` where one word says it.
 
-        Parameters
-        ----------
-        fields : mapping of str to int
-            Fields in the order of their values, with the number of values of each.
-        names : sequence of str
-            Names of the channels.
-        dims : Dims, optional
-            Shape of an array.
+        `fields`: fields in the order of their values, with the number of values of each.
+        `names`: names of the channels.
+        `dims`: shape of an array.
         """
         found: list[str] = []
         for name, count in fields.items():
@@ -139,6 +130,5 @@ BUTTON = MessageType("std_msgs/msg/Bool", (Item("flag", "data", 1),))
 ARRAY = MessageType("std_msgs/msg/Float64MultiArray", (Item("dims"), Item("sequence", "data")))
 
 TYPES = {
-    t.name: t
-    for t in (JOINT_STATE, JOINT_TRAJECTORY, VECTOR, WRENCH, POSE, CLOCK, TIME, HEADER, NUMBER, BUTTON, ARRAY)
-}  # fmt: skip
+    t.name: t for t in (JOINT_STATE, JOINT_TRAJECTORY, VECTOR, WRENCH, POSE, CLOCK, TIME, HEADER, NUMBER, BUTTON, ARRAY)
+}

@@ -39,12 +39,8 @@ CLOCK_LAYOUT = Layout(CLOCK.msgtype)
 class Drive(Protocol):
     """What says when the ticks of a node are ready.
 
-    Attributes
-    ----------
-    t : int
-        Time of the tick under way, ns.
-    status_every : int
-        Status files a running node writes: one in so many watch periods.
+    `t`: time of the tick under way, ns.
+    `status_every`: status files a running node writes: one in so many watch periods.
     """
 
     status_every: int
@@ -90,13 +86,7 @@ def _by_hand(block: Block, options: RunOptions) -> Links:
 class Adapter:
     """A block as a node.
 
-    Parameters
-    ----------
-    middleware : Middleware
-    block : Block
-    options : RunOptions
-    sink : Sink, optional
-        Gets what the node publishes, instead of the file that the options name.
+    `sink`: gets what the node publishes, instead of the file that the options name.
     """
 
     drive: Drive
@@ -106,9 +96,7 @@ class Adapter:
         self.block = block
         self.options = options
         self.links = Links.model_validate_json(options.links) if options.links else _by_hand(block, options)
-        self.schedule = Schedule(
-            block.p.period, self.links.base or None, options.duration, block.speaks_at_end()
-        )  # fmt: skip
+        self.schedule = Schedule(block.p.period, self.links.base or None, options.duration, block.speaks_at_end())
         inputs, outputs = block.ports(block.p)
         self.step = Step(middleware.name, block, self.schedule, inputs, outputs, loads(options.changes))
         self.values = self.step.values
@@ -173,9 +161,8 @@ class Adapter:
         recorded = [(relative(o.topic), o.port.msgtype) for o in self.outputs]
         records = self.links.records
         outside = [
-            p for p in self.step.inputs
-            if (p.name not in self.links.inputs if records is None else p.name in records)
-        ]  # fmt: skip
+            p for p in self.step.inputs if (p.name not in self.links.inputs if records is None else p.name in records)
+        ]
         self.foreign = {port.name: len(recorded) + k for k, port in enumerate(outside)}
         recorded += [(relative(self.middleware.resolve(p.topic)), p.msgtype) for p in outside]
         self.extra_numbers = len(recorded)
@@ -359,8 +346,9 @@ class Adapter:
         }  # fmt: skip
         status |= self.drive.counts()
         if self.lacking:
-            status["published"] = {t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)]
-                                   for t in self.middleware.topics()}  # fmt: skip
+            status["published"] = {
+                t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)] for t in self.middleware.topics()
+            }
         if self.state != "running":  # what takes longer than a tick
             status |= {"peak_memory_mb": peak_memory()} | self.drive.statistics()
         if self.state == "done":

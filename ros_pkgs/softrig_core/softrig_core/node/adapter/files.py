@@ -16,15 +16,9 @@ from ...wire.recording import Recording, shard_topics
 class Files:
     """What a rig has said before one of its nodes came back.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of its senders; what came from outside is in its own, and the changes of its parameters.
-    own : Recording
-    answered : mapping of str to float
-        By node: the time before which it has answered all its ticks, ns.
-    gone : set of str
-        Nodes that have answered their last tick and left.
+    `recording`: of its senders; what came from outside is in its own, and the changes of its parameters.
+    `answered`: by node: the time before which it has answered all its ticks, ns.
+    `gone` (set of str): nodes that have answered their last tick and left.
     """
 
     recording: Recording
@@ -36,13 +30,8 @@ class Files:
 def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
     """Read the files that the nodes of a run are writing.
 
-    Parameters
-    ----------
-    folder : Path
-    name : str
-        Of the node that comes back; its record is ``NAME.shard.died``.
-    peers : iterable of str
-        Nodes that it reads, or that read it.
+    `name`: of the node that comes back; its record is ``NAME.shard.died``.
+    `peers`: nodes that it reads, or that read it.
     """
     status = {who: read_status(folder / f"{who}.status") for who in peers}
     gone = frozenset(who for who, said in status.items() if said.get("state") == "done")

@@ -1,7 +1,7 @@
 """The table of a node's senders: who sends what, and what of it has come for which tick.
 
 A row for each topic that the node reads. Every message goes the same way through its row; what it means for the ticks
-is said by the kind of row: `paired` for lockstep, `feed` for real time.
+is said by the kind of row: `paired` for lockstep, `live` for real time.
 """
 
 from __future__ import annotations
@@ -17,18 +17,9 @@ from .adapter import Adapter
 class Sender(Input):
     """A row: who sends us something on one topic.
 
-    Parameters
-    ----------
-    node : Adapter
-        Who reads.
-    port : Port
-    who : str
-        Node name of the sender, for errors.
-
-    Attributes
-    ----------
-    stamp : int or None
-        Of the value that the input holds, ns.
+    `node`: who reads.
+    `who`: node name of the sender, for errors.
+    `stamp` (int or None): of the value that the input holds, ns.
     """
 
     def __init__(self, node: Adapter, port: Port, who: str = "another node") -> None:
@@ -89,10 +80,7 @@ class Sender(Input):
 
         Number 0 may begin anew: a bag that is played in a loop.
 
-        Parameters
-        ----------
-        number : int
-            What the array says of itself; -1 when it says nothing: then it is new.
+        `number`: what the array says of itself; -1 when it says nothing: then it is new.
         """
         expected = self.following
         if number < 0 or expected is None:

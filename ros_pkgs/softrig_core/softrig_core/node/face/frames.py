@@ -21,10 +21,7 @@ PERIOD = SECOND // 30  # ns of the wall between two sets of moving frames: a vie
 class Frames:
     """Publishes on /tf_static, for whoever comes, the frames that stand, and on /tf, while it is read, those that move.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    adapter : Adapter
+    `node` (rclpy.node.Node).
     """
 
     def __init__(self, node: Node, adapter: Adapter) -> None:
@@ -57,11 +54,7 @@ class Frames:
 def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
     """Give the bytes of a tf2_msgs/msg/TFMessage.
 
-    Parameters
-    ----------
-    stamp : int
-        ns.
-    poses : iterable of Pose
+    `stamp`: ns.
     """
     poses = list(poses)
     out = Writer()

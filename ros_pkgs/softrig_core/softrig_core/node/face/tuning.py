@@ -15,11 +15,7 @@ from ..ros.ros import ServingNode, plain
 class Tuning:
     """Hands changed parameters to the step of a node, all of a call or none.
 
-    Parameters
-    ----------
-    node : ServingNode
-        Whose parameters are declared.
-    adapter : Adapter
+    `node`: whose parameters are declared.
     """
 
     def __init__(self, node: ServingNode, adapter: Adapter) -> None:

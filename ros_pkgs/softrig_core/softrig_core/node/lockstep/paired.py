@@ -26,7 +26,6 @@ class PairedSenders:
 
     Parameters
     ----------
-    node : Adapter
     turn : callable
         Has the ticks go on; called when the tick under way lacks nothing any more.
 
@@ -80,12 +79,8 @@ class PairedSenders:
     def follow_ticks(self, local: Set[str], then: Callable[[], object]) -> None:
         """Read the acknowledgements of nodes of other processes that we wait for or that may be silent.
 
-        Parameters
-        ----------
-        local : set of str
-            Nodes of this process.
-        then : callable
-            Called after each.
+        `local`: nodes of this process.
+        `then`: called after each.
         """
         node, links = self.node, self.node.links
         silent: dict[str, list[Paired]] = {}
@@ -134,9 +129,6 @@ class Paired(Sender):
 
     Parameters
     ----------
-    table : PairedSenders
-    port : Port
-    who : str
     schedule : Schedule
         Of the sender.
     earlier : bool
@@ -160,8 +152,9 @@ class Paired(Sender):
         Stamp of the newest refused message that is answered: a better one that follows is too late.
     """
 
-    def __init__(self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool = False,
-                 silent: str = "") -> None:  # fmt: skip
+    def __init__(
+        self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool = False, silent: str = ""
+    ) -> None:
         super().__init__(table.node, port, who)
         self.table = table
         self.schedule = schedule
@@ -404,12 +397,8 @@ class Pace(Paired):
 class Ticks(Pace):
     """The acknowledgements of a node: of its ticks, and of the sporadic ports that have spoken at them.
 
-    Parameters
-    ----------
-    silent_rows : iterable of Paired
-        What we read of these ports.
-    then : callable
-        Called after each.
+    `silent_rows`: what we read of these ports.
+    `then`: called after each.
     """
 
     def __init__(self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool,

@@ -15,12 +15,9 @@ from .ros import RosMiddleware
 class ContainedMiddleware(RosMiddleware):
     """One rclpy node whose endpoints see only other processes; see `Middleware` for the methods.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Of a participant that does not match its own endpoints with each other (`profile.exclusive`).
-    exchange : Exchange
-        That of the container.
+    `node` (rclpy.node.Node): of a participant that does not match its own endpoints with each other
+    (`profile.exclusive`).
+    `exchange`: that of the container.
     """
 
     mute = True

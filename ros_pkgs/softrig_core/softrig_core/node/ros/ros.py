@@ -82,12 +82,8 @@ class ServingNode(Node):  # type: ignore[misc]
     a whole file); a whole number stands for a real one, and what a read-only parameter is already may be set again.
     The ticks of the nodes go first: who sets more than fits beside them is refused and told when to come back.
 
-    Attributes
-    ----------
-    remark : str
-        What whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
-    monitor : Monitor
-        Of whatever calls the node: no service is answered while a tick is under way.
+    `remark`: what whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
+    `monitor` (Monitor): of whatever calls the node: no service is answered while a tick is under way.
     """
 
     remark = ""
@@ -174,10 +170,7 @@ Arguments = ParamSpec("Arguments")
 def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
     """Let a callback end without a word in which a signal has shut the context down; the executor would log its stack.
 
-    Parameters
-    ----------
-    callback : callable
-        Of a timer or a subscription; it may publish.
+    `callback`: of a timer or a subscription; it may publish.
     """
 
     @wraps(callback)  # rclpy asks for the signature
@@ -204,12 +197,7 @@ class _RosTimer:
 
 
 class RosMiddleware(Middleware):
-    """One rclpy node; see `Middleware` for the methods.
-
-    Parameters
-    ----------
-    node : ServingNode
-    """
+    """One rclpy node; see `Middleware` for the methods."""
 
     _ears = Ears()  # one for all nodes of a process
 

@@ -20,10 +20,7 @@ _renameat2 = getattr(ctypes.CDLL(None), "renameat2", None)  # glibc 2.28
 class StatusFile:
     """The file in which a node says how it is, as JSON.
 
-    Parameters
-    ----------
-    path : str
-        Empty: none is wanted.
+    `path`: empty: none is wanted.
     """
 
     def __init__(self, path: str) -> None:
@@ -58,12 +55,8 @@ def _exchange(new: Path, path: Path) -> None:
 def percentiles(name: str, samples: Iterable[int]) -> dict[str, float]:
     """Give p50, p99 and maximum of times in ns as ``<name>_p50_ms`` and so on; nothing without samples.
 
-    Parameters
-    ----------
-    name : str
-        Beginning of the names of the figures.
-    samples : iterable of int
-        Times in ns.
+    `name`: beginning of the names of the figures.
+    `samples`: times in ns.
     """
     ordered = sorted(samples)
     if not ordered:

@@ -21,21 +21,10 @@ BEHIND = 0.25  # s by which the run may be late and still catch up; what is beyo
 class Hold:
     """Whether the node of the clock may go on.
 
-    Parameters
-    ----------
-    held : bool
-        From the start.
-    pace : float
-        Simulated time by wall-clock time; 0: as fast as it goes.
-
-    Attributes
-    ----------
-    held : bool
-    steps : int
-        That it may take all the same.
-    pace : float
-    waits : bool
-        Whether a tick waits for the wall clock.
+    `held`: from the start.
+    `pace`: simulated time by wall-clock time; 0: as fast as it goes.
+    `steps`: that it may take all the same.
+    `waits`: whether a tick waits for the wall clock.
     """
 
     def __init__(self, held: bool = False, pace: float = 0.0) -> None:

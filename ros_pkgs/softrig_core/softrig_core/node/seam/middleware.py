@@ -48,12 +48,8 @@ class Middleware(Protocol):
     after whatever is under way in the reader's node has returned. That is what keeps a tick from running inside
     another one.
 
-    Attributes
-    ----------
-    mute : bool
-        Whether what is published goes nowhere while the number of readers that `matched` has got is 0.
-    prompt : bool
-        Whether messages are taken in the thread that receives them (see `be_prompt`).
+    `mute`: whether what is published goes nowhere while the number of readers that `matched` has got is 0.
+    `prompt`: whether messages are taken in the thread that receives them (see `be_prompt`).
     """
 
     name: str
@@ -119,12 +115,6 @@ class Middleware(Protocol):
 
 
 def other_types(middleware: Middleware, port: Port) -> str:
-    """Name the types other than a port's own under which its topic exists: such endpoints never match.
-
-    Parameters
-    ----------
-    middleware : Middleware
-    port : Port
-    """
+    """Name the types other than a port's own under which its topic exists: such endpoints never match."""
     there = middleware.topics().get(middleware.resolve(port.topic), ())
     return ", ".join(t for t in there if t != port.msgtype)

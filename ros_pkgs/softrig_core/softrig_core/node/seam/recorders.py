@@ -19,12 +19,8 @@ RECORDER = "/_softrig/recorder"  # hidden: no tool lists or records it unasked
 def left_out(recorder: str, topics: Iterable[str]) -> bytes:
     """Give the message by which a recorder says what it leaves out.
 
-    Parameters
-    ----------
-    recorder : str
-        Its full name.
-    topics : iterable of str
-        By their full names.
+    `recorder`: its full name.
+    `topics`: by their full names.
     """
     return TickWriter()(0, [f"{recorder}:{topic}" for topic in topics])
 
@@ -32,11 +28,7 @@ def left_out(recorder: str, topics: Iterable[str]) -> bytes:
 class Recorders:
     """Who is to read the first message of each topic of a node.
 
-    Parameters
-    ----------
-    middleware : Middleware
-    named : sequence of str
-        Nodes that read everything.
+    `named`: nodes that read everything.
     """
 
     def __init__(self, middleware: Middleware, named: Sequence[str]) -> None:

@@ -19,13 +19,8 @@ LOOK = 2_000_000  # ns
 class Solving:
     """One solver block between the begin of a tick and its answer.
 
-    Parameters
-    ----------
-    middleware : Middleware
-    step : Step
-        Of the solver: its x holds the requests that a tick has begun.
-    resume : callable
-        Called when the answer that was waited for is there.
+    `step`: of the solver: its x holds the requests that a tick has begun.
+    `resume`: called when the answer that was waited for is there.
     """
 
     def __init__(self, middleware: Middleware, step: Step, resume: Callable[[], object]) -> None:
@@ -79,12 +74,7 @@ class Solving:
 def hear_busy(middleware: Middleware, solvers: int, heard: Callable[[], None]) -> Input:
     """Call a function whenever a solver of the rig says that it is at work.
 
-    Parameters
-    ----------
-    middleware : Middleware
-    solvers : int
-        How many there are, this node included: the input has a publisher when all of them are matched.
-    heard : callable
+    `solvers`: how many there are, this node included: the input has a publisher when all of them are matched.
     """
     item = Input(Port("busy", BUSY, TICK))
 
