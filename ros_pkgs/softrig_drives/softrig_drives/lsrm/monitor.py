@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from itertools import repeat
 from typing import Any, NamedTuple
 
 from pydantic import field_validator
 from softrig_core import Figure, Watch, WatchParams, executable, param
+from softrig_core.block.answer import Heard
 from softrig_core.judge import measures
 from softrig_core.verdict.watch import Kept
 
@@ -63,16 +65,29 @@ class MotionMonitor(Watch[MotionMonitorParams]):
 
     def update(
         self, x: State, t: int, *, load: tuple[float, ...] | None, reference: tuple[float, ...], **inputs: Any
-    ) -> tuple[State, Mapping[str, Any]]:
+    ) -> tuple[State, Mapping[str, Any]]:  # fmt: skip
         """Take one sample in."""
+        seen = self.keep(x.seen, t, {"reference": reference, **inputs})
+        return self._noted(x, t, reference, load)._replace(seen=seen), {}
+
+    def _noted(self, x: State, t: int, reference: tuple[float, ...], load: tuple[float, ...] | None) -> State:
         seen, before, loaded, way, begin = x
         now = math.copysign(1.0, reference[1]) if reference[1] else 0.0
         if now * way < 0.0:
             begin, loaded = t / 1e9, None
         if load is not None and load != before:
             before, loaded = load, t / 1e9
-        seen = self.keep(seen, t, {"reference": reference, **inputs})
-        return State(seen, before, loaded, now or way, begin), {}
+        return State(seen, before, loaded, now or way, begin)
+
+    def at_once(self, x: State, t: int, messages: Mapping[str, Heard]) -> State | None:
+        """See `Observer.at_once`."""
+        reference, load = messages["reference"], messages.get("load")
+        seen = self.keep_at_once(x.seen, t, {name: heard for name, heard in messages.items() if name != "load"})
+        if seen is None or (load is not None and load.stamps.tobytes() != reference.stamps.tobytes()):
+            return None
+        for (at, row), (_, loaded) in zip(reference, load or repeat((0, None)), strict=False):
+            x = self._noted(x, at, row, loaded)
+        return x._replace(seen=seen)
 
     def figures(self, x: State) -> Iterator[Figure]:
         """Figures of the window; those of the start until a load comes, then those of the load."""
