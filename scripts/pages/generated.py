@@ -232,11 +232,13 @@ def untrue(page: str, path: Path, runs: bool = False) -> list[str]:
 def main(args: Sequence[str] | None = None) -> int:
     """Write the generated parts of pages, or check that they are as the code says, and the numbers of the rest."""
     parser = argparse.ArgumentParser(prog="scripts/softrig docs pages", description=main.__doc__)
-    parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE")
+    parser.add_argument("pages", nargs="+", type=Path, metavar="FILE", help="of a page")
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--runs", action="store_true", help="also what is measured: takes as long as the runs")
     parser.add_argument("--pictures", action="store_true", help="the pictures that a page has a module in drawn for")
     given = parser.parse_args(args)
+    if missing := [str(path) for path in given.pages if not path.is_file()]:
+        parser.error(f"no such file: {', '.join(missing)}")
     status = 0
     for path in given.pages:
         old = path.read_text(encoding="utf-8")

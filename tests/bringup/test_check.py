@@ -50,6 +50,12 @@ def test_what_holds_and_what_does_not_is_told_in_words_xml_and_json(files, tmp_p
     assert main(["check", str(holds), "--workers", "1"]) == 0
 
 
+def test_servers_that_add_up_the_times_of_cases_get_that_of_the_run(tmp_path):
+    write_junit(tmp_path / "a.xml", [Suite("a", 3.0, [Case("b"), Case("c")]), Suite("d", 1.0, error="no")])
+    root, found = cases(tmp_path / "a.xml")
+    assert sum(float(case.get("time")) for case in found.values()) == float(root.get("time")) == 4.0
+
+
 def test_a_run_that_breaks_is_an_error_of_its_suite(files, tmp_path, capsys):
     junit = tmp_path / "report.xml"
     status = main(["check", str(files[2]), "--junit", str(junit), "--workers", "1"])

@@ -132,6 +132,8 @@ def test_quiet_prints_nothing_and_its_status_tells(tmp_path, capsys):
     assert main(["list", "-q", "dc_motor"]) == 0
     assert main(["list", "dc_motor_smc_b2"]) == 0
     assert "dc_motor_smc_b2" in capsys.readouterr().out  # and only then
+    assert main(["bag", "info", "--quiet", str(tmp_path / "run" / "bag")]) == 0  # whose words are another parser's
+    assert capsys.readouterr() == ("", "")
     assert main(["run", "-q", "dc_motor_smc_b9000", "--mode", "inprocess"]) == 2
     assert "dc_motor_smc_b9000" in capsys.readouterr().err  # what goes wrong is said
 

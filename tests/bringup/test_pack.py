@@ -8,10 +8,12 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from softrig_bags.read import signals
 from softrig_bags.reader import BagReader
 from softrig_bringup.cli import main
 from softrig_bringup.options import packed
 from softrig_bringup.options.like import first_version
+from softrig_bringup.report.redraw import rig_of_run
 from softrig_bringup.verbs.pack import standing_alone
 from softrig_core import ScenarioError, load_scenario
 
@@ -104,6 +106,14 @@ def test_a_single_mcap_file_is_a_run(run, tmp_path, capsys):
     finally:
         (run.parent / "mine.yaml").unlink()
     assert (status, "lone.mcap number for number: " in last) == (0, True)
+
+
+def test_a_file_is_looked_at_as_its_run_is(run, tmp_path):
+    rig, found = rig_of_run(pack(run, tmp_path / "sent.zip"))
+    assert rig.scenario.nodes["dc_motor_smc"].parameters["delta"] == 2.0
+    assert found.keys() == signals(run / "bag").keys()
+    with pytest.raises(ScenarioError, match=r"small\.zip: no bag in it; `softrig run --like"):
+        rig_of_run(pack(run, tmp_path / "small.zip", "--no-bag"))
 
 
 def test_a_run_whose_scenario_has_changed_since_is_not_packed(run, tmp_path, capsys):

@@ -88,7 +88,10 @@ def _verb(arguments: list[str]) -> int:
             import importlib
 
             module, function, _ = FOREIGN[name]
-            return int(getattr(importlib.import_module(module), function)(arguments[words:]))
+            given = arguments[words:]
+            asked = {"-q", "--quiet"} & set(given)
+            with quietly() if asked else nullcontext():
+                return int(getattr(importlib.import_module(module), function)([a for a in given if a not in asked]))
     if arguments and arguments[0] in FORMER:
         raise ScenarioError(f"`softrig {arguments[0]}` is `softrig {FORMER[arguments[0]]}` now")
     if arguments[:1] != ["node"]:

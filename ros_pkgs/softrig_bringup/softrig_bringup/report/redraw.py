@@ -26,9 +26,11 @@ MM = 25.4  # in an inch
 def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
     """Give the rig of a run and its signals.
 
-    `directory`: of a run, or a bag that a run has written.
+    `directory`: of a run, or a bag that a run has written; a single .mcap file of it, or a pack.
     Raises ScenarioError: neither, or no bag in it, or its scenario is unknown here.
     """
+    if directory.is_file():
+        return _of_file(directory)
     bag = directory / "bag" if (directory / "metrics.json").is_file() else directory
     if not bag.is_dir():
         raise ScenarioError(
@@ -43,18 +45,34 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
     return rig_of(scenario), found
 
 
-def _as_it_ran(command: str) -> Rig:
-    """Build the rig that a run's command stands for."""
-    from ..options.run_options import arguments, scenario_of
+def _of_file(path: Path) -> tuple[Rig, BagSignals]:
+    from ..options.like import recall
+    from ..options.run_options import scenario_of
+
+    run = recall(path, _parser().parse_args)
+    if not run.bag.exists():
+        raise ScenarioError(f"{path}: no bag in it; `softrig run --like {path}` makes it again")
+    return rig_of(scenario_of(run.options)), signals(run.bag)
+
+
+def _parser() -> Parser:
+    from ..options.run_options import arguments
 
     parser = Parser(prog="softrig run")
     arguments(parser)
+    return parser
+
+
+def _as_it_ran(command: str) -> Rig:
+    """Build the rig that a run's command stands for."""
+    from ..options.run_options import scenario_of
+
     try:
         words = shlex.split(command)
         words = words[words.index("run") + 1 :]
     except ValueError:
         raise ScenarioError(f"metrics.json: command: expected that of a run, got {command!r}"[:200]) from None
-    return rig_of(scenario_of(parser.parse_args(words)))
+    return rig_of(scenario_of(_parser().parse_args(words)))
 
 
 def draw_missing(directory: Path, into: Path) -> list[Path]:

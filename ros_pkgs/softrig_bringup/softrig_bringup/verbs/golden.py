@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from io import StringIO
@@ -318,7 +319,7 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
               + ("new" if new else f"{'agrees' if row['pass'] else 'DIFFERS'} {row['compared']}"))  # fmt: skip
         if not row["pass"]:
             print(row["differs"])
-        suites.append(Suite(name, 0.0, [Case("bag", row["differs"], length)]))
+        suites.append(Suite(name, row["wall_s"], [Case("bag", row["differs"], length)]))
         content.append(row)
         differing |= others
     write_reports(junit, suites, as_json, content)
@@ -333,6 +334,7 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
 
 def _one(work: tuple[Path, dict[str, Any], bool]) -> tuple[dict[str, Any], bool, set[str]]:
     """Make or check a golden bag: give what is to be said of it, whether there was none before, its `others`."""
+    started = time.perf_counter()
     folder, changes, check = work
     there = check or (folder / "golden.yaml").is_file()
     golden = load(folder, **changes) if there else create(folder, folder.name, **changes)
@@ -343,5 +345,5 @@ def _one(work: tuple[Path, dict[str, Any], bool]) -> tuple[dict[str, Any], bool,
         raise RunError(f"{folder.name}: {error}") from error
     differs = "" if result is None or result.equal else str(result)
     return {"bag": folder.name, "scenario": golden.recipe.scenario, "duration_s": golden.recipe.duration,
-            "seed": golden.recipe.seed, "pass": not differs, "compared": how,
-            "differs": differs}, result is None, others  # fmt: skip
+            "seed": golden.recipe.seed, "pass": not differs, "compared": how, "differs": differs,
+            "wall_s": round(time.perf_counter() - started, 3)}, result is None, others  # fmt: skip

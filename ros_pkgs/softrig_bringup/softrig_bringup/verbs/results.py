@@ -40,6 +40,7 @@ class Measured(NamedTuple):
     missed: list[str]
     error: str
     kept: bool = False  # from an earlier call, of the same code and scenario
+    seconds: float = 0.0  # of the wall's clock that the run took
 
 
 def measure(work: tuple[str, Path | None]) -> Measured:
@@ -60,7 +61,9 @@ def measure(work: tuple[str, Path | None]) -> Measured:
     except (RunError, ScenarioError) as error:
         return Measured(name, {}, {}, [], str(error))
     results = run.results
-    found = Measured(name, values(results), {r.name: r.unit for r in results}, [r.name for r in run.missed], "")
+    found = Measured(
+        name, values(results), {r.name: r.unit for r in results}, [r.name for r in run.missed], "", seconds=run.wall_s
+    )
     if place:
         cleared = _cleared(place)
         save(run, summary(run, results, command(name)), cleared, record=False)
@@ -171,7 +174,10 @@ def suites(rows: Sequence[Finding], measured: Mapping[str, Measured]) -> list[Su
         )
         found.setdefault(row.scenario, []).append(case)
     broken = {name: m.error for name, m in measured.items() if m.error}
-    return [Suite(name, 0.0, found.get(name, ()), broken.get(name, "")) for name in dict.fromkeys([*found, *broken])]
+    return [
+        Suite(name, measured[name].seconds if name in measured else 0.0, found.get(name, ()), broken.get(name, ""))
+        for name in dict.fromkeys([*found, *broken])
+    ]
 
 
 def left_out(systems: Sequence[str]) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from softrig_core.extras import need
 
+from ..options.packed import is_pack
 from ..report.redraw import rig_of_run
 from . import run_verb
 
@@ -15,7 +16,7 @@ from . import run_verb
 def view(options: argparse.Namespace) -> int:
     """Show what is named; gives the exit status."""
     path = Path(options.scenario)
-    if options.scenario and path.is_dir():
+    if options.scenario and (path.is_dir() or path.suffix == ".mcap" or is_pack(path)):
         return _recorded(path, options.address)
     options.view, options.paused = True, not (options.realtime or options.running)
     return run_verb.run(options)
