@@ -72,8 +72,12 @@ def whole_records(content: bytes) -> tuple[list[McapRecord], int]:
 class Recovery:
     """Whole records of an MCAP file, those inside chunks included.
 
-    `lost` (list of str): what could not be read, in words.
-    `compression`: of the chunks: ``none`` or ``zstd``.
+    Attributes
+    ----------
+    lost : list of str
+        What could not be read, in words.
+    compression : str
+        Of the chunks: ``none`` or ``zstd``.
     """
 
     def __init__(self, path: Path) -> None:

@@ -44,7 +44,10 @@ WATCH_PERIOD = 0.25  # s
 class Sender:
     """The publishers of the topics that are played, and who listens.
 
-    `remap`: recorded name to name to publish.
+    Parameters
+    ----------
+    remap : mapping of str to str
+        Recorded name to name to publish.
     """
 
     def __init__(self, session: Session, bag: BagReader, topics: Sequence[BagTopic], remap: Mapping[str, str]) -> None:
@@ -131,10 +134,16 @@ def span(bag: BagReader, offset: float, duration: float | None) -> Span:
 class Player:
     """Plays against the wall clock, at any rate; messages of equal times in their recorded order.
 
-    `rate`: bag seconds a wall-clock second.
-    `loop`: begin again at the end.
-    `clock`: publish bag time on /clock before the messages of each bag time, and in between.
-    `paused`: wait for ``~/resume`` or ``~/step``.
+    Parameters
+    ----------
+    rate : float
+        Bag seconds a wall-clock second.
+    loop : bool
+        Begin again at the end.
+    clock : bool
+        Publish bag time on /clock before the messages of each bag time, and in between.
+    paused : bool
+        Wait for ``~/resume`` or ``~/step``.
     """
 
     def __init__(
@@ -213,8 +222,12 @@ class Player:
 class Answers:
     """What the node under test has published on one topic, and what is expected of it.
 
-    `name`: recorded topic name.
-    `recorded`: whether the bag says which ticks are answered; otherwise every tick is.
+    Parameters
+    ----------
+    name : str
+        Recorded topic name.
+    recorded : bool
+        Whether the bag says which ticks are answered; otherwise every tick is.
     """
 
     name: str
@@ -262,10 +275,16 @@ class LockstepPlayer:
     node that says its ticks on ``<node>/tick`` (one that may be silent on all topics) is waited for at each of them.
     What the bag has on ``/parameter_events`` of a node with the name of the one under test is set before its tick.
 
-    `sender`: of the topics that are played: none of the answers.
-    `answers`: recorded names of the topics that the node under test publishes.
-    `remap`: recorded name to the name on which the node publishes.
-    `timeout`: wall-clock seconds without progress that end the replay.
+    Parameters
+    ----------
+    sender : Sender
+        Of the topics that are played: none of the answers.
+    answers : sequence of str
+        Recorded names of the topics that the node under test publishes.
+    remap : mapping of str to str
+        Recorded name to the name on which the node publishes.
+    timeout : float
+        Wall-clock seconds without progress that end the replay.
     """
 
     def __init__(

@@ -27,8 +27,15 @@ METADATA_LIMIT = 1 << 24
 class BagReader:
     """Context manager around a rosbag2 bag: MCAP or sqlite3, split or not, compressed or not, metadata versions to 9.
 
-    `path`: bag directory, or a single .mcap or .db3 file.
-    Raises BagError: on entering and on reading: no bag, damaged, or of an unknown format.
+    Parameters
+    ----------
+    path : Path or str
+        Bag directory, or a single .mcap or .db3 file.
+
+    Raises
+    ------
+    BagError
+        On entering and on reading: no bag, damaged, or of an unknown format.
     """
 
     def __init__(self, path: Path | str) -> None:

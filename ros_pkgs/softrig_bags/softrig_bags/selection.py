@@ -16,8 +16,12 @@ _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 class Selection:
     """A choice of topics.
 
-    `names`: absolute names.
-    `regex`, `exclude`: searched for in the absolute name.
+    Parameters
+    ----------
+    names : tuple of str
+        Absolute names.
+    regex, exclude : re.Pattern, optional
+        Searched for in the absolute name.
     """
 
     names: tuple[str, ...] = ()

@@ -33,10 +33,22 @@ FALSIFICATION = re.compile(
 class ResultsFolder:
     """A folder that a run or a study may write into.
 
-    `path`: new, empty, or with the results of a former run; other files may lie beside those.
-    `ours`: names at the top of the folder that this kind of run writes.
-    `replaced`: what a former run left there, in words; empty for nothing.
-    Raises ScenarioError: something there stands in the way that no run of softrig has listed as its own.
+    Parameters
+    ----------
+    path : Path
+        New, empty, or with the results of a former run; other files may lie beside those.
+    ours : pattern
+        Names at the top of the folder that this kind of run writes.
+
+    Attributes
+    ----------
+    replaced : str
+        What a former run left there, in words; empty for nothing.
+
+    Raises
+    ------
+    ScenarioError
+        Something there stands in the way that no run of softrig has listed as its own.
     """
 
     def __init__(self, path: Path, ours: re.Pattern[str] = RUN) -> None:

@@ -15,8 +15,12 @@ from .errors import ScenarioError, closest
 class Number:
     """Type of an option that is a number within bounds.
 
-    `kind`: `int` or `float`.
-    `low`, `high`: bounds, both allowed; infinity and NaN are not.
+    Parameters
+    ----------
+    kind : type
+        `int` or `float`.
+    low, high : float
+        Bounds, both allowed; infinity and NaN are not.
     """
 
     def __init__(self, kind: type[int] | type[float], low: float, high: float = math.inf) -> None:

@@ -66,9 +66,14 @@ class Outcome:
 class Prepared(NamedTuple):
     """A falsification whose input has been judged.
 
-    `names`: the requirements.
-    `nominal`: their margins without changes.
-    `content`: what makes it this one and no other.
+    Parameters
+    ----------
+    names : tuple of str
+        The requirements.
+    nominal : dict of str to float or None
+        Their margins without changes.
+    content : dict
+        What makes it this one and no other.
     """
 
     space: Space

@@ -21,8 +21,12 @@ from ..options.grammar import FORMS, Span, span
 class Over(Span):
     """One thing that the search may change: within which range, and what.
 
-    `key`: ``node.parameter``, ``fault.parameter``, or the name of a signal.
-    `adds`: of a profile on a signal: added to what is sent instead of replacing it.
+    Parameters
+    ----------
+    key : str
+        ``node.parameter``, ``fault.parameter``, or the name of a signal.
+    adds : bool
+        Of a profile on a signal: added to what is sent instead of replacing it.
     """
 
     key: str = ""
@@ -74,10 +78,16 @@ def parse(key: str, given: str) -> Over:
 class Space:
     """A scenario and what may be changed in it.
 
-    `scenario`: with a fault for each profile.
-    `targets`: of each: the parameter that is set, ``node.parameter``.
-    `nominal`: of each: its value in the scenario as it is; None for profiles.
-    `whole`: of each: whether it takes whole numbers only.
+    Parameters
+    ----------
+    scenario : Scenario
+        With a fault for each profile.
+    targets : tuple of str
+        Of each: the parameter that is set, ``node.parameter``.
+    nominal : tuple
+        Of each: its value in the scenario as it is; None for profiles.
+    whole : tuple of bool
+        Of each: whether it takes whole numbers only.
     """
 
     scenario: Scenario

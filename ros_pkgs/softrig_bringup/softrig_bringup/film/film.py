@@ -24,9 +24,14 @@ STRIP = 30.0  # units below the drawing: time, and how fast it goes
 class Film:
     """A drawing over a window of time.
 
-    `times` (float array of shape (n,)): simulated time of each frame, s.
-    `frames` (list of lists of Shape): one a time.
-    `speed`: simulated seconds in one second of film.
+    Parameters
+    ----------
+    times : float array of shape (n,)
+        Simulated time of each frame, s.
+    frames : list of lists of Shape
+        One a time.
+    speed : float
+        Simulated seconds in one second of film.
     """
 
     drawing: Drawing

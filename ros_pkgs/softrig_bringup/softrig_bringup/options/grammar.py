@@ -23,9 +23,14 @@ MANY = 50  # numbers of one profile or list: a search over more finds nothing in
 class Span:
     """Numbers from a least to a largest one.
 
-    `log`: whether their logarithm counts.
-    `count`: numbers of a list or profile; 0: a single number.
-    `linear`: of a profile: joined by lines.
+    Parameters
+    ----------
+    log : bool
+        Whether their logarithm counts.
+    count : int
+        Numbers of a list or profile; 0: a single number.
+    linear : bool
+        Of a profile: joined by lines.
     """
 
     low: float

@@ -176,10 +176,16 @@ def legend(
 ) -> None:  # fmt: skip
     """Put the legend above the axes, where it covers no data.
 
-    `curves`: those that were drawn first, in order.
-    `width`: of the axes, in letters.
-    `marks` (sequence of (Artist, str)): from `draw_marks`.
-    `what`: what the curves are, where there are too many to be named.
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Those that were drawn first, in order.
+    width : int
+        Of the axes, in letters.
+    marks : sequence of (Artist, str)
+        From `draw_marks`.
+    what : str
+        What the curves are, where there are too many to be named.
     """
     if len(curves) > look.MANY:
         text = f"{len(curves)} {what}, dark to light from first to last"

@@ -25,10 +25,15 @@ _AXES = {"alpha_beta": ("α", "β", "0"), "dq": ("d", "q", "0"), "abc": ("a", "b
 class Curve:
     """One line of a picture.
 
-    `x`, `y` (float arrays of shape (n,)).
-    `held`: the value stays until the next sample: drawn as steps.
-    `reference`: drawn as a thin dark dashed line on top.
-    `signal`: name of the signal that it shows; empty for a difference.
+    Parameters
+    ----------
+    x, y : float arrays of shape (n,)
+    held : bool
+        The value stays until the next sample: drawn as steps.
+    reference : bool
+        Drawn as a thin dark dashed line on top.
+    signal : str
+        Name of the signal that it shows; empty for a difference.
     """
 
     label: str
@@ -119,8 +124,12 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
 class Source:
     """The curves of a run by signal name.
 
-    `signals`: of the run's recording.
-    `rig`: says units, which topics are held between samples, which are references.
+    Parameters
+    ----------
+    signals : Signals
+        Of the run's recording.
+    rig : Rig
+        Says units, which topics are held between samples, which are references.
     """
 
     def __init__(self, signals: Signals, rig: Rig) -> None:

@@ -30,9 +30,14 @@ _SAMPLES = 1000  # of a band
 class Overlay:
     """A run to be laid over others.
 
-    `label`: what tells it apart.
-    `group`: the same for runs that are draws of the same, else the label.
-    `shown`: of the signals of its plots.
+    Parameters
+    ----------
+    label : str
+        What tells it apart.
+    group : str
+        The same for runs that are draws of the same, else the label.
+    shown : mapping
+        Of the signals of its plots.
     """
 
     label: str

@@ -83,10 +83,16 @@ class Search(_Model):
 class Summary(_Model):
     """A number over many runs.
 
-    `statistic`: ``share`` counts the runs that meet `of`; a figure that could not be measured does not meet it.
-    `q`: of ``quantile``.
-    `of` (Expectation): of ``share``: ``at least 99``.
-    `where`: only the runs whose case (key ``case``) or parameters have these values.
+    Parameters
+    ----------
+    statistic : str
+        ``share`` counts the runs that meet `of`; a figure that could not be measured does not meet it.
+    q : float
+        Of ``quantile``.
+    of : Expectation
+        Of ``share``: ``at least 99``.
+    where : dict
+        Only the runs whose case (key ``case``) or parameters have these values.
     """
 
     figure: str

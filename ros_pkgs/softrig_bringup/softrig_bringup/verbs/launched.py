@@ -64,9 +64,17 @@ def strange(words: Sequence[str]) -> str:
 class Launched:
     """The processes of a rig, for whoever starts them and says when they have ended.
 
-    `values`: what is given of `ARGUMENTS`.
-    Raises ScenarioError: the scenario, or what is changed of it, is wrong.
-    Raises RunError: the domain is a run's own.
+    Parameters
+    ----------
+    values : mapping of str to str
+        What is given of `ARGUMENTS`.
+
+    Raises
+    ------
+    ScenarioError
+        The scenario, or what is changed of it, is wrong.
+    RunError
+        The domain is a run's own.
     """
 
     def __init__(self, values: Mapping[str, str]) -> None:

@@ -52,9 +52,13 @@ def files(rig: Rig) -> dict[str, str]:
 class Plotted:
     """A plot of one unit.
 
-    `title`: with the unit.
-    `curves` (tuple of (topic, port, label of the value, what it is called)).
-    `over`: label of the value on the x axis, of the same topic; empty for time.
+    Parameters
+    ----------
+    title : str
+        With the unit.
+    curves : tuple of (topic, port, label of the value, what it is called)
+    over : str
+        Label of the value on the x axis, of the same topic; empty for time.
     """
 
     title: str

@@ -19,8 +19,12 @@ FORMS = "expected a number, 'X +- T', 'X +- P %', 'at most X', 'at least X' or '
 class Expectation(BaseModel):
     """Limits of a figure; those that are None judge nothing.
 
-    `expected`, `tolerance`: two-sided: |value - expected| <= tolerance.
-    `at_most`, `at_least`: bounds.
+    Parameters
+    ----------
+    expected, tolerance : float, optional
+        Two-sided: |value - expected| <= tolerance.
+    at_most, at_least : float, optional
+        Bounds.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

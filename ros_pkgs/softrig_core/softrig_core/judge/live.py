@@ -40,7 +40,9 @@ class Live:
     Of an operator at the first instant it keeps what is decided and the instants that are still open, an `Opened`, so a
     tick costs what its windows are long; below it an operator without end leaves every instant open, and all are kept.
 
-    `tree` (plain data).
+    Parameters
+    ----------
+    tree : plain data
     """
 
     def __init__(self, tree: Tree) -> None:

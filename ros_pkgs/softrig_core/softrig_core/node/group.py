@@ -24,7 +24,10 @@ SLICE = 5_000_000  # ns: how long ticks may keep a timer waiting
 class Group:
     """Nodes of one process, driven together.
 
-    `nodes`: all in lockstep, or all in real time.
+    Parameters
+    ----------
+    nodes : sequence of Adapter
+        All in lockstep, or all in real time.
     """
 
     def __init__(self, nodes: Sequence[Adapter]) -> None:

@@ -86,7 +86,10 @@ class Forked:
 class ForkServer:
     """A server of this process: it ends with this process, and its nodes with it.
 
-    `variables`: environment of its nodes, as far as it is not in `OWN`.
+    Parameters
+    ----------
+    variables : mapping
+        Environment of its nodes, as far as it is not in `OWN`.
     """
 
     def __init__(self, variables: Mapping[str, str]) -> None:

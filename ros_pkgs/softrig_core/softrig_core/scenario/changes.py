@@ -20,9 +20,12 @@ from .references import fill_parameters, pick
 class ChangeEntry(BaseModel):
     """New values of parameters from a time on.
 
-    `at`: in s. Each node takes its own at its first tick that is not earlier.
-    `set`: ``node.parameter`` to value; of a fault, ``fault.active``. ``$node.parameter`` is what a parameter is at
-    first.
+    Parameters
+    ----------
+    at : float
+        In s. Each node takes its own at its first tick that is not earlier.
+    set : dict
+        ``node.parameter`` to value; of a fault, ``fault.active``. ``$node.parameter`` is what a parameter is at first.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -83,10 +83,16 @@ def hold(
 ) -> list[Finding]:
     """Hold claims, of a scenario or of a study, against measurements; see `findings`.
 
-    `name`: of the scenario or study.
-    `claims`: by key.
-    `figures`: gives the figures of a scenario by its name; None when it was not run or broke.
-    `units`: unit by figure.
+    Parameters
+    ----------
+    name : str
+        Of the scenario or study.
+    claims : mapping of str to Claim
+        By key.
+    figures : callable
+        Gives the figures of a scenario by its name; None when it was not run or broke.
+    units : mapping of str to str
+        Unit by figure.
     """
     return [_finding(name, key, claim, figures, units) for key, claim in claims.items()]
 

@@ -57,8 +57,12 @@ class ShardWriter:
     What a node says at each of its ticks is a row: its messages have one stamp, and only their numbers are written.
     Their bytes are made when the shard is read, from the layouts in its head.
 
-    `topics` (sequence of (name, message type)): in the order of the numbers that `add` takes.
-    `row`: the messages of a row, in order: number of the topic and layout.
+    Parameters
+    ----------
+    topics : sequence of (name, message type)
+        In the order of the numbers that `add` takes.
+    row : mapping of int to Layout
+        The messages of a row, in order: number of the topic and layout.
     """
 
     LIMIT = 1 << 12  # bytes: the loop waits while they are written, 2 us a kB in files that are new
@@ -341,7 +345,10 @@ class Recording:
 class ShardTail:
     """A shard that is still being written: what has come since the last look.
 
-    `path`: it need not be there yet.
+    Parameters
+    ----------
+    path : Path
+        It need not be there yet.
     """
 
     LIMIT = 1 << 22  # bytes of one look

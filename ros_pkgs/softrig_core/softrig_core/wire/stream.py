@@ -13,8 +13,12 @@ class CdrError(ValueError):
 class Writer:
     """Puts the parts of a message behind each other, little endian.
 
-    `data` (bytearray): the message so far, the four bytes of the encapsulation included; alignment counts after these.
-    `written` (list of (int, int)): start and end of what has been written: not of padding, nor of what was left open.
+    Attributes
+    ----------
+    data : bytearray
+        The message so far, the four bytes of the encapsulation included; alignment counts after these.
+    written : list of (int, int)
+        Start and end of what has been written: not of padding, nor of what was left open.
     """
 
     def __init__(self) -> None:
@@ -50,8 +54,12 @@ class Writer:
 class Reader:
     """Takes the parts of a message one after the other, in either byte order.
 
-    `msgtype`: named in errors.
-    `data`: the four bytes of the encapsulation included.
+    Parameters
+    ----------
+    msgtype : str
+        Named in errors.
+    data : bytes
+        The four bytes of the encapsulation included.
     """
 
     def __init__(self, msgtype: str, data: bytes) -> None:

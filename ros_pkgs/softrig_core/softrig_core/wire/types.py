@@ -33,8 +33,12 @@ class Item(NamedTuple):
 class MessageType:
     """What the suite knows of a message type.
 
-    `name`: ``package/msg/Type``.
-    `schema`: all that is on the wire, in order.
+    Parameters
+    ----------
+    name : str
+        ``package/msg/Type``.
+    schema : tuple of Item
+        All that is on the wire, in order.
     """
 
     name: str

@@ -16,9 +16,14 @@ from ...wire.recording import Recording, shard_topics
 class Files:
     """What a rig has said before one of its nodes came back.
 
-    `recording`: of its senders; what came from outside is in its own, and the changes of its parameters.
-    `answered`: by node: the time before which it has answered all its ticks, ns.
-    `gone` (set of str): nodes that have answered their last tick and left.
+    Parameters
+    ----------
+    recording : Recording
+        Of its senders; what came from outside is in its own, and the changes of its parameters.
+    answered : mapping of str to float
+        By node: the time before which it has answered all its ticks, ns.
+    gone : set of str
+        Nodes that have answered their last tick and left.
     """
 
     recording: Recording

@@ -33,7 +33,10 @@ SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin s
 class Lockstep:
     """What makes the ticks of a node ready: the messages of its peers in other processes.
 
-    `turn`: has the runner of this process go on.
+    Parameters
+    ----------
+    turn : callable
+        Has the runner of this process go on.
     """
 
     status_every = 1

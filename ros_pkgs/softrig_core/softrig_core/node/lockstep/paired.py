@@ -397,8 +397,12 @@ class Pace(Paired):
 class Ticks(Pace):
     """The acknowledgements of a node: of its ticks, and of the sporadic ports that have spoken at them.
 
-    `silent_rows`: what we read of these ports.
-    `then`: called after each.
+    Parameters
+    ----------
+    silent_rows : iterable of Paired
+        What we read of these ports.
+    then : callable
+        Called after each.
     """
 
     def __init__(self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool,

@@ -33,9 +33,13 @@ PATIENCE = 10.0  # s: for a node to be there, and again for it to answer
 class Remote:
     """Clients of the services that have been asked for.
 
-    `node` (rclpy.node.Node).
-    `answer`: gets the id of a request, whether it was done (None: nobody answered), and the reason if it was not.
-    `patience`: how long to wait for a node, s.
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    answer : callable
+        Gets the id of a request, whether it was done (None: nobody answered), and the reason if it was not.
+    patience : float
+        How long to wait for a node, s.
     """
 
     def __init__(

@@ -82,8 +82,12 @@ class ServingNode(Node):  # type: ignore[misc]
     a whole file); a whole number stands for a real one, and what a read-only parameter is already may be set again.
     The ticks of the nodes go first: who sets more than fits beside them is refused and told when to come back.
 
-    `remark`: what whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
-    `monitor` (Monitor): of whatever calls the node: no service is answered while a tick is under way.
+    Attributes
+    ----------
+    remark : str
+        What whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
+    monitor : Monitor
+        Of whatever calls the node: no service is answered while a tick is under way.
     """
 
     remark = ""

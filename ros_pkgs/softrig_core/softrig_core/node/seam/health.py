@@ -20,7 +20,10 @@ _renameat2 = getattr(ctypes.CDLL(None), "renameat2", None)  # glibc 2.28
 class StatusFile:
     """The file in which a node says how it is, as JSON.
 
-    `path`: empty: none is wanted.
+    Parameters
+    ----------
+    path : str
+        Empty: none is wanted.
     """
 
     def __init__(self, path: str) -> None:

@@ -23,9 +23,17 @@ class Monitor:
 
     As a context manager it is for the executor's thread alone, and not to be entered twice.
 
-    `wake`: has the executor's thread call `serve` soon; called from any thread.
-    `clock`: gives ns.
-    `closed`: whether nothing that has come is worked on any more: it is over, or something was raised.
+    Parameters
+    ----------
+    wake : callable
+        Has the executor's thread call `serve` soon; called from any thread.
+    clock : callable
+        Gives ns.
+
+    Attributes
+    ----------
+    closed : bool
+        Whether nothing that has come is worked on any more: it is over, or something was raised.
     """
 
     def __init__(self, wake: Callable[[], object], clock: Callable[[], int] = time.perf_counter_ns) -> None:

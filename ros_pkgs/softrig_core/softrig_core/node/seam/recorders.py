@@ -28,7 +28,10 @@ def left_out(recorder: str, topics: Iterable[str]) -> bytes:
 class Recorders:
     """Who is to read the first message of each topic of a node.
 
-    `named`: nodes that read everything.
+    Parameters
+    ----------
+    named : sequence of str
+        Nodes that read everything.
     """
 
     def __init__(self, middleware: Middleware, named: Sequence[str]) -> None:

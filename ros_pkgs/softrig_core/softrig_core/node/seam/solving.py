@@ -19,8 +19,12 @@ LOOK = 2_000_000  # ns
 class Solving:
     """One solver block between the begin of a tick and its answer.
 
-    `step`: of the solver: its x holds the requests that a tick has begun.
-    `resume`: called when the answer that was waited for is there.
+    Parameters
+    ----------
+    step : Step
+        Of the solver: its x holds the requests that a tick has begun.
+    resume : callable
+        Called when the answer that was waited for is there.
     """
 
     def __init__(self, middleware: Middleware, step: Step, resume: Callable[[], object]) -> None:
