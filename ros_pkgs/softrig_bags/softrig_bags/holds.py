@@ -52,8 +52,10 @@ class Holds:
 def patience() -> float:
     """Give the longest silence in s after which no publisher forgets this process: its lease less an announcement.
 
-    Raises OSError, xml.etree.ElementTree.ParseError: the profile cannot be read; Fast DDS would not have started with
-    it.
+    Raises
+    ------
+    OSError, xml.etree.ElementTree.ParseError
+        The profile cannot be read; Fast DDS would not have started with it.
     """
     file = os.environ.get(VARIABLE)
     root = ElementTree.parse(Path(file)).getroot() if file else ElementTree.Element("none")

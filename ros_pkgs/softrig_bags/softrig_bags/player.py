@@ -121,7 +121,10 @@ class Span:
 def span(bag: BagReader, offset: float, duration: float | None) -> Span:
     """Give the span that begins `offset` s after the first message and lasts `duration` s.
 
-    Raises BagError: the bag is empty, or the offset lies behind its end.
+    Raises
+    ------
+    BagError
+        The bag is empty, or the offset lies behind its end.
     """
     if not bag.count:
         raise BagError(f"{bag.path} is empty")
@@ -166,7 +169,10 @@ class Player:
     def run(self, wait: bool = False) -> None:
         """Play until the end or until stopped.
 
-        `wait`: do not start before every topic has a subscriber.
+        Parameters
+        ----------
+        wait : bool
+            Do not start before every topic has a subscriber.
         """
         while wait and not self._session.stopped and self._sender.unheard(list(self._sender.names.values())):
             self._session.spin(0.02)
@@ -311,7 +317,10 @@ class LockstepPlayer:
     def run(self) -> Recording:
         """Wait for the node, play all ticks, give its answers; their times are the ticks.
 
-        Raises RunError: the node did not come, did not answer in time, or answered another tick; or a signal came.
+        Raises
+        ------
+        RunError
+            The node did not come, did not answer in time, or answered another tick; or a signal came.
         """
         session = self._session
         session.node.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -129,8 +129,12 @@ class BagReader:
     def messages(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[tuple[int, int, bytes]]:
         """Give (index into `topics`, bag time in ns, bytes) by time, equal times as written.
 
-        `topics`: absolute names; default all.
-        `start`: first bag time in ns.
+        Parameters
+        ----------
+        topics : collection of str, optional
+            Absolute names; default all.
+        start : int
+            First bag time in ns.
         """
         index = {t.name: i for i, t in enumerate(self.topics)}
         chosen = [c for c in self._connections if topics is None or c.topic in topics]

@@ -85,7 +85,10 @@ class Recorder:
     def run(self) -> None:
         """Record until a signal comes, then take what has arrived and close the bag.
 
-        Raises RunError: the disk is full or broken; the bag is closed and holds everything written before.
+        Raises
+        ------
+        RunError
+            The disk is full or broken; the bag is closed and holds everything written before.
         """
         self._discover()
         gc.collect()

@@ -32,7 +32,10 @@ class Selection:
     def of(cls, names: Sequence[str], regex: str = "", exclude: str = "") -> Selection:
         """Make a selection of what the command line gives.
 
-        Raises BagError: not a name of a topic, or not a regular expression.
+        Raises
+        ------
+        BagError
+            Not a name of a topic, or not a regular expression.
         """
         for name in names:
             if not _NAME.fullmatch(name):

@@ -71,7 +71,10 @@ class ResultsFolder:
 
         What is killed, or refused by one of its nodes, must not stop the next one.
 
-        Raises ScenarioError: nothing can be written there.
+        Raises
+        ------
+        ScenarioError
+            Nothing can be written there.
         """
         try:
             if (other := self.hold()) is not None:
@@ -155,7 +158,10 @@ class ResultsFolder:
     def anew(self) -> Iterator[Path]:
         """Give a folder for new files; they take the places of the old ones when all are written, or none does.
 
-        Raises ScenarioError: one of them would replace a file of somebody else.
+        Raises
+        ------
+        ScenarioError
+            One of them would replace a file of somebody else.
         """
         self.begin()
         new = self.path / NEW
@@ -178,7 +184,10 @@ class ResultsFolder:
     def alone(self) -> Iterator[None]:
         """Hold the folder against other calls at the same time.
 
-        Raises ScenarioError: another call is at work there.
+        Raises
+        ------
+        ScenarioError
+            Another call is at work there.
         """
         self.begin()
         try:

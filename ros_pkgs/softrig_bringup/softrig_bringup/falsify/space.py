@@ -62,7 +62,10 @@ class Over(Span):
 def parse(key: str, given: str) -> Over:
     """Read one range; a key that ends with ``+`` adds to its signal.
 
-    Raises ScenarioError: another form, a range upside down, a logarithm of what is not above 0.
+    Raises
+    ------
+    ScenarioError
+        Another form, a range upside down, a logarithm of what is not above 0.
     """
     key = key.strip()
     adds, key = key.endswith("+"), key.removesuffix("+").strip()
@@ -120,8 +123,10 @@ class Space:
 def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
     """Hold ranges against a rig, and put a fault on each link whose signal gets a profile.
 
-    Raises ScenarioError: no such parameter or signal, with the nearest name; a parameter that is no number, or a list
-    of another length.
+    Raises
+    ------
+    ScenarioError
+        No such parameter or signal, with the nearest name; a parameter that is no number, or a list of another length.
     """
     rig = rig_of(scenario)
     params = {m.name: flatten(m.params) for m in rig.members}

@@ -68,7 +68,10 @@ def _steps(name: str, text: str) -> list[Any]:
 def span(name: str, text: object) -> Span:
     """Read a range.
 
-    Raises ScenarioError: another form, a range upside down, a logarithm of what is not above 0.
+    Raises
+    ------
+    ScenarioError
+        Another form, a range upside down, a logarithm of what is not above 0.
     """
     found = _SPAN.fullmatch(str(text).strip())
     if not found:

@@ -82,10 +82,18 @@ def lateness(status: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int
 def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
     """Find out what a run was, from its bag alone or from what `softrig pack` has made of it.
 
-    `path`: directory of the run, its bag, a single .mcap file of it, or a pack.
-    `parse`: gives the options of what follows ``softrig run``.
-    Raises ScenarioError: no such run, it has no bag, which alone knows what was changed while it ran, or a package that
-    it needs is not installed here.
+    Parameters
+    ----------
+    path : Path
+        Directory of the run, its bag, a single .mcap file of it, or a pack.
+    parse : callable
+        Gives the options of what follows ``softrig run``.
+
+    Raises
+    ------
+    ScenarioError
+        No such run, it has no bag, which alone knows what was changed while it ran, or a package that it needs is not
+        installed here.
     """
     from softrig_bags.errors import BagError
     from softrig_bags.read import read_bag
@@ -145,7 +153,10 @@ def _content(metrics: Path) -> Mapping[str, Any]:
 def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     """Give the scenario of a run with what was changed while it ran, and a node that says what came from outside.
 
-    Raises ScenarioError: somebody else's plant: it alone knows what it does.
+    Raises
+    ------
+    ScenarioError
+        Somebody else's plant: it alone knows what it does.
     """
     if run.digests:
         return scenario  # its file has them
@@ -196,8 +207,15 @@ def compared(before: Recalled, run: Run, made_with: Mapping[str, Any]) -> tuple[
 
     The end counts as far as both have come: in real time the last tick may be over before all have answered it.
 
-    `made_with`: what has made the repetition, as ``metrics.json`` has it.
-    Gives `told`: the last line says whether it repeats, and if not, which version differs first.
+    Parameters
+    ----------
+    made_with : mapping
+        What has made the repetition, as ``metrics.json`` has it.
+
+    Returns
+    -------
+    told : list of str
+        The last line says whether it repeats, and if not, which version differs first.
     """
     lines, messages, topics = _differences(before, run)
     same = not lines and messages > 0

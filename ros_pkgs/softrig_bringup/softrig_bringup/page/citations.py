@@ -46,7 +46,10 @@ class Citation(BaseModel):
 def cited(keys: Sequence[str]) -> tuple[Citation, ...]:
     """Find the papers of a scenario's key ``cites``.
 
-    Raises ScenarioError: no file has such an entry, or the entry cannot be read; names the key and the file.
+    Raises
+    ------
+    ScenarioError
+        No file has such an entry, or the entry cannot be read; names the key and the file.
     """
     if not keys:
         return ()

@@ -132,10 +132,19 @@ class Launched:
     def ended(self, name: str, status: int, interrupted: bool) -> str:
         """Note that a process has ended; when it was the last one, do what `softrig run` does at the end of a run.
 
-        `name`: of the process.
-        `status`: its exit status.
-        `interrupted`: whether the launch was being shut down already.
-        Returns: why the launch is to end with a failure; empty when it is not.
+        Parameters
+        ----------
+        name : str
+            Of the process.
+        status : int
+            Its exit status.
+        interrupted : bool
+            Whether the launch was being shut down already.
+
+        Returns
+        -------
+        str
+            Why the launch is to end with a failure; empty when it is not.
         """
         self._running -= 1
         self._stopped = self._stopped or interrupted

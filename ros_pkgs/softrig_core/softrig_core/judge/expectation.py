@@ -60,7 +60,10 @@ def parse(given: Any) -> Any:
 
     ``0.694 +- 0.0069``, ``0.694 +- 1 %``, ``44`` (exactly), ``at most 0.02``, ``at least 3``, ``between 80 and 81.1``.
 
-    Raises ValueError: another form, a tolerance above a quarter of the value, an empty range.
+    Raises
+    ------
+    ValueError
+        Another form, a tolerance above a quarter of the value, an empty range.
     """
     if isinstance(given, Expectation | dict):
         return given

@@ -61,8 +61,12 @@ class Live:
     ) -> tuple[Opened, ...]:  # fmt: skip
         """Take an instant in.
 
-        `t`: whole ns, ascending from 0.
-        `samples`, `truths`, `late`: see `softrig_core.judge.robustness.Record`.
+        Parameters
+        ----------
+        t : float
+            Whole ns, ascending from 0.
+        samples, truths, late : mapping
+            See `softrig_core.judge.robustness.Record`.
         """
         return tuple(part.push(one, t, samples, truths, late) for part, one in zip(self._parts, x, strict=True))
 

@@ -94,7 +94,10 @@ class _Link(NamedTuple):
 def _links(nodes: Sequence[Adapter]) -> list[_Link]:
     """Find who reads whom.
 
-    Raises RunError: two ports of a topic do not fit, or two nodes publish it.
+    Raises
+    ------
+    RunError
+        Two ports of a topic do not fit, or two nodes publish it.
     """
     written: dict[tuple[str, str], tuple[Adapter, Output]] = {}
     for node in nodes:

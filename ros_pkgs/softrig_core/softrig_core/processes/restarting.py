@@ -19,7 +19,10 @@ Again = Callable[[int], object]
 def check_restart(rig: Rig, placement: Placement) -> None:
     """Make sure that nodes of a run could be started again, if that is wanted.
 
-    Raises ScenarioError: of this placement they could not; says why.
+    Raises
+    ------
+    ScenarioError
+        Of this placement they could not; says why.
     """
     if not placement.restart:
         return

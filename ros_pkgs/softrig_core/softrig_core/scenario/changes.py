@@ -49,10 +49,17 @@ class Changing(Protocol):
 def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changing]) -> None:
     """Give each member its changes, in the order of their times, each checked against those before it.
 
-    `where`: name of the scenario, for errors.
-    `members`: the nodes of the rig.
-    Raises ScenarioError: no such node, a node of somebody else, or values that `softrig_core.block.change.permit`
-    refuses.
+    Parameters
+    ----------
+    where : str
+        Name of the scenario, for errors.
+    members : iterable
+        The nodes of the rig.
+
+    Raises
+    ------
+    ScenarioError
+        No such node, a node of somebody else, or values that `softrig_core.block.change.permit` refuses.
     """
     known = {m.name: m for m in members}
 

@@ -95,8 +95,15 @@ class Worker:
     def submit(self, request: Any, job: object = None) -> None:
         """Begin to work on a request.
 
-        `job`: by which the caller knows it: `job` until the next one or `cancel`.
-        Raises RuntimeError: it works on another one.
+        Parameters
+        ----------
+        job : object
+            By which the caller knows it: `job` until the next one or `cancel`.
+
+        Raises
+        ------
+        RuntimeError
+            It works on another one.
         """
         if self.state == "working":
             raise RuntimeError("a worker does one thing at a time; cancel it first")

@@ -72,8 +72,12 @@ def values(results: Iterable[Result]) -> dict[str, float]:
 def findings(scenario: Scenario, figures: Callable[[str], Figures | None], units: Mapping[str, str]) -> list[Finding]:
     """Hold the claims of a scenario against measurements.
 
-    `figures`: figures of a scenario by its name; None when it has not been run.
-    `units`: unit of the scenario's own figures.
+    Parameters
+    ----------
+    figures : callable
+        Figures of a scenario by its name; None when it has not been run.
+    units : mapping
+        Unit of the scenario's own figures.
     """
     return hold(scenario.name, scenario.claims, figures, units)
 
@@ -133,7 +137,10 @@ def _words(key: str) -> str:
 def needed(scenario: Scenario) -> set[str]:
     """Names of the scenarios whose figures its claims need, itself included.
 
-    Raises ScenarioError: a claim names a scenario that is not there.
+    Raises
+    ------
+    ScenarioError
+        A claim names a scenario that is not there.
     """
     names = {scenario.name}
     for key, claim in scenario.claims.items():

@@ -39,7 +39,10 @@ class Sink(Protocol):
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
         """Give what appends one message of each of some topics, all of one time, by their numbers.
 
-        `layouts`: by number of the topic; arrays are numbered in the order of the calls.
+        Parameters
+        ----------
+        layouts : mapping of int to Layout
+            By number of the topic; arrays are numbered in the order of the calls.
         """
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
@@ -361,7 +364,10 @@ class ShardTail:
     def read(self, recording: Recording) -> bool:
         """Add what is new to a recording; whether there may be more than one look takes.
 
-        `recording`: of the shard's topics.
+        Parameters
+        ----------
+        recording : Recording
+            Of the shard's topics.
         """
         try:
             with self._path.open("rb") as file:

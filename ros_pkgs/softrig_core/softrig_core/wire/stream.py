@@ -69,7 +69,10 @@ class Reader:
     def take(self, code: str, n: int = 1) -> tuple[Any, ...]:
         """Read `n` values of a struct's code.
 
-        Raises CdrError: the bytes end before.
+        Raises
+        ------
+        CdrError
+            The bytes end before.
         """
         if not n:
             return ()
@@ -87,7 +90,10 @@ class Reader:
     def count(self, what: str, size: int) -> int:
         """Read how many items follow, of at least so many bytes each.
 
-        Raises CdrError: more than fit.
+        Raises
+        ------
+        CdrError
+            More than fit.
         """
         n: int = self.one("I")
         if n * size > len(self._data):
@@ -97,7 +103,10 @@ class Reader:
     def text(self) -> str:
         """Read a string.
 
-        Raises CdrError: it does not fit.
+        Raises
+        ------
+        CdrError
+            It does not fit.
         """
         n: int = self.one("I")
         if n == 0 or self._at + n > len(self._data):

@@ -80,9 +80,14 @@ class MessageType:
     def labels(self, fields: Mapping[str, int], names: Sequence[str] = (), dims: Dims | None = None) -> tuple[str, ...]:
         """Name each value below the topic: ``shaft/velocity``, ``force/x``; ``x`` or ``data`` where one word says it.
 
-        `fields`: fields in the order of their values, with the number of values of each.
-        `names`: names of the channels.
-        `dims`: shape of an array.
+        Parameters
+        ----------
+        fields : mapping of str to int
+            Fields in the order of their values, with the number of values of each.
+        names : sequence of str
+            Names of the channels.
+        dims : Dims, optional
+            Shape of an array.
         """
         found: list[str] = []
         for name, count in fields.items():

@@ -35,8 +35,12 @@ class Files:
 def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
     """Read the files that the nodes of a run are writing.
 
-    `name`: of the node that comes back; its record is ``NAME.shard.died``.
-    `peers`: nodes that it reads, or that read it.
+    Parameters
+    ----------
+    name : str
+        Of the node that comes back; its record is ``NAME.shard.died``.
+    peers : iterable of str
+        Nodes that it reads, or that read it.
     """
     status = {who: read_status(folder / f"{who}.status") for who in peers}
     gone = frozenset(who for who, said in status.items() if said.get("state") == "done")

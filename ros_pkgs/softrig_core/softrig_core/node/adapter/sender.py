@@ -88,7 +88,10 @@ class Sender(Input):
 
         Number 0 may begin anew: a bag that is played in a loop.
 
-        `number`: what the array says of itself; -1 when it says nothing: then it is new.
+        Parameters
+        ----------
+        number : int
+            What the array says of itself; -1 when it says nothing: then it is new.
         """
         expected = self.following
         if number < 0 or expected is None:

@@ -56,7 +56,10 @@ class Frames:
 def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
     """Give the bytes of a tf2_msgs/msg/TFMessage.
 
-    `stamp`: ns.
+    Parameters
+    ----------
+    stamp : int
+        ns.
     """
     poses = list(poses)
     out = Writer()

@@ -79,8 +79,12 @@ class PairedSenders:
     def follow_ticks(self, local: Set[str], then: Callable[[], object]) -> None:
         """Read the acknowledgements of nodes of other processes that we wait for or that may be silent.
 
-        `local`: nodes of this process.
-        `then`: called after each.
+        Parameters
+        ----------
+        local : set of str
+            Nodes of this process.
+        then : callable
+            Called after each.
         """
         node, links = self.node, self.node.links
         silent: dict[str, list[Paired]] = {}

@@ -106,9 +106,17 @@ class Remote:
 def set_parameters(wanted: Mapping[str, Mapping[str, Any]], patience: float) -> list[str]:
     """Set parameters of running nodes, those of one node all or none.
 
-    `wanted`: values by node and name.
-    `patience`: how long to wait for each node, s.
-    Returns: what went wrong, a line a node.
+    Parameters
+    ----------
+    wanted : mapping
+        Values by node and name.
+    patience : float
+        How long to wait for each node, s.
+
+    Returns
+    -------
+    list of str
+        What went wrong, a line a node.
     """
     refusals: list[str] = []
     waiting = set(wanted)

@@ -174,7 +174,10 @@ Arguments = ParamSpec("Arguments")
 def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
     """Let a callback end without a word in which a signal has shut the context down; the executor would log its stack.
 
-    `callback`: of a timer or a subscription; it may publish.
+    Parameters
+    ----------
+    callback : callable
+        Of a timer or a subscription; it may publish.
     """
 
     @wraps(callback)  # rclpy asks for the signature

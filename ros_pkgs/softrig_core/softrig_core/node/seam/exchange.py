@@ -114,9 +114,17 @@ class Exchange:
     def serve(self, until: int, awake: int = 0) -> int:
         """Fire timers and hand over messages until nothing is due for `awake` ns or `until` has passed.
 
-        `until`: ns, monotonic.
-        `awake`: a timer that is nearer is waited for here.
-        Returns: ns to the next timer; 0 when something waits to be done.
+        Parameters
+        ----------
+        until : int
+            ns, monotonic.
+        awake : int
+            A timer that is nearer is waited for here.
+
+        Returns
+        -------
+        int
+            ns to the next timer; 0 when something waits to be done.
         """
         now, queue = time.monotonic_ns, self._queue
         while True:

@@ -48,7 +48,10 @@ class Monitor:
     def arrive(self, work: Callable[[], object]) -> None:
         """Do some work, now or when whatever is under way has returned; for any thread, which is never held up.
 
-        `work`: takes a message and does what follows from it. What it raises comes out of `serve`.
+        Parameters
+        ----------
+        work : callable
+            Takes a message and does what follows from it. What it raises comes out of `serve`.
         """
         came, lock = self._came, self._lock
         came.append(work)

@@ -78,7 +78,10 @@ class Solving:
 def hear_busy(middleware: Middleware, solvers: int, heard: Callable[[], None]) -> Input:
     """Call a function whenever a solver of the rig says that it is at work.
 
-    `solvers`: how many there are, this node included: the input has a publisher when all of them are matched.
+    Parameters
+    ----------
+    solvers : int
+        How many there are, this node included: the input has a publisher when all of them are matched.
     """
     item = Input(Port("busy", BUSY, TICK))
 
