@@ -124,13 +124,14 @@ def test_marks_follow_the_unit_of_the_figure_and_the_side_of_the_peak():
     assert (mark.start, mark.end) == pytest.approx((5.0 - 0.06 * 7.0, 5.0 + 0.06 * 7.0))  # beside where it is
 
 
-def test_a_rise_is_marked_from_where_it_began():
-    given = scenario(figures={"rise_time": {"arguments": {"signal": X, "final": 0.75}}},
+@pytest.mark.parametrize("final", [{"final": 0.75}, {}])
+def test_a_rise_is_marked_from_where_it_began(final):
+    given = scenario(figures={"rise_time": {"arguments": {"signal": X} | final}},
                      expect={"rise_time": "0.5 +- 0.1"}, claims={})  # fmt: skip
     run = simulate(rig_of(given))
     (mark,) = marks_of(run.rig, run.signals)[X]
     t, x = run.signals[X]
-    began = t[np.argmax(x >= 0.075)]
+    began = t[np.argmax(x >= 0.1 * final.get("final", x[-1]))]
     assert (mark.axis, mark.low, mark.high) == ("time", pytest.approx(began + 0.4), pytest.approx(began + 0.6))
 
 

@@ -395,6 +395,10 @@ def test_kalman_gain_is_where_the_riccati_recursion_ends():
 # Bad input
 
 
+def test_the_law_with_an_estimate_begins_with_its_set_point_and_the_size_of_that():
+    assert DcMotorSmcKalman(set_point=-3.0).first()[:2] == (-3.0, 3.0)
+
+
 # how to make the law, its inputs beside the reference, and which of their numbers it uses
 MEASURED = [
     (DcMotorSmc, {"state": (5.0,), "sensors": (100.0, 0.9)}, [("state", 0), ("sensors", 1)]),
