@@ -22,7 +22,7 @@ from softrig_core import (
     param,
     rig_of,
 )
-from softrig_core.block.answer import check
+from softrig_core.block.answer import admit
 from softrig_core.block.params import LONGEST, Params, build, declarations
 from softrig_core.processes.domain import free_domain
 from softrig_core.rig.options import RunOptions
@@ -236,7 +236,7 @@ def test_an_answer_that_is_no_row_of_numbers_is_the_nodes_fault():
     port = number("x", "x", "m")
     for wrong in (5.0, None, ("a",), (1j,), [[1.0]], (10**400,)):
         with pytest.raises(RunError, match="law: x is no row of numbers at t = 0 s"):
-            check({"x": wrong}, port, "law", 0)
+            admit({"x": wrong}, port, "law", 0)
 
 
 @pytest.mark.parametrize("attack", [bags.attack, messages.attack], ids=["bags", "messages"])

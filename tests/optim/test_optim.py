@@ -240,6 +240,7 @@ def test_scan_refines_as_scipy_does(low, high):
     theirs = minimize_scalar(f, bounds=cells, method="bounded", options={"xatol": 1e-4})
     assert best.x[0] == pytest.approx(theirs.x, abs=1e-14)
     assert search.evaluations == 20 + theirs.nfev
+    assert run(Scan([low], [high], n_grid=3, tolerance=0.0), lambda x: f(x[0])).x[0] in (low, 0.5 * (low + high), high)
 
 
 def test_perturb_observe_climbs_and_turns():

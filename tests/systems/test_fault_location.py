@@ -18,7 +18,7 @@ from softrig_core.block.params import build
 from softrig_power.fault_location import pictures, study, study_tool
 from softrig_power.fault_location.cases import PUBLISHED, RESISTANCES, Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
-from softrig_power.fault_location.confidence import ErrorBudget, confidence, shifted
+from softrig_power.fault_location.confidence import Confidence, ErrorBudget, confidence, shifted
 from softrig_power.fault_location.inception import inception, windowed
 from softrig_power.fault_location.locate_tool import read, to_bag
 from softrig_power.fault_location.location import Locator, locate
@@ -554,6 +554,10 @@ def test_minimum_at_the_terminal(record):
 
 
 # confidence, inception ----------------------------------------------------------------------------------------------
+
+
+def test_uncertainties_add_by_their_squares():
+    assert Confidence(3.0, {"a": 4.0, "b": 12.0}, 1.0).total_km == 13.0
 
 
 def test_confidence_covers_the_error():

@@ -56,7 +56,6 @@ class Rig(Members):
         ----------
         scenario : Scenario
             That of the rig, with them.
-        names : iterable of str
 
         Raises
         ------
@@ -73,8 +72,9 @@ class Rig(Members):
         clock = self.clock
         for m in new:
             try:
-                m.schedule = Schedule(m.params.period, clock.params.period, scenario.duration,
-                                      m.block_class.speaks_at_end())  # fmt: skip
+                m.schedule = Schedule(
+                    m.params.period, clock.params.period, scenario.duration, m.block_class.speaks_at_end()
+                )
             except ValueError as error:
                 raise ScenarioError(f"{scenario.name}: node {m.name}: {error}, {clock.name}") from None
         if clock.schedule.ticks is not None and clock.schedule.ticks > TICKS:
@@ -105,7 +105,6 @@ class Rig(Members):
             In s.
         remap : mapping, optional
             By node name: its topic to the topic that it is to have.
-        name : str
         **keys
             Further keys of `Scenario`: ``figures``, ``expect``, ``plots``, ``seed``, ``title``.
 
@@ -142,7 +141,6 @@ def members_of(
 
     Parameters
     ----------
-    scenario : Scenario
     classes : mapping of node name to type of Block
         Of those that no executable gives.
     names : iterable of str, optional

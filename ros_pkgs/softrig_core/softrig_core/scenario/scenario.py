@@ -68,7 +68,6 @@ class PlotEntry(_Model):
 
     Parameters
     ----------
-    title : str
     signals : dict of str to str
         Signal name to label (empty: the signal's own name). Over time also ``one - other``: a signal less the newest
         value of another.
@@ -268,6 +267,7 @@ def _override(raw: dict[str, Any], key: str, value: Any) -> None:
     if node not in nodes or not parameter:
         also = f", or a shared value ({', '.join(shared)})" if shared else ""
         near = closest(node, nodes_and_faults) if parameter else closest(key, shared)
-        raise ScenarioError(f"override {key!r}{near}: expected node.parameter with node one of "
-                            f"{', '.join(nodes_and_faults)}{also}")  # fmt: skip
+        raise ScenarioError(
+            f"override {key!r}{near}: expected node.parameter with node one of {', '.join(nodes_and_faults)}{also}"
+        )
     raw["nodes"] = merge({**nodes, node: nodes[node] or {}}, {node: {"parameters": {parameter: value}}})
