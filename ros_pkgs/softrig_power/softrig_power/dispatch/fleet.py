@@ -36,12 +36,7 @@ class UnitFleet(Plant[FleetParams]):
     outputs and of costs.
     """
 
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import Fleet
-
-        return Fleet
+    DRAWN_BY = "softrig_power.dispatch.drawing:Fleet"
 
     @classmethod
     def agreed(cls, params: FleetParams) -> Mapping[str, Any]:

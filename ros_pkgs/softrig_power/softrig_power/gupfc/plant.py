@@ -78,15 +78,9 @@ class GupfcPlant(Plant[GupfcPlantParams]):
     VSC-based GUPFC for Parallel Transmission Lines, 2020.
     """
 
+    DRAWN_BY = "softrig_power.gupfc.drawing:Gupfc"
     STALE_PERIODS: ClassVar[int] = 3
     AWAITS_COMMAND: ClassVar[bool] = True
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import Gupfc
-
-        return Gupfc
 
     @classmethod
     def agreed(cls, params: GupfcPlantParams) -> Mapping[str, Any]:
