@@ -172,21 +172,6 @@ def arrive(inside: Inside, now: float, flow: int, marked: int, C: float, room: i
 
 
 @jit
-def serve(inside: Inside, now: float, C: float) -> None:
-    """Let the packet that was in service go; its source hears of it one propagation time later."""
-    sources, agenda, fifo, counts = inside
-    head = counts[HEAD]
-    flow = fifo.flow[head]
-    counts[HEAD] = (head + 1) % fifo.flow.size
-    counts[WAITING] -= 1
-    counts[SERVED] += 1
-    if counts[WAITING] > 0:
-        schedule(agenda, counts, now + 1.0 / C, SERVICE, NOBODY, 0, 0.0)
-    if flow != NOBODY:
-        schedule(agenda, counts, now + sources.propagation[flow], ACK, flow, fifo.marked[head], fifo.sent[head])
-
-
-@jit
 def run_until(end: float, rules: Rules, rng: np.random.Generator, inside: Inside) -> None:
     """Let everything up to `end` (s) happen.
 
@@ -206,7 +191,7 @@ def run_until(end: float, rules: Rules, rng: np.random.Generator, inside: Inside
     inside : Inside
         Is changed.
     """
-    sources, agenda, _, counts = inside
+    sources, agenda, fifo, counts = inside
     rate, C = rules.rate, rules.C
     if rate > 0.0 and counts[CROSSING] == 0:
         counts[CROSSING] = 1
@@ -216,7 +201,16 @@ def run_until(end: float, rules: Rules, rng: np.random.Generator, inside: Inside
         marked, sent = agenda.marked[0], agenda.sent[0]
         remove_first(agenda, counts)
         if kind == SERVICE:
-            serve(inside, now, C)
+            head = counts[HEAD]
+            flow = fifo.flow[head]
+            counts[HEAD] = (head + 1) % fifo.flow.size
+            counts[WAITING] -= 1
+            counts[SERVED] += 1
+            if counts[WAITING] > 0:
+                schedule(agenda, counts, now + 1.0 / C, SERVICE, NOBODY, 0, 0.0)
+            if flow != NOBODY:
+                arrives = now + sources.propagation[flow]
+                schedule(agenda, counts, arrives, ACK, flow, fifo.marked[head], fifo.sent[head])
             continue
         if kind == CROSS:
             if rate > 0.0:
