@@ -189,8 +189,9 @@ def test_without_numba_the_same_bits():
         "plant = simulate('lsrm_fuzzy', duration=0.02).blocks['lsrm_plant']\n"
         "print([float(x).hex() for x in plant.x[:6]])\n"
     )
-    plain = subprocess.run([sys.executable, "-c", code], env=os.environ | {"SOFTRIG_JIT": "0"}, check=True,
-                           capture_output=True, text=True).stdout  # fmt: skip
+    plain = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | {"SOFTRIG_JIT": "0"}, check=True, capture_output=True, text=True
+    ).stdout
     assert os.environ.get("SOFTRIG_JIT", "1") == "1"
     compiled = simulate("lsrm_fuzzy", duration=0.02).blocks["lsrm_plant"]
     assert f"{[float(x).hex() for x in compiled.x[:6]]}\n" == plain
@@ -332,8 +333,9 @@ def simpful_surface(peaks, conjunction):
         system.set_crisp_output_value(f"out{n + 3}", n / 3)
     rules = [
         f"IF (e IS {names[i]}) AND (de IS {names[j]}) THEN (u IS out{min(max(i + j - 6, -3), 3) + 3})"
-        for i in range(7) for j in range(7)
-    ]  # fmt: skip
+        for i in range(7)
+        for j in range(7)
+    ]
     system.add_rules(rules)
 
     def evaluate(x, y):

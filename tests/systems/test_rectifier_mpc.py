@@ -89,8 +89,8 @@ def test_spectral_radius_of_the_closed_loop(period, weight, radius):
 
 @pytest.mark.parametrize(
     ("period", "weight", "tolerance"),
-    [(2e-4, 35.90, 0.05), (1.5e-4, 10.70, 0.0107), (3e-4, 219.4, 0.22), (4e-4, 1041, 1.1)]
-)  # fmt: skip
+    [(2e-4, 35.90, 0.05), (1.5e-4, 10.70, 0.0107), (3e-4, 219.4, 0.22), (4e-4, 1041, 1.1)],
+)
 def test_critical_weight_puts_a_pole_on_the_unit_circle(period, weight, tolerance):
     model = seed19(period)
     found = brentq(lambda w: _radius(Gpc(model, Tuning(weight=w))) - 1.0, 0.5 * weight, 2.0 * weight)
@@ -226,8 +226,10 @@ def test_corrected_models_are_those_of_the_operating_point():
 
 
 def test_certificate():
-    rows = {1e-3: ((-0.76362, 0.46805), (1.26553, -0.58845, 0.43951), 0.60815),
-            T: ((-0.64812, 0.42658), (0.97640, -0.53451, 0.39160), 0.66098)}  # fmt: skip
+    rows = {
+        1e-3: ((-0.76362, 0.46805), (1.26553, -0.58845, 0.43951), 0.60815),
+        T: ((-0.64812, 0.42658), (0.97640, -0.53451, 0.39160), 0.66098),
+    }
     for period, (gain, terminal, modulus) in rows.items():
         found = certify(seed19(period))
         assert found.gain[0] == pytest.approx(gain, abs=1e-5)
@@ -239,8 +241,8 @@ def test_certificate():
 
 @pytest.mark.parametrize(
     ("gain", "moduli"),
-    [((1.833, 1.077), (3.73, 0.066)), ((-1.833, -1.077), (1.381, 1.381)), ((-1.833, 1.077), (0.498, 0.495))]
-)  # fmt: skip
+    [((1.833, 1.077), (3.73, 0.066)), ((-1.833, -1.077), (1.381, 1.381)), ((-1.833, 1.077), (0.498, 0.495))],
+)
 def test_the_papers_equation_33_is_no_certificate(gain, moduli):
     c = np.array([[0.2383, 0.218]])
     found = assess([[1.83, -0.83], [1, 0]], [[1], [0]], [gain], [[5.34, 1.83], [1.83, 1]], c.T @ c, 1.0)
@@ -598,8 +600,10 @@ def test_half_the_step_of_the_diodes_changes_nothing(monkeypatch):
     from softrig_power.rectifier import diodes
 
     x = [np.array([0.0, 0.0, 0.0, 290.0]) for _ in range(2)]
-    both = (Circuit(CONSTANTS.omega, CONSTANTS.L, CONSTANTS.R, CONSTANTS.C, CONSTANTS.phi),
-            Period(0.0, 0.02, 180.0, 0.0, 16.0, 1.0, 0.0, False, 0.0, 0.0))  # fmt: skip
+    both = (
+        Circuit(CONSTANTS.omega, CONSTANTS.L, CONSTANTS.R, CONSTANTS.C, CONSTANTS.phi),
+        Period(0.0, 0.02, 180.0, 0.0, 16.0, 1.0, 0.0, False, 0.0, 0.0),
+    )
     for state, steps in zip(x, (20_000, 40_000), strict=True):
         for k in range(steps):
             diodes.conduct((k + 0.5) * 0.02 / steps, 0.02 / steps, state, both)

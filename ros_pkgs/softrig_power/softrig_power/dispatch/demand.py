@@ -12,8 +12,9 @@ class DemandParams(BlockParams):
     """Demands and when they begin."""
 
     period: float = param(1.0, "sampling period", "s", gt=0.0, le=86400.0)
-    demands: tuple[float, ...] = param((1800.0,), "total outputs asked for, one after the other", "MW", min_length=1,
-                                       each=(0.0, 1e6), live=True)  # fmt: skip
+    demands: tuple[float, ...] = param(
+        (1800.0,), "total outputs asked for, one after the other", "MW", min_length=1, each=(0.0, 1e6), live=True
+    )
     times: tuple[float, ...] = param((), "when each but the first begins", "s", each=(0.0, 1e9), live=True)
 
     @model_validator(mode="after")

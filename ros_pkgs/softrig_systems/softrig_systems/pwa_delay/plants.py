@@ -24,7 +24,7 @@ from .motion import (
     run_pwa,
     run_tank,
     tank_cell,
-)  # fmt: skip
+)
 from .params import DelayParams, SystemParams, law_of_the_tank
 from .ports import INFLOW, LEVEL, PENDULUM, TORQUE, mode, state
 from .profiles import Delay, Profile, delay_at
