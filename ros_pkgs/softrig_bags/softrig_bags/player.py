@@ -44,7 +44,10 @@ WATCH_PERIOD = 0.25  # s
 class Sender:
     """The publishers of the topics that are played, and who listens.
 
-    `remap`: recorded name to name to publish.
+    Parameters
+    ----------
+    remap : mapping of str to str
+        Recorded name to name to publish.
     """
 
     def __init__(self, session: Session, bag: BagReader, topics: Sequence[BagTopic], remap: Mapping[str, str]) -> None:
@@ -118,7 +121,10 @@ class Span:
 def span(bag: BagReader, offset: float, duration: float | None) -> Span:
     """Give the span that begins `offset` s after the first message and lasts `duration` s.
 
-    Raises BagError: the bag is empty, or the offset lies behind its end.
+    Raises
+    ------
+    BagError
+        The bag is empty, or the offset lies behind its end.
     """
     if not bag.count:
         raise BagError(f"{bag.path} is empty")
@@ -131,10 +137,16 @@ def span(bag: BagReader, offset: float, duration: float | None) -> Span:
 class Player:
     """Plays against the wall clock, at any rate; messages of equal times in their recorded order.
 
-    `rate`: bag seconds a wall-clock second.
-    `loop`: begin again at the end.
-    `clock`: publish bag time on /clock before the messages of each bag time, and in between.
-    `paused`: wait for ``~/resume`` or ``~/step``.
+    Parameters
+    ----------
+    rate : float
+        Bag seconds a wall-clock second.
+    loop : bool
+        Begin again at the end.
+    clock : bool
+        Publish bag time on /clock before the messages of each bag time, and in between.
+    paused : bool
+        Wait for ``~/resume`` or ``~/step``.
     """
 
     def __init__(
@@ -157,7 +169,10 @@ class Player:
     def run(self, wait: bool = False) -> None:
         """Play until the end or until stopped.
 
-        `wait`: do not start before every topic has a subscriber.
+        Parameters
+        ----------
+        wait : bool
+            Do not start before every topic has a subscriber.
         """
         while wait and not self._session.stopped and self._sender.unheard(list(self._sender.names.values())):
             self._session.spin(0.02)
@@ -213,8 +228,12 @@ class Player:
 class Answers:
     """What the node under test has published on one topic, and what is expected of it.
 
-    `name`: recorded topic name.
-    `recorded`: whether the bag says which ticks are answered; otherwise every tick is.
+    Parameters
+    ----------
+    name : str
+        Recorded topic name.
+    recorded : bool
+        Whether the bag says which ticks are answered; otherwise every tick is.
     """
 
     name: str
@@ -262,10 +281,16 @@ class LockstepPlayer:
     node that says its ticks on ``<node>/tick`` (one that may be silent on all topics) is waited for at each of them.
     What the bag has on ``/parameter_events`` of a node with the name of the one under test is set before its tick.
 
-    `sender`: of the topics that are played: none of the answers.
-    `answers`: recorded names of the topics that the node under test publishes.
-    `remap`: recorded name to the name on which the node publishes.
-    `timeout`: wall-clock seconds without progress that end the replay.
+    Parameters
+    ----------
+    sender : Sender
+        Of the topics that are played: none of the answers.
+    answers : sequence of str
+        Recorded names of the topics that the node under test publishes.
+    remap : mapping of str to str
+        Recorded name to the name on which the node publishes.
+    timeout : float
+        Wall-clock seconds without progress that end the replay.
     """
 
     def __init__(
@@ -292,7 +317,10 @@ class LockstepPlayer:
     def run(self) -> Recording:
         """Wait for the node, play all ticks, give its answers; their times are the ticks.
 
-        Raises RunError: the node did not come, did not answer in time, or answered another tick; or a signal came.
+        Raises
+        ------
+        RunError
+            The node did not come, did not answer in time, or answered another tick; or a signal came.
         """
         session = self._session
         session.node.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -77,7 +77,10 @@ def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool) -> dic
 def _standing_alone(text: str, file: Path) -> Scenario:
     """Load a scenario file before it is in its place: nobody finds one there that cannot run.
 
-    Raises ScenarioError: it cannot run by itself.
+    Raises
+    ------
+    ScenarioError
+        It cannot run by itself.
     """
     with TemporaryDirectory() as folder:
         place = Path(folder) / file.name
@@ -108,7 +111,10 @@ def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool) 
 def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) -> str:
     """Write a case as a scenario file: what it changes in the scenario that it extends, or all of it.
 
-    `kind`: ``worst`` or ``small``.
+    Parameters
+    ----------
+    kind : str
+        ``worst`` or ``small``.
     """
     scenario, overrides = case
     changed = scenario.changed(overrides=overrides)

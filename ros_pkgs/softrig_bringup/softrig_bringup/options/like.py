@@ -8,9 +8,8 @@ import json
 import shlex
 import struct
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from softrig_bags.errors import BagError
@@ -70,7 +69,7 @@ class Recalled:
     epoch: int
     late: Mapping[str, Mapping[str, int]]
     made_with: Mapping[str, Mapping[str, Any]]
-    digests: Mapping[str, Digest] = MappingProxyType({})
+    digests: Mapping[str, Digest] = field(default_factory=dict)
 
 
 def _reached(recording: Recording, epoch: int) -> int:
@@ -87,10 +86,18 @@ def lateness(status: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int
 def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
     """Find out what a run was, from its bag alone or from what `softrig pack` has made of it.
 
-    `path`: directory of the run, its bag, a single .mcap file of it, or a pack.
-    `parse`: gives the options of what follows ``softrig run``.
-    Raises ScenarioError: no such run, it has no bag, which alone knows what was changed while it ran, or a package that
-    it needs is not installed here.
+    Parameters
+    ----------
+    path : Path
+        Directory of the run, its bag, a single .mcap file of it, or a pack.
+    parse : callable
+        Gives the options of what follows ``softrig run``.
+
+    Raises
+    ------
+    ScenarioError
+        No such run, it has no bag, which alone knows what was changed while it ran, or a package that it needs is not
+        installed here.
     """
     if is_pack(path):
         return _unpacked(path, parse)
@@ -143,7 +150,10 @@ def _content(metrics: Path) -> Mapping[str, Any]:
 def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     """Give the scenario of a run with what was changed while it ran, and a node that says what came from outside.
 
-    Raises ScenarioError: somebody else's plant: it alone knows what it does.
+    Raises
+    ------
+    ScenarioError
+        Somebody else's plant: it alone knows what it does.
     """
     if run.digests:
         return scenario  # its file has them
@@ -192,8 +202,15 @@ def compared(before: Recalled, run: Run, made_with: Mapping[str, Any]) -> tuple[
 
     The end counts as far as both have come: in real time the last tick may be over before all have answered it.
 
-    `made_with`: what has made the repetition, as ``metrics.json`` has it.
-    Gives `told`: the last line says whether it repeats, and if not, which version differs first.
+    Parameters
+    ----------
+    made_with : mapping
+        What has made the repetition, as ``metrics.json`` has it.
+
+    Returns
+    -------
+    told : list of str
+        The last line says whether it repeats, and if not, which version differs first.
     """
     lines, messages, topics = _differences(before, run)
     same = not lines and messages > 0

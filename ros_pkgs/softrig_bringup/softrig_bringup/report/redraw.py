@@ -27,8 +27,15 @@ MM = 25.4  # in an inch
 def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
     """Give the rig of a run and its signals.
 
-    `directory`: of a run, or a bag that a run has written.
-    Raises ScenarioError: neither, or no bag in it, or its scenario is unknown here.
+    Parameters
+    ----------
+    directory : Path
+        Of a run, or a bag that a run has written.
+
+    Raises
+    ------
+    ScenarioError
+        Neither, or no bag in it, or its scenario is unknown here.
     """
     bag = directory / "bag" if (directory / "metrics.json").is_file() else directory
     if not bag.is_dir():

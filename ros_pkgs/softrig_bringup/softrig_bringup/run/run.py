@@ -58,8 +58,12 @@ from ..report.report import write_report
 def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener = NOBODY) -> Run:
     """Run a rig; one that broke or was stopped says so in `error` or `stopped` and has what was recorded.
 
-    `rig`: as `checked` gives it.
-    `directory`: for the logs of node processes.
+    Parameters
+    ----------
+    rig : Rig
+        As `checked` gives it.
+    directory : Path
+        For the logs of node processes.
     """
     started, seed = time.perf_counter(), rig.scenario.seed
     run = Run(rig, seed, Recording((t, p.msgtype) for t, p in rig.topics.items()), mode=str(placement))
@@ -242,9 +246,14 @@ def save(
 ) -> None:
     """Write metrics.json and bag/ into a folder, and the list of what was written.
 
-    `content`: from `summary`.
-    `record`: whether the bag is written.
-    `health`: whether what the nodes say beside their signals is in it.
+    Parameters
+    ----------
+    content : mapping
+        From `summary`.
+    record : bool
+        Whether the bag is written.
+    health : bool
+        Whether what the nodes say beside their signals is in it.
     """
     with _writing(folder) as directory, unstopped():
         # first: if the disk is full, this is what tells why
@@ -259,7 +268,10 @@ def save(
 def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
     """Add the plots and report.html to what `save` has written.
 
-    `also`: see `softrig_bringup.plots.pictures.plot_run`.
+    Parameters
+    ----------
+    also : str
+        See `softrig_bringup.plots.pictures.plot_run`.
     """
     with _writing(folder) as directory:
         if any(topic.times for topic in run.recording.topics.values()):

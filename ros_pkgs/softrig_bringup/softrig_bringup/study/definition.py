@@ -84,10 +84,16 @@ class Search(_Model):
 class Summary(_Model):
     """A number over many runs.
 
-    `statistic`: ``share`` counts the runs that meet `of`; a figure that could not be measured does not meet it.
-    `q`: of ``quantile``.
-    `of` (Expectation): of ``share``: ``at least 99``.
-    `where`: only the runs whose case (key ``case``) or parameters have these values.
+    Parameters
+    ----------
+    statistic : str
+        ``share`` counts the runs that meet `of`; a figure that could not be measured does not meet it.
+    q : float
+        Of ``quantile``.
+    of : Expectation
+        Of ``share``: ``at least 99``.
+    where : dict
+        Only the runs whose case (key ``case``) or parameters have these values.
     """
 
     figure: str
@@ -179,7 +185,10 @@ def list_studies() -> dict[str, Path]:
 def load_study(name: str) -> Study:
     """Read a study by name or file.
 
-    Raises ScenarioError: unknown, not YAML, an unknown key or a bad value; names file and key.
+    Raises
+    ------
+    ScenarioError
+        Unknown, not YAML, an unknown key or a bad value; names file and key.
     """
     path = Path(name)
     if not (path.suffix in (".yaml", ".yml") and isfile(path)):

@@ -26,11 +26,23 @@ from .work import Work, value_of
 def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> Log:
     """Run what is not yet done of a study.
 
-    `out`: gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
-    `workers`, `scheduler`: see `softrig_optim.sweep.Workers`.
-    Returns: the rows, closed.
-    Raises ScenarioError: bad input, or the directory holds another study, files of somebody else under our names, or
-    another call is at work there.
+    Parameters
+    ----------
+    out : Path
+        Gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
+    workers, scheduler
+        See `softrig_optim.sweep.Workers`.
+
+    Returns
+    -------
+    Log
+        The rows, closed.
+
+    Raises
+    ------
+    ScenarioError
+        Bad input, or the directory holds another study, files of somebody else under our names, or another call is at
+        work there.
     """
     folder = ResultsFolder(out, STUDY)
     free = {"title", "source", "summaries", "expect", "claims", "name"}  # what the rows do not depend on

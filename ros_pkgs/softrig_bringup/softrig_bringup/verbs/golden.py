@@ -151,7 +151,10 @@ class Golden:
     ) -> Comparison:
         """Compare a new recording with the golden one: byte for byte, or elsewhere within the recipe's tolerances.
 
-        `elsewhere`: whether to allow what another build may change; found out when absent.
+        Parameters
+        ----------
+        elsewhere : bool, optional
+            Whether to allow what another build may change; found out when absent.
         """
         old, found = Signals(self.recording()), Signals(new)
         if not (bool(self.others) if elsewhere is None else elsewhere):
@@ -172,8 +175,12 @@ class Golden:
 
         The old one is there until the new one is written.
 
-        Raises ScenarioError: what is there was not made as a golden bag.
-        Raises RunError: the new bag could not be written.
+        Raises
+        ------
+        ScenarioError
+            What is there was not made as a golden bag.
+        RunError
+            The new bag could not be written.
         """
         _ours(self.bag)
         new = self.rerun()
@@ -197,7 +204,10 @@ def _era(python: str) -> int:
 def line(others: Iterable[str]) -> str:
     """Say which line of the table of doc/bits.md a machine is.
 
-    `others`: what is not as it was when golden bags were made: `Golden.others` of all of them.
+    Parameters
+    ----------
+    others : iterable of str
+        What is not as it was when golden bags were made: `Golden.others` of all of them.
     """
     differ = set(others)
     if "machine" in differ:
@@ -212,7 +222,10 @@ def line(others: Iterable[str]) -> str:
 def _ours(bag: Path) -> None:
     """Make sure that a folder holds a bag and nothing else, if it is there.
 
-    Raises ScenarioError: names what is not of a bag.
+    Raises
+    ------
+    ScenarioError
+        Names what is not of a bag.
     """
     other = [p for p in bag.glob("*") if not re.fullmatch(r"metadata\.yaml|bag_\d+\.mcap", p.name) or p.is_symlink()]
     if bag.is_symlink() or other or (bag.exists() and not bag.is_dir()):
@@ -231,8 +244,15 @@ def _allowed(rig: Rig, name: str, value: float) -> bool:
 def load(folder: Path, **changes: Any) -> Golden:
     """Read a golden folder.
 
-    `changes`: keys of the recipe that are to differ from golden.yaml.
-    Raises ScenarioError: golden.yaml is missing or wrong; names file and key.
+    Parameters
+    ----------
+    **changes
+        Keys of the recipe that are to differ from golden.yaml.
+
+    Raises
+    ------
+    ScenarioError
+        golden.yaml is missing or wrong; names file and key.
     """
     recipe = _read(folder, changes)
     return Golden(folder, recipe, _rig(recipe))

@@ -49,8 +49,10 @@ class Measured(NamedTuple):
 def measure(work: tuple[str, Path | None]) -> Measured:
     """Run a scenario in this process and measure its figures, or give what was kept of such a run.
 
-    `work` ((str, Path or None)): its name, and the folder in which runs are kept by name: the run with pictures and
-    report, and its figures.
+    Parameters
+    ----------
+    work : (str, Path or None)
+        Its name, and the folder in which runs are kept by name: the run with pictures and report, and its figures.
     """
     name, folder = work
     try:
@@ -102,8 +104,15 @@ def _kept(place: Path, key: str) -> Measured | None:
 def claiming(systems: Sequence[str] = ()) -> list[Scenario]:
     """Give the scenarios with claims, all or those of some systems.
 
-    `systems`: names of systems as scenarios give them, or beginnings of scenario names.
-    Raises ScenarioError: nothing is called so.
+    Parameters
+    ----------
+    systems : sequence of str
+        Names of systems as scenarios give them, or beginnings of scenario names.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing is called so.
     """
     scenarios = [load_scenario(name) for name in list_scenarios()]
     for system in systems:
@@ -122,10 +131,19 @@ def gather(
 ) -> tuple[list[Finding], dict[str, Measured]]:
     """Run what the claims of some scenarios need, on all cores, and hold each claim against it.
 
-    `workers`: all cores when absent.
-    `keep`: see `measure`.
-    Gives `findings`: in the order of the scenarios and of the claims in them.
-    Gives `measured`: by scenario, what was run.
+    Parameters
+    ----------
+    workers : int, optional
+        All cores when absent.
+    keep : Path, optional
+        See `measure`.
+
+    Returns
+    -------
+    findings : list of Finding
+        In the order of the scenarios and of the claims in them.
+    measured : dict of str to Measured
+        By scenario, what was run.
     """
     scenarios = list(scenarios)
     names = sorted(set().union(*(needed(s) for s in scenarios)))
@@ -147,7 +165,10 @@ def study_findings(
 ) -> tuple[list[Scenario], list[Finding]]:
     """Run the studies with claims, or go on with them, and hold their claims.
 
-    Gives `scenarios`: each study's scenario under the name of the study.
+    Returns
+    -------
+    scenarios : list of Scenario
+        Each study's scenario under the name of the study.
     """
     scenarios, rows = [], []
     for study in map(load_study, list_studies()):

@@ -143,9 +143,17 @@ class _Kept(NamedTuple):
 def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> int:
     """Write what a run has brought, print its figures, judge it.
 
-    `options`: of the verb `run`.
-    `folder`: none: nothing is written.
-    Returns: exit status.
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Of the verb `run`.
+    folder : ResultsFolder or None
+        None: nothing is written.
+
+    Returns
+    -------
+    int
+        Exit status.
     """
     kept = _keep(options, done, folder)
     if slow := _too_slow(options, done):

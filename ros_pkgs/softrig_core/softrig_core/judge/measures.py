@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Literal, TypeVar
 
@@ -382,8 +383,14 @@ def newest(times: Array, at: Array) -> NDArray[np.intp]:
     return np.cumsum(come) - 1
 
 
-def newest_step(signals: SignalMap, reference: str) -> tuple[float, float]:
-    """Give when (s) a signal was last another than before, and to what value; its first sample is a step, too.
+def newest_step(signals: SignalMap, references: str) -> tuple[float, float]:
+    """Give when (s) any of some signals was last another than before, and to what value; a first sample is a step, too.
+
+    Parameters
+    ----------
+    signals : mapping
+    references : str
+        Their names; several with a comma and a blank between.
 
     Raises
     ------
@@ -392,9 +399,12 @@ def newest_step(signals: SignalMap, reference: str) -> tuple[float, float]:
     ValueError
         No samples.
     """
-    t, x = window(signals, reference, None, None)
-    k = int(np.flatnonzero(np.diff(x, prepend=np.nan))[-1])
-    return float(t[k]), float(x[k])
+    steps = []
+    for name in references.split(", "):
+        t, x = window(signals, name, None, None)
+        k = int(np.flatnonzero(np.diff(x, prepend=np.nan))[-1])
+        steps.append((float(t[k]), float(x[k])))
+    return max(steps, key=itemgetter(0))
 
 
 def step_levels(

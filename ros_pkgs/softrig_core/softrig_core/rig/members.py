@@ -105,7 +105,10 @@ class Members:
     def parameter(self, node: str, name: str) -> Any:
         """Give what ``$node.parameter`` stands for.
 
-        Raises ScenarioError: no such node or parameter.
+        Raises
+        ------
+        ScenarioError
+            No such node or parameter.
         """
         member = next((m for m in self.members if m.name == node), None)
         if member is None:

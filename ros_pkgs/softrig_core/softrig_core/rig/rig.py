@@ -18,7 +18,7 @@ from ..judge.units import misfit
 from ..scenario.changes import script
 from ..scenario.node_parameters import NodeParameters
 from ..scenario.places import explain
-from ..scenario.scenario import PlotEntry, Scenario
+from ..scenario.scenario import FigureEntry, PlotEntry, Scenario
 from ..wire.signals import full_name
 from .agreement import require_agreement
 from .installed import load_block
@@ -139,9 +139,17 @@ def members_of(
 ) -> list[Member]:
     """Make members of a scenario, not yet linked.
 
-    `classes` (mapping of node name to type of Block): of those that no executable gives.
-    `names`: only these.
-    Raises ScenarioError: names the node whose executable, parameters or topics are wrong.
+    Parameters
+    ----------
+    classes : mapping of node name to type of Block
+        Of those that no executable gives.
+    names : iterable of str, optional
+        Only these.
+
+    Raises
+    ------
+    ScenarioError
+        Names the node whose executable, parameters or topics are wrong.
     """
     entries = scenario.nodes.items()
     known = {n: classes[n] if n in classes else load_block(e.package, e.executable) for n, e in entries}
@@ -220,10 +228,11 @@ def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
             return " - ".join(full_name(part, known) for part in value.split(" - "))
         return value
 
-    figures = {
-        name: f.model_copy(update={"arguments": {k: whole(v) for k, v in f.arguments.items()}, "since": whole(f.since)})
-        for name, f in scenario.figures.items()
-    }
+    def entry(f: FigureEntry) -> FigureEntry:
+        since = ", ".join(map(whole, f.since.split(", ")))
+        return f.model_copy(update={"arguments": {k: whole(v) for k, v in f.arguments.items()}, "since": since})
+
+    figures = {name: entry(f) for name, f in scenario.figures.items()}
     plots = tuple(p.model_copy(update={"signals": {whole(n): t for n, t in p.signals.items()}}) for p in scenario.plots)
     return scenario.model_copy(update={"figures": figures, "plots": plots})
 

@@ -20,9 +20,12 @@ from .references import fill_parameters, pick
 class ChangeEntry(BaseModel):
     """New values of parameters from a time on.
 
-    `at`: in s. Each node takes its own at its first tick that is not earlier.
-    `set`: ``node.parameter`` to value; of a fault, ``fault.active``. ``$node.parameter`` is what a parameter is at
-    first.
+    Parameters
+    ----------
+    at : float
+        In s. Each node takes its own at its first tick that is not earlier.
+    set : dict
+        ``node.parameter`` to value; of a fault, ``fault.active``. ``$node.parameter`` is what a parameter is at first.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -46,10 +49,17 @@ class Changing(Protocol):
 def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changing]) -> None:
     """Give each member its changes, in the order of their times, each checked against those before it.
 
-    `where`: name of the scenario, for errors.
-    `members`: the nodes of the rig.
-    Raises ScenarioError: no such node, a node of somebody else, or values that `softrig_core.block.change.permit`
-    refuses.
+    Parameters
+    ----------
+    where : str
+        Name of the scenario, for errors.
+    members : iterable
+        The nodes of the rig.
+
+    Raises
+    ------
+    ScenarioError
+        No such node, a node of somebody else, or values that `softrig_core.block.change.permit` refuses.
     """
     known = {m.name: m for m in members}
 

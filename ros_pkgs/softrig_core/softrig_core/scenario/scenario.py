@@ -43,11 +43,18 @@ class NodeEntry(_Model):
 class FigureEntry(_Model):
     """What is measured of a run.
 
-    `function`: name of a registered figure function; the figure's own name when absent.
-    `arguments`: its arguments; ``$node.parameter`` stands for a parameter of the rig.
-    `unit`: unit of the figure; that of the function and its signal when absent.
-    `since`: a signal from whose newest step on it is measured: `start` and `end` count from there, `final` is the
-    signal's value after it, `initial` what is measured then, unless `final` is given. Empty: the whole run.
+    Parameters
+    ----------
+    function : str
+        Name of a registered figure function; the figure's own name when absent.
+    arguments : dict
+        Its arguments; ``$node.parameter`` stands for a parameter of the rig.
+    unit : str
+        Unit of the figure; that of the function and its signal when absent.
+    since : str
+        A signal from whose newest step on it is measured: `start` and `end` count from there, `final` is the signal's
+        value after it, `initial` what is measured then, unless `final` is given. With several, a comma and a blank
+        between: from the newest step of any of them on, and `final` must be given. Empty: the whole run.
     """
 
     function: str = ""
