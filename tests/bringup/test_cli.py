@@ -591,20 +591,18 @@ def test_no_home_and_no_place_for_temporary_files(folder, tmp_path):
 
 
 def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monkeypatch, capsys, undrawn):
-    from softrig_bags import write
-
-    whole = write.write_bag
+    from softrig_bags.write import write_bag
 
     def struck(*arguments, **options):
         os.kill(os.getpid(), signal.SIGTERM)
-        return whole(*arguments, **options)
+        return write_bag(*arguments, **options)
 
-    monkeypatch.setattr(write, "write_bag", struck)
+    monkeypatch.setattr("softrig_bringup.run.run.write_bag", struck)
     before = signal.getsignal(signal.SIGTERM)
     assert run("lag", "--mode", "inprocess", "--out", "a") == 143
     assert signal.getsignal(signal.SIGTERM) is before
     assert capsys.readouterr().err == "softrig: stopped\n"
-    monkeypatch.setattr(write, "write_bag", whole)
+    monkeypatch.setattr("softrig_bringup.run.run.write_bag", write_bag)
     assert run("lag", "--mode", "inprocess", "--out", "b", "--no-plots") == 0
     assert main(["bag", "compare", "a/bag", "b/bag", "--bitwise"]) == 0
     assert run("lag", "--mode", "inprocess", "--out", "a", "--no-plots") == 0  # its list of files was closed too
