@@ -128,8 +128,9 @@ DRIVE = {"what": "induction_dtc", "duration": 0.02, "reward": lambda now: now["c
 @pytest.mark.parametrize(("keys", "size", "least"), [
     (MOTOR | {"observe": ["speed", "motor/sensors/current_a"], "act": ["voltage"], "penalty": -100.0,
               "reward": lambda now: -abs(now["speed"] - now["set_point"])}, 14.0, 120),  # beyond 12 V it reports
-    pytest.param(MOTOR | {"replace": "motor_reference", "observe": ["speed"], "overrides": {"motor_reference.period": 0.002},
-              "reward": lambda now: now["voltage"]}, 2.0, 180, marks=pytest.mark.long),  # several ticks a step
+    pytest.param(MOTOR | {"replace": "motor_reference", "observe": ["speed"],
+                          "overrides": {"motor_reference.period": 0.002},
+                          "reward": lambda now: now["voltage"]}, 2.0, 180, marks=pytest.mark.long),  # several ticks a step
     (MOTOR | {"reward": lambda now: 0.0, "terminate": ["settles"]}, 1.0, 0),  # who watches that is not native
     pytest.param(DRIVE | {"replace": "dtc_controller", "act": LEGS}, 2.0, 2_400, marks=pytest.mark.long),
     pytest.param(DRIVE | {"replace": "speed_controller"}, 20.0, 180, marks=pytest.mark.long),
