@@ -128,9 +128,9 @@ DRIVE = {"what": "induction_dtc", "duration": 0.02, "reward": lambda now: now["c
 @pytest.mark.parametrize(("keys", "size", "least"), [
     (MOTOR | {"observe": ["speed", "motor/sensors/current_a"], "act": ["voltage"], "penalty": -100.0,
               "reward": lambda now: -abs(now["speed"] - now["set_point"])}, 14.0, 120),  # beyond 12 V it reports
-    pytest.param(MOTOR | {"replace": "motor_reference", "observe": ["speed"],
-                          "overrides": {"motor_reference.period": 0.002},
-                          "reward": lambda now: now["voltage"]}, 2.0, 180, marks=pytest.mark.long),  # several ticks a step
+    pytest.param(MOTOR | {"replace": "motor_reference", "observe": ["speed"], "reward": lambda now: now["voltage"],
+                          "overrides": {"motor_reference.period": 0.002}},  # several ticks a step
+                 2.0, 180, marks=pytest.mark.long),
     (MOTOR | {"reward": lambda now: 0.0, "terminate": ["settles"]}, 1.0, 0),  # who watches that is not native
     pytest.param(DRIVE | {"replace": "dtc_controller", "act": LEGS}, 2.0, 2_400, marks=pytest.mark.long),
     pytest.param(DRIVE | {"replace": "speed_controller"}, 20.0, 180, marks=pytest.mark.long),
@@ -375,3 +375,5 @@ def test_the_page_trains_a_policy_and_says_what_it_does(tmp_path, monkeypatch, c
     exec(blocks[3], known)
     act = known["damped"]([0.5, 2.0], 1, 1)
     assert [act([1.0]), act([1.0])] == [[2.0], [3.0]]
+    exec(blocks[4].replace("256", "2"), known)
+    assert known["observations"].shape == (2, *known["envs"].single_observation_space.shape)
