@@ -17,14 +17,13 @@ if TYPE_CHECKING:
 Row = tuple[float, ...] | Sample  # what an output says at a tick
 
 
-def check(found: Any, port: Port, node: str, t: int) -> Row | None:
+def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
     """Make sure that a block's answer may leave it: right length, plain floats, all finite and within `Port.limits`.
 
     Parameters
     ----------
     found : mapping
         What the block gave, port name to values; anything else is refused.
-    port : Port
     node : str
         For the error.
     t : int

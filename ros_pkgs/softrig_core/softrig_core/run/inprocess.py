@@ -31,7 +31,6 @@ def run_inprocess(
 
     Parameters
     ----------
-    rig : Rig
     seed : int
         Rig seed.
     sink : Sink, optional
@@ -120,7 +119,6 @@ def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
 
     Parameters
     ----------
-    rig : Rig
     blocks : dict of str to Block
         Of the members that live here, by name.
     """
@@ -129,7 +127,7 @@ def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
     for member in members:
         for name, link in member.links.items():
             if link.source.name in steps:
-                steps[link.source.name].feeds(link.port.name, steps[member.name], name, link.pick)
+                steps[link.source.name].hands_to(link.port.name, steps[member.name], name, link.pick)
     return steps
 
 
@@ -145,7 +143,7 @@ def record(rig: Rig, steps: Mapping[str, Step], sink: Sink, said: Mapping[str, i
         ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
         if not ports:
             continue
-        step.send = recorder(sink, step, ports, [numbers[p.topic] for p in ports], said)
+        step.send = keeper(sink, step, ports, [numbers[p.topic] for p in ports], said)
         if step.plain:
             step.send_all = sink.rows({numbers[p.topic]: p.layout() for p in ports})
         step.changed = noter(sink, step.name)
@@ -156,14 +154,13 @@ def noter(sink: Sink, name: str) -> Callable[[int, Mapping[str, Any]], object]:
     return lambda t, values: sink.note(t, parameter_event.encode(t, f"/{name}", values))
 
 
-def recorder(sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[int],
-             said: Mapping[str, int] | None = None) -> Callable[[int, Rows], object]:  # fmt: skip
+def keeper(
+    sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[int], said: Mapping[str, int] | None = None
+) -> Callable[[int, Rows], object]:
     """Give what records the answers of a step.
 
     Parameters
     ----------
-    sink : Sink
-    step : Step
     ports : sequence of Port
         Its outputs; with /clock after them when it is the clock.
     numbers : sequence of int

@@ -166,8 +166,11 @@ class Watch(Observer[W]):
 
 
 def left_behind(since: str, signals: Seen, forgot: Container[str]) -> bool:
-    """Whether the newest step of a signal was before what is kept of it: its first sample is none then."""
-    return signals.topic(since) in forgot and newest_step(signals, since)[0] == signals[since].t[0]
+    """Whether the newest steps of signals were before what is kept of them: a first sample is none then."""
+    return all(
+        signals.topic(name) in forgot and newest_step(signals, name)[0] == signals[name].t[0]
+        for name in since.split(", ")
+    )
 
 
 class Seen(Mapping[str, Signal]):
