@@ -23,6 +23,7 @@ from softrig_bringup.plots.pictures import plot_run
 from softrig_bringup.run.run import checkout, gaps, summary
 from softrig_bringup.verbs.run_verb import _announce
 from softrig_core import Recording, Rig, Run, figure, load_scenario, rig_of, run_inprocess, simulate
+from softrig_core.guard import guarded
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.wire import signals
 
@@ -630,6 +631,14 @@ def test_too_little_memory_is_no_bad_input(error, folder, monkeypatch, capsys):
     )
     assert run("lag", "--mode", "inprocess") == 3
     assert "out of memory" in capsys.readouterr().err
+
+
+def test_a_library_of_ours_that_finds_no_memory_is_told_as_that(capsys):
+    def work():
+        raise ImportError("x.so: failed to map segment from shared object")
+
+    assert guarded(work) == 3
+    assert capsys.readouterr().err == "softrig: out of memory; a shorter run or a smaller size may fit\n"
 
 
 def test_a_file_that_is_no_scenario_hides_no_other(folder, capsys, monkeypatch):
