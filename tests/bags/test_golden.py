@@ -228,8 +228,10 @@ def test_a_new_run_through_processes_agrees_with_the_golden_bag(name, tmp_path):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(("name", "node"), [("dc_motor_smc_b1", "dc_motor_smc"), ("dc_motor_smc_b4", "dc_motor_pid"),
-                                            ("dc_motor_smc_b1", "dc_motor_plant")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "node"),
+    [("dc_motor_smc_b1", "dc_motor_smc"), ("dc_motor_smc_b4", "dc_motor_pid"), ("dc_motor_smc_b1", "dc_motor_plant")],
+)
 def test_a_replay_in_lockstep_into_one_real_node_agrees(name, node, tmp_path):
     golden = load(BAGS / name)
     member = next(m for m in golden.rig.members if m.name == node)
@@ -326,11 +328,13 @@ def test_another_duration_or_seed_leaves_what_was_edited_by_hand(tmp_path):
 
 @pytest.mark.parametrize(
     ("keys", "message"),
-    [({"duration": 1.0, "check": True}, r"--check with --duration: expected --check alone"),
-     ({"seed": 1, "check": True}, r"--check with --seed"),
-     ({"duration": -1.0}, r"golden\.yaml: duration: Input should be greater than 0, got -1"),
-     ({"seed": -1}, r"golden\.yaml: seed: Input should be greater than or equal to 0, got -1")],
-)  # fmt: skip
+    [
+        ({"duration": 1.0, "check": True}, r"--check with --duration: expected --check alone"),
+        ({"seed": 1, "check": True}, r"--check with --seed"),
+        ({"duration": -1.0}, r"golden\.yaml: duration: Input should be greater than 0, got -1"),
+        ({"seed": -1}, r"golden\.yaml: seed: Input should be greater than or equal to 0, got -1"),
+    ],
+)
 @pytest.mark.parametrize("there", [True, False])
 def test_what_a_golden_run_cannot_be_is_refused_and_changes_nothing(tmp_path, there, keys, message):
     file = tmp_path / "dc_motor_smc_b1" / "golden.yaml"

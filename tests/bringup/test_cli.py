@@ -342,10 +342,13 @@ def test_most_deadlines_missed_is_no_silent_success(folder, monkeypatch, capsys,
 
 def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys, undrawn):
     x = {"signal": "lag/state/x/position"}
-    settings = {"late": {"function": "final_value", "arguments": {**x, "start": 0.9}},
-                "rise": {"function": "reach_time", "arguments": {**x, "level": 9.0}}}  # fmt: skip
-    (folder / "short.yaml").write_text(json.dumps({"title": "Short", "extends": "lag", "figures": settings,
-                                                   "expect": {"late": 0.4, "rise": 0.1}}))  # fmt: skip
+    settings = {
+        "late": {"function": "final_value", "arguments": {**x, "start": 0.9}},
+        "rise": {"function": "reach_time", "arguments": {**x, "level": 9.0}},
+    }
+    (folder / "short.yaml").write_text(
+        json.dumps({"title": "Short", "extends": "lag", "figures": settings, "expect": {"late": 0.4, "rise": 0.1}})
+    )
     assert run("short", "--mode", "inprocess", "--duration", "0.5", "--no-record") == 0
     rows = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines() if line.split()}
     assert rows["late"][1:3] == ["not", "measured"]

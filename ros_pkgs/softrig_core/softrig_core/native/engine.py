@@ -303,17 +303,10 @@ class Engine:
             own = self._own(s, first, last)
             if not own:
                 continue
-            s.x, numbers = unpacked(after[k]), after[count + k]
-            s.t = s.schedule.time(own[-1])
+            s.x = unpacked(after[k])
+            answered(s, own[-1], after[count + k], stamps.get(k, ()))
             if self._typed:
                 s.native = s.native[0] + len(own), ""
-            said = _parted(s, numbers, stamps.get(k, ()))
-            if s.outputs:
-                s.said, s.numbers = said, numbers if s.plain else ()
-                s.spoken = s.spoken if s.plain else [s.t] * len(s.outputs)
-            for j, values, name, take in s.readers:
-                row = said[s.outputs[j].name]
-                values[name] = row if take is None else take(row)
             if s.send_all is not None:
                 times = s.schedule.times(own.start, own.stop)
                 s.send_all(times, np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0)))
@@ -394,6 +387,18 @@ def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row:
     return row if stamp is None else Sample(stamps[stamp], row)
 
 
+def answered(step: Step, number: int, numbers: tuple[float, ...], stamps: Sequence[int] = ()) -> None:
+    """Make what native code has found that a step says at a tick, of its own numbers, what it and its readers hold."""
+    step.t = step.schedule.time(number)
+    said = _parted(step, numbers, stamps)
+    if step.outputs:
+        step.said, step.numbers = said, numbers if step.plain else ()
+        step.spoken = step.spoken if step.plain else [step.t] * len(step.outputs)
+    for j, values, name, take in step.readers:
+        row = said[step.outputs[j].name]
+        values[name] = row if take is None else take(row)
+
+
 def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
     """Give what each output says."""
     found: dict[str, Row] = {}
@@ -452,6 +457,13 @@ def _answers(steps: Sequence[Step]) -> int:
     return answers
 
 
+def forbidden() -> str:
+    """Say why there can be no native code; empty where there can."""
+    if os.environ.get("SOFTRIG_JIT", "1") == "0":
+        return "SOFTRIG_JIT=0"
+    return "" if importlib.util.find_spec("numba") else "numba is not installed"
+
+
 def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
     """Say why native code is not worth its making, which takes seconds, once; empty where it is.
 
@@ -461,10 +473,8 @@ def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
     runs : int
         So many such runs are to come.
     """
-    if os.environ.get("SOFTRIG_JIT", "1") == "0":
-        return "SOFTRIG_JIT=0"
-    if importlib.util.find_spec("numba") is None:
-        return "numba is not installed"
+    if reason := forbidden():
+        return reason
     ticks = _answers(steps)
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
     known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts if kept.kinds[-1] is compiled)
