@@ -22,7 +22,8 @@ from .timing import least
 
 RIGS = ("dc_motor_smc", "dc_motor_fsfb", "induction_dtc", "lsrm_fuzzy", "tcp_aqm_smc", "rehab_impedance",
         "manipulator_adsmc")  # fmt: skip
-LOOPS: dict[str, tuple[float, list[tuple[str, ...]]]] = {  # by hand: seconds simulated, and topics of its tables: of each tick, and of each 20th
+# by hand: seconds simulated, and topics of its tables: of each tick, and of each 20th
+LOOPS: dict[str, tuple[float, list[tuple[str, ...]]]] = {
     "dc_motor_smc": (60.0, [("motor/state", "motor/sensors", "motor/command")]),
     "induction_dtc": (20.0, [
         ("joint_states", "currents_true", "currents_meas", "flux_true", "dc_link", "switches", "flux_estimate",
