@@ -273,8 +273,10 @@ def test_pictures_begin_at_the_length_of_the_run_and_the_drawing_at_rest():
 
 def test_a_page_that_breaks_is_started_again_and_at_last_the_run_is_let_go(tmp_path, capsys, monkeypatch):
     asked = []
-    monkeypatch.setattr("softrig_bringup.view.beside.Remote", lambda *words: SimpleNamespace(
-        ask=lambda request, answered: asked.append(request), close=lambda: None))  # fmt: skip
+    monkeypatch.setattr(
+        "softrig_bringup.view.beside.Remote",
+        lambda *words: SimpleNamespace(ask=lambda request, answered: asked.append(request), close=lambda: None),
+    )
     page = Beside(load_scenario("dc_motor_smc"), tmp_path, Placement("container", paused=True, pace=1.0), "127.0.0.1:0")
     monkeypatch.setattr(page, "_start", lambda: subprocess.Popen(["false"], stdin=subprocess.PIPE, text=True))
     page.open(7)

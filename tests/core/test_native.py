@@ -86,8 +86,9 @@ def test_figures_of_many_runs_are_those_of_single_ones(monkeypatch: pytest.Monke
     """Bit for bit, and what one run leaves behind does not reach the next."""
     monkeypatch.setattr(engine, "_texts", [])
     variants = [{"dc_motor_plant.J": inertia} for inertia in (3e-4, 4e-4, 5e-4, 3e-4)]
-    single, many = ([simulate("dc_motor_smc_c1", duration=20.0, overrides=v, runs=n) for v in variants]
-                    for n in (1, 10**6))  # fmt: skip
+    single, many = (
+        [simulate("dc_motor_smc_c1", duration=20.0, overrides=v, runs=n) for v in variants] for n in (1, 10**6)
+    )
     for one, other in zip(single, many, strict=True):
         ticks = [run.blocks["dc_motor_plant"].native[0] for run in (one, other)]  # type: ignore[attr-defined]
         assert ticks == [0, 1999]
@@ -214,9 +215,10 @@ def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = ran(rig(), monkeypatch, lambda text: plain(text))[1]  # as what is compiled: with tables of numpy
     assert {name: step.native for name, step in steps.items()} == {
-        "plant": (489, "10 of its ticks were given up"), "law": (249, "10 of its ticks were given up"),
+        "plant": (489, "10 of its ticks were given up"),
+        "law": (249, "10 of its ticks were given up"),
         "watcher": (0, "it watches what is recorded"),
-    }  # fmt: skip
+    }
     assert {step.native for step in ran(rig(), monkeypatch, plain)[1].values()} == {(0, "")}
 
 

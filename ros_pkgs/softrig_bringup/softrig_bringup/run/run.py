@@ -17,6 +17,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from softrig_bags.health import with_health
+from softrig_bags.scenery import LATCHED, with_scenery
+from softrig_bags.write import write_bag
 from softrig_core import (
     Block,
     Observer,
@@ -44,10 +47,12 @@ from softrig_core.verdict.figures import Result
 from softrig_core.wire.parameter_event import recorded
 
 from ..folder import ResultsFolder
+from ..options.like import from_outside, lateness
 from ..page.citations import cited
 from ..page.wiring import wiring_of
 from ..plots.curves import check_plots, shown
 from ..plots.pictures import plot_run
+from ..report.report import write_report
 
 
 def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener = NOBODY) -> Run:
@@ -175,8 +180,6 @@ def _changes(run: Run) -> list[dict[str, Any]]:
 
 def _once(run: Run) -> list[str]:
     """Say why a run cannot be made again as it was from its scenario; nothing when it can."""
-    from ..options.like import from_outside
-
     outside = [m.name for m in run.rig.members if m.external]
     found = [f"{', '.join(outside)} from outside"] if outside else []
     found += ["parameters were changed while it ran"] if turned(run) else []
@@ -256,10 +259,6 @@ def save(
         # first: if the disk is full, this is what tells why
         (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
         if record:
-            from softrig_bags.health import with_health
-            from softrig_bags.scenery import LATCHED, with_scenery
-            from softrig_bags.write import write_bag
-
             recording = with_scenery(run.recording, _scenes(run.rig))
             texts = _texts(run.rig) if health else {}
             recording = with_health(recording, texts, run.status) if health else recording
@@ -274,8 +273,6 @@ def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
     also : str
         See `softrig_bringup.plots.pictures.plot_run`.
     """
-    from ..report.report import write_report
-
     with _writing(folder) as directory:
         if any(topic.times for topic in run.recording.topics.values()):
             plot_run(run.signals, run.rig, directory, also)
@@ -310,7 +307,6 @@ def _scenes(rig: Rig) -> dict[str, Scene]:
 
 def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
     keys = ("scenario", "mode", "seed", "versions", "code", "command")
-    from ..options.like import lateness
 
     epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time
     late = lateness(run.status) if run.epoch else {}

@@ -166,8 +166,9 @@ def pendulum_slopes(t: float, x: Array, past: Trajectory, p: PendulumConstants, 
     dx[2] = 0.0
 
 
-def located(rhs: Callable[..., None], cell_of: Callable[..., int],
-            limit: Callable[..., None] | None = None) -> Callable[..., int]:  # fmt: skip
+def located(
+    rhs: Callable[..., None], cell_of: Callable[..., int], limit: Callable[..., None] | None = None
+) -> Callable[..., int]:
     """Make the native loop of steps whose switches are located.
 
     Parameters
