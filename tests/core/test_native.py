@@ -336,25 +336,6 @@ def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked
     assert len(calls) == round(0.3 / period) + 1 + asked
 
 
-@pytest.mark.parametrize(("name", "about"), [
-    ("induction_dtc", {"flux_monitor.window": 0.01}),  # forgets blocks
-    ("lsrm_fuzzy", {"profile_generator.v_d": -0.3, "motion_monitor.window": 0.02}),
-    ("lsrm_fuzzy_n2", {"lsrm_load.times": [0.0, 0.02]}),  # a load comes
-])  # fmt: skip
-def test_monitors_are_fed_at_once(name, about, monkeypatch):
-    calls: list[int] = []
-    block = next(m.block_class for m in rig_of(name).members if "monitor" in m.name)
-
-    def counted(self, x, t, *, told=block.update, **inputs):
-        calls.append(t)
-        return told(self, x, t, **inputs)
-
-    monkeypatch.setattr(block, "update", counted)
-    native = the_same(lambda: rig_of(name, duration=0.05, overrides=about), monkeypatch, lambda text: plain(text))
-    assert native.ticks > 900
-    assert len(calls) < 1.1 * (native.ticks // 20 if "lsrm" in name else native.ticks)
-
-
 def test_long_runs_go_by_one_text_and_short_ones_one_by_one(monkeypatch):
     made: list[Any] = []
     monkeypatch.setattr(inprocess, "Engine", lambda steps, make=None: made.append(make) or Engine(steps, make))
