@@ -71,7 +71,7 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
         try:
             with stoppable():
                 steps = run_inprocess(rig, seed, run.recording, listener.progress)
-            run.blocks, run.status = steps, {name: _status(step) for name, step in steps.items()}
+            run.blocks, run.status = steps, {name: status_of(step) for name, step in steps.items()}
         except RunError as broken:
             run.error = str(broken)
         except KeyboardInterrupt as interrupt:
@@ -86,7 +86,7 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
     return run
 
 
-def _status(step: Step) -> dict[str, Any]:
+def status_of(step: Step) -> dict[str, Any]:
     """What a block says of itself at the end of a run in process, as a node's status file does."""
     status: dict[str, Any] = {"reports": {k: [int(level), text, n] for k, (level, text, n) in step.reports.items()},
                               "native": step.native}  # fmt: skip
@@ -161,6 +161,7 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "contents": {m.name: dict(found) for m in own if (found := m.block_class.contents(m.params))},
         "parameters": {m.name: flatten(m.params) for m in own},
         "changes": _changes(run),
+        "branched": run.branched,
         "once": _once(run),
         "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in own},
         "metrics": [f.model_dump(by_alias=True) for f in figures],
@@ -182,7 +183,7 @@ def _once(run: Run) -> list[str]:
     """Say why a run cannot be made again as it was from its scenario; nothing when it can."""
     outside = [m.name for m in run.rig.members if m.external]
     found = [f"{', '.join(outside)} from outside"] if outside else []
-    found += ["parameters were changed while it ran"] if turned(run) else []
+    found += ["parameters were changed while it ran"] if turned(run) or any(b["left"] for b in run.branched) else []
     found += ["messages came from outside"] if not outside and from_outside(run.rig, run.recording) else []
     return found + (["in real time"] if run.epoch else [])
 
@@ -315,4 +316,5 @@ def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
     epoch |= {"contents": json.dumps(content["contents"])} if content["contents"] else {}
     seen = {name: s["figures"] for name, s in run.status.items() if s.get("figures")}  # what observers said at the end
     observed = {"observed": json.dumps(seen)} if seen else {}
+    epoch |= {"branched": json.dumps(run.branched)} if run.branched else {}
     return epoch | observed | {k: v if isinstance(v := content[k], str) else json.dumps(v) for k in keys}
