@@ -143,7 +143,11 @@ class Calls(Expressions):
             if isinstance(base.value, Block) and node.func.attr == "age" and base.value.ages is not None:
                 wanted = self.value(node.args[0])
                 name = self.program.guard(wanted) if isinstance(wanted, Static) else None
-                return Static(self.program.age(base.value, name))
+                age = self.program.age(base.value, name)
+                if isinstance(age, str):
+                    self.arrays.add("when")
+                    return Dynamic(age, 0)
+                return Static(age)
             function: Value = self.attribute(base, node.func.attr, node)
         else:
             function = self.value(node.func)
