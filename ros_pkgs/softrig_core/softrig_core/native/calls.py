@@ -16,6 +16,7 @@ from ..block.block import Block
 from ..kit.compiled import Compiled
 from ..kit.draws import Draws
 from ..kit.jit import Jit, power
+from ..kit.newest import Newest
 from .expressions import Expressions
 from .translate import (
     GIVEN_UP,
@@ -31,6 +32,7 @@ from .value import (
     UNKNOWN,
     Dynamic,
     Group,
+    Path,
     Record,
     Static,
     Value,
@@ -248,6 +250,8 @@ class Calls(Expressions):
             return self._written("power", power, given)
         if isinstance(called, Draws):
             return self._drawn(function, given[0])
+        if isinstance(called, Newest) and function.path is not None:
+            return self._newest(called, function.path, given[0])
         if isinstance(called, Compiled):
             return self._compiled(function, given, node)
         if isinstance(called, partial):
@@ -326,6 +330,14 @@ class Calls(Expressions):
         self.program.words.add("drawn_")
         self.arrays.add(name)
         return Dynamic(f"drawn_({name}, n, {self.dynamic(k).code})", 0.5)
+
+    def _newest(self, called: Newest[Any, Any], path: Path, key: Value) -> Static:
+        """Take the newest answer, as long as nothing else is asked."""
+        self.program.newest.add(path)
+        known = self.dynamic(Static(called.key, (*path, ("attr", "key"))))
+        self.emit(f"if {self.dynamic(key).code} != {known.code}:")
+        self.emit(f"    {GIVEN_UP}")
+        return Static(called.answer, (*path, ("attr", "answer")))
 
     def _compiled(self, function: Static, given: Sequence[Value], node: ast.AST) -> Dynamic:
         called = function.value

@@ -29,6 +29,7 @@ SHORTEST, LONGEST = 1 << 10, 1 << 20  # ticks that are answered in one go
 GO = 0.05  # s: so long a go may last; who wants to stop a run waits for it
 NEVER = -1  # of a time, ns
 SELDOM = 16  # at least so many ticks are native for each that is given up, or the rest stays in Python
+RARE = 8  # ticks of the others for each of a member that Python answers
 PATIENCE = 64  # given up before that is judged
 WORTH = 4_000_000  # answers of members, which take Python some 2 us each: longer than native code is made
 QUICK = 2_000  # the same where it is there already
@@ -99,6 +100,8 @@ class Engine:
         self._share()
         self._time = self.runner.schedule.time
         self._kept: _Kept | None = None
+        self._newest: list[Any] = []  # what is made anew at times, and for which keys the constants are
+        self._keys: list[Any] = []
         self._fits: list[Any] = []
 
     def run(self) -> Iterator[int]:
@@ -163,7 +166,7 @@ class Engine:
             fresh = fresh or (bool(k) and self._next_change(k) <= k)
             yield self._python(k)
             k += 1
-            fresh = fresh or self._forms() != self._fits
+            fresh = fresh or self._forms() != self._fits or [one.key for one in self._newest] != self._keys
         if k <= last:
             for t in self.runner.run(k):
                 yield t or 0
@@ -221,7 +224,7 @@ class Engine:
             self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
             tables |= {name: self._drawn(draws, self._guess()) for name, draws in self._sources.items()}
         except NotNative as reason:
-            often = SELDOM * min(self._every[id(s)] for s in core)
+            often = RARE * min(self._every[id(s)] for s in core)
             self._aside |= {s.name: str(reason) for s in core if self._every[id(s)] >= often}
             if any(s.name in self._aside for s in core):
                 self._share()
@@ -229,6 +232,8 @@ class Engine:
             self.native.reason = str(reason)
             return False
         self._tables = tables
+        self._newest = [follow(path, roots) for path in program.newest]
+        self._keys = [one.key for one in self._newest]
         self._recorded = recorded
         self.native.members, self.native.reason = tuple(s.name for s in core), ""
         return True

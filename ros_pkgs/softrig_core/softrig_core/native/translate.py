@@ -88,6 +88,7 @@ class Program:
     draws: dict[Path, str] = field(default_factory=dict)
     guards: dict[Path, Any] = field(default_factory=dict)
     scratches: dict[Path, str] = field(default_factory=dict)
+    newest: set[Path] = field(default_factory=set)
     callers: dict[str, str] = field(default_factory=dict)
     known: dict[Any, Made] = field(default_factory=dict)
     seldom: list[str] = field(default_factory=list)
