@@ -28,16 +28,18 @@ PACKAGES = sorted(p.parent.name for p in ROOT.glob("ros_pkgs/*/setup.cfg"))
 
 def write(site: Path) -> None:
     """Write all generated pages of the reference."""
-    (site / "reference" / "nodes").mkdir(exist_ok=True)
-    for name, text in all_nodes().items():
-        (site / "reference" / f"{name}.md").write_text(text, encoding="utf-8")
-    made = {"verbs": verbs, "figures": figures, "faults": faults, "messages": messages,
-            "softrig_core": front_door}  # fmt: skip
-    for name, page in made.items():
-        (site / "reference" / f"{name}.md").write_text(page(), encoding="utf-8")
+    made = (
+        all_nodes()
+        | front_door()
+        | {"verbs": verbs(), "figures": figures(), "faults": faults(), "messages": messages()}
+    )
     for package in PACKAGES:
         if package != "softrig_core":
-            (site / "reference" / f"{package}.md").write_text(api(package), encoding="utf-8")
+            made |= api(package)
+    for name, text in made.items():
+        page = site / "reference" / f"{name}.md"
+        page.parent.mkdir(exist_ok=True)
+        page.write_text(text, encoding="utf-8")
 
 
 def _cell(text: object) -> str:
@@ -170,29 +172,20 @@ def messages() -> str:
     return "\n".join([*parts, ""])
 
 
-def front_door() -> str:
-    """What `softrig_core` names, by module, from docstrings."""
-    parts = ["# Python: softrig_core", "",
-             "What a user needs is named by the package itself: `from softrig_core import simulate`.", ""]  # fmt: skip
+def front_door() -> dict[str, str]:
+    """What `softrig_core` names, from docstrings: a page a module, and their list."""
     homes = vars(softrig_core)["_HOMES"]
-    order = sorted(homes, key=lambda home: (home != "rig.simulate", home))
-    for home in order:
-        module = importlib.import_module(f"softrig_core.{home}")
-        head = (inspect.getdoc(module) or home).splitlines()[0].rstrip(".")
-        parts += [f"## {home.rpartition('.')[2]}", "", f"{head}.", "", "```{eval-rst}"]
-        for name in sorted(homes[home].split(), key=lambda name: name != "simulate"):
-            value = getattr(softrig_core, name)
-            kind = "autoclass" if inspect.isclass(value) else "autofunction" if callable(value) else "autodata"
-            parts += [f".. {kind}:: softrig_core.{name}", *(["   :members:"] if kind == "autoclass" else []), ""]
-        parts += ["```", ""]
-    return "\n".join(parts)
+    modules = {f"softrig_core.{home}": sorted(homes[home].split(), key=lambda name: name != "simulate")
+               for home in sorted(homes, key=lambda home: (home != "run.simulate", home))}  # fmt: skip
+    head = "What a user needs is named by the package itself: `from softrig_core import simulate`."
+    return _modules("softrig_core", head, modules, named_by="softrig_core")
 
 
-def api(package: str) -> str:
-    """What the modules of a package say of themselves: the first line of each, of its classes and functions."""
+def api(package: str) -> dict[str, str]:
+    """What the modules of a package say of themselves, their classes and functions: a page each, and their list."""
     described = re.search("<description>(.*)</description>", (ROOT / "ros_pkgs" / package / "package.xml").read_text())
     assert described, f"{package}: package.xml without a description"
-    parts = [f"# Python: {package}", "", f"{described[1]}. By module: what each holds, from its docstrings.", ""]
+    modules = {}
     for path in sorted((ROOT / "ros_pkgs" / package / package).rglob("*.py")):
         dotted = ".".join(path.relative_to(ROOT / "ros_pkgs" / package).with_suffix("").parts).removesuffix(".__init__")
         if re.search(r"\.template|__main__", dotted):
@@ -202,13 +195,28 @@ def api(package: str) -> str:
         except ImportError:
             continue  # needs launch, or an extra
         there = ((n, v) for n, v in vars(module).items() if inspect.isclass(v) or inspect.isfunction(v))
-        own = [(n, v) for n, v in there if n[0] != "_" and v.__module__ == dotted and inspect.getdoc(v)]
-        if not own:
-            continue
-        parts += [f"## {dotted.removeprefix(package + '.')}", "", (inspect.getdoc(module) or "").split("\n\n")[0], "",
-                  "```{eval-rst}"]  # fmt: skip
-        for name, value in own:
-            kind = "autoclass" if inspect.isclass(value) else "autofunction"
-            parts += [f".. {kind}:: {dotted}.{name}", ""]
-        parts += ["```", ""]
-    return "\n".join(parts)
+        if own := [n for n, v in there if n[0] != "_" and v.__module__ == dotted and inspect.getdoc(v)]:
+            modules[dotted] = own
+    return _modules(package, f"{described[1]}. By module: what each holds, from its docstrings.", modules)
+
+
+def _modules(package: str, head: str, modules: dict[str, list[str]], named_by: str = "") -> dict[str, str]:
+    """Write a page for each of the modules, with the names given there, and one that lists them.
+
+    The pages of modules are in no sidebar, which every page of the site carries whole.
+    """
+    listed = [f"# Python: {package}", "", head, ""]
+    pages: dict[str, str] = {}
+    for dotted, names in modules.items():
+        short = dotted.removeprefix(f"{package}.")
+        about = " ".join((inspect.getdoc(importlib.import_module(dotted)) or "").partition("\n\n")[0].split())
+        parts = ["---", "orphan: true", "---", "", f"# {short}", "", about, "",
+                 f"A module of [{package}](../{package}.md).", "", "```{eval-rst}"]  # fmt: skip
+        for name in names:
+            value = getattr(importlib.import_module(named_by or dotted), name)
+            kind = "autoclass" if inspect.isclass(value) else "autofunction" if callable(value) else "autodata"
+            parts += [f".. {kind}:: {named_by or dotted}.{name}"]
+            parts += ["   :members:", ""] if named_by and kind == "autoclass" else [""]
+        pages[f"{package}/{short}"] = "\n".join([*parts, "```", ""])
+        listed += [f"- [`{short}`]({package}/{short}.md): {', '.join(f'`{name}`' for name in names)}  ", f"  {about}"]
+    return {package: "\n".join([*listed, ""]), **pages}

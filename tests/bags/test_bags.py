@@ -761,7 +761,7 @@ def test_shards_of_a_killed_run_become_a_bag(tmp_path):
     os.truncate(tmp_path / "log/controller.shard", (tmp_path / "log/controller.shard").stat().st_size - 5)
     done = repair(tmp_path / "log")
     assert done.bag == tmp_path / "bag"
-    assert [f.kept for f in done.files] == [12, 100]
+    assert [(f.kept, bool(f.lost)) for f in done.files] == [(12, True), (100, False)]
     found = read_bag(tmp_path / "bag")
     assert found.topics["plant/state"] == source.topics["plant/state"]
     assert found.topics["command"].data == source.topics["command"].data[:-1]

@@ -86,6 +86,7 @@ def test_the_same_versions_demand_the_same_bytes(tmp_path):
     golden = create(tmp_path / "dc_motor_smc_b1", "dc_motor_smc_b1", 0.1)
     golden.make()
     golden = load(golden.folder)
+    assert golden.recipe.seed == 0
     one = golden.rerun()
     topic = one.topics["motor/command"]
     topic.data[5] = topic.data[5][:-8] + struct.pack(

@@ -277,6 +277,7 @@ def test_messages_that_wait_while_qos_is_adapted_are_kept(recorder, listener, tm
     assert recorder._subscriptions["/late"].qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
     recorder._flush()
     assert recorder._writer.count == 50
+    assert "lost" not in recorder._writer.custom_data
 
 
 def test_topics_without_header_get_the_newest_stamp(recorder, tmp_path):

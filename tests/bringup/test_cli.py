@@ -276,7 +276,7 @@ def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):
 
 
 @pytest.mark.parametrize(("mode", "where"), [
-    ("inprocess", "softrig_bringup.run.run.summary"),
+    ("inprocess", "softrig_bringup.verbs.run_verb.summary"),
     pytest.param("container", "softrig_core.processes.processes.stop", marks=pytest.mark.processes),
     pytest.param("container", "softrig_core.processes.processes.gathered", marks=pytest.mark.processes),
 ])  # fmt: skip
@@ -333,7 +333,7 @@ def test_most_deadlines_missed_is_no_silent_success(folder, monkeypatch, capsys,
         done.status = {"plant": {"state": "done", "ticks": 1000, "missed_deadlines": 768}, "gain": {"ticks": 100}}
         return done
 
-    monkeypatch.setattr("softrig_bringup.run.run.execute", late)
+    monkeypatch.setattr("softrig_bringup.verbs.run_verb.execute", late)
     assert run("lag", "--realtime", "--no-record", "--no-plots", *options) == status
     first = capsys.readouterr().err.partition("\n")[0]
     slow = first.startswith("softrig: the machine did not keep up: plant missed 76.8 % of its deadlines")

@@ -32,7 +32,7 @@ from softrig_core import (
     scalars,
     simulate,
 )
-from softrig_core.block.change import check
+from softrig_core.block.change import permit
 from softrig_core.rig.installed import load_block
 from softrig_core.wire.cdr import CdrError
 from softrig_core.wire.parameter_event import decode, encode, recorded
@@ -99,7 +99,7 @@ def test_other_gains_of_a_pid_do_not_move_its_output():
     for k in range(50):
         before = pid.update(k, state=(0.1 * k,), reference=(10.0,))["command"][0]
     integral = pid.x.pid.integral
-    pid.change(check(type(pid.block), pid.block.p, {"kp": 4.0, "kd": 0.3}))
+    pid.change(permit(type(pid.block), pid.block.p, {"kp": 4.0, "kd": 0.3}))
     assert pid.x.pid.integral != integral
     after = pid.update(50, state=(0.1 * 49,), reference=(10.0,))["command"][0]  # the same error once more
     period = pid.block.p.period
@@ -152,9 +152,9 @@ def test_ports_and_what_nodes_agree_on_do_not_change():
             return {"tank/limit": params.limit}
 
     with pytest.raises(ParameterError, match="size: the ports would be others"):
-        check(Odd, OfParams(), {"size": 2})
+        permit(Odd, OfParams(), {"size": 2})
     with pytest.raises(ParameterError, match="limit: tank/limit would change, on which the nodes of a rig must agree"):
-        check(Odd, OfParams(), {"limit": 2.0})
+        permit(Odd, OfParams(), {"limit": 2.0})
 
 
 def test_metrics_and_report_show_what_changed_and_when(tmp_path):
@@ -334,9 +334,9 @@ def test_a_fault_that_is_set_off_is_off_whoever_switched_it_on():
     assert said(1, pressed=True) == 3.0
     assert fault.params.active
     assert said(2) == 3.0
-    fault.change(check(type(fault.block), fault.params, {"active": False}))  # as it was given at the start
+    fault.change(permit(type(fault.block), fault.params, {"active": False}))  # as it was given at the start
     assert said(3) == 1.0
-    fault.change(check(type(fault.block), fault.params, {"active": True}))
+    fault.change(permit(type(fault.block), fault.params, {"active": True}))
     assert [said(4), said(5, pressed=True)] == [3.0, 1.0]
     fault.reset(0)
     assert said(6) == 3.0  # the parameters of now, without the button

@@ -136,6 +136,16 @@ def test_a_seed_is_that_of_the_rig_and_drawn_without_one():
     assert noise() == drawn
 
 
+def test_an_episode_knows_nothing_of_the_one_before():
+    env = motor()
+    for volts in (3.0, 4.0):
+        env.reset(seed=0)
+        with pytest.raises(KeyError):
+            env.now["voltage"]
+        env.step([volts])
+        assert env.now["voltage"] == volts
+
+
 def test_what_is_violated_ends_an_episode():
     bounded = rig_of(load_scenario("dc_motor_smc", {"period": 0.01}).changed(duration=0.3))
     scenario = bounded.scenario.model_copy(update={"requirements": {}})

@@ -7,7 +7,7 @@ import pytest
 from conftest import in_process
 from hypothesis import given, settings, strategies as st
 from softrig_control.delay import BLOCK, FieldbusDelay, Line
-from softrig_core import ByHand, Level, ParameterError, Sample, Scenario, ScenarioError, Signals, load_scenario, rig_of
+from softrig_core import ByHand, Level, Sample, Scenario, ScenarioError, Signals, load_scenario, rig_of
 
 PERIOD = 10_000_000
 
@@ -144,26 +144,6 @@ def test_ports_of_every_message_type(message, restamp):
     assert arrived.layout().decode(encoded) == (7, values)
     answer = link.update(0, sent=Sample(0, values))["arrived"]
     assert answer == (values if restamp else Sample(0, values))
-
-
-@pytest.mark.parametrize(
-    ("parameters", "text"),
-    [
-        ({"delay": -1.0}, "parameter delay"),
-        ({"loss": 1.0}, "loss"),
-        ({"topic_out": "axis/state"}, "topic_in and topic_out are both 'axis/state'"),
-        ({"message": "std_msgs/msg/Bool"}, "message"),
-        ({"fields": ("position", "duty")}, "expected some of"),
-        ({"fields": ("acceleration",)}, "expected some of"),
-        ({"fields": ()}, "expected some of"),
-        ({"quantum": (1.0,)}, "quantum has 1 values, expected 2"),
-        ({"quantum": (1.0, -1.0)}, "quantum = .*got -1.0"),
-        ({"initial": (0.0, 0.0, 0.0)}, "initial has 3 values, expected 2"),
-    ],
-)
-def test_bad_parameters_are_refused(parameters, text):
-    with pytest.raises(ParameterError, match=text):
-        FieldbusDelay(**parameters)
 
 
 def with_link(name, receiver, port_topic, duration, **parameters):

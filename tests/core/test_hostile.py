@@ -4,6 +4,7 @@ import math
 import re
 import sys
 from pathlib import Path
+from typing import Literal, get_args, get_origin
 
 import pytest
 from conftest import PATIENCE, make_scenario
@@ -21,7 +22,7 @@ from softrig_core import (
     param,
     rig_of,
 )
-from softrig_core.block.answer import check
+from softrig_core.block.answer import admit
 from softrig_core.block.params import LONGEST, Params, build, declarations
 from softrig_core.processes.domain import free_domain
 from softrig_core.rig.options import RunOptions
@@ -94,10 +95,22 @@ def test_every_bound_of_every_executable_holds_at_its_edge():
             assert wrong.search(refusal(model, name, beyond)), (model, name, beyond)
             assert bool(wrong.search(refusal(model, name, bound))) is not within, (model, name, bound)
             assert within or not wrong.search(refusal(model, name, inside)), (model, name, inside)
+            assert whole or f"parameter {name} = nan: " in refusal(model, name, math.nan), (model, name)
             tried += 1
     assert tried > 300
     for values in ({"seed": 2**63 - 1}, {"seed": 126}, {"duration": 1e9, "timeout": 1e6}):
         assert build(RunOptions, values).model_dump().items() >= values.items()
+
+
+def test_every_choice_of_every_executable_names_its_words():
+    tried = 0
+    for model in {block.Params for _, _, block in executables()}:
+        for name, field in model.model_fields.items():
+            if get_origin(field.annotation) is Literal:
+                words = f"parameter {name} = 'nonsense': input should be {get_args(field.annotation)[0]!r}"
+                assert words in refusal(model, name, "nonsense"), (model, name)
+                tried += 1
+    assert tried > 30
 
 
 @pytest.mark.parametrize(
@@ -223,7 +236,7 @@ def test_an_answer_that_is_no_row_of_numbers_is_the_nodes_fault():
     port = number("x", "x", "m")
     for wrong in (5.0, None, ("a",), (1j,), [[1.0]], (10**400,)):
         with pytest.raises(RunError, match="law: x is no row of numbers at t = 0 s"):
-            check({"x": wrong}, port, "law", 0)
+            admit({"x": wrong}, port, "law", 0)
 
 
 @pytest.mark.parametrize("attack", [bags.attack, messages.attack], ids=["bags", "messages"])

@@ -198,8 +198,11 @@ class Watcher(Observer[OscillatorParams]):
         return {"seen": (float(x[0]), "")}
 
 
-def rig(duration: float = 0.5, watcher: type[Watcher] = Watcher, changes: Any = (), **values: float) -> Rig:
+def rig(
+    duration: float = 0.5, watcher: type[Watcher] = Watcher, changes: Any = (), other: Any = None, **values: float
+) -> Rig:
     blocks = {"plant": Oscillator(**values), "law": Pusher(period=0.002), "watcher": watcher()}
+    blocks |= {"other": other} if other else {}
     return Rig.from_blocks(blocks, duration, changes=list(changes))
 
 
@@ -237,7 +240,15 @@ class Failing(Watcher):
     FAILS = 123_000_000
 
 
-@pytest.mark.parametrize("how", [{"growth": 1.05}, {"watcher": Failing}])
+class AtOnce(Watcher):
+    """Takes all at once."""
+
+    def at_once(self, x: Any, t: int, messages: Mapping[str, Any]) -> Any:
+        """Count."""
+        return (x[0] + int((messages["signal"].values[:, 0] > 0.0).sum()),)
+
+
+@pytest.mark.parametrize("how", [{"growth": 1.05}, {"watcher": Failing}, {"watcher": Failing, "other": AtOnce()}])
 def test_a_run_that_breaks_says_what_python_says(how: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     native = the_same(lambda: rig(**how), monkeypatch)
     assert native.ticks > 100
@@ -321,6 +332,25 @@ def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked
     native = the_same(lambda: rig_of("dc_motor_smc", duration=0.3, overrides=about), monkeypatch)
     assert native.ticks == 2999
     assert len(calls) == round(0.3 / period) + 1 + asked
+
+
+@pytest.mark.parametrize(("name", "about"), [
+    ("induction_dtc", {"flux_monitor.window": 0.01}),  # forgets blocks
+    ("lsrm_fuzzy", {"profile_generator.v_d": -0.3, "motion_monitor.window": 0.02}),
+    ("lsrm_fuzzy_n2", {"lsrm_load.times": [0.0, 0.02]}),  # a load comes
+])  # fmt: skip
+def test_monitors_are_fed_at_once(name, about, monkeypatch):
+    calls: list[int] = []
+    block = next(m.block_class for m in rig_of(name).members if "monitor" in m.name)
+
+    def counted(self, x, t, *, told=block.update, **inputs):
+        calls.append(t)
+        return told(self, x, t, **inputs)
+
+    monkeypatch.setattr(block, "update", counted)
+    native = the_same(lambda: rig_of(name, duration=0.05, overrides=about), monkeypatch, lambda text: plain(text))
+    assert native.ticks > 900
+    assert len(calls) < 1.1 * (native.ticks // 20 if "lsrm" in name else native.ticks)
 
 
 def test_long_runs_go_by_one_text_and_short_ones_one_by_one(monkeypatch):

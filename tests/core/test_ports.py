@@ -21,7 +21,7 @@ from softrig_core import (
     scalars,
     wrench,
 )
-from softrig_core.block.answer import check
+from softrig_core.block.answer import admit
 from softrig_core.block.codec import Decoder, selection
 from softrig_core.block.schedule import Schedule
 from softrig_core.wire.cdr import Layout
@@ -120,8 +120,8 @@ def test_a_rig_without_a_plant_has_a_clock():
 def test_only_a_port_that_says_so_may_be_silent():
     port = command("u", "u", ["a"], "N")
     with pytest.raises(RunError, match="gave no u"):
-        check({}, port, "node", 0)
-    assert check({"u": None}, command("u", "u", ["a"], "N", sporadic=True), "node", 0) is None
+        admit({}, port, "node", 0)
+    assert admit({"u": None}, command("u", "u", ["a"], "N", sporadic=True), "node", 0) is None
 
 
 def test_units_by_channel():

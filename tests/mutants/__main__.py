@@ -45,9 +45,10 @@ class Tests:
                     self.of_line[place][line].append(told["test"])
 
     def meeting(self, place: str, mutant: Mutant) -> list[str]:
-        """The tests that a mutant can fail, the quickest first."""
-        lines = self.of_line[place]
-        found = {test for line in mutant.runs or lines for test in lines.get(line, ())}
+        """The tests that a mutant can fail, the quickest first; those of its folder where nobody sees who runs it."""
+        beside = [p for p in self.of_line if Path(p).parent == Path(place).parent] if not mutant.runs else [place]
+        lines = [self.of_line[p] for p in beside]
+        found = {test for of in lines for line in mutant.runs or of for test in of.get(line, ())}
         return sorted(found, key=lambda test: (self.seconds[test], test))
 
     def silent(self, tree: Path) -> list[str]:

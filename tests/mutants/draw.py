@@ -22,7 +22,7 @@ class Mutant:
     start: tuple[int, int]
     end: tuple[int, int]
     text: str
-    runs: tuple[int, ...]  # lines of which one must have been run for the change to be met; none: the whole file's
+    runs: tuple[int, ...]  # lines of which one must have been run for it to be met; none: run once a process, or unseen
 
     def applied(self, source: str) -> str:
         """The file with it."""
@@ -71,13 +71,13 @@ def _within(node: ast.AST, runs: tuple[int, ...]) -> Iterator[Mutant]:
                 new = _number(default.value) if isinstance(default, ast.Constant) else None
                 if new:
                     yield _of("default", default, new, body)
+            unseen = any("jit" in ast.unparse(d) or "cache" in ast.unparse(d) for d in child.decorator_list)
             for statement in child.body:
-                yield from _statement(statement, (statement.lineno,))
+                yield from _statement(statement, () if unseen else (statement.lineno,))
             continue
         if isinstance(child, ast.ClassDef):
-            body = tuple(range(child.lineno, child.end_lineno + 1))
             for statement in child.body:
-                yield from _statement(statement, body)
+                yield from _statement(statement, ())
             continue
         if isinstance(child, ast.stmt):
             yield from _statement(child, runs and (child.lineno,))
@@ -138,8 +138,9 @@ def _expression(node: ast.AST, runs: tuple[int, ...]) -> Iterator[Mutant]:
             node = ast.Call(node.func, node.args[1:], node.keywords)
         elif len(node.args) > 1 and not any(isinstance(a, ast.Starred) for a in node.args[:2]):
             new = ast.Call(node.func, [node.args[1], node.args[0], *node.args[2:]], node.keywords)
-            yield _of("argument", node, new, runs)
-        elif node.keywords and node.keywords[-1].arg:
+            if ast.unparse(new) != ast.unparse(node):
+                yield _of("argument", node, new, runs)
+        elif node.keywords and node.keywords[-1].arg not in (None, "help", "metavar"):  # nothing of what only tells
             yield _of("argument", node, ast.Call(node.func, node.args, node.keywords[:-1]), runs)
     yield from _within(node, runs)
 

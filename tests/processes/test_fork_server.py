@@ -17,7 +17,7 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 TOOLS = """
 import os, sys, threading, time
 def say():
-    print(os.getcwd(), os.environ["ROS_DOMAIN_ID"], sys.argv[1:], "one")
+    print(os.getcwd(), os.environ["ROS_DOMAIN_ID"], sys.argv[1:], "one", *{"LINES"} & {*os.environ})
 def fail():
     sys.exit(3)
 def sleep():
@@ -35,13 +35,14 @@ def package(tmp_path, monkeypatch):
         "[console_scripts]\n" + "".join(f"{name} = tools:{name}\n" for name in ("say", "fail", "sleep"))
     )
     (tmp_path / "tools.py").write_text(TOOLS)
+    monkeypatch.delenv("LINES", raising=False)
     variables = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ['PYTHONPATH']}", "ROS_DOMAIN_ID": "7"}
     variables |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     monkeypatch.setattr(fork_server, "_server", None)
 
-    def start(name, *arguments):
+    def start(name, *arguments, **more):
         with (tmp_path / f"{name}.log").open("wb") as output:
-            return start_node("tools", name, [f"/lib/tools/{name}", *arguments], variables, output.fileno())
+            return start_node("tools", name, [f"/lib/tools/{name}", *arguments], variables | more, output.fileno())
 
     start.file, start.folder = tmp_path / "tools.py", tmp_path
     return start
@@ -71,7 +72,8 @@ def test_each_node_is_a_process_of_its_own(tmp_path):
 
 def test_it_has_its_own_directory_environment_arguments_output_and_end(package, monkeypatch):
     monkeypatch.chdir(package.folder)
-    assert package("say", "a b").wait(60) == 0
+    assert package("say", LINES="7").wait(60) == 0
+    assert package("say", "a b").wait(60) == 0  # nothing of the first one's, with which the server began
     assert (package.folder / "say.log").read_text() == f"{package.folder} 7 ['a b'] one\n"
     assert package("fail").wait(60) == 3
     sleeper = package("sleep")

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 from softrig_control.predictive.carima import Carima
-from softrig_control.predictive.certificate import certify as dual_mode, check, companion
+from softrig_control.predictive.certificate import assess, certify as dual_mode, companion
 from softrig_optim.load_line import CertifiedSearch
 from softrig_power.dispatch.certify import InfeasibleError, Optimiser
 from softrig_power.dispatch.conditions import Conditions, Losses
@@ -330,7 +330,7 @@ def dual_mode_of_matrices(rng):
         terminal = terminal + 10.0 ** rng.uniform(-8.0, -1.0) * rng.normal(size=(n, n))
     elif kind == 3:
         gain = gain + 10.0 ** rng.uniform(-6.0, 0.0) * rng.normal(size=(1, n))
-    valid = check(a, b, gain, terminal, q, r).valid
+    valid = assess(a, b, gain, terminal, q, r).valid
     what = f"a = {a.tolist()} b = {b.tolist()} K = {gain.tolist()} P = {terminal.tolist()} q = {q.tolist()} r = {r}"
     return Drawn(valid, not valid or dual_mode_holds(a, b, gain, terminal, q, r), what)
 

@@ -18,7 +18,7 @@ from softrig_core.block.params import build
 from softrig_power.fault_location import pictures, study, study_tool
 from softrig_power.fault_location.cases import PUBLISHED, RESISTANCES, Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
-from softrig_power.fault_location.confidence import ErrorBudget, confidence, shifted
+from softrig_power.fault_location.confidence import Confidence, ErrorBudget, confidence, shifted
 from softrig_power.fault_location.inception import inception, windowed
 from softrig_power.fault_location.locate_tool import read, to_bag
 from softrig_power.fault_location.location import Locator, locate
@@ -553,27 +553,11 @@ def test_minimum_at_the_terminal(record):
     assert beyond.status == Status.CONTRADICTORY
 
 
-@pytest.mark.parametrize(("name", "value", "says"), [
-    ("fault.x_km", 0.5, "fault.x_km = 0.5 km: expected 1.108 to 118.9 km"),
-    ("fault.x_km", 120.0, "fault.x_km = 120 km: expected 1.108 to 118.9"),
-    ("fault.x_km", -1.0, "greater than 0"), ("fault.rf_ohm", -1.0, "greater than or equal to 0"),
-    ("fault.type", "XG", "'AG', 'BG'"), ("measurement.profile", "m2M", "'raw1m'"), ("step", 3e-6, "does not divide"),
-    ("measurement.shift_us_r", 0.5, "not whole steps"), ("line.l1", 0.0, "greater than 0"), ("line.c1", -1.0, "great"),
-    ("line.r1", -0.1, "greater than or equal"), ("fault.t_off", 0.01, "not after t_on"),
-])  # fmt: skip
-def test_impossible_rigs_are_refused(name, value, says):
-    with pytest.raises(ParameterError, match=says.replace("(", r"\(")):
-        build(RigParams, {name: value})
-
-
-@pytest.mark.parametrize(("name", "value"), [("line.l1", 0.0), ("line.c1", -1e-9), ("line.length", 0.0), ("mode", "4"),
-                                             ("window_end", 0.01), ("algorithm", "pso"), ("n_pop", 2)])  # fmt: skip
-def test_impossible_locators_are_refused(name, value):
-    with pytest.raises(ParameterError, match=name.split(".")[-1]):
-        build(LocatorParams, {name: value})
-
-
 # confidence, inception ----------------------------------------------------------------------------------------------
+
+
+def test_uncertainties_add_by_their_squares():
+    assert Confidence(3.0, {"a": 4.0, "b": 12.0}, 1.0).total_km == 13.0
 
 
 def test_confidence_covers_the_error():

@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from softrig_core import Observer, Rig, ScenarioError, figures_of, list_scenarios, load_scenario, rig_of, simulate
+from softrig_core import Observer, ScenarioError, figures_of, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.block.params import flatten
 from softrig_core.judge.registry import find, registered
 from softrig_core.scenario.scenario_file import locate, resolve
@@ -374,17 +374,14 @@ def test_figures_follow_each_parameter_of_each_node(scenario):
 
 OWN = {  # parameters of monitors that bear the name of another node's, and are their own
     "substeps": "how finely it computes",
-    "period": "how often it looks", "window": "what it looks at", "band": "what counts as settled",
+    "period": "how often it looks",
     "horizon": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
     "x_end": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
     "R": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("scenario", [
-    "pv_mppt", "induction_dtc", "lsrm_fuzzy", "rectifier_mpc", "gupfc_stretch",
-    "optimal_control_mvim", "fault_location_m4k", "pwa_delay",
-])  # fmt: skip
+@pytest.mark.parametrize("scenario", ["optimal_control_mvim", "fault_location_m4k", "pwa_delay"])
 def test_what_a_monitor_knows_of_a_plant_follows_it(scenario):
     rig = rig_of(scenario)
     values = {m.name: flatten(m.params) for m in rig.members}
@@ -404,18 +401,7 @@ def test_what_a_monitor_knows_of_a_plant_follows_it(scenario):
                     continue
                 there = {m.name: flatten(m.params) for m in other.members}
                 assert there[monitor][name] == there[plant][name], f"{monitor}.{name}"
-    assert held or scenario not in {"pv_mppt", "induction_dtc", "optimal_control_mvim"}
-
-
-@pytest.mark.parametrize(("scenario", "change", "where", "value"), [
-    ("rectifier_mpc", {"gpc_controller.set_point": 380.0}, "rig_metrics.set_point", 380.0),
-    ("lsrm_fuzzy", {"profile_generator.v_d": 0.4}, "motion_monitor.v_d", 0.4),
-    ("induction_dtc", {"im_plant.pole_pairs": 3}, "flux_monitor.pole_pairs", 3),
-])  # fmt: skip
-def test_what_a_monitor_compares_with_is_what_is_asked_for(scenario, change, where, value):
-    node, _, name = where.partition(".")
-    rig = rig_of(load_scenario(scenario, change))
-    assert flatten(next(m.params for m in rig.members if m.name == node))[name] == value
+    assert held or scenario != "optimal_control_mvim"
 
 
 # what was reported ---------------------------------------------------------------------------------------------------
@@ -455,13 +441,11 @@ def test_another_module_has_its_own_maximum(light, celsius, module, wanted):
     assert not next(r for r in run.results if r.name == "gmpp").passed  # 116.46 W is expected
 
 
-def test_nodes_and_figures_of_another_module_than_the_plants_are_refused():
-    with pytest.raises(ScenarioError, match="pv_plant and mppt_metrics must agree on pv/module"):
-        rig_of(load_scenario("pv_mppt", {"mppt_metrics.module.I_sc": 4.0}))
+def test_figures_of_another_module_than_the_plants_are_refused():
     scenario = load_scenario("pv_mppt")
     entry = scenario.figures["gmpp"].model_copy(update={"arguments": {"at": 3.0, "module": {"I_sc": 8.21}}})
     with pytest.raises(ScenarioError, match=r"figure gmpp: argument module = .* but pv_plant has .* leave it out"):
-        figures_of(Rig.from_scenario(scenario.model_copy(update={"figures": {"gmpp": entry}})))
+        rig_of(scenario.model_copy(update={"figures": {"gmpp": entry}}))
 
 
 def test_an_axis_that_goes_back_rests_where_it_was_asked_to():

@@ -25,7 +25,7 @@ from softrig_core import (
     run_processes,
     simulate,
 )
-from softrig_core.block.change import check
+from softrig_core.block.change import permit
 from softrig_core.processes.placement import Placement
 from softrig_drives.dc_motor.plant import DcMotorPlant
 
@@ -396,11 +396,11 @@ def test_arrays_by_their_elements(fmus, isolated):
     assert said(mix(), 2.0, 3.0) == (1.0 * 2.0 + 3.0 * 3.0, 1e3 * (4.0 * 2.0 + 6.0 * 3.0))
     law = mix(values=("gain[2,3] = 60", "u[2] = 10", "bias = 1"))  # u[2] is nobody's: it keeps its start
     assert said(law, 2.0, 3.0) == (1 + 2.0 + 20.0 + 9.0, 1e3 * (1 + 8.0 + 50.0 + 180.0))
-    law.change(check(FmuLaw, law.block.p, {"values": ("gain[2,3] = 60", "u[2] = 10", "bias = 5")}))
+    law.change(permit(FmuLaw, law.block.p, {"values": ("gain[2,3] = 60", "u[2] = 10", "bias = 5")}))
     assert said(law, 2.0, 3.0)[0] == 5 + 2.0 + 20.0 + 9.0
     for values in (("gain[2,3] = 61", "u[2] = 10", "bias = 5"), ("bias = 5",)):
         with pytest.raises(ParameterError, match="values: that part of it may not change while running"):
-            check(FmuLaw, law.block.p, {"values": values})
+            permit(FmuLaw, law.block.p, {"values": values})
     for name, says in (("u", r"expected u\[1..3\]"), ("u[4]", r"u is an array of 3 values, expected u\[1..3\]"),
                        ("gain[1]", r"expected gain\[1..2,1..3\]"), ("bias[1]", "bias")):  # fmt: skip
         with pytest.raises(ParameterError, match=says):
@@ -483,10 +483,10 @@ def test_one_that_cannot_write_its_state_is_told_again(fmus, monkeypatch):
         assert trace(plant, 20) == rest
     law = ByHand(FmuLaw(name="mix", **{"fmu": str(fmus / "mix3.fmu"), **MIX}, isolated=False, values=("bias = 1",)))
     one = law.update(0, mix_in=(2.0, 3.0))
-    law.change(check(FmuLaw, law.block.p, {"values": ("bias = 5",)}))
+    law.change(permit(FmuLaw, law.block.p, {"values": ("bias = 5",)}))
     saved = law.save()
     five = law.update(0, mix_in=(2.0, 3.0))
-    law.change(check(FmuLaw, law.block.p, {"values": ("bias = 1",)}))
+    law.change(permit(FmuLaw, law.block.p, {"values": ("bias = 1",)}))
     assert law.update(0, mix_in=(2.0, 3.0)) == one != five
     law.load(saved)
     assert law.update(0, mix_in=(2.0, 3.0)) == five

@@ -12,7 +12,7 @@ import pytest
 from conftest import differences, in_process
 from simulated import SimulatedRig, World
 from softrig_core import ParameterError, Signals, feed, load_scenario, rig_of
-from softrig_core.block.change import Change, changeable, check
+from softrig_core.block.change import Change, changeable, permit
 from softrig_core.block.params import flatten
 from softrig_core.block.step import Step
 
@@ -74,7 +74,7 @@ def variations(member):
     for name in changeable(member.block_class.Params):
         for value in others(annotation(type(member.params), name), known[name]):
             try:
-                check(member.block_class, member.params, {name: value}, member.name)
+                permit(member.block_class, member.params, {name: value}, member.name)
             except (ParameterError, ValueError):
                 continue
             found[name] = value
@@ -150,7 +150,7 @@ def test_many_changes_at_once_give_the_same_bytes_in_every_placement(name):
         now = member.params
         for one, value in variations(member).items():
             try:
-                now = check(member.block_class, now, {one: value}, member.name)
+                now = permit(member.block_class, now, {one: value}, member.name)
             except (ParameterError, ValueError):
                 continue
             entries[f"{member.name}.{one}"] = value
@@ -211,4 +211,4 @@ def test_what_does_not_fit_is_refused_whole(name):
         for bad in good:
             for wrong in (math.nan, "much", [1.0, "x"]):
                 with pytest.raises(ParameterError):
-                    check(member.block_class, member.params, {**good, bad: wrong}, member.name)
+                    permit(member.block_class, member.params, {**good, bad: wrong}, member.name)

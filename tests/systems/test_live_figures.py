@@ -14,8 +14,9 @@ NODE = {"package": "softrig_core", "executable": "figures"}
 def with_figures(name, duration):
     """The scenario with a node `figures`, whatever its own nodes are called."""
     scenario = load_scenario(name).changed(duration=duration)
-    others = {n: e.model_dump() for n, e in scenario.nodes.items() if e.executable != "figures"}
-    return Scenario.model_validate({**dict(scenario), "nodes": {**others, "figures": NODE}})
+    others = {n: e.model_dump() for n, e in scenario.nodes.items()}
+    own = [others.pop(n) for n, e in scenario.nodes.items() if e.executable == "figures"]
+    return Scenario.model_validate({**dict(scenario), "nodes": {**others, "figures": own[0] if own else NODE}})
 
 
 def live(run):
@@ -27,7 +28,8 @@ def live(run):
     [
         ("dc_motor_smc_b1", 4.0, 7), ("dc_motor_smc_faults", 4.0, 6), ("rehab_impedance", 4.0, 18),
         ("dc_motor_fsfb_s1_none", 8.0, 7), ("dc_motor_fsfb_s2", 8.0, 9),
-        ("manipulator_adsmc_s2", 4.0, 12),
+        ("manipulator_adsmc_s2", 4.0, 12), ("induction_dtc_s2", 2.0, 12), ("lsrm_fuzzy_n2", 2.0, 4),
+               ("pv_mppt", 3.0, 8), ("rectifier_mpc", 0.6, 5), ("gupfc_stretch", 1.5, 40),
     ],
 )  # fmt: skip
 def test_figures_while_running_equal_those_of_the_recording(name, duration, least):
@@ -108,6 +110,11 @@ def test_it_follows_a_parameter_that_its_figures_refer_to():
     [
         ({"since": "motor/reference/shaft/velocty"}, "no signal 'motor/reference/shaft/velocty'.*did you mean"),
         ({"since": "motor/sensors/current_a/position"}, "a signal in 'rad/s' and a reference in 'A'"),
+        (
+            {"since": f"{SPEED}, motor/reference/shaft/velocity"},
+            "with several signals the final",
+        ),
+        ({"since": "motor/reference/shaft/velocity, nothing"}, "no signal 'nothing'"),
         ({"arguments": {"signal": SPEED, "initial": 1.0}}, "with initial the final value must be given, too"),
         (
             {"function": "lsrm_arrival", "arguments": {"v_d": 1.0}},

@@ -89,7 +89,6 @@ def test_nodes_started_by_hand_move_the_translator_in_real_time(bench):
         "current_controller": ("current_controller", slow | {"K_pc": 0.01, "K_ic": 0.5}),
         "speed_controller": ("lsrm_fuzzy", {"period": 0.01, "K_de": 0.1}),
         "profile_generator": ("profile_generator", {"period": 0.01, "v_d": 0.1, "t_d": 1.0}),
-        "motion_monitor": ("motion_monitor", {"period": 0.01, "v_d": 0.1}),
     }
     for name, (executable, parameters) in nodes.items():
         arguments = [a for k, v in parameters.items() for a in ("-p", f"{k}:={v}")]

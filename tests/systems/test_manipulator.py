@@ -15,7 +15,6 @@ from simulated import SimulatedRig, World
 from softrig_core import (
     ByHand,
     Level,
-    ParameterError,
     RunError,
     ScenarioError,
     Signals,
@@ -24,7 +23,6 @@ from softrig_core import (
     load_scenario,
     rig_of,
 )
-from softrig_core.block.params import build
 from softrig_core.judge import measures
 from softrig_core.kit import compiled
 from softrig_core.kit.floats import numbers
@@ -429,44 +427,6 @@ def test_equal_runs_are_equal_bit_for_bit():
 
 
 # bad input -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("block", "values", "message"),
-    [
-        (ManipulatorPlant, {"links.mass": [19.0, 0.0, 10.99]}, r"links\.mass\[1\] = 0 kg: expected a positive mass"),
-        (ManipulatorPlant, {"links.inertia": [0.34, 0.36, 0.31, 0.18, -1.0, 1.31, 0.07, 0.92, 0.93]},
-         r"links\.inertia = .*expected 0 to 1e\+07, got -1\.0"),
-        (ManipulatorPlant, {"links.inertia": [0.34, 0.36, 0.31, 0.18, 1.32, 1.31, 0.07, 0.5, 0.93]},
-         r"links\.inertia of link 3 = .*triangle"),
-        (ManipulatorPlant, {"links.center": [0.0] * 8}, r"links\.center has 8 values, expected 9"),
-        (ManipulatorPlant, {"motors.gear": 0.0}, r"motors\.gear = \[0\.0\]: expected only positive"),
-        (ManipulatorPlant, {"motors.resistance": -1.0}, r"motors\.resistance = \[-1\.0\]"),
-        (ManipulatorPlant, {"motors.inductance": [1e-3, 1e-3, 0.0]}, r"motors\.inductance = \[0\.001, 0\.001, 0\.0\]"),
-        (ManipulatorPlant, {"motors.torque_constant": 0.0}, r"motors\.torque_constant"),
-        (ManipulatorPlant, {"motors.inertia": -1e-4}, r"motors\.inertia = .*no negative"),
-        (ManipulatorPlant, {"motors.resistance": [1.0, 1.0]}, r"motors\.resistance .* has 2 values, expected 1 or 3"),
-        (ManipulatorPlant, {"v_max": 0.0}, "v_max = 0.0"),
-        (ManipulatorPlant, {"period": 0.0}, "period = 0.0"),
-        (ManipulatorPlant, {"substeps": 0}, "substeps = 0"),
-        (ManipulatorPlant, {"position": [0.1, 0.2]}, r"position = \[0\.1, 0\.2\] has 2 values"),
-        (ManipulatorPlant, {"position": math.nan}, "position"),
-        (ManipulatorPlant, {"joints": ["a", "b"]}, "expected one a link"),
-        (ManipulatorPlant, {"urdf": "/nowhere/arm.urdf"}, "no URDF file '/nowhere/arm.urdf'"),
-        (ManipulatorPlant, {"urdf": TWO_LINK}, r"two_link\.urdf has \['shoulder', 'elbow'\]"),
-        (VcsController, {"law": "pid"}, "law = 'pid'"),
-        (VcsController, {"adsmc.a1": [1.0, 2.0]}, r"adsmc\.a1 = \[1\.0, 2\.0\] has 2 values, expected 1 or 3"),
-        (VcsController, {"adsmc.gamma": -1.0}, r"gamma = \[-1\.0\]: expected no negative"),
-        (VcsController, {"v_max": -40.0}, "v_max = -40.0"),
-        (VcsController, {"gain": 1.0}, "parameter gain is unknown"),
-        (TrajectorySource, {"cycle": 0.0}, "cycle = 0.0"),
-        (RobotDynamics, {"armature": [-1.0]}, "armature"),
-        (RobotDynamics, {"tool": "hand"}, "no frame 'hand'"),
-    ],
-)  # fmt: skip
-def test_bad_parameters_are_named(block, values, message):
-    with pytest.raises(ParameterError, match=message):
-        build(block.Params, values)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,6 @@ from softrig_bringup.study.work import Work, run as run_case
 from softrig_core import (
     ByHand,
     Level,
-    ParameterError,
     Signals,
     evaluate,
     list_scenarios,
@@ -43,7 +42,6 @@ from softrig_power.pv.converter import (
 from softrig_power.pv.curves import PvCurves
 from softrig_power.pv.figures import POWER
 from softrig_power.pv.module import ModuleParams, cell
-from softrig_power.pv.monitor import MpptMonitor
 from softrig_power.pv.mppt import MpptOptimizer
 from softrig_power.pv.plant import PvPlant
 from softrig_power.pv.shading import ShadingSource
@@ -545,25 +543,6 @@ def test_tracker_knows_nothing_of_the_plant():
     assert not {"module", "converter", "irradiance", "R_L"} & set(MpptOptimizer.Params.model_fields)
 
 
-def test_metrics_node():
-    """Its running figures are those of the recording."""
-    node = ByHand(MpptMonitor(period=0.5))
-    best = string(PATTERN1).gmpp
-    everything = PATTERN1 + ROOM
-    node.update(0, port=(best.v, 0.5 * best.i, 25.0), environment=everything)
-    node.update(500_000_000, port=(best.v, best.i, 25.0), environment=everything)
-    figures = {name: value for name, (value, _) in node.status().items()}
-    assert figures == pytest.approx({"gmpp": best.p, "power": best.p, "in_global_basin": 1.0, "tracking_time": 0.5,
-                                     "efficiency": 100.0, "energy_share": 75.0})  # fmt: skip
-    node.update(1_000_000_000, port=(best.v, best.i, 25.0), environment=UNIFORM + ROOM)
-    node.update(1_500_000_000, port=(best.v, best.i, 25.0), environment=UNIFORM + ROOM)
-    figures = {name: value for name, (value, _) in node.status().items()}
-    assert figures["efficiency"] == pytest.approx(100.0 * 116.460 / 239.528, abs=0.02)
-    assert figures["tracking_time"] == pytest.approx(1.0)
-    node.update(2_000_000_000, port=(0.0, 0.0, 25.0), environment=(0.0,) * 4 + ROOM)
-    assert "efficiency" not in node.status()
-
-
 def test_curves_on_request():
     node = ByHand(PvCurves(n_points=101))
     first = np.reshape(node.update(0, environment=None, request=None)["curves"], (3, 101))
@@ -667,13 +646,6 @@ def test_impossible_conditions_are_refused(change, text):
     assert text in plant.reports["environment"][1]
     plant.advance(0, duty=(0.5,), environment=PATTERN2 + ROOM)
     assert plant.x.conditions == PATTERN2 + ROOM
-
-    node, best = ByHand(MpptMonitor()), string(PATTERN1).gmpp
-    for t in (0, 1_000_000):
-        node.update(t, port=(best.v, best.i, 25.0), environment=change)
-    assert text in node.reports["environment"][1]
-    assert node.status()["efficiency"][0] == pytest.approx(100.0)
-    assert node.status()["tracking_time"][0] == 0.0
 
     node = ByHand(PvCurves())
     node.update(0, environment=PATTERN2 + ROOM, request=None)
@@ -799,41 +771,6 @@ def test_search_in_the_dark_makes_no_claim():
         state = tracked(tracker, tick * 1_000_000, (0.0, 0.0, 25.0))["state"]
         assert state[0] == 1.0
     assert tracker.reports["no signal"][0] is Level.WARN
-
-
-@pytest.mark.parametrize(
-    ("block", "changes", "name"),
-    [
-        (PvPlant, {"converter.L": 0.0}, "converter.L"),
-        (PvPlant, {"converter.C_i": -1e-6}, "converter.C_i"),
-        (PvPlant, {"converter.R_L": 0.0}, "converter.R_L"),
-        (PvPlant, {"module.R_p": 0.0}, "module.R_p"),
-        (PvPlant, {"module.R_s": -0.1}, "module.R_s"),
-        (PvPlant, {"module.a": 0.5}, "module.a"),
-        (PvPlant, {"module.a": 2.5}, "module.a"),
-        (PvPlant, {"d_min": 0.9, "d_max": 0.1}, "d_min"),
-        (PvPlant, {"d_min": 0.0}, "d_min"),
-        (PvPlant, {"d_max": 1.0}, "d_max"),
-        (PvPlant, {"period": 0.00101, "model": "switched"}, "period"),
-        (PvPlant, {"step": 3e-4}, "step"),
-        (PvPlant, {"irradiance": (1000.0,)}, "temperature of 4"),
-        (PvPlant, {"irradiance": (1000.0, 2000.0, 0.0, 0.0)}, "module 2"),
-        (MpptOptimizer, {"d_min": 0.9, "d_max": 0.9}, "d_min"),
-        (MpptOptimizer, {"d_max": 1.0}, "d_max"),
-        (MpptOptimizer, {"n_pop": 0}, "n_pop"),
-        (MpptOptimizer, {"n_iter": 0}, "n_iter"),
-        (MpptOptimizer, {"algorithm": "de_best1", "n_pop": 3}, "n_pop"),
-        (MpptOptimizer, {"algorithm": "perturb_observe", "initial": 0.95}, "initial"),
-        (MpptOptimizer, {"algorithm": "ramp", "ramp_time": 0.001}, "n_ramp"),
-        (ShadingSource, {"times": (0.0, 1.0)}, "irradiance has 4 values"),
-        (ShadingSource, {"times": (1.0, 1.0), "irradiance": PATTERN1 * 2}, "times"),
-        (ShadingSource, {"temperature": (25.0,)}, "temperature has 1"),
-        (ShadingSource, {"temperature": (25.0, 25.0, 25.0, 120.0)}, "module 4"),
-    ],
-)
-def test_bad_parameters_are_named(block, changes, name):
-    with pytest.raises(ParameterError, match=name):
-        block(**changes)
 
 
 def test_metric_outside_the_record():

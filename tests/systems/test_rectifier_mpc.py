@@ -19,7 +19,7 @@ from scipy.special import jv
 from softrig_control.limit_cycle import Swinging, limit_cycle
 from softrig_control.linear_plant import LinearPlant
 from softrig_control.predictive.carima import Carima, diophantine, multiply, predict
-from softrig_control.predictive.certificate import certify, check
+from softrig_control.predictive.certificate import assess, certify
 from softrig_control.predictive.certificate_node import CertificateNode
 from softrig_control.predictive.controller import GpcController
 from softrig_control.predictive.gpc import Gpc, Tuning, invert
@@ -39,9 +39,7 @@ from softrig_core.verdict.findings import findings, values
 from softrig_core.wire.cdr import Layout
 from softrig_power.rectifier.averaged import ode_abc
 from softrig_power.rectifier.circuit import INJECTION, SPWM, Circuit, Period, grid, phases
-from softrig_power.rectifier.controller import RectifierGpc
 from softrig_power.rectifier.models import SEED19_DEN, SEED19_NUM, d2, linearised, n3, seed19
-from softrig_power.rectifier.monitor import RectifierMonitor
 from softrig_power.rectifier.parameters import RectifierConstants
 from softrig_power.rectifier.plant import RectifierPlant
 from softrig_power.rectifier.ports import DC_LINK, POWER_QUALITY, V_DROP, events
@@ -87,12 +85,25 @@ def test_scenario_meets_its_figures(name):
         assert run.figures[figure] == pytest.approx(expected, abs=tolerance), figure
 
 
+def _radius(law):
+    return max(map(abs, law.poles()))
+
+
+def _dc_gain(model):
+    return sum(model.b) / sum(model.a)
+
+
+def _step_response(model, n):
+    """y(1), ..., y(n) for u = 1 from t = 0 on, from rest."""
+    return signal.lfilter((0.0, *model.b), model.a, np.ones(n + 1))[1:]
+
+
 @pytest.mark.parametrize(
     ("period", "weight", "radius"),
     [(2e-4, 17.873, 0.9786), (1e-4, 17.873, 1.0173), (T, 17.873, 0.8077)],
 )
 def test_spectral_radius_of_the_closed_loop(period, weight, radius):
-    assert Gpc(seed19(period), Tuning(weight=weight)).spectral_radius() == pytest.approx(radius, abs=5e-4)
+    assert _radius(Gpc(seed19(period), Tuning(weight=weight))) == pytest.approx(radius, abs=5e-4)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +112,7 @@ def test_spectral_radius_of_the_closed_loop(period, weight, radius):
 )  # fmt: skip
 def test_critical_weight_puts_a_pole_on_the_unit_circle(period, weight, tolerance):
     model = seed19(period)
-    found = brentq(lambda w: Gpc(model, Tuning(weight=w)).spectral_radius() - 1.0, 0.5 * weight, 2.0 * weight)
+    found = brentq(lambda w: _radius(Gpc(model, Tuning(weight=w))) - 1.0, 0.5 * weight, 2.0 * weight)
     assert found == pytest.approx(weight, abs=tolerance)
 
 
@@ -125,7 +136,7 @@ def test_poles_are_those_of_the_simulated_loop():
         x = law.applied(x, x.u + law.move(x, 400.0))
         plant.advance(k, command=(x.u,))
     growth = (np.abs(y[1000:]).max() / np.abs(y[500:1000]).max()) ** (1 / 500)
-    assert growth == pytest.approx(law.spectral_radius(), abs=5e-4)
+    assert growth == pytest.approx(_radius(law), abs=5e-4)
 
 
 models = st.tuples(
@@ -171,7 +182,7 @@ def test_step_matrix_begins_with_the_step_response():
                  5.347639]  # fmt: skip
     column = [row[0] for row in predict(model, 1, 11, 2).g]
     np.testing.assert_allclose(column, published, atol=1e-6)
-    np.testing.assert_allclose(column, model.step_response(11), atol=1e-9)
+    np.testing.assert_allclose(column, _step_response(model, 11), atol=1e-9)
     a, b = linearised(CONSTANTS)
     _, exact = signal.step(signal.StateSpace(a, b, [[0, 0, 1]], [[0]]), T=np.arange(12) * T)
     np.testing.assert_allclose(column, exact[1:], atol=1e-9)
@@ -204,7 +215,7 @@ def test_sampled_models_agree_with_scipy():
         model = Carima.from_continuous(num, den, T)
         np.testing.assert_allclose(model.a, a, rtol=1e-9)
         np.testing.assert_allclose(model.b, numerator(num, den, model.a), rtol=1e-7)
-    assert seed19(T).dc_gain == pytest.approx(77.003, abs=1e-3)
+    assert _dc_gain(seed19(T)) == pytest.approx(77.003, abs=1e-3)
     assert seed19(T).b == pytest.approx((0.16467, 0.15255), abs=1e-5)  # printed: 0.116, 0.107
 
 
@@ -222,7 +233,7 @@ def test_corrected_models_are_those_of_the_operating_point():
     assert third.a == pytest.approx((1.0, -2.72329524, 2.55901776, -0.82629094), abs=1e-8)
     assert second.b == pytest.approx((-0.00074274, 0.51542369), abs=1e-8)
     assert second.a == pytest.approx((1.0, -0.90050642), abs=1e-8)
-    assert (third.dc_gain, second.dc_gain) == pytest.approx((7.0435, 5.1730), abs=1e-4)
+    assert (_dc_gain(third), _dc_gain(second)) == pytest.approx((7.0435, 5.1730), abs=1e-4)
     poles = np.linalg.eigvals(linearised(c)[0])
     assert sorted(poles.real) == pytest.approx([-126.26, -51.81, -51.81], abs=0.01)
     assert max(poles.imag) == pytest.approx(376.99, abs=0.01)
@@ -251,7 +262,7 @@ def test_certificate():
 )  # fmt: skip
 def test_the_papers_equation_33_is_no_certificate(gain, moduli):
     c = np.array([[0.2383, 0.218]])
-    found = check([[1.83, -0.83], [1, 0]], [[1], [0]], [gain], [[5.34, 1.83], [1.83, 1]], c.T @ c, 1.0)
+    found = assess([[1.83, -0.83], [1, 0]], [[1], [0]], [gain], [[5.34, 1.83], [1.83, 1]], c.T @ c, 1.0)
     assert found.moduli == pytest.approx(moduli, abs=2e-3)
     assert found.definite > 0
     assert found.residual > 1.0
@@ -262,8 +273,8 @@ def test_a_certificate_is_refused_when_one_entry_is_wrong():
     found = certify(seed19(T))
     a, b = [[-x for x in seed19(T).a[1:]], [1, 0]], [[1], [0]]
     c = np.array([seed19(T).b])
-    assert check(a, b, found.gain, found.terminal, c.T @ c, 1.0).valid
-    assert not check(a, b, found.gain, found.terminal * 0.99, c.T @ c, 1.0).valid
+    assert assess(a, b, found.gain, found.terminal, c.T @ c, 1.0).valid
+    assert not assess(a, b, found.gain, found.terminal * 0.99, c.T @ c, 1.0).valid
 
 
 def test_closed_form_is_the_least_squares_solution():
@@ -352,20 +363,6 @@ def test_anti_windup(solver):
     back = [[x.update(k, measured=(500.0,), reference=None)["command"][0] for k in range(5)] for x in (law, fresh)]
     assert back[0] == pytest.approx(back[1], abs=1e-9)
     assert back[0][0] < 3.0
-
-
-@pytest.mark.parametrize(
-    ("values", "named"),
-    [({"period": 0.0}, "period"), ({"Np": 0}, "Np"), ({"Nc": 0}, "Nc"), ({"Nc": 12}, "Nc = 12"),
-     ({"N1": 12}, "N1 = 12"),
-     ({"lam": -1.0}, "lam"), ({"lam": 0.0, "N1": 11}, "lambda"), ({"den": ()}, "den"), ({"den": (0.0, 1.0)}, "den"),
-     ({"u_min": 1.0, "u_max": 1.0}, "u_min"), ({"du_max": 2.0}, "du_max"), ({"num": (1.0, 1.0, 1.0)}, "num"),
-     ({"measured": "voltage"}, "voltage"), ({"a": (2.0,), "b": (1.0,)}, "a = "),
-     ({"trip_low": 9.0, "trip_high": 1.0}, "trip_low")],
-)  # fmt: skip
-def test_impossible_parameters_are_refused_by_name(values, named):
-    with pytest.raises(ParameterError, match=named):
-        GpcController(**values)
 
 
 def test_bad_samples_hold_then_trip_for_good():
@@ -458,7 +455,7 @@ def test_equilibrium_is_one():
 
 def test_linear_model_is_the_slope_of_the_plant():
     """N3 against a small step of the nonlinear plant."""
-    response = n3(CONSTANTS, T).step_response(11)
+    response = _step_response(n3(CONSTANTS, T), 11)
     plant = ByHand(RectifierPlant())
     found = []
     for k in range(11):
@@ -472,7 +469,7 @@ def test_decoupled_current_follows_its_ramp_exactly():
     for k, i in enumerate((40.0, 45.0, 43.5, 38.0)):
         plant.advance(k * NS, command=(i,), events=None)
         assert moving(plant)[:2] == pytest.approx((i, 0.0), abs=1e-9)
-    small = d2(CONSTANTS, T).step_response(3)
+    small = _step_response(d2(CONSTANTS, T), 3)
     plant = ByHand(RectifierPlant(structure="decoupled"))
     for k in range(3):
         plant.advance(k * NS, command=(CONSTANTS.current + 1e-4,), events=None)
@@ -571,22 +568,6 @@ def test_event_takes_effect_in_the_first_period_at_or_after_it():
     v = signals["dc_link/voltage/position"]
     assert np.abs(v.x[v.t <= first + 1e-9] - 400).max() < 1e-6
     assert v.x[182] < 390
-
-
-@pytest.mark.parametrize(
-    ("values", "named"),
-    [({"R_L": 0.0}, "R_L"), ({"C": 0.0}, "C"), ({"L": -1.0}, "L"), ({"period": 0.0}, "period"),
-     ({"carrier_hz": 100.0}, "carrier_hz"),
-     ({"model": "spice"}, "model"), ({"v_start": 0.0}, "v_start")],
-)  # fmt: skip
-def test_impossible_plants_are_refused_by_name(values, named):
-    with pytest.raises(ParameterError, match=named):
-        RectifierPlant(**values)
-
-
-def test_a_load_that_the_grid_cannot_carry_is_refused_by_the_controller():
-    with pytest.raises(ParameterError, match="R_L = 1 ohm"):
-        RectifierGpc(R_L=1.0)
 
 
 def test_impossible_events_are_refused_and_the_last_good_ones_hold():
@@ -717,23 +698,6 @@ def test_divergence_ends_as_a_reported_trip():
     _, state = run.signals["health/state/position"]
     assert set(u[state == 3.0]) == {0.0}
     assert np.isfinite(run.signals["output/v_dc/position"].x).all()
-
-
-def test_metrics_by_event():
-    run = run_of("rectifier_mpc")
-    found = run.blocks["rig_metrics"].status()
-    v = run.signals["dc_link/voltage/position"]
-    after = v.x[v.t >= 0.15]
-    assert found["event_1_v_min"] == (after.min(), "V")
-    assert found["event_1_v_max"] == (after.max(), "V")
-    assert found["event_1_final"][0] == pytest.approx(400.0, abs=1e-6)
-    assert found["event_1_settling"][0] == pytest.approx(37 * T, abs=1e-9)
-    assert found["event_0_settling"] == (0.0, "s")
-    watcher = ByHand(RectifierMonitor(set_point=100.0))
-    for k, y in enumerate((0.0, 90.0, 104.0, 99.0)):
-        watcher.update(k * 10**9, dc_link=(y, 0.0), reference=None, events=None)
-    assert watcher.status()["event_0_overshoot"] == (pytest.approx(4.0), "%")
-    assert watcher.status()["event_0_settling"] == (3.0, "s")
 
 
 def test_the_certificate_of_the_papers_model_does_not_help_the_plant():

@@ -12,7 +12,6 @@ from conftest import PATIENCE, differences, in_process
 from softrig_core import (
     ByHand,
     Level,
-    ParameterError,
     Signals,
     evaluate,
     list_scenarios,
@@ -380,38 +379,6 @@ def test_disturbances_act_on_both_plants():
 
 
 # Bad input
-
-
-@pytest.mark.parametrize("kind", [TcpFluid, TcpPackets])
-@pytest.mark.parametrize(
-    ("values", "named"),
-    [({"tau_p": 0.0}, "tau_p"), ({"C": -1.0}, "C"), ({"N": 0}, "N"), ({"w_min": 0.0}, "w_min"),
-     ({"history": 0.27}, "history"), ({"w0": 61.0}, "w0"), ({"q0": 301.0}, "q0"), ({"N": math.nan}, "N")],
-)  # fmt: skip
-def test_impossible_networks_are_refused(kind, values, named):
-    with pytest.raises(ParameterError, match=rf"\b{named}\b"):
-        kind(**values)
-
-
-def test_steps_that_are_too_long_are_refused():
-    with pytest.raises(ParameterError, match=r"h = 0\.06 s: expected at most tau_p/4 = 0\.05"):
-        TcpFluid(h=0.06, period=0.06)
-    with pytest.raises(ParameterError, match="whole part of period"):
-        TcpFluid(h=0.0007)
-    with pytest.raises(ParameterError, match="period"):
-        TcpPackets(period=0.06)
-
-
-@pytest.mark.parametrize("set_point", [0.0, -1.0, 300.0, 301.0])
-def test_impossible_set_points_are_refused(set_point):
-    with pytest.raises(ParameterError, match="set_point"):
-        AqmController(set_point=set_point)
-
-
-def test_controller_history_must_hold_the_longest_delay():
-    with pytest.raises(ParameterError, match="history"):
-        AqmController(history=0.27)
-    AqmController(history=0.29)
 
 
 @pytest.mark.parametrize("kind", [TcpFluid, TcpPackets])

@@ -34,7 +34,6 @@ class Deviation:
 
     Parameters
     ----------
-    signal : str
     samples : int
         Number of times at which they were compared: those of the slower one.
     largest, rms : float
@@ -78,7 +77,6 @@ class Alignment:
 
     Parameters
     ----------
-    deviations : list of Deviation
     span : tuple of 2 floats
         The time that both bags have, s since their start.
     lacking, extra : list of str
@@ -126,7 +124,6 @@ def align(
 
     Parameters
     ----------
-    a, b : BagSignals
     default, tolerances
         See `softrig_bags.compare.compare`.
     topics : sequence of str, optional

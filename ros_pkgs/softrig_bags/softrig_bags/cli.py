@@ -99,8 +99,9 @@ def main_record(argv: list[str]) -> int:
     parser.add_argument(
         "--max-duration", type=Number(float, 0, 1e9), default=0.0, metavar="S", help="begin a new file after so long"
     )
-    parser.add_argument("--use-sim-time", action="store_true",
-                        help="bag time is the header stamp instead of the time of arrival")  # fmt: skip
+    parser.add_argument(
+        "--use-sim-time", action="store_true", help="bag time is the header stamp instead of the time of arrival"
+    )
     own, ros = _ros_arguments(argv)
     options = parser.parse_args(own)
 
@@ -213,8 +214,9 @@ def main_compare(argv: list[str]) -> int:
     if options.align or (not options.bitwise and unrelated(a, b)):
         result = align(a, b, default=default, tolerances=tolerances, topics=topics, ignore=options.ignore)
     else:
-        result = compare(a, b, default=default, tolerances=tolerances, bitwise=options.bitwise, topics=topics,
-                         ignore=options.ignore)  # fmt: skip
+        result = compare(
+            a, b, default=default, tolerances=tolerances, bitwise=options.bitwise, topics=topics, ignore=options.ignore
+        )
     print(result.to_json() if options.json else plain(str(result)))
     return 0 if result.equal else 1
 

@@ -59,14 +59,12 @@ class TopicComparison:
 
     Parameters
     ----------
-    topic, msgtype : str
     count_a, count_b : int
         Number of messages.
     missing, extra : int
         Messages of a that b lacks, messages of b that a lacks.
     differing : int
         Paired messages that disagree.
-    first : Difference, optional
     largest : dict of str to float
         Largest ``|b - a|`` of each field that differs at all, within tolerance or not.
     """
@@ -119,8 +117,9 @@ class Comparison:
         lines = []
         for t in self.topics:
             counts = str(t.count_a) if t.count_a == t.count_b else f"{t.count_a} against {t.count_b}"
-            faults = [f"{n} {what}" for n, what in ((t.missing, "missing"), (t.extra, "extra"), (t.differing, "differ"))
-                      if n]  # fmt: skip
+            faults = [
+                f"{n} {what}" for n, what in ((t.missing, "missing"), (t.extra, "extra"), (t.differing, "differ")) if n
+            ]
             lines.append(f"{t.topic}: {counts} messages, {', '.join(faults) or 'equal'}")
             lines += [f"    {name}: largest deviation {value:.3g}" for name, value in t.largest.items()]
         lines.append(f"first difference: {self.first}" if self.first else "the bags agree")
@@ -155,10 +154,6 @@ def compare(
         Topics to compare; default all of both.
     ignore : sequence of str
         Patterns of topics left out.
-
-    Returns
-    -------
-    Comparison
     """
     topics_a, topics_b = a.recording.topics, b.recording.topics
     for name in topics or ():
@@ -213,9 +208,7 @@ class _Pairing:
     ) -> TopicComparison:
         result = self.result
         data_a, data_b = self.one.data, self.two.data
-        unequal = np.array(
-            [data_a[i] != data_b[j] for i, j in zip(self.rows_a, self.rows_b, strict=True)], dtype=bool
-        )  # fmt: skip
+        unequal = np.array([data_a[i] != data_b[j] for i, j in zip(self.rows_a, self.rows_b, strict=True)], dtype=bool)
         bad = np.zeros(len(self.times), dtype=bool)
         if bitwise:
             default, tolerances = Tolerance(), {}

@@ -20,7 +20,6 @@ def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[
 
     Parameters
     ----------
-    recording : Recording
     texts : mapping of str to str
         Topic to what is latched there, as ``robot_description``; what is recorded already stays as it is.
     status : mapping of str to mapping
@@ -64,5 +63,6 @@ def _status(name: str, status: Mapping[str, Any]) -> Any:
 
 def _message(name: str, level: int, text: str, values: Mapping[str, str]) -> Any:
     pairs = [make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()]
-    return make("diagnostic_msgs/msg/DiagnosticStatus", level=level, name=name, message=text, hardware_id="",
-                values=pairs)  # fmt: skip
+    return make(
+        "diagnostic_msgs/msg/DiagnosticStatus", level=level, name=name, message=text, hardware_id="", values=pairs
+    )

@@ -20,10 +20,6 @@ class Join:
     Stamps of simulated time begin at 0: whoever speaks with one period and has a first stamp beyond that began earlier.
     A topic without a steady period, or on the wall clock, tells nothing, and neither does one with two messages.
 
-    Parameters
-    ----------
-    topic : BagTopic
-
     Attributes
     ----------
     open : bool

@@ -81,10 +81,6 @@ def whole_records(content: bytes) -> tuple[list[McapRecord], int]:
 class Recovery:
     """Whole records of an MCAP file, those inside chunks included.
 
-    Parameters
-    ----------
-    path : Path
-
     Attributes
     ----------
     lost : list of str

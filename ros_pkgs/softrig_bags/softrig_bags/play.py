@@ -19,15 +19,11 @@ from .topics import absolute
 from .write import write_bag
 
 
-def play(
-    options: argparse.Namespace, ros_arguments: list[str], parameters: Sequence[tuple[Declaration, Any]]
-) -> int:  # fmt: skip
+def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequence[tuple[Declaration, Any]]) -> int:
     """Play as the options of `cli.main_play` say; give the exit status.
 
     Parameters
     ----------
-    options : argparse.Namespace
-    ros_arguments : list of str
     parameters : sequence of (Declaration, value)
         The options as the node shows them.
     """
@@ -53,16 +49,18 @@ def play(
         session = Session("player", ros_arguments, parameters)
         sender = Sender(session, bag, chosen, remap)
         if answers:
-            lockstep = LockstepPlayer(session, bag, sender, answers, remap, part, timeout=options.timeout,
-                                      paused=options.paused)  # fmt: skip
+            lockstep = LockstepPlayer(
+                session, bag, sender, answers, remap, part, timeout=options.timeout, paused=options.paused
+            )
             found = lockstep.run()
             counts = ", ".join(f"{len(t.data)} on {t.name}" for t in found.topics.values())
             print(f"{lockstep.sent} messages played, answered by {counts}")
             if options.answers:
                 write_bag(options.answers, found)
             return 0
-        player = Player(session, bag, sender, part, rate=options.rate, loop=options.loop, clock=options.clock,
-                        paused=options.paused)  # fmt: skip
+        player = Player(
+            session, bag, sender, part, rate=options.rate, loop=options.loop, clock=options.clock, paused=options.paused
+        )
         player.run(options.wait)
         print(f"{player.sent} messages played")
         return 0

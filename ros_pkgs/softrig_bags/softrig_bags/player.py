@@ -46,9 +46,6 @@ class Sender:
 
     Parameters
     ----------
-    session : Session
-    bag : BagReader
-    topics : sequence of BagTopic
     remap : mapping of str to str
         Recorded name to name to publish.
     """
@@ -79,8 +76,9 @@ def _class(topic: BagTopic) -> Any:
     try:
         return message_class(topic.msgtype)
     except (ImportError, AttributeError):
-        raise BagError(f"{topic.name} is of type {topic.msgtype}, which is not installed here; leave it out with "
-                       "--exclude") from None  # fmt: skip
+        raise BagError(
+            f"{topic.name} is of type {topic.msgtype}, which is not installed here; leave it out with --exclude"
+        ) from None
 
 
 class Pauser:
@@ -141,10 +139,6 @@ class Player:
 
     Parameters
     ----------
-    session : Session
-    bag : BagReader
-    sender : Sender
-    part : Span
     rate : float
         Bag seconds a wall-clock second.
     loop : bool
@@ -289,15 +283,12 @@ class LockstepPlayer:
 
     Parameters
     ----------
-    session : Session
-    bag : BagReader
     sender : Sender
         Of the topics that are played: none of the answers.
     answers : sequence of str
         Recorded names of the topics that the node under test publishes.
     remap : mapping of str to str
         Recorded name to the name on which the node publishes.
-    part : Span
     timeout : float
         Wall-clock seconds without progress that end the replay.
     """
@@ -464,8 +455,9 @@ class LockstepPlayer:
 
     def _was_set(self, node: str, values: Mapping[str, Any], answer: Any) -> None:
         if not answer.result.successful:
-            raise RunError(f"{node} refuses {', '.join(values)} at t = {self._following[0] / SECOND:.9g} s: "
-                           f"{answer.result.reason}")  # fmt: skip
+            raise RunError(
+                f"{node} refuses {', '.join(values)} at t = {self._following[0] / SECOND:.9g} s: {answer.result.reason}"
+            )
         self._setting = False
         self._step()
 

@@ -63,7 +63,7 @@ class BagSignals(Signals):
 
     def __init__(
         self, recording: Recording, epoch: int, stores: dict[str, Typestore | None], from_start: bool = True
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(recording, epoch)
         self._stores = stores
         self.from_start = from_start

@@ -33,9 +33,6 @@ class Recorder:
 
     Parameters
     ----------
-    session : Session
-    writer : BagWriter
-    selection : Selection
     stamped : bool
         Bag time is the header stamp (topics without header: the newest stamp seen) instead of the time of arrival.
     holds : Holds, optional

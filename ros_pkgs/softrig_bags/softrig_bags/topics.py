@@ -26,8 +26,9 @@ def qos(
     depth: int = 10,
 ) -> Qos:
     """Give an offered QoS profile: keep last, no deadline, no lifespan, automatic liveliness."""
-    return Qos(QosHistory.KEEP_LAST, depth, reliability, durability, FOREVER, FOREVER, QosLiveliness.AUTOMATIC,
-               FOREVER, False)  # fmt: skip
+    return Qos(
+        QosHistory.KEEP_LAST, depth, reliability, durability, FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False
+    )
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,6 @@ def write_bag(
     ----------
     directory : Path or str
         The new bag; must not exist.
-    recording : Recording
     storage : str
         ``mcap`` or ``sqlite3``.
     compression : str
@@ -56,8 +55,9 @@ def write_bag(
         raise BagError(f"{directory} exists already; a bag is never overwritten")
     temporary = directory.with_name(f".{directory.name}.{os.getpid()}.part")
     try:
-        writer = BagWriter(temporary, storage=storage, compression=compression, custom_data=custom_data,
-                           name=directory.name)  # fmt: skip
+        writer = BagWriter(
+            temporary, storage=storage, compression=compression, custom_data=custom_data, name=directory.name
+        )
         try:
             numbers = {}
             for topic in recording.topics.values():

@@ -13,6 +13,7 @@ from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
+from softrig_core import ScenarioError
 from softrig_core.command_line import Parser, without_ros
 from softrig_core.guard import guarded, quietly
 
@@ -89,8 +90,6 @@ def _verb(arguments: list[str]) -> int:
             module, function, _ = FOREIGN[name]
             return int(getattr(importlib.import_module(module), function)(arguments[words:]))
     if arguments and arguments[0] in FORMER:
-        from softrig_core import ScenarioError
-
         raise ScenarioError(f"`softrig {arguments[0]}` is `softrig {FORMER[arguments[0]]}` now")
     if arguments[:1] != ["node"]:
         arguments = without_ros(arguments)
@@ -105,10 +104,11 @@ def _verb(arguments: list[str]) -> int:
 def make_parser() -> argparse.ArgumentParser:
     """Make the parser of all verbs; those with a command line of their own, or of scripts/softrig, only by name."""
     parser = Parser(
-        prog="softrig", description="Closed loops over ROS 2 topics that come out the same every time.",
+        prog="softrig",
+        description="Closed loops over ROS 2 topics that come out the same every time.",
         epilog="Before the verb: --workspace DIR, also the packages in DIR; remembered, until --workspace none.",
         formatter_class=_InGroups,
-    )  # fmt: skip
+    )
     parser.add_argument("--version", action=_Version, nargs=0, help="print version and commit")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
 
@@ -170,8 +170,6 @@ def _late(target: str, options: argparse.Namespace) -> int:
 
 def of_the_script(options: argparse.Namespace) -> int:
     """Refuse a verb of the script that sets up a checkout."""
-    from softrig_core import ScenarioError
-
     raise ScenarioError(f"{', '.join(SCRIPT)} are verbs of scripts/softrig, which has not been used here")
 
 

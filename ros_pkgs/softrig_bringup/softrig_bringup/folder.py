@@ -219,8 +219,7 @@ def _holder(path: Path) -> str:
 
 
 def _foreign(path: Path) -> str:
-    return (f"{path} was not written by a run of softrig (or by one before 0.2); move it away or choose another "
-            "--out")  # fmt: skip
+    return f"{path} was not written by a run of softrig (or by one before 0.2); move it away or choose another --out"
 
 
 def _files(path: Path) -> Iterator[str]:

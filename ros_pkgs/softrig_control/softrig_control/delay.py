@@ -23,11 +23,13 @@ class FieldbusDelayParams(LinkParams):
     """Which messages the link carries and what it does to them."""
 
     delay: float = param(0.08, "delay, rounded up to whole periods", "s", ge=0.0, live=True)
-    jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s",
-                          ge=0.0, live=True)  # fmt: skip
+    jitter: float = param(
+        0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s", ge=0.0, live=True
+    )
     loss: float = param(0.0, "probability that a message is lost", ge=0.0, lt=1.0, live=True)
-    quantum: tuple[float, ...] = param((), "step to which each value is rounded, 0 for none; empty: no rounding",
-                                       each=(0.0, 1e12), live=True)  # fmt: skip
+    quantum: tuple[float, ...] = param(
+        (), "step to which each value is rounded, 0 for none; empty: no rounding", each=(0.0, 1e12), live=True
+    )
     restamp: bool = param(False, "stamp with the time of delivery, for a receiver that pairs messages by stamp")
 
     @model_validator(mode="after")
@@ -232,9 +234,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         """Nothing is on the line."""
         return State(line=Line(self.p.port("sent", self.p.topic_in).size))
 
-    def update(
-        self, x: State, t: int, *, sent: Sample
-    ) -> tuple[State, Mapping[str, Sample | tuple[float, ...]]]:  # fmt: skip
+    def update(self, x: State, t: int, *, sent: Sample) -> tuple[State, Mapping[str, Sample | tuple[float, ...]]]:
         """Take the newest message sent, give the newest that has arrived."""
         newest, line, held, k = x
         if held is None:
@@ -272,9 +272,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
                 return line, k
         data = sample.data
         if self.p.quantum:
-            data = tuple(
-                math.floor(x / q + 0.5) * q if q else x for x, q in zip(data, self.p.quantum, strict=True)
-            )  # fmt: skip
+            data = tuple(math.floor(x / q + 0.5) * q if q else x for x, q in zip(data, self.p.quantum, strict=True))
         return line.put(t + late, sample.stamp, data), k
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 from softrig_core.kit.dense import total
 
@@ -67,9 +68,12 @@ def zero_order_hold(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], 
         From exp([[A, B], [0, 0]] period).
     """
     n, m = len(a), len(b[0])
-    whole = [[x * period for x in (*ra, *rb)] for ra, rb in zip(a, b, strict=True)] + [[0.0] * (n + m)] * m
-    sampled = expm(whole)[:n]
+    whole = [tuple(x * period for x in (*ra, *rb)) for ra, rb in zip(a, b, strict=True)] + [(0.0,) * (n + m)] * m
+    sampled = _expm(tuple(whole))[:n]
     return tuple(row[:n] for row in sampled), tuple(row[n:] for row in sampled)
+
+
+_expm = lru_cache(maxsize=64)(expm)  # runs of a study often share their plant
 
 
 def _dot(a, b) -> float:  # type: ignore[no-untyped-def]

@@ -44,8 +44,9 @@ class FaultParams(LinkParams):
     lost_in_burst: float = param(
         1.0, "probability that a message is lost in a burst (Gilbert-Elliott)", ge=0.0, le=1.0, live=True
     )
-    burst_begins: float = param(0.0, "probability that a burst of losses begins at a message; 0: none does", ge=0.0,
-                                le=1.0, live=True)  # fmt: skip
+    burst_begins: float = param(
+        0.0, "probability that a burst of losses begins at a message; 0: none does", ge=0.0, le=1.0, live=True
+    )
     burst_ends: float = param(1.0, "probability that it ends at a message", gt=0.0, le=1.0, live=True)
     delay: float = param(0.0, "of `delay`, rounded up to whole periods", "s", ge=0.0, le=1e4, live=True)
     jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s",

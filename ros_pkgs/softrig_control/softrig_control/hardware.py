@@ -18,7 +18,6 @@ def hardware_tag(
 
     Parameters
     ----------
-    name : str
     joints : sequence of str
         With the interfaces as state, effort as command; the same names in both messages.
     states, commands : str
@@ -45,8 +44,6 @@ def axis_urdf(
 
     Parameters
     ----------
-    name, joint : str
-    kind : {"continuous", "prismatic"}
     limit : tuple of 2 floats
         Largest effort and speed, in the units of its joint states; a prismatic joint has no ends.
     tag : sequence of str

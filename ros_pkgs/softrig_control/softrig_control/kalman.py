@@ -86,10 +86,6 @@ class SteadyKalman:
         y : sequence of float
             Measurement y_k.
 
-        Returns
-        -------
-        tuple of float
-
         Raises
         ------
         ValueError

@@ -55,7 +55,6 @@ def limit_cycle(x: Swinging, y: float, reference: float) -> tuple[Swinging, floa
 
     Parameters
     ----------
-    x : Swinging
     y, reference : float
         In the unit of the signal.
     """

@@ -39,7 +39,6 @@ class PhaseLockedLoop:
 
     Parameters
     ----------
-    gains : PllParams
     omega : float
         Nominal angular frequency omega_0, rad/s.
     period : float

@@ -14,10 +14,12 @@ class PidParams(Params):
     ki: float = param(0.0, "integral gain Ki", "1/s", live=True)
     kd: float = param(0.0, "derivative gain Kd", "s", live=True)
     n_filter: float = param(100.0, "corner N of the derivative filter Kd N s/(s + N)", "1/s", gt=0.0, live=True)
-    anti_windup: bool = param(True, "stop the integral while the output is beyond u_max and the error drives it on",
-                              live=True)  # fmt: skip
-    u_max: float = param(1.0, "actuator limit that anti_windup assumes; the output itself is not clipped", gt=0.0,
-                         live=True)  # fmt: skip
+    anti_windup: bool = param(
+        True, "stop the integral while the output is beyond u_max and the error drives it on", live=True
+    )
+    u_max: float = param(
+        1.0, "actuator limit that anti_windup assumes; the output itself is not clipped", gt=0.0, live=True
+    )
 
 
 class PidState(NamedTuple):
@@ -39,7 +41,6 @@ class Pid:
 
     Parameters
     ----------
-    gains : PidParams
     period : float
         Ts in s.
 

@@ -98,12 +98,14 @@ class PolicyParams(BlockParams):
     weights: tuple[float, ...] = param((0.0, 0.0), "what the policy has learned")
     inputs: str = param(
         '[{"name": "state", "topic": "state", "msgtype": "sensor_msgs/msg/JointState", "channels": ["x"],'
-        ' "fields": ["position"], "units": ["m"]}]', "the topics that come, each as a port, in JSON",
-    )  # fmt: skip
+        ' "fields": ["position"], "units": ["m"]}]',
+        "the topics that come, each as a port, in JSON",
+    )
     outputs: str = param(
         '[{"name": "command", "topic": "command", "msgtype": "sensor_msgs/msg/JointState", "channels": ["x"],'
-        ' "fields": ["effort"], "units": ["N"]}]', "the topics that it says, likewise",
-    )  # fmt: skip
+        ' "fields": ["effort"], "units": ["N"]}]',
+        "the topics that it says, likewise",
+    )
     observe: tuple[str, ...] = param(("state/x/position",), "the signals of an observation: topic/channel/field")
     act: tuple[str, ...] = param(("command/x/effort",), "those of an action; the others keep their ports' safe values")
     low: tuple[float, ...] = param((), "least value of each action; empty: the limits of the ports")
@@ -203,9 +205,7 @@ class Policy(Block[PolicyParams]):
             found.append(given[k])
         return tuple(found)
 
-    def update(
-        self, x: State, t: int, **inputs: Any
-    ) -> tuple[State, Mapping[str, tuple[float, ...] | Sample | None]]:  # fmt: skip
+    def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...] | Sample | None]]:
         """Say what the policy commands."""
         given = x.act(self.observation(inputs))
         if len(given) != len(self._bounds):

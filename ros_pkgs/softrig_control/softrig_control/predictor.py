@@ -61,7 +61,6 @@ class CommandReplay:
 
         Parameters
         ----------
-        history : Commands
         x : (n,) sequence
             State `late` periods ago.
         late : int

@@ -22,8 +22,9 @@ class RequirementMonitorParams(BlockParams):
     formula: str = param("always x <= 1", "in signal temporal logic, over the names below", min_length=1)
     ports: str = param(
         '[{"name": "state", "topic": "state", "msgtype": "sensor_msgs/msg/JointState", "channels": ["x"],'
-        ' "fields": ["position"], "units": ["m"]}]', "the topics, each as a port, in JSON",
-    )  # fmt: skip
+        ' "fields": ["position"], "units": ["m"]}]',
+        "the topics, each as a port, in JSON",
+    )
     names: tuple[str, ...] = param(("x",), "names of signals in the formula")
     signals: tuple[str, ...] = param(("state/x/position",), "the signal of each: topic/channel/field")
     constants: tuple[str, ...] = param((), "names of numbers in the formula")

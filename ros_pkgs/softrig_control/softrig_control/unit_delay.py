@@ -33,8 +33,9 @@ class LinkParams(BlockParams):
     dims: tuple[str, ...] = param((), "labels of the dimensions of a Float64MultiArray, the outermost first")
     sizes: tuple[int, ...] = param((), "their sizes", each=(1, 10_000))
     units: tuple[str, ...] = param((), "unit of each value, field after field; empty: pure numbers")
-    limits: tuple[float, ...] = param((), "magnitude beyond which each value is refused; empty: by unit",
-                                      each=(0.0, 1e300))  # fmt: skip
+    limits: tuple[float, ...] = param(
+        (), "magnitude beyond which each value is refused; empty: by unit", each=(0.0, 1e300)
+    )
     frame_id: str = param("", "frame of the messages")
     initial: tuple[float, ...] = param((), "values given before the first arrival; empty: what the link says of itself")
 

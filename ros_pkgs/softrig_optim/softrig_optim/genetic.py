@@ -20,7 +20,6 @@ class Genetic(Population):
 
     Parameters
     ----------
-    blend, mutation, step : float
     elite : int
         At least 1 and less than n_pop.
     **options

@@ -344,7 +344,6 @@ def run(
 
     Parameters
     ----------
-    search : Search
     objective : callable
         Value of a candidate.
     mapper : callable

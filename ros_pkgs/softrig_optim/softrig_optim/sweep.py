@@ -226,8 +226,9 @@ def _connected(scheduler: str) -> Any:
         with ThreadPoolExecutor(1) as thread:  # where a loop runs here already (a notebook), asyncio.run refuses
             thread.submit(lambda: asyncio.run(knock())).result()
     except (OSError, ValueError, TypeError) as error:  # TypeError: its own, of an address that is a word
-        raise ScenarioError(f"--scheduler {scheduler}: no Dask scheduler there, expected an address as "
-                            f"tcp://127.0.0.1:8786: {error}") from None  # fmt: skip
+        raise ScenarioError(
+            f"--scheduler {scheduler}: no Dask scheduler there, expected an address as tcp://127.0.0.1:8786: {error}"
+        ) from None
     return distributed.Client(scheduler)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, model_validator
@@ -53,15 +54,16 @@ class JointGains(Params):
             require_positive(name, getattr(self, name), or_zero=True)
         return self
 
-    def of_joint(self, prefix: str, joint: int, joints: int) -> dict[str, Any]:
-        """Give the gains of one joint.
+    def of_joint(self, prefix: str, joint: int, joints: int) -> SimpleNamespace:
+        """Give the gains of one joint, a number each, by their names.
 
         Raises
         ------
         ValueError
             A gain has neither one value nor one a joint; names it with the prefix.
         """
-        return {k: spread(f"{prefix}.{k}", getattr(self, k), joints)[joint] for k in type(self).model_fields}
+        names = type(self).model_fields
+        return SimpleNamespace(**{k: spread(f"{prefix}.{k}", getattr(self, k), joints)[joint] for k in names})
 
 
 def motor_names(joints: tuple[str, ...]) -> tuple[str, ...]:

@@ -30,7 +30,6 @@ class Outcome:
 
     Parameters
     ----------
-    space : Space
     names : tuple of str
         The requirements.
     nominal, worst : dict of str to float or None
@@ -41,7 +40,6 @@ class Outcome:
         The worst run; None when no run could be measured.
     small : Case, optional
         The violation made small; None when there is none.
-    small_margins : dict
     shrinking : int
         Runs that this took.
     broken : list of (dict, str)
@@ -70,7 +68,6 @@ class Prepared(NamedTuple):
 
     Parameters
     ----------
-    space : Space
     names : tuple of str
         The requirements.
     nominal : dict of str to float or None
@@ -108,12 +105,11 @@ def prepare(task: Falsification) -> Prepared:
 
 def falsify(
     task: Falsification, prepared: Prepared, out: Path, *, workers: int | None = None, scheduler: str = ""
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     """Search, and make what is found small.
 
     Parameters
     ----------
-    task : Falsification
     prepared : Prepared
         What `prepare` gave of it.
     out : Path

@@ -112,11 +112,8 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
 
     Parameters
     ----------
-    task : Falsification
     kind : str
         ``worst`` or ``small``.
-    case : Case
-    outcome : Outcome
     """
     scenario, overrides = case
     changed = scenario.changed(overrides=overrides)

@@ -26,10 +26,8 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
     ----------
     runs : mapping of str to Run
         By label; what the last one violates is shaded.
-    requirement : str
     path : Path
         The PNG.
-    title : str
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -48,7 +46,7 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
     rows = {
         name: [Curve(label, units[signal], *run.signals[signal], signal in held) for label, run in runs.items()]
         for name, signal in signals.items()
-    }  # fmt: skip
+    }
     different = {n: c for n, c in rows.items() if any(not np.array_equal(c[0].y, other.y) for other in c[1:])}
     rows = different or rows  # a reference that is the same in all says nothing
     marks = [m for m in next(iter(marks_of(last.rig, last.signals).values()), []) if m.name == requirement]

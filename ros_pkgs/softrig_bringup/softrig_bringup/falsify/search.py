@@ -74,7 +74,6 @@ def search(
         Measures a batch of points.
     budget : int
         Number of runs.
-    seed : int
     sampler : {"cmaes", "tpe", "random"}
         What follows the corners; ``random`` draws points and nothing else.
     enough : float

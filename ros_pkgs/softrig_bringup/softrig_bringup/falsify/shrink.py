@@ -18,7 +18,6 @@ def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], b
 
     Parameters
     ----------
-    space : Space
     overrides : dict
         Of the violation.
     violates : callable
@@ -82,9 +81,7 @@ def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:
     return case
 
 
-def _nearer(
-    over: Over, target: str, nominal: Any, whole: bool, case: Case, still: Callable[[Case], bool]
-) -> Case:  # fmt: skip
+def _nearer(over: Over, target: str, nominal: Any, whole: bool, case: Case, still: Callable[[Case], bool]) -> Case:
     """A parameter between its nominal value and its own, as near as the violation lasts; lists as a whole."""
     scenario, overrides = case
     worst, good = (x if isinstance(x, list) else [x] for x in (overrides[target], nominal))

@@ -85,7 +85,6 @@ class Space:
     ----------
     scenario : Scenario
         With a fault for each profile.
-    overs : tuple of Over
     targets : tuple of str
         Of each: the parameter that is set, ``node.parameter``.
     nominal : tuple
@@ -169,8 +168,9 @@ def _parameter(params: Mapping[str, Mapping[str, Any]], key: str) -> Any:
     try:
         return pick(params[node], name)
     except KeyError:
-        raise ScenarioError(f"{key!r}: {node} has no parameter {name!r}{closest(name, params[node])}; it has "
-                            f"{', '.join(params[node])}") from None  # fmt: skip
+        raise ScenarioError(
+            f"{key!r}: {node} has no parameter {name!r}{closest(name, params[node])}; it has {', '.join(params[node])}"
+        ) from None
 
 
 def _profile(rig: Rig, over: Over) -> dict[str, Any]:

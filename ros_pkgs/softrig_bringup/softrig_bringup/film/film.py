@@ -26,7 +26,6 @@ class Film:
 
     Parameters
     ----------
-    drawing : Drawing
     times : float array of shape (n,)
         Simulated time of each frame, s.
     frames : list of lists of Shape
@@ -70,7 +69,6 @@ def film(drawing: Drawing, signals: Mapping[str, Signal], start: float, end: flo
 
     Parameters
     ----------
-    drawing : Drawing
     signals : mapping of str to (t, x)
         `Signals` of the run; one that the run has not is drawn at rest.
     start, end : float
@@ -120,8 +118,9 @@ def rows(known: Mapping[str, Signal], times: NDArray[np.float64]) -> list[dict[s
     return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
-def _with_time(drawing: Drawing, row: Mapping[str, float], past: Sequence[Mapping[str, float]], t: float,
-               speed: float) -> list[Shape]:  # fmt: skip
+def _with_time(
+    drawing: Drawing, row: Mapping[str, float], past: Sequence[Mapping[str, float]], t: float, speed: float
+) -> list[Shape]:
     x, y, width, height = drawing.bounds
     pen = Pen()
     digits = max(0, min(6, 1 - math.floor(math.log10(speed)))) if speed < 10 else 0

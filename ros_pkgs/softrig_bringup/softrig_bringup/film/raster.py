@@ -24,12 +24,10 @@ def pixels(film: Film, form: str) -> tuple[bytes, str]:
 
     Parameters
     ----------
-    film : Film
     form : {"gif", "webp", "png"}
 
     Returns
     -------
-    bytes
     str
         What a GIF was reduced to so that it is no larger than `LARGEST`; empty where it was not.
 

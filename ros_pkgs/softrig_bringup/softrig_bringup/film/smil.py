@@ -17,12 +17,7 @@ SPOKEN = 4  # frames for which a text stays: five a second can be read
 
 
 def animated(film: Film) -> str:
-    """Write a film as SVG; shapes that stay stand once, those that are shifted as a whole are shifted.
-
-    Parameters
-    ----------
-    film : Film
-    """
+    """Write a film as SVG; shapes that stay stand once, those that are shifted as a whole are shifted."""
     clips: list[Element] = []
     parts = [_moving(series, film, clips) for series in zip(*film.frames, strict=True)]
     content = [e("defs", *clips), *parts] if clips else parts
@@ -62,14 +57,16 @@ def _jumps(places: Sequence[Sequence[Point]]) -> bool:
     """Whether a shape jumps somewhere: then it is not moved between frames."""
     return any(
         abs(a[0] - b[0]) > JUMP or abs(a[1] - b[1]) > JUMP
-        for before, now in pairwise(places) for a, b in zip(before, now)
-    )  # fmt: skip
+        for before, now in pairwise(places)
+        for a, b in zip(before, now)
+    )
 
 
 def _animate(name: str, values: Sequence[str], film: Film, jump: bool) -> Element:
     discrete = {"calcMode": "discrete"} if jump else {}
-    return e("animate", attributeName=name, values=";".join(values), dur=_seconds(film), repeatCount="indefinite",
-             **discrete)  # fmt: skip
+    return e(
+        "animate", attributeName=name, values=";".join(values), dur=_seconds(film), repeatCount="indefinite", **discrete
+    )
 
 
 def _shift(shifts: Sequence[Point], film: Film, discrete: bool = False) -> Element:

@@ -80,7 +80,6 @@ def still(drawing: Drawing, shapes: Sequence[Shape], dark: bool | None = None) -
 
     Parameters
     ----------
-    drawing : Drawing
     shapes : sequence of Shape
         From `Drawing.frame`.
     dark : bool, optional

@@ -25,7 +25,6 @@ class Span:
 
     Parameters
     ----------
-    low, high : float
     log : bool
         Whether their logarithm counts.
     count : int

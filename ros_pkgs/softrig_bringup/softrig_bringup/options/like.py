@@ -8,9 +8,8 @@ import json
 import shlex
 import struct
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, rig_of
@@ -47,7 +46,6 @@ class Recalled:
         As it was named.
     options : argparse.Namespace
         Of its command.
-    bag : Path
     recording : Recording
         Empty where the bag was left out of a pack.
     epoch : int
@@ -67,7 +65,7 @@ class Recalled:
     epoch: int
     late: Mapping[str, Mapping[str, int]]
     made_with: Mapping[str, Mapping[str, Any]]
-    digests: Mapping[str, Digest] = MappingProxyType({})
+    digests: Mapping[str, Digest] = field(default_factory=dict)
 
 
 def _reached(recording: Recording, epoch: int) -> int:
@@ -167,8 +165,9 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
         by_time.setdefault(t / SECOND, {}).update({f"{node}.{name}": value for name, value in values.items()})
     rig = rig_of(scenario.having(changes=[]))
     if rig.clock.external:
-        raise ScenarioError(f"--like {run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat "
-                            "them")  # fmt: skip
+        raise ScenarioError(
+            f"--like {run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat them"
+        )
     nodes: dict[str, Any] = {name: entry for name, entry in scenario.nodes.items() if not entry.external}
     nodes |= tape(rig, run)
     return scenario.having(nodes=nodes, changes=[{"at": at, "set": values} for at, values in by_time.items()])
@@ -210,14 +209,11 @@ def compared(before: Recalled, run: Run, made_with: Mapping[str, Any]) -> tuple[
 
     Parameters
     ----------
-    before : Recalled
-    run : Run
     made_with : mapping
         What has made the repetition, as ``metrics.json`` has it.
 
     Returns
     -------
-    same : bool
     told : list of str
         The last line says whether it repeats, and if not, which version differs first.
     """
@@ -289,9 +285,10 @@ def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
     own = sorted(there.get("code", ()), key=lambda name: (name.startswith("softrig_"), name))
     rest = [name for name in there.get("versions", ()) if name not in (*DECIDE, "commit", "run.lock")]
     for what, found in (
-        ("the code of ", pairs("code", own)), ("the files of ", pairs("contents", there.get("contents", ()))),
+        ("the code of ", pairs("code", own)),
+        ("the files of ", pairs("contents", there.get("contents", ()))),
         ("", pairs("versions", [*DECIDE, *rest])),
-    ):  # fmt: skip
+    ):
         for name, a, b in found:
             commits = [str(w.get("versions", {}).get("commit", ""))[:LETTERS] for w in (there, here)]
             of = f" (commit {commits[0]} there, {commits[1]} here)" if what == "the code of " and all(commits) else ""
@@ -302,8 +299,9 @@ def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
 
 def words(late: Mapping[str, Mapping[str, int]]) -> str:
     """Say what nodes have counted."""
-    return "; ".join(f"{node} {', '.join(f'{n} {LATE.get(key, key)}' for key, n in counts.items())}"
-                     for node, counts in late.items())  # fmt: skip
+    return "; ".join(
+        f"{node} {', '.join(f'{n} {LATE.get(key, key)}' for key, n in counts.items())}" for node, counts in late.items()
+    )
 
 
 def _values(port: Port, topic: Topic, epoch: int) -> Iterable[tuple[int, int, tuple[float, ...]]]:

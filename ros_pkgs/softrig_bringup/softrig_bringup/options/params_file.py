@@ -41,8 +41,9 @@ def params_of(file: Path, nodes: Iterable[str]) -> dict[str, Any]:
     for key, entry in content.items():
         node = str(key).rpartition("/")[2]
         if node not in nodes:
-            raise ScenarioError(f"params file {file}: {key}: no such node{closest(node, nodes)}; the nodes are "
-                                f"{', '.join(nodes)}")  # fmt: skip
+            raise ScenarioError(
+                f"params file {file}: {key}: no such node{closest(node, nodes)}; the nodes are {', '.join(nodes)}"
+            )
         values = entry.get("ros__parameters") if isinstance(entry, Mapping) else None
         if not isinstance(values, Mapping):
             raise ScenarioError(f"params file {file}: {key}: expected ros__parameters: {{NAME: VALUE}}")

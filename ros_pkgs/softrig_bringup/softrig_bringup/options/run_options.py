@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from softrig_core import ScenarioError
 from softrig_core.command_line import Number
 
 if TYPE_CHECKING:
@@ -28,8 +29,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
                         help="change a parameter (node.parameter) or a shared value")  # fmt: skip
-    parser.add_argument("--params-file", type=Path, metavar="FILE",
-                        help="change parameters, in the form of ros2 param dump")  # fmt: skip
+    parser.add_argument(
+        "--params-file", type=Path, metavar="FILE", help="change parameters, in the form of ros2 param dump"
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this one")
@@ -106,8 +108,6 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
 
 def _repeated(options: argparse.Namespace) -> Scenario:
     """Give the scenario of the run that --like or --from names, with what was changed of it before and while it ran."""
-    from softrig_core import ScenarioError
-
     from .branch import continued
     from .grammar import settings
     from .like import recall, repeated
@@ -188,7 +188,6 @@ def repeat(options: argparse.Namespace) -> list[str]:
 
 def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     from pydantic import ValidationError
-    from softrig_core import ScenarioError
     from softrig_core.errors import closest
     from softrig_core.scenario.places import explain
     from softrig_core.scenario.scenario import merge

@@ -22,10 +22,8 @@ class Citation(BaseModel):
 
     Parameters
     ----------
-    key : str
     authors : tuple of str
         As they are printed: ``A. Çakan``.
-    title, year : str
     place : str
         Journal with volume, number and pages, or the publisher.
     doi : str
@@ -47,10 +45,6 @@ class Citation(BaseModel):
 
 def cited(keys: Sequence[str]) -> tuple[Citation, ...]:
     """Find the papers of a scenario's key ``cites``.
-
-    Parameters
-    ----------
-    keys : sequence of str
 
     Raises
     ------

@@ -37,10 +37,6 @@ class Box:
 def draw_diagram(wiring: Wiring) -> Element:
     """Draw the block diagram of a rig.
 
-    Parameters
-    ----------
-    wiring : Wiring
-
     Returns
     -------
     Element
@@ -181,5 +177,6 @@ def _box(name: str, wiring: Wiring, box: Box) -> Element:
         e("rect", x=f"{box.x:g}", y=f"{box.y:g}", width=f"{box.width:g}", height=f"{box.height:g}", rx="5"),
         e("text", name, x=middle, y=f"{box.y + 17:g}", class_="name"),
         *([e("text", below, x=middle, y=f"{box.y + 32:g}", class_="kind")] if below else []),
-        class_=look, **{"data-node": name},
-    )  # fmt: skip
+        class_=look,
+        **{"data-node": name},
+    )

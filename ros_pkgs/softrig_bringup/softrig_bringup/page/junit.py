@@ -18,7 +18,6 @@ class Case:
 
     Parameters
     ----------
-    name : str
     failure : str
         Why it does not hold; empty when it does.
     text : str
@@ -36,10 +35,8 @@ class Suite:
 
     Parameters
     ----------
-    name : str
     seconds : float
         Wall-clock time.
-    cases : sequence of Case
     error : str
         Why the run broke; empty when it did not.
     """
@@ -64,13 +61,7 @@ def write_reports(junit: Path | None, suites: Sequence[Suite], as_json: Path | N
 
 
 def write_junit(path: Path, suites: Sequence[Suite]) -> None:
-    """Write a report that appears whole or not at all.
-
-    Parameters
-    ----------
-    path : Path
-    suites : sequence of Suite
-    """
+    """Write a report that appears whole or not at all."""
     root = Element("testsuites", _counts(suites))
     for suite in suites:
         node = SubElement(root, "testsuite", {"name": _printable(suite.name)} | _counts([suite]))

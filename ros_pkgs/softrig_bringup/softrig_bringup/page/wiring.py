@@ -63,10 +63,11 @@ def wiring_of(rig: Rig) -> Wiring:
     """Give the wiring of a rig; a clock that is no plant has no wires and is left out."""
     members = [m for m in rig.members if m.inputs or m.outputs]
     nodes = {
-        m.name: Node(executable=f"{m.package}/{m.executable}", period=m.params.period, plant=m.is_plant,
-                     outside=m.external)
+        m.name: Node(
+            executable=f"{m.package}/{m.executable}", period=m.params.period, plant=m.is_plant, outside=m.external
+        )
         for m in members
-    }  # fmt: skip
+    }
     wires = tuple(
         Wire(topic=p.topic, type=p.msgtype, source=m.name,
              readers=tuple(dict.fromkeys(r.name for r, _ in rig.readers(m, p))))

@@ -32,8 +32,6 @@ def draw(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
 
     Parameters
     ----------
-    ax : Axes
-    curves : sequence of Curve
     scale : float
         From seconds to the unit of the time axis.
     """
@@ -79,7 +77,6 @@ def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Arti
     ----------
     ax : Axes
         With its curves.
-    marks : sequence of Mark
     scale : float
         From seconds to the unit of the time axis.
     """
@@ -188,10 +185,8 @@ def legend(
 
     Parameters
     ----------
-    ax : Axes
     curves : sequence of Curve
         Those that were drawn first, in order.
-    title : str
     width : int
         Of the axes, in letters.
     marks : sequence of (Artist, str)

@@ -27,7 +27,6 @@ class Curve:
 
     Parameters
     ----------
-    label, unit : str
     x, y : float arrays of shape (n,)
     held : bool
         The value stays until the next sample: drawn as steps.
@@ -118,7 +117,6 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
 
     Parameters
     ----------
-    curve : Curve
     window : (float, float), optional
         First and last time, s; none leaves the curve as it is.
     """
@@ -135,8 +133,9 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
         ends = y[[np.searchsorted(x, first, "right") - 1, end]]
     else:
         ends = np.interp(edges, x, y)
-    return replace(curve, x=np.concatenate([edges[:1], x[chosen], edges[1:]]),
-                   y=np.concatenate([ends[:1], y[chosen], ends[1:]]))  # fmt: skip
+    return replace(
+        curve, x=np.concatenate([edges[:1], x[chosen], edges[1:]]), y=np.concatenate([ends[:1], y[chosen], ends[1:]])
+    )
 
 
 class Source:

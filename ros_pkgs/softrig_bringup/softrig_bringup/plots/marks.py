@@ -65,7 +65,6 @@ def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
 
     Parameters
     ----------
-    rig : Rig
     signals : Signals
         Of the run: a rise is counted from where it began.
     """

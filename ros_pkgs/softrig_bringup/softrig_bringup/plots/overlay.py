@@ -36,10 +36,8 @@ class Overlay:
         What tells it apart.
     group : str
         The same for runs that are draws of the same, else the label.
-    plots : sequence of PlotEntry
     shown : mapping
         Of the signals of its plots.
-    signals : Signals
     """
 
     label: str
@@ -60,7 +58,6 @@ def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str,
 
     Parameters
     ----------
-    runs : sequence of Overlay
     note : str
         Behind each title.
     """

@@ -42,8 +42,6 @@ def plot_entry(
     ----------
     signals, rig
         See `plot_run`.
-    entry : PlotEntry
-    title : bool
     font : float, optional
         Size of the letters, points.
     inches : float, optional
@@ -124,10 +122,8 @@ def save_figure(figure: Figure, path: Path, title: str, run: str, also: str = ""
 
     Parameters
     ----------
-    figure : Figure
     path : Path
         The PNG.
-    title, run : str
     also : str
         svg, pdf, or empty.
     """
@@ -245,7 +241,6 @@ def places(figure: Figure, count: int, columns: int) -> list[SubplotSpec]:
 
     Parameters
     ----------
-    figure : Figure
     count : int
         Of axes.
     columns : {1, 2}

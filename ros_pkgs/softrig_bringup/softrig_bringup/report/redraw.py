@@ -38,8 +38,9 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
     """
     bag = directory / "bag" if (directory / "metrics.json").is_file() else directory
     if not bag.is_dir():
-        raise ScenarioError(f"{directory}: no bag in it, expected the directory of a run or a bag; pictures are drawn "
-                            "from the bag")  # fmt: skip
+        raise ScenarioError(
+            f"{directory}: no bag in it, expected the directory of a run or a bag; pictures are drawn from the bag"
+        )
     found = signals(bag)
     if (bag.parent / "metrics.json").is_file():
         return _as_it_ran(read_run(bag.parent).made_by), found

@@ -36,10 +36,7 @@ def run_section(directory: Path, run: RunRecord, title: str, heading: str, ancho
     ----------
     directory : Path
         With its pictures.
-    run : RunRecord
-    title : str
     heading : {"h1", "h2"}
-    anchor : str
     """
     below = f"h{int(heading[1]) + 1}"
     about = [run.title] if title != run.title else []

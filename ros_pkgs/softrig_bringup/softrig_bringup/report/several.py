@@ -62,7 +62,6 @@ def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
 
     Parameters
     ----------
-    runs : sequence of RunRecord
     named : sequence of str
         From `names`.
 

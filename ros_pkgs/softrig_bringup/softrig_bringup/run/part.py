@@ -40,8 +40,9 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
     names = [m.name for m in rig.members if not m.external]
     for name in options.only:
         if name not in names:
-            raise ScenarioError(f"--only {name}: no such node{closest(name, names)}; those to be started are "
-                                f"{', '.join(names)}")  # fmt: skip
+            raise ScenarioError(
+                f"--only {name}: no such node{closest(name, names)}; those to be started are {', '.join(names)}"
+            )
     if options.domain is None:
         raise ScenarioError("--only: expected --domain N, the same on all machines of the rig")
     if options.mode == "inprocess":

@@ -57,10 +57,8 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
     ----------
     rig : Rig
         As `checked` gives it.
-    placement : Placement
     directory : Path
         For the logs of node processes.
-    listener : Listener
     """
     started, seed = time.perf_counter(), rig.scenario.seed
     run = Run(rig, seed, Recording((t, p.msgtype) for t, p in rig.topics.items()), mode=str(placement))
@@ -193,9 +191,10 @@ def turned(run: Run) -> list[str]:
     }
     return [
         f"{node}.{name}={json.dumps(value)} from {t / SECOND:.9g} s"
-        for t, node, values in recorded(run.recording, run.epoch) for name, value in values.items()
+        for t, node, values in recorded(run.recording, run.epoch)
+        for name, value in values.items()
         if (t, node, name) not in scripted
-    ]  # fmt: skip
+    ]
 
 
 def _plant_ticks(run: Run) -> int:
@@ -246,10 +245,8 @@ def save(
 
     Parameters
     ----------
-    run : Run
     content : mapping
         From `summary`.
-    folder : ResultsFolder
     record : bool
         Whether the bag is written.
     health : bool
@@ -274,8 +271,6 @@ def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
 
     Parameters
     ----------
-    run : Run
-    folder : ResultsFolder
     also : str
         See `softrig_bringup.plots.pictures.plot_run`.
     """

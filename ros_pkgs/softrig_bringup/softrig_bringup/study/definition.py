@@ -85,7 +85,6 @@ class Summary(_Model):
 
     Parameters
     ----------
-    figure : str
     statistic : str
         ``share`` counts the runs that meet `of`; a figure that could not be measured does not meet it.
     q : float
@@ -122,7 +121,6 @@ class Study(_Model):
 
     Parameters
     ----------
-    scenario : str
     cases : dict of str to dict
         By name: parameters to change; the key ``scenario`` takes another scenario.
     grid : dict of str to list

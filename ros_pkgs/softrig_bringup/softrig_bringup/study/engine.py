@@ -28,7 +28,6 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
 
     Parameters
     ----------
-    study : Study
     out : Path
         Gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
     workers, scheduler
@@ -144,8 +143,9 @@ def _search(study: Study, search: Search, batch: Batch) -> None:
         trials = [asked.ask(space) for _ in range(min(search.batch, search.count - start))]
         works = [
             _work(study, Case((start + i) * len(seeds) + k, study.scenario, "", dict(trial.params), seed))
-            for i, trial in enumerate(trials) for k, seed in enumerate(seeds)
-        ]  # fmt: skip
+            for i, trial in enumerate(trials)
+            for k, seed in enumerate(seeds)
+        ]
         rows = batch.rows(works)
         for i, trial in enumerate(trials):
             own = rows[i * len(seeds) : (i + 1) * len(seeds)]

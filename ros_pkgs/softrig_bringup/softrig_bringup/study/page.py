@@ -206,9 +206,10 @@ def _changes(study: Study, row: Row) -> str:
     """Label of a row by all that was changed in it."""
     if not study.draws and not study.search:
         return label(study, row)
-    return ", ".join(([row["case"]] if row["case"] else []) + [
-        f"{k.rpartition('.')[2]} {in_short(v)}" for k, v in row["overrides"].items()
-    ])  # fmt: skip
+    return ", ".join(
+        ([row["case"]] if row["case"] else [])
+        + [f"{k.rpartition('.')[2]} {in_short(v)}" for k, v in row["overrides"].items()]
+    )
 
 
 def _heading(name: str, unit: str) -> str:

@@ -33,12 +33,10 @@ def draw_study(
 
     Parameters
     ----------
-    study : Study
     rows : sequence
         By number.
     signals : iterable
         Rows with the key ``signals``; read once.
-    folder : Path
     units : mapping
         Unit of each figure, parameter (``node.name``) and signal.
 
@@ -246,8 +244,9 @@ def _distribution(study: Study, rows: Sequence[Row], names: Sequence[str], units
 
 def _history(search: Search, rows: Sequence[Row], units: Mapping[str, str]) -> Figure:
     figure, (ax,) = _axes(1, 3.5)
-    n, y = (np.array([f(row) for row in rows], float)
-            for f in (lambda r: r["number"], lambda r: value_of(r, search.figure)))  # fmt: skip
+    n, y = (
+        np.array([f(row) for row in rows], float) for f in (lambda r: r["number"], lambda r: value_of(r, search.figure))
+    )
     sure = np.isfinite(y)
     kept = sure & [all(limits.holds(value_of(row, f)) for f, limits in search.subject_to.items()) for row in rows]
     ax.plot(n[kept], y[kept], ".", markersize=4, alpha=0.5, label="run")
@@ -280,8 +279,7 @@ def _parallel(search: Search, rows: Sequence[Row]) -> Figure:
     for k in range(len(sure)):
         ax.plot(range(len(columns)), [(c[k] - lo) / span for c, (lo, span) in zip(columns, spans, strict=True)],
                 color=colormaps["viridis"](shares[k]), alpha=0.2 + 0.6 * shares[k], linewidth=0.8)  # fmt: skip
-    ticks = [f"{n}\n{lo:.4g} to {lo + span:.4g}" for n, (lo, span) in
-             zip([*names, search.figure], spans, strict=True)]  # fmt: skip
+    ticks = [f"{n}\n{lo:.4g} to {lo + span:.4g}" for n, (lo, span) in zip([*names, search.figure], spans, strict=True)]
     ax.set_xticks(range(len(columns)), ticks, fontsize=8)
     ax.set_yticks([])
     ax.margins(x=0.05)

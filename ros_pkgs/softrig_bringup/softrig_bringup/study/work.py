@@ -21,8 +21,6 @@ class Work(NamedTuple):
 
     Parameters
     ----------
-    case : Case
-    duration : float, optional
     figures : tuple of str
         All when empty.
     signals, samples
@@ -75,8 +73,9 @@ def run(work: Work) -> dict[str, Any]:
                             "passed": False, "error": ""}  # fmt: skip
     started = time.perf_counter()
     try:
-        done = simulate(work.scenario or case.scenario, seed=seed, duration=work.duration, overrides=case.overrides,
-                        runs=work.runs)  # fmt: skip
+        done = simulate(
+            work.scenario or case.scenario, seed=seed, duration=work.duration, overrides=case.overrides, runs=work.runs
+        )
         row |= _margins(done, work.figures) if work.margins else _figures(done, work)
     except (RunError, ScenarioError) as error:
         if isinstance(error, ScenarioError) and not work.margins:

@@ -23,7 +23,6 @@ def progress(title: str, duration: float) -> Iterator[Tell]:
 
     Parameters
     ----------
-    title : str
     duration : float
         Of the run, s.
 

@@ -4,35 +4,20 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from softrig_core.command_line import Number
+from softrig_core import Rig, ScenarioError, rig_of, simulate
+from softrig_core.drawing import Drawing, drawing_for
 
-if TYPE_CHECKING:
-    from softrig_core import Rig
-    from softrig_core.drawing import Drawing
-
-    from ..film.film import Film
+from ..film.film import Film, film
+from ..film.smil import animated
+from ..folder import replace
+from ..report.redraw import rig_of_run
 
 FORMS = ("svg", "gif", "webp", "png")
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument("what", metavar="RUN|SCENARIO", help="folder of a run, a bag of one, or a scenario, which is "
-                        "run for it in this process")  # fmt: skip
-    parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="SCENARIO.svg without it; .gif, .webp and .png "
-                        "(animated) for programs that know no SVG")  # fmt: skip
-    parser.add_argument("--from", dest="start", type=Number(float, 0), metavar="S", default=0.0, help="first time, s")
-    parser.add_argument("--to", dest="end", type=Number(float, 0), metavar="S", help="last time, s (the end)")
-    parser.add_argument("--speed", type=Number(float, 1e-9), metavar="X",
-                        help="simulated seconds in one of film (default: 4 to 8 s of film)")  # fmt: skip
-
-
 def animate(options: argparse.Namespace) -> int:
     """Write the film; gives the exit status."""
-    from softrig_core import ScenarioError
-
     out: Path | None = options.out
     if out is not None and out.suffix[1:] not in FORMS:
         raise ScenarioError(f"{out}: expected a file that ends with .{', .'.join(FORMS)}")
@@ -61,11 +46,6 @@ def film_of(what: str, start: float = 0.0, end: float | None = None, speed: floa
     ScenarioError
         Nothing to draw, or nothing in that window.
     """
-    from softrig_core import rig_of, simulate
-
-    from ..film.film import film
-    from ..report.redraw import rig_of_run
-
     if not Path(what).is_dir():
         rig = rig_of(what)
         drawing = _drawing(rig)
@@ -80,9 +60,6 @@ def film_of(what: str, start: float = 0.0, end: float | None = None, speed: floa
 
 
 def _drawing(rig: Rig) -> Drawing:
-    from softrig_core import ScenarioError
-    from softrig_core.drawing import drawing_for
-
     found = drawing_for(rig)
     if found is None:
         plants = ", ".join(f"{m.name} ({m.package}/{m.executable})" for m in rig.members if m.is_plant)
@@ -91,8 +68,6 @@ def _drawing(rig: Rig) -> Drawing:
 
 
 def _window(start: float, end: float | None, length: float) -> tuple[float, float]:
-    from softrig_core import ScenarioError
-
     last = length if end is None else min(end, length)
     if not start < last:
         raise ScenarioError(
@@ -103,14 +78,10 @@ def _window(start: float, end: float | None, length: float) -> tuple[float, floa
 
 def write(made: Film, out: Path) -> str:
     """Write a film in the form that the file's name ends with, whole or not at all; gives what it was reduced to."""
-    from ..folder import replace
-
     if out.suffix == ".svg":
-        from ..film.smil import animated
-
         replace(out, animated(made))
         return ""
-    from ..film.raster import pixels
+    from ..film.raster import pixels  # pillow
 
     content, reduced = pixels(made, out.suffix[1:])
     replace(out, content)

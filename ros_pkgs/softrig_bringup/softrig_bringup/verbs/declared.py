@@ -9,7 +9,6 @@ from pathlib import Path
 from softrig_core.command_line import Number
 
 from ..options import run_options
-from . import animate, layouts, set_verb
 
 Verb = Callable[..., argparse.ArgumentParser]  # of name, function and text, and of the verb whose part it is
 
@@ -65,10 +64,19 @@ def _run_and_look(verb: Verb) -> None:
     plot.add_argument("--no-title", action="store_true", help="as figures of a paper have their captions")
     plot.add_argument("--window", type=float, nargs=2, metavar=("FROM", "TO"), help="s")
     plot.add_argument("--csv", action="store_true", help="the data beside each picture, units in the head")
-    text = "a run's plant in motion: a short SVG, GIF, WebP or PNG"
-    animate.arguments(verb("animate", "verbs.animate:animate", text, kinds))
+    animate = verb("animate", "verbs.animate:animate", "a run's plant in motion: a short SVG, GIF, WebP or PNG", kinds)
+    animate.add_argument("what", metavar="RUN|SCENARIO", help="folder of a run, a bag of one, or a scenario, which is "
+                         "run for it in this process")  # fmt: skip
+    animate.add_argument("-o", "--out", type=Path, metavar="FILE", help="SCENARIO.svg without it; .gif, .webp and .png "
+                         "(animated) for programs that know no SVG")  # fmt: skip
+    animate.add_argument("--from", dest="start", type=Number(float, 0), metavar="S", default=0.0, help="first time, s")
+    animate.add_argument("--to", dest="end", type=Number(float, 0), metavar="S", help="last time, s (the end)")
+    animate.add_argument("--speed", type=Number(float, 1e-9), metavar="X",
+                         help="simulated seconds in one of film (default: 4 to 8 s of film)")  # fmt: skip
     text = "a scenario's plots as layouts for PlotJuggler, Foxglove, RViz"
-    layouts.arguments(verb("layouts", "verbs.layouts:layouts", text, kinds))
+    layouts = verb("layouts", "verbs.layouts:layouts", text, kinds)
+    layouts.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
+    layouts.add_argument("--out", type=Path, default=Path("layouts"), metavar="DIR", help="they go here (layouts)")
     listed = verb("list", "terminal.listing:main", "scenarios by system, with duration and title; signals, figures")
     listed.add_argument("filter", nargs="?", default="", help="only scenarios or systems with this in their name")
     listed.add_argument("--signals", metavar="SCENARIO",
@@ -125,16 +133,18 @@ def _workers(parser: argparse.ArgumentParser) -> None:
 
 
 def _judge(verb: Verb) -> None:
-    check = verb("check", "verbs.check:main",
-                 "figures, requirements and claims of many scenarios, for continuous integration")  # fmt: skip
+    check = verb(
+        "check", "verbs.check:main", "figures, requirements and claims of many scenarios, for continuous integration"
+    )
     check.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
     results = verb("results", "verbs.results:main", "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",
                          help="results.html and .md, or results_SYSTEM.html, go here (runs/results)")  # fmt: skip
     results.add_argument("--studies", action="store_true", help="the claims of studies too: hundreds of runs")
-    golden = verb("golden", "verbs.golden:main",
-                  "make golden bags anew and show the difference to the old, or check them")  # fmt: skip
+    golden = verb(
+        "golden", "verbs.golden:main", "make golden bags anew and show the difference to the old, or check them"
+    )
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
     golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
     golden.add_argument("--duration", type=float, metavar="S", help="another length of the golden run")
@@ -166,6 +176,7 @@ def _ros(verb: Verb) -> None:
     node.add_argument("package")
     node.add_argument("executable")
     node.add_argument("arguments", nargs=argparse.REMAINDER, help="--ros-args ...")
-    set_verb.arguments(
-        verb("set", "verbs.set_verb:set_values", "change live parameters of running nodes: NODE.PARAM VALUE")
-    )
+    live = verb("set", "verbs.set_verb:set_values", "change live parameters of running nodes: NODE.PARAM VALUE")
+    live.add_argument("values", nargs="+", metavar="NODE.PARAM VALUE", help="several of one node: all or none")
+    live.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: that of the environment)")
+    live.add_argument("--wait", type=Number(float, 0), default=10.0, metavar="S", help="for the node to be there (10)")

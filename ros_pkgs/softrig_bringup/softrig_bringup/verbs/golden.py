@@ -49,10 +49,8 @@ class Recipe(BaseModel):
 
     Parameters
     ----------
-    scenario : str
     duration : float
         Length of the golden run, s; usually shorter than the scenario's.
-    seed : int
     default : Allowed
         For every signal without a pattern of its own. Tolerances are for other versions than those that wrote the bag
         (another C library, numpy, casadi, machine; another Python only for blocks that are not softrig's); with the
@@ -155,8 +153,6 @@ class Golden:
 
         Parameters
         ----------
-        new : Recording
-        topics : sequence of str, optional
         elsewhere : bool, optional
             Whether to allow what another build may change; found out when absent.
         """
@@ -250,7 +246,6 @@ def load(folder: Path, **changes: Any) -> Golden:
 
     Parameters
     ----------
-    folder : Path
     **changes
         Keys of the recipe that are to differ from golden.yaml.
 

@@ -111,12 +111,13 @@ class Launched:
         own: dict[str, object] = {"run.start_timeout": 0.0} if any(m.external for m in rig.members) else {}
         own |= {} if self._frames else {"run.frames": False}
         given = {
-            m.name: node_parameters(rig, m, self._seed, "realtime" if self._realtime else "lockstep",
-                                    recorders=recorders)
-            | own | {"run.status": str(log / f"{m.name}.status"),
-                     "run.shard": str(log / f"{m.name}.shard") if keep else ""}
+            m.name: node_parameters(
+                rig, m, self._seed, "realtime" if self._realtime else "lockstep", recorders=recorders
+            )
+            | own
+            | {"run.status": str(log / f"{m.name}.status"), "run.shard": str(log / f"{m.name}.shard") if keep else ""}
             for m in group
-        }  # fmt: skip
+        }
         # topics that are nowhere below a namespace: two rigs would drive each other
         moved = {f"/{name}": f"/{namespace}/{name}" for name in ROOTED} if namespace else {}
         if len(group) > 1:
@@ -124,8 +125,9 @@ class Launched:
             return Process("softrig_core", "container", arguments=container_arguments(group, given, log, shared))
         m = group[0]
         file = parameter_file(m, given[m.name], log)
-        return Process(m.package, m.executable, m.name, namespace, parameters=[str(file)],
-                       remappings=[*(m.remap | moved).items()])  # fmt: skip
+        return Process(
+            m.package, m.executable, m.name, namespace, parameters=[str(file)], remappings=[*(m.remap | moved).items()]
+        )
 
     def ended(self, name: str, status: int, interrupted: bool) -> str:
         """Note that a process has ended; when it was the last one, do what `softrig run` does at the end of a run.

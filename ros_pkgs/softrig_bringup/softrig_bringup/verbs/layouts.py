@@ -6,29 +6,26 @@ import argparse
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+from xml.etree.ElementTree import indent, tostring
 
-if TYPE_CHECKING:
-    from softrig_core import Port, Rig
+from softrig_core import Port, Rig, ScenarioError, rig_of
+from softrig_core.rig.members import signal_units
+from softrig_core.wire.signals import topic_of
+
+from ..folder import replace
+from ..page.html import e
+from ..plots.curves import check_plots
+from ..plots.style import COLOURS, axis_title
+from .viewer import rviz_file, seen
 
 _TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _POINT = {"position": "positions", "velocity": "velocities", "acceleration": "accelerations", "effort": "effort"}
 _STREAM = "ROS2 Topic Subscriber"
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
-    parser.add_argument("--out", type=Path, default=Path("layouts"), metavar="DIR", help="they go here (layouts)")
-
-
 def layouts(options: argparse.Namespace) -> int:
     """Write the files; gives the exit status."""
-    from softrig_core import rig_of
-
-    from ..folder import replace
-
     made = {name: text for scenario in options.scenarios for name, text in files(rig_of(scenario)).items()}
     options.out.mkdir(parents=True, exist_ok=True)
     for name, text in made.items():
@@ -55,10 +52,6 @@ def files(rig: Rig) -> dict[str, str]:
     ScenarioError
         The scenario has no plots, or one with a signal that the rig does not have.
     """
-    from softrig_core import ScenarioError
-
-    from .viewer import rviz_file, seen
-
     if not rig.scenario.plots:
         raise ScenarioError(f"{rig.scenario.name} has no plots, from which layouts are made: expected `plots` in it")
     name, shown = rig.scenario.name, list(_plots(rig))
@@ -85,12 +78,6 @@ class Plotted:
 
 
 def _plots(rig: Rig) -> Iterator[Plotted]:
-    from softrig_core.rig.members import signal_units
-    from softrig_core.wire.signals import topic_of
-
-    from ..plots.curves import check_plots
-    from ..plots.style import axis_title
-
     check_plots(rig)
     units = signal_units(rig)
     for entry in rig.scenario.plots:
@@ -106,11 +93,6 @@ def _plots(rig: Rig) -> Iterator[Plotted]:
 
 def _plotjuggler(plots: Sequence[Plotted]) -> str:
     """Write a tab a plot; PlotJuggler names what it reads of a JointState by its channel."""
-    from xml.etree.ElementTree import indent, tostring
-
-    from ..page.html import e
-    from ..plots.style import COLOURS
-
     tabs = []
     for plot in plots:
         curves = []

@@ -18,12 +18,7 @@ SHOWN = 8  # modes
 
 
 def numbers(view: LinearView) -> dict[str, Any]:
-    """Give a linear view as plain data; None where a margin is infinite.
-
-    Parameters
-    ----------
-    view : LinearView
-    """
+    """Give a linear view as plain data; None where a margin is infinite."""
     found: dict[str, Any] = {
         "scenario": view.rig, "at_s": view.at, "period_s": view.period, "error": view.error, "worst": view.worst,
         "variation": view.variation, "stable": view.stable, "values": dict(view.values), "units": dict(view.units),

@@ -104,8 +104,9 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
     if citations := content.get("citations"):
         files[f"{SCENARIO}/{REFERENCES}"] = "\n\n".join(c["bibtex"] for c in citations).encode()
     if content:
-        files[METRICS] = (json.dumps(content | {"command": f"softrig run --like {scenario.name}{SUFFIX}"}, indent=1)
-                          + "\n").encode()  # fmt: skip
+        files[METRICS] = (
+            json.dumps(content | {"command": f"softrig run --like {scenario.name}{SUFFIX}"}, indent=1) + "\n"
+        ).encode()
     for name, folder in sources.items():
         files |= {f"{PACKAGES}/{name}/{file.relative_to(folder)}": file for file in _files(folder)} if folder else {}
     if bag:
@@ -181,10 +182,6 @@ def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -
 
 def standing_alone(scenario: Scenario) -> tuple[bytes, Mapping[str, Path]]:
     """Write a scenario that needs no other file than those that its nodes name, which lie beside it by their content.
-
-    Parameters
-    ----------
-    scenario : Scenario
 
     Returns
     -------

@@ -131,7 +131,6 @@ def gather(
 
     Parameters
     ----------
-    scenarios : iterable of Scenario
     workers : int, optional
         All cores when absent.
     keep : Path, optional
@@ -168,7 +167,6 @@ def study_findings(
     -------
     scenarios : list of Scenario
         Each study's scenario under the name of the study.
-    findings : list of Finding
     """
     from ..study.definition import list_studies, load_study
     from ..study.engine import run_study

@@ -53,8 +53,6 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = 
 
     Parameters
     ----------
-    scenarios : sequence of Scenario
-    rows : sequence of Finding
     without : str
         What is not on it.
     out : Path, optional

@@ -11,16 +11,27 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from softrig_core import Run, ScenarioError
+from softrig_core.extras import need
 from softrig_core.guard import plain, say
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment
+from softrig_core.processes.fork_server import prepare
+from softrig_core.processes.placement import Listener
+from softrig_core.processes.stopping import stoppable, unstopped
+from softrig_core.rig.agreement import assumptions
 
+from ..folder import ResultsFolder
+from ..options import packed
+from ..options.repeat import words
 from ..options.run_options import begun, changed_words, folder_name, placement_of, repeat, scenario_of
-
-if TYPE_CHECKING:
-    from softrig_core import Run
-
-    from ..folder import ResultsFolder
+from ..page.wording import NEVER, accepted, in_words, measured_here, short, spans
+from ..run.run import checked, execute, illustrate, save, summary, tripped, turned
+from ..terminal.listing import console as make_console, styled
+from ..terminal.progress import progress
+from ..view.beside import page
 
 MARK = len("differs") + 1
 MISSED = 10.0  # per cent of missed deadlines that are worth a word
@@ -28,25 +39,12 @@ MISSED = 10.0  # per cent of missed deadlines that are worth a word
 
 def run(options: argparse.Namespace) -> int:
     """Run a scenario; gives the exit status."""
-    from softrig_core.processes.domain import free_domain
-    from softrig_core.processes.stopping import stoppable
-
     # before anything of an earlier run is replaced: two runs in one domain would read each other's messages
     with stoppable(), nullcontext() if options.domain is None or options.only else free_domain(options.domain):
         return _run_reserved(options)
 
 
 def _run_reserved(options: argparse.Namespace) -> int:
-    from softrig_core import ScenarioError
-    from softrig_core.processes.executables import environment
-    from softrig_core.processes.fork_server import prepare
-    from softrig_core.processes.placement import Listener
-
-    from ..options import packed
-    from ..run.run import checked, execute
-    from ..terminal.progress import progress
-    from ..view.beside import page
-
     if options.realtime and options.mode == "inprocess":
         raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
     if options.view:
@@ -82,13 +80,11 @@ def _run_reserved(options: argparse.Namespace) -> int:
 
 def _check_view(options: argparse.Namespace) -> None:
     """Refuse what has no page; bring the library."""
-    from softrig_core import ScenarioError
-    from softrig_core.extras import need
-
     if options.mode == "inprocess" or options.only:
         what = "--mode inprocess" if options.mode == "inprocess" else "--only"
-        raise ScenarioError(f"view shows a whole rig of nodes, which {what} is not; expected --mode container or "
-                            "processes")  # fmt: skip
+        raise ScenarioError(
+            f"view shows a whole rig of nodes, which {what} is not; expected --mode container or processes"
+        )
     need("bokeh", "view")
     from ..view.serve import free_address
 
@@ -97,8 +93,6 @@ def _check_view(options: argparse.Namespace) -> None:
 
 def _how_to_connect(domain: int, directory: Path) -> str:
     """Say what nodes outside need in their environment."""
-    from softrig_core.processes.executables import environment
-
     found = environment(domain, directory)
     names = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION")
     return "to connect: export " + " ".join(f"{name}={found[name]}" for name in names)
@@ -106,10 +100,6 @@ def _how_to_connect(domain: int, directory: Path) -> str:
 
 def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:
     """Clear the folder for the results of a run, and say what it replaces."""
-    from softrig_core import ScenarioError
-
-    from ..folder import ResultsFolder
-
     out = (options.out or Path("runs") / folder_name(scenario, options)).absolute()
     before = options.like if options.origin is None else options.origin[0]
     if before is not None and out in (before.absolute(), before.absolute().parent):
@@ -157,7 +147,6 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
     ----------
     options : argparse.Namespace
         Of the verb `run`.
-    done : Run
     folder : ResultsFolder or None
         None: nothing is written.
 
@@ -175,11 +164,6 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
 
 def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> _Kept:
     """Write the folder and the report for continuous integration."""
-    from softrig_core.processes.stopping import unstopped
-
-    from ..options.repeat import words
-    from ..run.run import illustrate, save, summary, turned
-
     changed = changed_words(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
     with unstopped():  # who has waited for the last tick keeps what was recorded
         figures = [] if done.error else done.results
@@ -201,8 +185,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
             content["repeats"] = told
             same = same or bool(options.recalled.late) or bool(done.epoch)
         if folder is not None:
-            save(done, content, folder, not options.no_record,
-                 options.record_all or done.rig.scenario.record == "all")  # fmt: skip
+            save(done, content, folder, not options.no_record, options.record_all or done.rig.scenario.record == "all")
     if folder is not None and not options.no_plots:
         illustrate(done, folder, options.format)
     if options.junit is not None:
@@ -218,8 +201,6 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
 
 def _speak(kept: _Kept, done: Run, out: Path | None) -> None:
     """Print the figures, and what is to be said of the run."""
-    from softrig_core.rig.agreement import assumptions
-
     if done.error:
         say(f"the run broke: {done.error}")
         if out is not None:
@@ -249,13 +230,12 @@ def _judged(options: argparse.Namespace, kept: _Kept, done: Run) -> int:
 
 def _too_slow(options: argparse.Namespace, done: Run) -> str:
     """Say that the machine did not keep up; of a rig that has tripped or broken every missed deadline counts."""
-    from ..run.run import tripped
-
     trips = tripped(done.rig, done.status)
     most = MISSED if options.max_missed is None else options.max_missed
     most = 0.0 if trips or done.error else most
-    late = [f"{node} missed {share:.3g} % of its deadlines" for node, share in _missed(done.status).items()
-            if share > most]  # fmt: skip
+    late = [
+        f"{node} missed {share:.3g} % of its deadlines" for node, share in _missed(done.status).items() if share > most
+    ]
     if not late:
         return ""
     why = "".join(f", {node}: {text}" for node, text in trips.items())
@@ -279,9 +259,6 @@ def _announce(text: str) -> None:
 
 def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> None:
     from rich.table import Table
-
-    from ..page.wording import NEVER, accepted, in_words, measured_here, short, spans
-    from ..terminal.listing import console as make_console, styled
 
     console = make_console()
     changed: Sequence[str] = content["changed"]

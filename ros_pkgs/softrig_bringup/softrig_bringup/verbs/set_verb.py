@@ -6,23 +6,14 @@ import argparse
 import os
 from typing import Any
 
-from softrig_core.command_line import Number
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument("values", nargs="+", metavar="NODE.PARAM VALUE", help="several of one node: all or none")
-    parser.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: that of the environment)")
-    parser.add_argument(
-        "--wait", type=Number(float, 0), default=10.0, metavar="S", help="for the node to be there (10)"
-    )
+from softrig_core import ScenarioError
+from softrig_core.guard import say
+from softrig_core.node.ros.remote import set_parameters
+from softrig_core.scenario.yaml_file import read_yaml
 
 
 def set_values(options: argparse.Namespace) -> int:
     """Set parameters of running nodes, node by node; gives the exit status: 1 when a node refuses."""
-    from softrig_core.guard import say
-    from softrig_core.node.ros.remote import set_parameters
-
     wanted = _by_node(options.values)
     if options.domain is not None:
         os.environ["ROS_DOMAIN_ID"] = str(options.domain)
@@ -34,9 +25,6 @@ def set_values(options: argparse.Namespace) -> int:
 
 def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:
     """Sort pairs of words by node, values read as YAML."""
-    from softrig_core import ScenarioError
-    from softrig_core.scenario.yaml_file import read_yaml
-
     if len(words) % 2:
         raise ScenarioError(f"set: {words[-1]!r} has no value, expected NODE.PARAM VALUE")
     found: dict[str, dict[str, Any]] = {}

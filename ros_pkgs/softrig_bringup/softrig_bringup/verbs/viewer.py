@@ -20,10 +20,8 @@ class Process:
 
     Parameters
     ----------
-    package, executable : str
     name : str
         Of the node; empty for a container.
-    namespace : str
     arguments : list of str
         Of a container: its nodes.
     parameters : list of str
@@ -48,7 +46,6 @@ def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
 
     Parameters
     ----------
-    rig : Rig
     folder : Path
         For files.
     namespace : str
@@ -69,7 +66,6 @@ def rviz_file(rig: Rig, namespace: str = "") -> str:
 
     Parameters
     ----------
-    rig : Rig
     namespace : str
         That its nodes are in, with a leading slash.
     """

@@ -27,7 +27,6 @@ class Isolated:
 
     Parameters
     ----------
-    plan : Plan
     seconds : float
         Wall-clock time after which a call is given up and the process killed.
 

@@ -126,14 +126,12 @@ class Description:
 
     Attributes
     ----------
-    path : Path
     version : str
         Of the FMI: ``2.0``, ``3.0``.
     interfaces : tuple of str
         Which it has of ``co_simulation``, ``model_exchange`` and ``scheduled_execution``.
     serialises : bool
         Whether its state can be kept as bytes.
-    variables : dict of str to Variable
     digest : str
         SHA-256 of its file.
     """
@@ -256,8 +254,9 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
         dims = tuple(int(d.start if d.start is not None else d.variable.start) for d in v.dimensions or ())
         start = " ".join(map(str, v.start)) if isinstance(v.start, list | tuple) else v.start
         least, largest = (None if x is None or kind == "String" else float(x) for x in (v.min, v.max))
-        variables[v.name] = Variable(v.name, v.valueReference, kind, v.causality, start, least, largest, known,
-                                     v.variability == "tunable", dims)  # fmt: skip
+        variables[v.name] = Variable(
+            v.name, v.valueReference, kind, v.causality, start, least, largest, known, v.variability == "tunable", dims
+        )
     found = {"co_simulation": model.coSimulation, "model_exchange": model.modelExchange,
              "scheduled_execution": model.scheduledExecution}  # fmt: skip
     either = model.coSimulation or model.modelExchange
@@ -289,7 +288,6 @@ def conversion(found: Variable, wanted: str) -> tuple[float, float]:
 
     Parameters
     ----------
-    found : Variable
     wanted : str
         Unit at the port; empty: that of the variable.
 

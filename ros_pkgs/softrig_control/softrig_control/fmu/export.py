@@ -33,7 +33,6 @@ def export(rig: Rig, node: str, folder: Path) -> Path:
 
     Parameters
     ----------
-    rig : Rig
     node : str
         Its name.
     folder : Path
@@ -51,8 +50,9 @@ def export(rig: Rig, node: str, folder: Path) -> Path:
     """
     members = {m.name: m for m in rig.members}
     if node not in members:
-        raise ScenarioError(f"{rig.scenario.name} has no node {node!r}{closest(node, members)}; it has "
-                            f"{', '.join(members)}")  # fmt: skip
+        raise ScenarioError(
+            f"{rig.scenario.name} has no node {node!r}{closest(node, members)}; it has {', '.join(members)}"
+        )
     member = members[node]
     _check(member)
     need("pythonfmu", "an export as an FMU")
@@ -101,8 +101,9 @@ def _first(rig: Rig, member: Member) -> dict[str, list[float]]:
 def _check(member: Member) -> None:
     for port in (*member.inputs, *member.outputs):
         if port.delayed:
-            raise ScenarioError(f"node {member.name}: {port.topic} carries acquisition times of its own, which an FMU "
-                                "cannot")  # fmt: skip
+            raise ScenarioError(
+                f"node {member.name}: {port.topic} carries acquisition times of its own, which an FMU cannot"
+            )
     if member.external:
         raise ScenarioError(f"node {member.name} is external: its code is not here")
 

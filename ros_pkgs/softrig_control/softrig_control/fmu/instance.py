@@ -23,7 +23,6 @@ class Plan(NamedTuple):
         Where the FMU is unpacked.
     exchange : bool
         Model exchange in place of co-simulation.
-    inputs, outputs : tuple of Cell
     start : tuple of (type, value reference, values)
         Parameters and start values, set before the initialisation.
     steps : int
@@ -290,7 +289,6 @@ class Cells(NamedTuple):
 
     Attributes
     ----------
-    references : list of int
     total : int
         Number of their values, those of arrays one after the other.
     where : list of (int, int)

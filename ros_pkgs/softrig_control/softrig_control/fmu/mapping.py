@@ -53,7 +53,6 @@ def mapped(
 
     Parameters
     ----------
-    unit : Description
     entries : sequence of str
         ``TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE``; without a unit that of the variable holds.
     outward : bool
@@ -73,15 +72,17 @@ def mapped(
     for entry in entries:
         found = _ENTRY.fullmatch(entry.strip())
         if found is None or found["field"] not in FIELDS:
-            raise ValueError(f"{entry!r}: expected TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE with field one of "
-                             f"{', '.join(FIELDS)}")  # fmt: skip
+            raise ValueError(
+                f"{entry!r}: expected TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE with field one of {', '.join(FIELDS)}"
+            )
         variable = unit.variable(found["name"])
         if not outward and variable.causality != "input":
             raise ValueError(f"{entry!r}: {variable.name} is {variable.causality} of {unit.path.name}, expected an "
                              f"input; it has {_names(unit, 'input')}")  # fmt: skip
         if outward and variable.causality == "input":
-            raise ValueError(f"{entry!r}: {variable.name} is an input of {unit.path.name}; its outputs are "
-                             f"{_names(unit, 'output')}")  # fmt: skip
+            raise ValueError(
+                f"{entry!r}: {variable.name} is an input of {unit.path.name}; its outputs are {_names(unit, 'output')}"
+            )
         if variable.kind == "String":
             raise ValueError(f"{entry!r}: {variable.name} is a text, which no channel carries")
         try:

@@ -23,8 +23,9 @@ class FmuParams(BlockParams):
     """Which FMU, which of its variables are which channels, its start values and steps."""
 
     fmu: str = param("", "file of the FMU, or package://PACKAGE/path")
-    inputs: tuple[str, ...] = param((), "what it reads, each TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE; without a unit "
-                                    "that of the variable holds")  # fmt: skip
+    inputs: tuple[str, ...] = param(
+        (), "what it reads, each TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE; without a unit that of the variable holds"
+    )
     outputs: tuple[str, ...] = param((), "what it says, likewise")
     values: tuple[str, ...] = param((), "its parameters and start values, each VARIABLE = VALUE in the FMU's units; "
                                     "those that it calls tunable may change", live=True)  # fmt: skip
@@ -35,8 +36,9 @@ class FmuParams(BlockParams):
     steps: int = param(1, "communication steps, or steps of the integrator, in one period", ge=1, le=100_000)
     log: bool = param(False, "ask the FMU to log what it does: some say only then why they refuse a step")
     isolated: bool = param(True, "run it in a process of its own: a crash of the FMU then ends the run by name")
-    timeout: float = param(60.0, "wall-clock time after which a call of an isolated FMU is given up", "s", gt=0.0,
-                           le=1e6)  # fmt: skip
+    timeout: float = param(
+        60.0, "wall-clock time after which a call of an isolated FMU is given up", "s", gt=0.0, le=1e6
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -288,9 +290,7 @@ class FmuLaw(_Fmu):
     has at the end of the period.
     """
 
-    def update(
-        self, x: State, t: int, **inputs: tuple[float, ...]
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
+    def update(self, x: State, t: int, **inputs: tuple[float, ...]) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Answer one tick."""
         x = self._step(x, inputs)
         return x, self._said(x)

@@ -93,19 +93,6 @@ class Carima:
         """
         return cls.from_state_space(*(sampled := sample_transfer_function(num, den, period))[:2], sampled[2])
 
-    @property
-    def dc_gain(self) -> float:
-        """Steady y for u = 1; infinite with an integrator."""
-        return total(self.b) / below if (below := total(self.a)) else math.inf
-
-    def step_response(self, n: int) -> list[float]:
-        """Give y(1), ..., y(n) for u = 1 from t = 0 on, from rest."""
-        y = [0.0]
-        for k in range(1, n + 1):
-            past = total(-a * y[k - i] for i, a in enumerate(self.a[1:], 1) if k >= i)
-            y.append(past + total(self.b[:k]))
-        return y[1:]
-
 
 def sample_transfer_function(
     num: Sequence[float], den: Sequence[float], period: float

@@ -63,7 +63,7 @@ def companion(model: Carima) -> tuple[Array, Array, Array]:
     return a, b, c
 
 
-def check(a: ArrayLike, b: ArrayLike, gain: ArrayLike, terminal: ArrayLike, q: ArrayLike, r: float) -> Certificate:
+def assess(a: ArrayLike, b: ArrayLike, gain: ArrayLike, terminal: ArrayLike, q: ArrayLike, r: float) -> Certificate:
     """Hold K and Qbar against the corrected equation (32), u = K x.
 
     ::
@@ -78,7 +78,6 @@ def check(a: ArrayLike, b: ArrayLike, gain: ArrayLike, terminal: ArrayLike, q: A
     terminal : (n, n)
         Qbar.
     q : (n, n)
-    r : float
     """
     a, b, k, p, q = (np.atleast_2d(np.asarray(m, dtype=float)) for m in (a, b, gain, terminal, q))
     closed = a + b @ k
@@ -98,7 +97,6 @@ def certify(model: Carima, r: float = 1.0, q: float = 1.0) -> Certificate:
 
     Parameters
     ----------
-    model : Carima
     r, q : float
         Weights of u and y, positive.
 
@@ -113,4 +111,4 @@ def certify(model: Carima, r: float = 1.0, q: float = 1.0) -> Certificate:
     weight = q * c.T @ c
     terminal = solve_discrete_are(a, b, weight, np.array([[r]]))
     gain = -np.linalg.solve(r + b.T @ terminal @ b, b.T @ terminal @ a)
-    return check(a, b, gain, terminal, weight, r)
+    return assess(a, b, gain, terminal, weight, r)

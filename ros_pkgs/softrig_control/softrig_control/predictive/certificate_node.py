@@ -9,7 +9,7 @@ from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, array, button, executable, param, scalars
 
 from .carima import Carima
-from .certificate import Certificate, certify, check, companion
+from .certificate import Certificate, assess, certify, companion
 
 
 class CertificateParams(BlockParams):
@@ -104,7 +104,7 @@ class CertificateNode(Block[CertificateParams]):
             return certify(model, p.R, p.Q)
         a, b, c = companion(model)
         terminal = [p.Qbar[k : k + len(a)] for k in range(0, len(p.Qbar), len(a))]
-        return check(a, b, [p.K], terminal, p.Q * c.T @ c, p.R)
+        return assess(a, b, [p.K], terminal, p.Q * c.T @ c, p.R)
 
 
 main = executable(CertificateNode)

@@ -33,19 +33,21 @@ class GpcLawParams(BlockParams):
     lam: float = param(1.0, "weight lambda of the moves", ge=0.0, le=1e12, live=True)
     u_min: float = param(-UNBOUNDED, "smallest command", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
     u_max: float = param(UNBOUNDED, "largest command", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
-    du_max: float = param(UNBOUNDED, "largest move in one period; for DAQP, the closed form knows none",
-                          gt=0.0, le=UNBOUNDED, live=True)  # fmt: skip
+    du_max: float = param(
+        UNBOUNDED, "largest move in one period; for DAQP, the closed form knows none", gt=0.0, le=UNBOUNDED, live=True
+    )
     solver: Literal["closed_form", "daqp"] = param(
         "closed_form", "closed form, clipped to u_min and u_max, or DAQP, which keeps all bounds for all moves"
     )
-    set_point: float = param(0.0, "reference until one arrives", ge=-UNBOUNDED, le=UNBOUNDED,
-                             live=True)  # fmt: skip
+    set_point: float = param(0.0, "reference until one arrives", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
     u_start: float = param(0.0, "command that was applied before the start", ge=-UNBOUNDED, le=UNBOUNDED)
     u_safe: float = param(0.0, "command after a trip", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
-    trip_low: float = param(-UNBOUNDED, "measured value at or below which the law trips", ge=-UNBOUNDED, le=UNBOUNDED,
-                            live=True)  # fmt: skip
-    trip_high: float = param(UNBOUNDED, "measured value above which the law trips", ge=-UNBOUNDED, le=UNBOUNDED,
-                             live=True)  # fmt: skip
+    trip_low: float = param(
+        -UNBOUNDED, "measured value at or below which the law trips", ge=-UNBOUNDED, le=UNBOUNDED, live=True
+    )
+    trip_high: float = param(
+        UNBOUNDED, "measured value above which the law trips", ge=-UNBOUNDED, le=UNBOUNDED, live=True
+    )
     measured: str = param("output/v_dc/position", "signal under control, topic/channel/field")
     measured_also: tuple[str, ...] = param((), "channels that come in the same message as the measured signal")
     measured_unit: str = param("V", "its unit, and that of the reference")

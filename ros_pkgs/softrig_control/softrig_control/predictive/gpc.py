@@ -67,11 +67,6 @@ class Gpc:
     of which the first is made. Everything but y, w and the past moves is known beforehand, so G' (w - f) is
     kept as three small matrices acting on them.
 
-    Parameters
-    ----------
-    model : Carima
-    tuning : Tuning
-
     Raises
     ------
     ValueError
@@ -133,22 +128,17 @@ class Gpc:
         """Note the command that really acts from t on."""
         return GpcState(u, x.y, (u - x.u, *x.moves[:-1]) if x.moves else ())
 
-    def poles(self, plant: Carima | None = None) -> list[complex]:
-        """Give the closed loop's poles in z with a plant (the model itself by default).
+    def poles(self) -> list[complex]:
+        """Give the closed loop's poles in z, with the model as its plant.
 
         The law is R Delta u = pull w - S y with R = 1 + z^-1 past, S = outputs; with A y = z^-1 B u the characteristic
         polynomial is R A Delta + z^-1 B S.
         """
         import numpy as np
 
-        plant = self.model if plant is None else plant
         r = add((1.0,), self.past, 1)
-        characteristic = add(multiply(multiply(r, plant.a), (1.0, -1.0)), multiply(plant.b, self.outputs), 1)
+        characteristic = add(multiply(multiply(r, self.model.a), (1.0, -1.0)), multiply(self.model.b, self.outputs), 1)
         return [complex(z) for z in np.roots(characteristic)]
-
-    def spectral_radius(self, plant: Carima | None = None) -> float:
-        """Give the largest modulus of `poles`; the loop is stable below 1."""
-        return max(map(abs, self.poles(plant)))
 
 
 def invert(m: Sequence[Sequence[float]]) -> Matrix:

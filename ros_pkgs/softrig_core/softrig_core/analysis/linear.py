@@ -119,10 +119,6 @@ def linearise(model: Any, x: Sequence[float], u: Sequence[float]) -> Linear:
         ``(x, u) -> (dx, y)``.
     x, u : sequence of float
         Operating point; it need not be an equilibrium.
-
-    Returns
-    -------
-    Linear
     """
     at, held = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
     evaluate, jacobian = _derivatives(model, at.size, held.size)

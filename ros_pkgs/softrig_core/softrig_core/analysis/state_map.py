@@ -128,10 +128,8 @@ class StateMap:
 
     Parameters
     ----------
-    rig : Rig
     at : float
         When, s; the first tick from then on at which all members that count are due.
-    seed : int
     outputs : sequence of str
         Whole names of signals. Members that none of them hears of are left out.
     inputs : sequence of str

@@ -38,7 +38,6 @@ class OperatingPoint:
 
     Parameters
     ----------
-    rig : str
     at : float
         When, s: references and disturbances as they are then.
     period : float

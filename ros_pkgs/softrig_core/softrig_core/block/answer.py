@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from operator import mul
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import RunError
 from .port import Port, Sample
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
 Row = tuple[float, ...] | Sample  # what an output says at a tick
 
 
-def check(found: Any, port: Port, node: str, t: int) -> Row | None:
+def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
     """Make sure that a block's answer may leave it: right length, plain floats, all finite and within `Port.limits`.
 
     Parameters
     ----------
     found : mapping
         What the block gave, port name to values; anything else is refused.
-    port : Port
     node : str
         For the error.
     t : int
@@ -83,3 +86,41 @@ def usual(values: tuple[Any, ...], bound: float) -> bool:
         return type(size) is float and size <= bound
     except (TypeError, OverflowError):
         return False
+
+
+class Heard(Sequence[tuple[int, tuple[float, ...]]]):
+    """Messages that came in one go, (stamp in ns, values) each; made when they are looked at.
+
+    Parameters
+    ----------
+    stamps : array of int, shape (n,)
+    values : array of float, shape (n, size)
+    """
+
+    def __init__(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        self.stamps, self.values = stamps, values
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def __getitem__(self, k: Any) -> Any:
+        if isinstance(k, slice):
+            return Heard(self.stamps[k], self.values[k])
+        return int(self.stamps[k]), tuple(self.values[k].tolist())
+
+    def __iter__(self) -> Iterator[tuple[int, tuple[float, ...]]]:
+        return zip(self.stamps.tolist(), map(tuple, self.values.tolist()), strict=True)
+
+    def blocks(self, first: Sequence[tuple[int, Any]], size: int) -> list[Sequence[tuple[int, Any]]]:
+        """Part them into blocks of a size, the first of which has some rows already; the last is never empty."""
+        room = size - len(first)
+        return [(*first, *self[:room]), *(self[k : k + size] for k in range(room, len(self), size))]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, tuple | Heard) and tuple(self) == tuple(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        """Show what they are equal to."""
+        return repr(tuple(self))

@@ -76,12 +76,11 @@ def _told(ports: tuple[tuple[Port, ...], tuple[Port, ...]]) -> list[list[Port]]:
     return [[replace(p, safe=()) if p.held and not p.partial else p for p in side] for side in ports]
 
 
-def check(block_class: type[Block], params: BlockParams, values: Mapping[str, Any], name: str = "") -> BlockParams:
+def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, Any], name: str = "") -> BlockParams:
     """Make sure that a block could begin with the changed parameters, and that its rig would still fit together.
 
     Parameters
     ----------
-    block_class : type of Block
     params : BlockParams
         As they are.
     values : mapping

@@ -13,12 +13,7 @@ from .port import Port, Refused
 
 
 class Decoder:
-    """Reads the values of an input port from message bytes of any layout, fast for the last layout seen.
-
-    Parameters
-    ----------
-    port : Port
-    """
+    """Reads the values of an input port from message bytes of any layout, fast for the last layout seen."""
 
     def __init__(self, port: Port) -> None:
         self._port = port

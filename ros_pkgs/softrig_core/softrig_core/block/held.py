@@ -28,7 +28,6 @@ class Held:
 
     Attributes
     ----------
-    block : Block
     x : named tuple
         What it remembers.
     """

@@ -108,8 +108,9 @@ def check_steps(period: float, step: float, name: str) -> None:
         More than `STEPS`: one tick would take for ever.
     """
     if period > STEPS * step:
-        raise ValueError(f"period = {period:g} s takes {period / step:.3g} steps of {name} = {step:g} s, expected at "
-                         f"most {STEPS}")  # fmt: skip
+        raise ValueError(
+            f"period = {period:g} s takes {period / step:.3g} steps of {name} = {step:g} s, expected at most {STEPS}"
+        )
 
 
 @dataclass(frozen=True)

@@ -217,14 +217,12 @@ def command(name: str, topic: str, channels: Sequence[str], unit: Units, **optio
 
     Parameters
     ----------
-    name, topic : str
+    name, topic, **options
         As in `joint_state`.
     channels : sequence of str
         Names of the commanded quantities.
     unit : str or sequence of str
         Of all channels, or one a channel.
-    **options
-        Further fields of `Port`.
     """
     return joint_state(name, topic, channels, effort=unit, **options)  # type: ignore[arg-type]
 
@@ -234,12 +232,10 @@ def scalars(name: str, topic: str, units: Mapping[str, str], **options: object) 
 
     Parameters
     ----------
-    name, topic : str
+    name, topic, **options
         As in `joint_state`.
     units : mapping of str to str
         Unit by channel.
-    **options
-        Further fields of `Port`.
     """
     return Port(name, topic, types.JOINT_STATE.name, tuple(units), ("position",), tuple(units.values()), **options)  # type: ignore[arg-type]
 
@@ -250,14 +246,12 @@ def reference(name: str, topic: str, channels: Sequence[str], *, position: Units
 
     Parameters
     ----------
-    name, topic : str
+    name, topic, **options
         As in `joint_state`.
     channels : sequence of str
         Names of the axes.
     position, velocity, acceleration : str or sequence of str
         Unit of all axes or one an axis; a field without unit is not used.
-    **options
-        Further fields of `Port`.
     """
     units = {"position": position, "velocity": velocity, "acceleration": acceleration}
     return _named(types.JOINT_TRAJECTORY.name, name, topic, channels, units, options)
@@ -268,14 +262,12 @@ def vector3(name: str, topic: str, frame_id: str, units: str | Sequence[str], **
 
     Parameters
     ----------
-    name, topic : str
+    name, topic, **options
         As in `joint_state`.
     frame_id : str
         ``abc``, ``alpha_beta`` or ``dq``; a message of another frame is refused.
     units : str or sequence of str
         Of all three components, or one each.
-    **options
-        Further fields of `Port`.
     """
     units = (units,) * 3 if isinstance(units, str) else tuple(units)
     return Port(name, topic, types.VECTOR.name, XYZ, ("vector",), units, frame_id, **options)  # type: ignore[arg-type]
@@ -286,12 +278,10 @@ def wrench(name: str, topic: str, frame_id: str = "", **options: object) -> Port
 
     Parameters
     ----------
-    name, topic : str
+    name, topic, **options
         As in `joint_state`.
     frame_id : str
         Where force and torque are expressed; an input without one takes any.
-    **options
-        Further fields of `Port`.
     """
     units = ("N",) * 3 + ("N m",) * 3
     return Port(name, topic, types.WRENCH.name, XYZ, ("force", "torque"), units, frame_id, **options)  # type: ignore[arg-type]
@@ -302,12 +292,10 @@ def pose(name: str, topic: str, frame_id: str, **options: object) -> Port:
 
     Parameters
     ----------
-    name, topic : str
+    name, topic, **options
         As in `joint_state`.
     frame_id : str
         Where the pose is expressed; an input without one takes any.
-    **options
-        Further fields of `Port`.
     """
     units = ("m",) * 3 + ("",) * 4
     fields = ("position", "orientation")
@@ -319,14 +307,12 @@ def array(name: str, topic: str, dims: Mapping[str, int], units: str | Sequence[
 
     Parameters
     ----------
-    name, topic : str
+    name, topic, **options
         As in `joint_state`.
     dims : mapping of str to int
         Size by label, the outermost dimension first.
     units : str or sequence of str
         Of all values, or one a value in the order of the message.
-    **options
-        Further fields of `Port`.
     """
     shape = tuple(dims.items())
     units = (units,) * len(element_labels(shape)) if isinstance(units, str) else tuple(units)
@@ -338,12 +324,10 @@ def number(name: str, topic: str, unit: str, **options: object) -> Port:
 
     Parameters
     ----------
-    name, topic : str
+    name, topic, **options
         As in `joint_state`.
     unit : str
         Of the number; the message says none.
-    **options
-        Further fields of `Port`.
     """
     return Port(name, topic, types.NUMBER.name, (), ("data",), (unit,), **options)  # type: ignore[arg-type]
 
@@ -353,10 +337,8 @@ def button(name: str, topic: str, **options: object) -> Port:
 
     Parameters
     ----------
-    name, topic : str
+    name, topic, **options
         As in `joint_state`.
-    **options
-        Further fields of `Port`.
     """
     return Port(name, topic, types.BUTTON.name, (), ("data",), ("",), **options)  # type: ignore[arg-type]
 

@@ -60,7 +60,6 @@ def standing(markers: Iterable[Marker], scene: Scene | None, outputs: Iterable[P
     ----------
     markers, outputs : iterable of Marker, of Port
         Its own; as is `scene`.
-    scene : Scene or None
     """
     bodies = [] if scene is None else [at_origin(scene.base), *scene.fixed()]
     known = {WORLD, *(pose.child for pose in bodies)}

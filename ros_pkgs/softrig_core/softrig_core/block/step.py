@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from ..errors import RunError, describe
-from .answer import Row, check, flat
+from .answer import Row, admit, flat
 from .block import Block, Level, Plant
 from .bound import mover, sayer
-from .change import Change, check as check_change, revise
+from .change import Change, permit, revise
 from .held import Held
 from .params import flatten
 from .port import Port, Sample
@@ -30,8 +30,6 @@ class Step(Held):
     ----------
     name : str
         Node name, for errors.
-    block : Block
-    schedule : Schedule
     inputs, outputs : sequence of Port
     changes : iterable of Change
         Of the block's parameters, in the order of their times.
@@ -158,8 +156,9 @@ class Step(Held):
         """Give what was said last, at first the safe values; silence on sporadic ports."""
         return {
             p.name: self.said.get(p.name) or (Sample(self.t, p.safe) if p.delayed else p.safe)
-            for p in self.outputs if not p.sporadic
-        }  # fmt: skip
+            for p in self.outputs
+            if not p.sporadic
+        }
 
     def refused(self, t: int) -> Any:
         """Answer a tick of which something was refused."""
@@ -178,13 +177,13 @@ class Step(Held):
         Raises
         ------
         ParameterError
-            See `softrig_core.block.change.check`.
+            See `softrig_core.block.change.permit`.
         """
         waiting: dict[str, Any] = {}
         for change in self.changes:
             waiting |= change.values if change.at <= self.t else {}
         now = revise(self.params, waiting) if waiting else self.params
-        known = flatten(check_change(type(self.block), now, values, self.name))
+        known = flatten(permit(type(self.block), now, values, self.name))
         while self.changes and self.changes[0].at <= self.t:
             self.changes.popleft()
         self.changes.appendleft(Change(self.t, waiting | {name: known[name] for name in values}))
@@ -216,18 +215,16 @@ class Step(Held):
 
     def checked(self, found: Any) -> Rows:
         """Give what each output says, checked."""
-        rows = tuple([check(found, port, self.name, self.t) for port in self.outputs])
+        rows = tuple([admit(found, port, self.name, self.t) for port in self.outputs])
         if self.plain and rows:
             self.numbers = flat(rows)
         return rows
 
-    def feeds(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
+    def hands_to(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
         """Have an output fill an input of another step of this process.
 
         Parameters
         ----------
-        output : str
-        reader : Step
         name : str
             Of its input.
         pick : callable or None

@@ -62,11 +62,6 @@ class Quantity:
 class Drawing:
     """A plant as its rig shows it; a subclass draws one kind of plant.
 
-    Parameters
-    ----------
-    rig : Rig
-    plant : Member
-
     Attributes
     ----------
     signals : tuple of str
@@ -128,7 +123,6 @@ class Drawing:
             the last part of its topic.
         label : str
             Below the topic: ``shaft/velocity``.
-        rest : float
 
         Returns
         -------
@@ -166,11 +160,9 @@ def readings(
 
     Parameters
     ----------
-    pen : Pen
     at : (float, float)
         Left end of the first baseline.
     rows : sequence of (name, value, role)
-    width, step : float
     """
     for k, (name, value, role) in enumerate(rows):
         y = at[1] + step * k

@@ -17,7 +17,6 @@ def scope(pen: Pen, box: Box, past: Sequence[Row], row: Row, curves: Sequence[tu
 
     Parameters
     ----------
-    pen : Pen
     box : (left, top, width, height)
     past, row
         As `Drawing.frame` has them.
@@ -50,14 +49,12 @@ def plane(pen: Pen, box: Box, past: Sequence[Row], row: Row, x: Reading, y: Read
 
     Parameters
     ----------
-    pen : Pen
     box : (left, top, width, height)
     past, row
         As `Drawing.frame` has them.
     x, y : function of a row
     full : 4 floats
         Values at the left, right, lower and upper edge.
-    points : int
     """
     left, top, width, height = box
     x0, x1, y0, y1 = full

@@ -107,8 +107,9 @@ def _check_arithmetic(tree: Tree) -> None:
             name, given = body
             several = name in SEVERAL
             if len(given) < 2 if several else len(given) != 1:
-                raise ScenarioError(f"{name} takes {'two numbers or more' if several else 'one number'}, "
-                                    f"got {len(given)}")  # fmt: skip
+                raise ScenarioError(
+                    f"{name} takes {'two numbers or more' if several else 'one number'}, got {len(given)}"
+                )
         if kind == "Binary" and body[0] in ("Div", "Mod") and not variables(body[2]) and not arithmetic(body[2], {}):
             raise ScenarioError("a division by zero")
         if kind in ("Call", "Binary") and not variables(body) and math.isnan(arithmetic({kind: body}, {})):
@@ -202,9 +203,7 @@ def nodes(tree: Tree) -> Iterator[tuple[str, Any]]:
 def _map(tree: Tree, change: Callable[[str, Any], tuple[str, Any]]) -> Tree:
     """Copy a formula with every node changed, from the leaves up."""
     if isinstance(tree, dict):
-        return dict(
-            change(k, _map(v, change)) if k[:1].isupper() else (k, _map(v, change)) for k, v in tree.items()
-        )  # fmt: skip
+        return dict(change(k, _map(v, change)) if k[:1].isupper() else (k, _map(v, change)) for k, v in tree.items())
     return [_map(part, change) for part in tree] if isinstance(tree, list) else tree
 
 

@@ -63,7 +63,6 @@ class Live:
 
         Parameters
         ----------
-        x : tuple of Opened
         t : float
             Whole ns, ascending from 0.
         samples, truths, late : mapping

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Literal, TypeVar
 
@@ -192,49 +193,58 @@ def mean_error(
     return -float(_error(signals, signal, reference, start, end)[1].mean())
 
 
-@figure("{signal}")
-def rms(
-    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
-    end: float | None = None,
-) -> float:  # fmt: skip
+def _statistic(unit: str) -> Callable[[Callable[[Array], float]], Function]:
+    """Make a figure of what is a number of all samples of signal - reference."""
+
+    def declare(number: Callable[[Array], float]) -> Function:
+        @figure(unit)
+        def statistic(
+            signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+            end: float | None = None,
+        ) -> float:  # fmt: skip
+            return float(number(_error(signals, signal, reference, start, end)[1]))
+
+        statistic.__name__ = statistic.__qualname__ = number.__name__
+        statistic.__doc__ = number.__doc__
+        return statistic
+
+    return declare
+
+
+@_statistic("{signal}")
+def rms(e: Array) -> float:
     """Root of the mean square of signal - reference."""
-    return float(np.sqrt(np.mean(_error(signals, signal, reference, start, end)[1] ** 2)))
+    return np.sqrt(np.mean(e**2))
 
 
-@figure("{signal}")
-def peak(
-    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
-    end: float | None = None,
-) -> float:  # fmt: skip
+@_statistic("{signal}")
+def peak(e: Array) -> float:
     """Largest |signal - reference|."""
-    return float(np.abs(_error(signals, signal, reference, start, end)[1]).max())
+    return np.abs(e).max()
 
 
-@figure("{signal}^2")
-def mean_square(
-    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
-    end: float | None = None,
-) -> float:  # fmt: skip
+@_statistic("{signal}^2")
+def mean_square(e: Array) -> float:
     """Mean of the squares of signal - reference (MSE of an error)."""
-    return float(np.mean(_error(signals, signal, reference, start, end)[1] ** 2))
+    return np.mean(e**2)
 
 
-@figure("{signal}")
-def mean_absolute(
-    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
-    end: float | None = None,
-) -> float:  # fmt: skip
+@_statistic("{signal}")
+def mean_absolute(e: Array) -> float:
     """Mean of the absolute values of signal - reference (MAE of an error, MAC of a current, MAV of a voltage)."""
-    return float(np.abs(_error(signals, signal, reference, start, end)[1]).mean())
+    return np.abs(e).mean()
 
 
-@figure("{signal}")
-def sum_absolute(
-    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
-    end: float | None = None,
-) -> float:  # fmt: skip
+@_statistic("{signal}")
+def sum_absolute(e: Array) -> float:
     """Sum of the absolute values of all samples (SAE); grows with their number."""
-    return float(np.abs(_error(signals, signal, reference, start, end)[1]).sum())
+    return float(np.abs(e).sum())
+
+
+@_statistic("{signal}")
+def error_overshoot(e: Array) -> float:
+    """Largest error of the sign opposite to that of the first error; 0 without one."""
+    return max(0.0, float(-(e * np.sign(e[0])).min()))
 
 
 @figure("{signal} s")
@@ -278,16 +288,6 @@ def error_settling_time(
         return float(t[0])
     k = int(outside[-1]) + 1
     return float(t[k]) if k < t.size else float("inf")
-
-
-@figure("{signal}")
-def error_overshoot(
-    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
-    end: float | None = None,
-) -> float:  # fmt: skip
-    """Largest error of the sign opposite to that of the first error; 0 without one."""
-    _, e = _error(signals, signal, reference, start, end)
-    return max(0.0, float(-(e * np.sign(e[0])).min()))
 
 
 @figure("1/s")
@@ -383,8 +383,14 @@ def newest(times: Array, at: Array) -> NDArray[np.intp]:
     return np.cumsum(come) - 1
 
 
-def newest_step(signals: SignalMap, reference: str) -> tuple[float, float]:
-    """Give when (s) a signal was last another than before, and to what value; its first sample is a step, too.
+def newest_step(signals: SignalMap, references: str) -> tuple[float, float]:
+    """Give when (s) any of some signals was last another than before, and to what value; a first sample is a step, too.
+
+    Parameters
+    ----------
+    signals : mapping
+    references : str
+        Their names; several with a comma and a blank between.
 
     Raises
     ------
@@ -393,9 +399,12 @@ def newest_step(signals: SignalMap, reference: str) -> tuple[float, float]:
     ValueError
         No samples.
     """
-    t, x = window(signals, reference, None, None)
-    k = int(np.flatnonzero(np.diff(x, prepend=np.nan))[-1])
-    return float(t[k]), float(x[k])
+    steps = []
+    for name in references.split(", "):
+        t, x = window(signals, name, None, None)
+        k = int(np.flatnonzero(np.diff(x, prepend=np.nan))[-1])
+        steps.append((float(t[k]), float(x[k])))
+    return max(steps, key=itemgetter(0))
 
 
 def step_levels(

@@ -84,7 +84,6 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
         Between 0 and n - 1 where first <= last.
     pick : ufunc
         ``np.minimum`` or ``np.maximum``.
-    none : float
     """
     if len(first) == 1:
         return pick.reduce(values[..., first[0] : last[0] + 1], axis=-1, keepdims=True, initial=none)
@@ -150,7 +149,7 @@ class Record:
             open_from = min(open_from, self.times[-1])
         return Margin(
             value, at, violated or (((at, at),) if value < 0.0 else ()), (least, greatest), open_from / SECOND
-        )  # fmt: skip
+        )
 
     def bounds(self, tree: Tree) -> Array:
         """Give a formula's robustness at each instant.
@@ -326,7 +325,7 @@ class Record:
         edges = np.flatnonzero(np.diff(np.concatenate(([0], bad.astype(np.int8), [0]))))
         return tuple(
             (float(self.times[a] / SECOND), float(self.times[b - 1] / SECOND)) for a, b in edges.reshape(-1, 2)
-        )  # fmt: skip
+        )
 
 
 def truth(condition: Condition, now: Array | float, before: Array | float) -> Array:
@@ -334,7 +333,6 @@ def truth(condition: Condition, now: Array | float, before: Array | float) -> Ar
 
     Parameters
     ----------
-    condition : Condition
     now, before : array or float
         Its signal at each instant, and at the one before.
     """

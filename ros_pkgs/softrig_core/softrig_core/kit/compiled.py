@@ -197,8 +197,9 @@ def build(function: ca.Function) -> Path | None:
         with tempfile.TemporaryDirectory(dir=folder) as scratch:
             code, product = Path(scratch, f"{function.name()}.c"), Path(scratch, "product.so")
             code.write_text(source)
-            subprocess.run([compiler, *FLAGS, str(code), "-o", str(product), "-lm"],
-                           check=True, capture_output=True, text=True)  # fmt: skip
+            subprocess.run(
+                [compiler, *FLAGS, str(code), "-o", str(product), "-lm"], check=True, capture_output=True, text=True
+            )
             product.replace(library)
     except (OSError, subprocess.CalledProcessError) as error:
         reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[-1]

@@ -59,10 +59,6 @@ def trajectory(step: float, longest: float, past: Past, spare: int = 0) -> Traje
     spare : int
         Shorter steps (borders at located events) that may lie within the longest delay.
 
-    Returns
-    -------
-    Trajectory
-
     Raises
     ------
     ValueError
@@ -238,10 +234,6 @@ def between(s: float, step: float, x0: float, x1: float, dx0: float, dx1: float)
         Time between them, s.
     x0, x1, dx0, dx1 : float
         Values and slopes (1/s) at both.
-
-    Returns
-    -------
-    float
     """
     r = 1.0 - s
     return (1.0 + 2.0 * s) * r * r * x0 + s * r * r * step * dx0 + s * s * (3.0 - 2.0 * s) * x1 - s * s * r * step * dx1
@@ -253,15 +245,9 @@ def delayed(past: Trajectory, t: float, channel: int) -> float:
 
     Parameters
     ----------
-    past : Trajectory
     t : float
         s. Beyond the newest step its cubic goes on (a delay shorter than the step: order 4 only while smooth); before
         the oldest its first value stands.
-    channel : int
-
-    Returns
-    -------
-    float
     """
     size = past.begin.shape[0]
     newest = past.meta[0] - 1

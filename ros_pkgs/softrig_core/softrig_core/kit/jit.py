@@ -165,8 +165,9 @@ def _check_call(function: Callable[..., Any], found: Any) -> None:
 
 
 def _refusal(function: Callable[..., Any], word: str) -> ValueError:
-    return ValueError(f"{function.__qualname__} uses {word}, which native code computes differently; expected "
-                      f"{REFUSED[word]}")  # fmt: skip
+    return ValueError(
+        f"{function.__qualname__} uses {word}, which native code computes differently; expected {REFUSED[word]}"
+    )
 
 
 def _foreign(function: Callable[..., Any], word: str) -> ValueError:

@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..block.answer import Row
+from ..block.answer import Heard, Row
 from ..block.block import Observer
 from ..block.port import Sample
 from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
 from .compile import compiled, plain
-from .rig_text import WHEN, RigText, links, rig_text, speakers
+from .rig_text import WHEN, Place, RigText, links, rig_text, speakers, taken
 from .translate import follow
 from .twins import form, packed, unpacked
 from .value import NotNative
@@ -265,7 +265,7 @@ class Engine:
         try:
             self._watch(first, reached, rows)
         except RunError:  # of one who watches: all again up to that tick, which Python answers
-            reached = self.runner.schedule.tick(max(w.t for w in self._watchers))
+            reached = self.runner.schedule.tick(max(w.t for w in self._watchers if w.name in self._tick_by_tick))
             for watcher, (saved, values) in zip(self._watchers, begun, strict=True):
                 watcher.load(saved)
                 watcher.values.update(values)
@@ -362,13 +362,12 @@ class Engine:
         """Let those who only watch see what was said, tick after tick."""
         if not self._watchers:
             return
-        said = {id(s): rows[id(s)].listed() for s in self._recorded}
-        watchers = [(w, self._every[id(w)]) for w in self._watchers if not self._at_once(w, first, last, said)]
+        watchers = [(w, self._every[id(w)]) for w in self._watchers if not self._at_once(w, first, last, rows)]
         told = []
         for s in self._recorded:
             readers = [read for w, _ in watchers for read in _readings(s, w)]
             if readers:
-                told.append((s, self._every[id(s)], self._own(s, first, last).start, said[id(s)], readers))
+                told.append((s, self._every[id(s)], self._own(s, first, last).start, rows[id(s)].listed(), readers))
         for k in sorted({k for _, every in watchers for k in range(-(-first // every) * every, last, every)}):
             t = self._time(k)
             for s, every, begin, (numbers, stamps), readers in told:
@@ -385,30 +384,32 @@ class Engine:
                 if k % every == 0:
                     w.say(t)
 
-    def _at_once(self, watcher: Step, first: int, last: int, said: Mapping[int, Any]) -> bool:
+    def _at_once(self, watcher: Step, first: int, last: int, said: Mapping[int, Answers]) -> bool:
         """Let one who watches have all that its ticks see, if it takes that so."""
         ticks, every = self._own(watcher, first, last), self._every[id(watcher)]
         if watcher.name in self._tick_by_tick:
             return False
         if not ticks:
             return True
-        messages: dict[str, list[tuple[int, Any]]] = {}
+        messages: dict[str, Heard] = {}
         for s in self._recorded:
             readings, own = _readings(s, watcher), self._own(s, first, last)
             if readings and max(every, self._every[id(s)]) % min(every, self._every[id(s)]):
-                return False
-            if any(
-                stamp is not None or (flag is not None and every != self._every[id(s)])
-                for _, _, _, (*_, stamp, flag) in readings
-            ):
+                self._tick_by_tick.add(watcher.name)
                 return False
             step = max(1, every // self._every[id(s)])  # of its messages, one is seen
-            begin = -own.start % step
-            stamps = s.schedule.times(own.start, own.stop)[begin::step].tolist() if readings else []
-            for _, name, take, where in readings:
-                parts = [_part(row, z, where) for row, z in list(zip(*said[id(s)], strict=True))[begin::step]]
-                messages[name] = [(stamp, part if take is None else take(part))
-                                  for stamp, part in zip(stamps, parts, strict=True) if part is not None]  # fmt: skip
+            seen = slice(-own.start % step, None, step)
+            for _, name, take, (low, high, stamp, flag) in readings:
+                row, stamped = taken(high - low, stamp is not None, take)
+                if stamped or (flag is not None and step > 1):
+                    self._tick_by_tick.add(watcher.name)
+                    return False
+                stamps = s.schedule.times(own.start, own.stop)[seen]
+                table = np.reshape(said[id(s)].numbers, (len(own), len(_numbers(s))))[seen]
+                if flag is not None:
+                    stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
+                values = [table[:, low + p] if type(p) is Place else np.full(len(table), float(p)) for p in row]
+                messages[name] = Heard(stamps, np.array(values).T)
         t = watcher.schedule.time(ticks[-1])
         x = watcher.block.at_once(watcher.x, t, messages)  # type: ignore[attr-defined]
         if x is None:

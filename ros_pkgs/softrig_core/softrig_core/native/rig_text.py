@@ -251,12 +251,9 @@ def _inputs(
 def _read(program: Program, s: Step, j: int, take: Any, numbers: str, stamps: str, time: str, values: Any) -> Value:
     """Write what a reader makes of an output, which has `values` of it now."""
     before, delayed = sum(p.size for p in s.outputs[:j]), s.outputs[j].delayed
-    all_of_it: Any = tuple(map(_Place, range(s.outputs[j].size)))
-    if take is not None:
-        all_of_it = take(Sample(0, all_of_it) if delayed else all_of_it)
-    places = all_of_it.data if isinstance(all_of_it, Sample) else all_of_it
+    places, _ = taken(s.outputs[j].size, delayed, take)
     data = values.data if isinstance(values, Sample) else values
-    row = [Dynamic(f"{numbers}[{before + p}]" if type(p) is _Place else repr(float(p)), float(v))
+    row = [Dynamic(f"{numbers}[{before + p}]" if type(p) is Place else repr(float(p)), float(v))
            for p, v in zip(places, data, strict=True)]  # fmt: skip
     if not isinstance(values, Sample):
         return Group(tuple(row))
@@ -365,8 +362,16 @@ def _kept(state: str, value: Dynamic, step: Step, typed: bool) -> str:
     return f"{state} = {value.code}" if known else f"{state} = same_({state}, {value.code})"
 
 
-class _Place(int):
+class Place(int):
     """Number of a value in an answer: what is picked is one, or what is given where there is none."""
+
+
+def taken(size: int, delayed: bool, take: Callable[[Any], Any] | None) -> tuple[tuple[float, ...], bool]:
+    """Say what a reader takes of an output: places of its numbers, or numbers; and whether with a stamp."""
+    row: Any = tuple(map(Place, range(size)))
+    row = Sample(0, row) if delayed else row
+    found = row if take is None else take(row)
+    return (found.data, True) if isinstance(found, Sample) else (found, False)
 
 
 class _Nowhere:

@@ -124,7 +124,7 @@ def _links(nodes: Sequence[Adapter]) -> list[_Link]:
 def _feed(links: Sequence[_Link]) -> None:
     """Have what is said fill the inputs at once."""
     for writer, output, reader, item, pick in links:
-        writer.step.feeds(output.name, reader.step, item.name, pick)
+        writer.step.hands_to(output.name, reader.step, item.name, pick)
 
 
 def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:

@@ -28,8 +28,9 @@ class FiguresParams(WatchParams):
     )
     ports: str = param(
         '[{"name": "state", "topic": "state", "msgtype": "sensor_msgs/msg/JointState", "channels": ["x"],'
-        ' "fields": ["position"], "units": ["m"]}]', "and the topics that it is on, each as a port",
-    )  # fmt: skip
+        ' "fields": ["position"], "units": ["m"]}]',
+        "and the topics that it is on, each as a port",
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

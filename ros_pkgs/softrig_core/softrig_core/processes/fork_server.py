@@ -40,13 +40,7 @@ _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib"
 
 
 class Forked:
-    """A process that the server has forked; what it can do is as `subprocess.Popen` has it.
-
-    Parameters
-    ----------
-    pid : int
-    server : ForkServer
-    """
+    """A process that the server has forked; what it can do is as `subprocess.Popen` has it."""
 
     def __init__(self, pid: int, server: ForkServer) -> None:
         self.pid = pid
@@ -114,13 +108,13 @@ class ForkServer:
                 stderr=subprocess.DEVNULL,
             )  # fmt: skip
 
-    def start(self, package: str, executable: str, command: Sequence[str], variables: Mapping[str, str],
-              output: int) -> Forked | None:  # fmt: skip
+    def start(
+        self, package: str, executable: str, command: Sequence[str], variables: Mapping[str, str], output: int
+    ) -> Forked | None:
         """Fork a node.
 
         Parameters
         ----------
-        package, executable : str
         command : sequence of str
             The path of the executable and its arguments.
         variables : mapping
@@ -192,8 +186,9 @@ def forget() -> None:
 atexit.register(forget)
 
 
-def start_node(package: str, executable: str, command: Sequence[str], variables: Mapping[str, str],
-               output: int) -> Forked | None:  # fmt: skip
+def start_node(
+    package: str, executable: str, command: Sequence[str], variables: Mapping[str, str], output: int
+) -> Forked | None:
     """Fork a node from the server of this process; see `ForkServer.start`.
 
     A server whose modules have been edited since is replaced.

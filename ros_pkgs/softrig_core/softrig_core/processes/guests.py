@@ -17,7 +17,7 @@ class Guests:
         self._announce = announce
         self._needed = {
             m.name: {p.topic for p in m.outputs if ours(rig.readers(m, p))} for m in rig.members if m.external
-        }  # fmt: skip
+        }
         self._rig = rig
         self._said: set[str] = set()
         self._awaited = [name for name, topics in self._needed.items() if topics]

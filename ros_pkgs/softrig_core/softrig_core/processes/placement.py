@@ -17,7 +17,6 @@ class Placement:
     ----------
     mode : {"processes", "container", "inprocess"}
         Each in a process of its own; together in those that the scenario names, or all in one; as blocks alone.
-    clock : {"lockstep", "realtime"}
     domain : int, optional
         ROS_DOMAIN_ID; a free one when absent.
     containers : sequence of sequences of str, optional

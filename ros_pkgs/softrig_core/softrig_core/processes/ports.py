@@ -32,7 +32,6 @@ def chosen(domain: int, now: float | None = None) -> dict[str, int]:
 
     Parameters
     ----------
-    domain : int
     now : float, optional
         s, of a clock that all processes of a host share.
     """

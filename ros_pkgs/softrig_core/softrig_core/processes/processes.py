@@ -33,7 +33,6 @@ class Outcome:
 
     Parameters
     ----------
-    recording : Recording
     status : dict
         Status file of each node (`adapter.Adapter.write_status`).
     domain : int
@@ -55,22 +54,14 @@ class Outcome:
 
 
 def run_processes(
-    rig: Rig,
-    seed: int,
-    directory: Path,
-    placement: Placement = PROCESSES,
-    listener: Listener = NOBODY,
+    rig: Rig, seed: int, directory: Path, placement: Placement = PROCESSES, listener: Listener = NOBODY
 ) -> Outcome:
     """Start all nodes of a rig, wait for them, gather what they recorded.
 
     Parameters
     ----------
-    rig : Rig
-    seed : int
     directory : Path
         For logs, parameter files, shards and status files.
-    placement : Placement
-    listener : Listener
 
     Returns
     -------
@@ -155,13 +146,13 @@ def run_processes(
     return Outcome(recording, status, domain, epoch, error, stopped)
 
 
-def gathered(rig: Rig, directory: Path, names: Iterable[str],
-             namespace: str = "") -> tuple[Recording, dict[str, dict[str, Any]]]:  # fmt: skip
+def gathered(
+    rig: Rig, directory: Path, names: Iterable[str], namespace: str = ""
+) -> tuple[Recording, dict[str, dict[str, Any]]]:
     """Give what the nodes of a run have recorded and what each said of itself.
 
     Parameters
     ----------
-    rig : Rig
     directory : Path
         Of the `FILES` that the nodes wrote.
     names : iterable of str

@@ -48,7 +48,6 @@ class Restarts:
 
     Parameters
     ----------
-    most : int
     again : callable
         Starts the node of a child anew, by its number, and puts it in its place.
     announce : callable, optional

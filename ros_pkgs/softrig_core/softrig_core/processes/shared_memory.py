@@ -30,7 +30,6 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     ----------
     domain : int, optional
         A ROS_DOMAIN_ID in which nobody is or starts: its ports go, also where nobody has ever held a lock on them.
-    folder : Path
     """
     removed = 0
     locked = {p.name[:-3] for p in (*folder.glob("fastrtps_*_el"), *folder.glob("fastrtps_*_sl"))}
@@ -60,7 +59,6 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
     ----------
     domain : int
         ROS_DOMAIN_ID; others may be in it.
-    folder : Path
     """
     ours = {f"fastrtps_port{n}" for n in (*FLOWS, *of_domain(domain))}
     while True:

@@ -30,15 +30,13 @@ def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = 
     return [g for g in shared if g] + [[m] for m in own.values()]
 
 
-def node_parameters(rig: Rig, member: Member, seed: int, mode: str, *,
-                    recorders: Sequence[str] | None = None, returns: bool = False) -> dict[str, Any]:  # fmt: skip
+def node_parameters(
+    rig: Rig, member: Member, seed: int, mode: str, *, recorders: Sequence[str] | None = None, returns: bool = False
+) -> dict[str, Any]:
     """Give the ROS parameters that start a member of a rig: those of its block that differ, and how it runs.
 
     Parameters
     ----------
-    rig : Rig
-    member : Member
-    seed : int
     mode : {"lockstep", "realtime"}
     recorders : sequence of str, optional
         Nodes outside the rig that read everything and are awaited, besides those that ask for it; None: the domain is
@@ -126,10 +124,8 @@ def container_arguments(
 
     Parameters
     ----------
-    group : sequence of Member
     given : mapping
         Parameters by node, as `node_parameters` gives them.
-    directory : Path
     shared : mapping of str to str, optional
         Remaps of all of them.
     """
@@ -156,10 +152,8 @@ def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Pat
 
     Parameters
     ----------
-    member : Member
     parameters : mapping
         As `node_parameters` gives them.
-    directory : Path
     """
     file = directory / f"{member.name}.params.yaml"
     lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]

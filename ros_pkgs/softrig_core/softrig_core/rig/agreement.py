@@ -51,9 +51,10 @@ def assumptions(members: Iterable[Named]) -> list[str]:
     said = spoken(members)
     return [
         f"{member.name} takes {quantity} to be {_shown(value)}, {said[quantity][0]} has {_shown(said[quantity][1])}"
-        for member in members for quantity, value in member.block_class.assumed(member.params).items()
+        for member in members
+        for quantity, value in member.block_class.assumed(member.params).items()
         if quantity in said and not _same(said[quantity][1], value)
-    ]  # fmt: skip
+    ]
 
 
 def spoken(members: Iterable[Named]) -> dict[str, tuple[str, Any]]:

@@ -58,8 +58,9 @@ def _found(package: str, executable: str, _: tuple[str, ...]) -> type[Block]:
         raise ScenarioError(f"package {package!r} is not installed in this environment{near}") from None
     names = sorted(points.names)
     if executable not in names:
-        raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, names)}; it has "
-                            f"{', '.join(names)}")  # fmt: skip
+        raise ScenarioError(
+            f"package {package} has no executable {executable!r}{closest(executable, names)}; it has {', '.join(names)}"
+        )
     block: type[Block] | None = getattr(load_main(package, executable), "block", None)
     if block is None:
         raise ScenarioError(f"{package}/{executable} is a tool, not the node of a block")

@@ -26,8 +26,9 @@ class RunOptions(Params):
         30.0, "wall-clock time to wait for all peers of a rig, 0 = for ever", "s", ge=0, le=1e6
     )
     paired: tuple[str, ...] = param((), "lockstep by hand: held inputs that are to be paired by stamp like the others")
-    watchdog: float = param(0.0, "realtime: age at which a command is stale, 0 = the plant's number of periods", "s",
-                            ge=0, le=1e6)  # fmt: skip
+    watchdog: float = param(
+        0.0, "realtime: age at which a command is stale, 0 = the plant's number of periods", "s", ge=0, le=1e6
+    )
     frames: bool = param(True, "publish /tf and /tf_static, where others than the rig may read them")
     shard: str = param("", "file to record published messages in")
     status: str = param("", "file for the state of the node, as JSON")
@@ -51,7 +52,6 @@ class InputLink(BaseModel):
     ----------
     period : str
         Of the sender, s, as a fraction.
-    node : str
     at_end : bool
         Whether it also sends at the end time of the run, as plants do.
     port : str

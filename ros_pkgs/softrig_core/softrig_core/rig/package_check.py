@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint
 from itertools import pairwise
 from typing import Any
 
-from ..block.answer import check
+from ..block.answer import admit
 from ..block.block import Plant
 from ..block.held import ByHand
 from ..block.params import ParameterError, build
@@ -72,4 +72,4 @@ def check_entry_point(point: EntryPoint) -> str:
 def _outputs(block: Plant, ports: Any, seed: int) -> list[Any]:
     block.reset(seed)
     found = ByHand(block).outputs(0)
-    return [check(found, port, block.name, 0) for port in ports]
+    return [admit(found, port, block.name, 0) for port in ports]

@@ -18,7 +18,7 @@ from ..judge.units import misfit
 from ..scenario.changes import script
 from ..scenario.node_parameters import NodeParameters
 from ..scenario.places import explain
-from ..scenario.scenario import PlotEntry, Scenario
+from ..scenario.scenario import FigureEntry, PlotEntry, Scenario
 from ..wire.signals import full_name
 from .agreement import require_agreement
 from .installed import load_block
@@ -56,7 +56,6 @@ class Rig(Members):
         ----------
         scenario : Scenario
             That of the rig, with them.
-        names : iterable of str
 
         Raises
         ------
@@ -73,8 +72,9 @@ class Rig(Members):
         clock = self.clock
         for m in new:
             try:
-                m.schedule = Schedule(m.params.period, clock.params.period, scenario.duration,
-                                      m.block_class.speaks_at_end())  # fmt: skip
+                m.schedule = Schedule(
+                    m.params.period, clock.params.period, scenario.duration, m.block_class.speaks_at_end()
+                )
             except ValueError as error:
                 raise ScenarioError(f"{scenario.name}: node {m.name}: {error}, {clock.name}") from None
         if clock.schedule.ticks is not None and clock.schedule.ticks > TICKS:
@@ -105,7 +105,6 @@ class Rig(Members):
             In s.
         remap : mapping, optional
             By node name: its topic to the topic that it is to have.
-        name : str
         **keys
             Further keys of `Scenario`: ``figures``, ``expect``, ``plots``, ``seed``, ``title``.
 
@@ -142,7 +141,6 @@ def members_of(
 
     Parameters
     ----------
-    scenario : Scenario
     classes : mapping of node name to type of Block
         Of those that no executable gives.
     names : iterable of str, optional
@@ -230,10 +228,11 @@ def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
             return " - ".join(full_name(part, known) for part in value.split(" - "))
         return value
 
-    figures = {
-        name: f.model_copy(update={"arguments": {k: whole(v) for k, v in f.arguments.items()}, "since": whole(f.since)})
-        for name, f in scenario.figures.items()
-    }
+    def entry(f: FigureEntry) -> FigureEntry:
+        since = ", ".join(map(whole, f.since.split(", ")))
+        return f.model_copy(update={"arguments": {k: whole(v) for k, v in f.arguments.items()}, "since": since})
+
+    figures = {name: entry(f) for name, f in scenario.figures.items()}
     plots = tuple(p.model_copy(update={"signals": {whole(n): t for n, t in p.signals.items()}}) for p in scenario.plots)
     return scenario.model_copy(update={"figures": figures, "plots": plots})
 

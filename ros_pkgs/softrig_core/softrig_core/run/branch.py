@@ -14,7 +14,7 @@ from ..wire.recording import Recording
 
 def branched(
     rig: Rig, recording: Recording, at: float, values: Mapping[str, Any], epoch: int = 0
-) -> list[dict[str, Any]]:  # fmt: skip
+) -> list[dict[str, Any]]:
     """Give the changes of a run that is a recorded one up to a time, and goes on from there with other parameters.
 
     Who changed what before that time has done it here, too; what people did from there on has not happened. The changes
@@ -24,7 +24,6 @@ def branched(
     ----------
     rig : Rig
         Of the recorded run.
-    recording : Recording
     at : float
         s; the first tick of each node that is not earlier is the first that may differ.
     values : mapping

@@ -32,7 +32,6 @@ def rig_of(
 
     Parameters
     ----------
-    what : str, Path, Scenario or Rig
     duration : float, optional
         In s, instead of the scenario's.
     overrides : mapping, optional

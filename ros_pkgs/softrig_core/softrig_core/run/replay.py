@@ -11,7 +11,7 @@ from ..block.step import Step
 from ..errors import RunError
 from ..rig.members import Member
 from ..wire.recording import Recording
-from .inprocess import recorder, step_of
+from .inprocess import keeper, step_of
 
 
 def feed(member: Member, seed: int, recording: Recording) -> Recording:
@@ -46,7 +46,7 @@ def feed(member: Member, seed: int, recording: Recording) -> Recording:
         return False
 
     step.lacks = bring
-    step.send = recorder(answers, step, step.outputs, range(len(step.outputs)))
+    step.send = keeper(answers, step, step.outputs, range(len(step.outputs)))
     for _ in Runner([step]).run():
         pass
     return answers

@@ -44,13 +44,10 @@ class Run:
 
     Parameters
     ----------
-    rig : Rig
-    seed : int
     recording : Recording
         All messages, as a bag holds them: ``softrig_bags.write.write_bag(folder, run.recording)``.
     wall_s : float
         Wall-clock time, with the start and end of processes, s.
-    mode : str
     epoch : int
         Wall-clock ns of t = 0 in realtime, else 0.
     status : dict

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..block.block import Block
-from ..block.change import Change, check
+from ..block.change import Change, permit
 from ..block.params import ParameterError, flatten
 from ..errors import ScenarioError, closest
 from ..timebase import to_ns
@@ -53,14 +53,13 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
     ----------
     where : str
         Name of the scenario, for errors.
-    entries : sequence of ChangeEntry
     members : iterable
         The nodes of the rig.
 
     Raises
     ------
     ScenarioError
-        No such node, a node of somebody else, or values that `softrig_core.block.change.check` refuses.
+        No such node, a node of somebody else, or values that `softrig_core.block.change.permit` refuses.
     """
     known = {m.name: m for m in members}
 
@@ -80,8 +79,9 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
         for key, value in entry.set.items():
             node, _, parameter = key.partition(".")
             if node not in known or not parameter:
-                raise ScenarioError(f"{at}: {key!r}{closest(node, known)}: expected node.parameter with node one of "
-                                    f"{', '.join(known)}")  # fmt: skip
+                raise ScenarioError(
+                    f"{at}: {key!r}{closest(node, known)}: expected node.parameter with node one of {', '.join(known)}"
+                )
             if (known[node].package, known[node].executable) == (PACKAGE, EXECUTABLE):
                 parameter = WORDS.get(parameter, parameter)
             by_node.setdefault(node, {})[parameter] = fill_parameters(value, partial(at_start, at))
@@ -90,7 +90,7 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
             if member.external:
                 raise ScenarioError(f"{at}: node {node} is external: its parameters are not ours to change")
             try:
-                now[node] = check(member.block_class, now[node], values, node)
+                now[node] = permit(member.block_class, now[node], values, node)
             except (ParameterError, ValueError) as error:
                 raise ScenarioError(f"{at}: node {node}: {error}") from None
             member.changes = (*member.changes, Change(to_ns(entry.at), values))

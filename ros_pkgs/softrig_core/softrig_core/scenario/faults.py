@@ -83,8 +83,9 @@ def insert(
         if name in found:
             raise ScenarioError(f"{at}: that is the name of a node, too")
         if topic not in sources:
-            raise ScenarioError(f"{at}: nobody publishes {topic!r}{closest(topic, sources)}; "
-                                f"published are {', '.join(sources)}")  # fmt: skip
+            raise ScenarioError(
+                f"{at}: nobody publishes {topic!r}{closest(topic, sources)}; published are {', '.join(sources)}"
+            )
         concerned = [key for key in readers if key[1] == topic and reader in ("", key[0])]
         if not concerned:
             who = ", ".join(n for n, t in readers if t == topic) or "nobody"

@@ -69,7 +69,6 @@ def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str
 
     Parameters
     ----------
-    error : ValidationError
     model : type of BaseModel, optional
         What was validated.
     """

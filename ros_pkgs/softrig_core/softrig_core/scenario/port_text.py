@@ -19,9 +19,7 @@ def reader(port: Port, name: str, held: bool = False) -> Port:
 
 def ports_text(ports: Sequence[Port]) -> str:
     """Write ports as JSON, each with what differs from a port's defaults."""
-    return json.dumps([
-        {f.name: v for f in fields(p) if (v := getattr(p, f.name)) != f.default} for p in ports
-    ])  # fmt: skip
+    return json.dumps([{f.name: v for f in fields(p) if (v := getattr(p, f.name)) != f.default} for p in ports])
 
 
 def ports_of(text: str) -> tuple[Port, ...]:
@@ -37,7 +35,7 @@ def ports_of(text: str) -> tuple[Port, ...]:
         shaped: list[dict[str, Any]] = [
             {k: tuple(v) if k in _TUPLES else tuple(map(tuple, v)) if k == "dims" else v for k, v in p.items()}
             for p in given
-        ]  # fmt: skip
+        ]
         return tuple(Port(**about) for about in shaped)
     except (TypeError, AttributeError, KeyError, ValueError) as error:
         raise ValueError(f"ports: {error}; expected a JSON list of ports") from None

@@ -53,7 +53,8 @@ class FigureEntry(_Model):
         Unit of the figure; that of the function and its signal when absent.
     since : str
         A signal from whose newest step on it is measured: `start` and `end` count from there, `final` is the signal's
-        value after it, `initial` what is measured then, unless `final` is given. Empty: the whole run.
+        value after it, `initial` what is measured then, unless `final` is given. With several, a comma and a blank
+        between: from the newest step of any of them on, and `final` must be given. Empty: the whole run.
     """
 
     function: str = ""
@@ -67,7 +68,6 @@ class PlotEntry(_Model):
 
     Parameters
     ----------
-    title : str
     signals : dict of str to str
         Signal name to label (empty: the signal's own name). Over time also ``one - other``: a signal less the newest
         value of another.
@@ -267,6 +267,7 @@ def _override(raw: dict[str, Any], key: str, value: Any) -> None:
     if node not in nodes or not parameter:
         also = f", or a shared value ({', '.join(shared)})" if shared else ""
         near = closest(node, nodes_and_faults) if parameter else closest(key, shared)
-        raise ScenarioError(f"override {key!r}{near}: expected node.parameter with node one of "
-                            f"{', '.join(nodes_and_faults)}{also}")  # fmt: skip
+        raise ScenarioError(
+            f"override {key!r}{near}: expected node.parameter with node one of {', '.join(nodes_and_faults)}{also}"
+        )
     raw["nodes"] = merge({**nodes, node: nodes[node] or {}}, {node: {"parameters": {parameter: value}}})

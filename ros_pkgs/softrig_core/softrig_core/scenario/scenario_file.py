@@ -76,8 +76,9 @@ def locate(name: str) -> tuple[str, Path]:
         raise ScenarioError(f"{name}: no such file, expected a scenario's YAML file or its name")
     if found is None:
         known = list_scenarios()
-        raise ScenarioError(f"scenario {name!r} is unknown{closest(name, known)}; `softrig list` shows all "
-                            f"{len(known)}")  # fmt: skip
+        raise ScenarioError(
+            f"scenario {name!r} is unknown{closest(name, known)}; `softrig list` shows all {len(known)}"
+        )
     return name, found
 
 
@@ -181,8 +182,9 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
         raise ScenarioError(f"a variant is a mapping of changes, got {change!r}")
     below = {k: v for k, v in base.items() if k not in OWN}
     for part, what, lost in (
-        ("nodes", "executable", ("parameters",)), ("figures", "function", ("arguments", "unit", "since")),
-    ):  # fmt: skip
+        ("nodes", "executable", ("parameters",)),
+        ("figures", "function", ("arguments", "unit", "since")),
+    ):
         old, new = below.get(part), change.get(part)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
             below[part] = {k: _without(v, new.get(k), what, lost) for k, v in old.items()}
@@ -256,7 +258,6 @@ def find(name: str, first: Path | None = None) -> Path | None:
 
     Parameters
     ----------
-    name : str
     first : Path, optional
         A folder to look into before those of `scenario_folders`.
 

@@ -62,7 +62,6 @@ def read_yaml(text: str, where: str) -> Any:
 
     Parameters
     ----------
-    text : str
     where : str
         What error messages call it, such as the file's name.
 

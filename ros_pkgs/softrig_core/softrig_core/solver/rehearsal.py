@@ -20,9 +20,7 @@ def rehearse(block_class: type[Block], params: Any, name: str, always: bool = Fa
 
     Parameters
     ----------
-    block_class : type of Block
     params : BlockParams
-    name : str
     always : bool
         Whatever it uses: against the wall clock an import in the first tick is late, too.
 

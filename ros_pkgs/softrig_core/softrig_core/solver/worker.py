@@ -97,7 +97,6 @@ class Worker:
 
         Parameters
         ----------
-        request : any
         job : object
             By which the caller knows it: `job` until the next one or `cancel`.
 

@@ -115,8 +115,8 @@ class Figure:
         told: dict[str, Any] = {"start": t + (given.get("start") or 0.0)}
         if given.get("end") is not None:
             told["end"] = t + given["end"]
-        if given.get("reference") == self.since:
-            told["reference"] = value  # one number since then
+        if given.get("reference") in self.since.split(", "):
+            told["reference"] = newest_step(signals, given["reference"])[1]  # one number since then
         if "final" in _model(self.function)[0].model_fields and given.get("final") is None:
             told |= {"final": value, "initial": final_value(signals, given["signal"], end=t)}
         return replace(self, arguments=given | told, since="")
@@ -172,7 +172,8 @@ def told(rig: Members) -> dict[str, str]:
     """
     names, units = rig.scenario.figures, signal_units(rig)
     figures = [f for f in figures_of(rig) if f.name in names]
-    asked = [name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()), f.since)]
+    asked = [name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()))]
+    asked += [name for f in figures for name in f.since.split(", ")]
     read = {signal for name in asked if isinstance(name, str) for signal in filter_names(units, name)}
     said = {p.topic for m in rig.members for p in m.outputs}
     ports = [
@@ -290,13 +291,16 @@ def _check_signals(function: Function, arguments: Mapping[str, Any], units: Mapp
 def _check_since(function: Function, arguments: Mapping[str, Any], units: Mapping[str, str], since: str) -> None:
     if not since:
         return
-    if since not in units:
-        raise ScenarioError(f"since: no signal {since!r}{closest(since, units)}; the rig has {', '.join(units)}")
+    names = since.split(", ")
+    for name in names:
+        if name not in units:
+            raise ScenarioError(f"since: no signal {name!r}{closest(name, units)}; the rig has {', '.join(units)}")
     takes = _model(function)[0].model_fields
     if "start" not in takes:
         raise ScenarioError(f"since: {function.__name__} takes no start, it is of a whole run")
     if "final" in takes and arguments.get("final") is None:
-        unit, own = units[since], units.get(arguments["signal"], units[since])
-        if "initial" in arguments or powers(unit) != powers(own):
+        unit, own = units[names[0]], units.get(arguments["signal"], units[names[0]])
+        if names[1:] or "initial" in arguments or powers(unit) != powers(own):
             why = "initial" if "initial" in arguments else f"a signal in {own!r} and a reference in {unit!r}"
+            why = "several signals" if names[1:] else why
             raise ScenarioError(f"since: with {why} the final value must be given, too")

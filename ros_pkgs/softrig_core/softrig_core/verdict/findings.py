@@ -25,10 +25,8 @@ class Finding(BaseModel):
         Where the claim stands.
     text, where, reason : str
         What the paper says, where, and why the verdict is what it is.
-    figure, unit : str
     asked : str
         What agrees with it: the number with its tolerance, or what it is compared with.
-    published : float, optional
     measured : float, optional
         None when the claim cannot be checked or the figure is not finite; `measured_text` is for people.
     verdict : str
@@ -76,7 +74,6 @@ def findings(scenario: Scenario, figures: Callable[[str], Figures | None], units
 
     Parameters
     ----------
-    scenario : Scenario
     figures : callable
         Figures of a scenario by its name; None when it has not been run.
     units : mapping

@@ -94,7 +94,6 @@ def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], 
 
     Parameters
     ----------
-    rig : Members
     units : mapping
         Of each signal of the rig.
     """
@@ -133,7 +132,6 @@ def judges(rig: Members, units: Mapping[str, str]) -> dict[str, Judge]:
 
     Parameters
     ----------
-    rig : Members
     units : mapping
         Of each signal of the rig.
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from itertools import chain, islice, pairwise
+from itertools import chain, islice
 from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from ..block.answer import Heard
 from ..block.block import Observer
 from ..block.params import BlockParams, param
 from ..block.port import Port
@@ -36,7 +37,7 @@ BLOCK = 64  # messages
 class Kept(NamedTuple):
     """Messages of one topic in the window, (stamp in ns, values) each: in full blocks, so that a tick copies few."""
 
-    blocks: tuple[tuple[tuple[int, Any], ...], ...] = ()
+    blocks: tuple[Sequence[tuple[int, Any]], ...] = ()
     newest: tuple[tuple[int, Any], ...] = ()
     """The block that is being filled; empty only where nothing is kept."""
 
@@ -68,20 +69,18 @@ class Kept(NamedTuple):
                 oldest = blocks[0] if blocks else newest
         return Kept(blocks, newest, begin, forgot)
 
-    def taken_at_once(self, messages: Sequence[tuple[int, Any]], since: int) -> Kept:
+    def taken_at_once(self, messages: Heard, since: int) -> Kept:
         """Take new messages in, the oldest first; what `taken` would give that gets one after the other.
 
         No two of them, nor the newest that is kept, are further apart than what is kept reaches back from `since` on.
         """
-        filled = [*self.newest, *messages]
-        whole = max(0, len(filled) - 1) // BLOCK * BLOCK
-        blocks = [*self.blocks, *(tuple(filled[k : k + BLOCK]) for k in range(0, whole, BLOCK)), tuple(filled[whole:])]
+        blocks = [*self.blocks, *messages.blocks(self.newest, BLOCK)]
         gone = 0
         while blocks[gone] and blocks[gone][-1][0] < since:
             gone += 1
         begin = 0 if gone else self.begin
         after = bisect_left(blocks[gone], since, begin, key=itemgetter(0))
-        return Kept(tuple(blocks[gone:-1]), blocks[-1], after, self.forgot or after > self.begin or gone > 0)
+        return Kept(tuple(blocks[gone:-1]), tuple(blocks[-1]), after, self.forgot or after > self.begin or gone > 0)
 
 
 class Window(NamedTuple):
@@ -124,21 +123,23 @@ class Watch(Observer[W]):
             found.append(kept if values is None else kept.taken(t - (age(name) or 0), values, since))
         return tuple(found)
 
-    def at_once(self, x: Any, t: int, messages: Mapping[str, Sequence[tuple[int, Any]]]) -> Any:
+    def at_once(self, x: Any, t: int, messages: Mapping[str, Heard]) -> Any:
         """See `Observer.at_once`."""
-        if type(self).update is not Watch.update:
-            return None
+        seen = self.keep_at_once(x.seen, t, messages) if type(self).update is Watch.update else None
+        return None if seen is None else Window(seen)
+
+    def keep_at_once(self, seen: tuple[Kept, ...], t: int, messages: Mapping[str, Heard]) -> tuple[Kept, ...] | None:
+        """Give what `keep` gives tick after tick; None where it has to be asked so."""
         found, since = [], t - self._reach
-        for name, kept in zip(self._ports, x.seen, strict=True):
+        for name, kept in zip(self._ports, seen, strict=True):
             new = messages.get(name)
             if new is None:
                 found.append(kept)
                 continue
-            stamps = [*(m[0] for m in kept.newest[-1:]), *(m[0] for m in new), t]
-            if any(after - before > self._reach for before, after in pairwise(stamps)):
+            if np.diff([*(m[0] for m in kept.newest[-1:]), *new.stamps, t]).max(initial=0) > self._reach:
                 return None
             found.append(kept.taken_at_once(new, since))
-        return Window(tuple(found))
+        return tuple(found)
 
     def figure(self, name: str, function: Function, arguments: Mapping[str, Any] = NONE) -> Figure:
         """Make a figure, in the unit that its function and its signal give it."""
@@ -165,8 +166,11 @@ class Watch(Observer[W]):
 
 
 def left_behind(since: str, signals: Seen, forgot: Container[str]) -> bool:
-    """Whether the newest step of a signal was before what is kept of it: its first sample is none then."""
-    return signals.topic(since) in forgot and newest_step(signals, since)[0] == signals[since].t[0]
+    """Whether the newest steps of signals were before what is kept of them: a first sample is none then."""
+    return all(
+        signals.topic(name) in forgot and newest_step(signals, name)[0] == signals[name].t[0]
+        for name in since.split(", ")
+    )
 
 
 class Seen(Mapping[str, Signal]):

@@ -68,7 +68,6 @@ class Layout:
     ----------
     msgtype : str
         One of `softrig_core.wire.types.TYPES`.
-    frame_id : str
     names : sequence of str
         Channel names.
     counts : mapping of str to int

@@ -62,7 +62,6 @@ class ShardWriter:
 
     Parameters
     ----------
-    path : Path
     topics : sequence of (name, message type)
         In the order of the numbers that `add` takes.
     row : mapping of int to Layout
@@ -290,7 +289,6 @@ class Recording:
 
         Parameters
         ----------
-        path : Path
         namespace : str
             Of the node that wrote it, below which its topics are: ``a/``; empty for the root.
 

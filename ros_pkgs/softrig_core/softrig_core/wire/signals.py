@@ -36,7 +36,6 @@ def full_name(name: str, known: Iterable[str]) -> str:
 
     Parameters
     ----------
-    name : str
     known : iterable of str
         All signals.
 
@@ -68,7 +67,6 @@ class Signals(Mapping[str, Signal]):
 
     Parameters
     ----------
-    recording : Recording
     epoch : int
         Time in ns that becomes 0 s (realtime runs are stamped with the wall clock).
 

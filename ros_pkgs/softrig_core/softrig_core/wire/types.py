@@ -139,6 +139,5 @@ BUTTON = MessageType("std_msgs/msg/Bool", (Item("flag", "data", 1),))
 ARRAY = MessageType("std_msgs/msg/Float64MultiArray", (Item("dims"), Item("sequence", "data")))
 
 TYPES = {
-    t.name: t
-    for t in (JOINT_STATE, JOINT_TRAJECTORY, VECTOR, WRENCH, POSE, CLOCK, TIME, HEADER, NUMBER, BUTTON, ARRAY)
-}  # fmt: skip
+    t.name: t for t in (JOINT_STATE, JOINT_TRAJECTORY, VECTOR, WRENCH, POSE, CLOCK, TIME, HEADER, NUMBER, BUTTON, ARRAY)
+}

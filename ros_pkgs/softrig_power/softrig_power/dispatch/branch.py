@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import jit
@@ -59,23 +59,72 @@ def branch_and_bound(
     conditions : Conditions, optional
         Losses, ramps and reserve; P need not meet them then.
     """
-    order = units.order
-    table, groups = np.ascontiguousarray(units.table[order]), units.groups[order]
-    given = conditions or Conditions(units.p_min, units.p_max, Losses.none(len(units)), 0.0, units.p_max - units.p_min)
+    order, n = units.order, len(units)
+    groups = units.groups[order]
+    given = conditions or Conditions(units.p_min, units.p_max, Losses.none(n), 0.0, units.p_max - units.p_min)
     if conditions is not None:  # units that are alike differ in ramps and losses
-        groups = np.arange(len(units))
+        groups = np.arange(n)
     losses = given.losses
-    rest = (given.low[order], given.high[order], np.ascontiguousarray(losses.B[np.ix_(order, order)]), losses.B0[order],
-            float(losses.B00), float(given.reserve), given.ready[order], conditions is not None)  # fmt: skip
-    corners = 4 + max(len(units.valve_points(j)) for j in range(len(units)))
+    problem = Problem(
+        np.ascontiguousarray(units.table[order]), groups, float(demand), tol, NARROW, given.low[order],
+        given.high[order], np.ascontiguousarray(losses.B[np.ix_(order, order)]), losses.B0[order], float(losses.B00),
+        float(given.reserve), given.ready[order], conditions is not None,
+    )  # fmt: skip
+    corners = 4 + max(len(units.valve_points(j)) for j in range(n))
     start = (units.sorted_copies(P) if conditions is None else P)[order]
-    depth = max(2, min(2000, MEMORY // (len(units) * corners)))
-    cost, bound, nodes, found = _search(
-        table, groups, float(demand), start, tol, max_nodes, corners, depth, NARROW, rest
-    )
+    depth = max(2, min(2000, MEMORY // (n * corners)))
+    cost, bound, nodes, found = _search(problem, start, max_nodes, depth, corners)
     back = np.empty_like(found)
     back[order] = found
     return Proof(back, float(cost), float(min(bound, cost)), int(nodes))
+
+
+class Problem(NamedTuple):
+    """What a dispatch must meet, and how near to the optimum (`tol`, $/h); arrays in the order of the search."""
+
+    table: Array
+    groups: Any
+    demand: float
+    tol: float
+    narrow: float  # MW; so narrow a box is one point
+    low: Array
+    high: Array
+    B: Array
+    B0: Array
+    B00: float
+    reserve: float
+    ready: Array
+    conditioned: bool  # losses, ramps or reserve
+
+
+class Boxes(NamedTuple):
+    """The stack of boxes: limits, corners of the hull of each unit and their number, bound of the parent."""
+
+    lo: Array
+    hi: Array
+    x: Array
+    y: Array
+    count: Any
+    bound: Array
+
+
+class Relaxed(NamedTuple):
+    """The relaxation of one box: middle and half width of each unit, its weight in the balance, its output.
+
+    Then the pieces of all hulls: slope, width, unit, whether it lies where the unit gives less reserve; slope with the
+    reserve's price, and order by it.
+    """
+
+    centre: Array
+    half: Array
+    weight: Array
+    P: Array
+    slope: Array
+    width: Array
+    owner: Any
+    beyond: Array
+    priced: Array
+    by_slope: Any
 
 
 @jit
@@ -172,11 +221,13 @@ def _order(values: Any, count: Any, index: Any) -> Any:
 
 
 @jit
-def _fill(
-    lower: Any, rest: Any, more_rest: Any, pieces: Any, slope: Any, width: Any, owner: Any, weight: Any, priced: Any,
-    by_slope: Any, beyond: Any, multiplier: Any, P: Any,
-) -> Any:  # fmt: skip
-    """Fill pieces by rising slope, per weighted MW, to the balance's lower side, on to its upper where it saves."""
+def _fill(relaxed: Relaxed, lack: Any, lower: Any, multiplier: Any) -> Any:
+    """Fill pieces by rising slope, per weighted MW, to the balance's lower side, on to its upper where it saves.
+
+    `lack` is what both sides lack and the number of pieces; give the cost and what the lower side lacks then.
+    """
+    rest, more_rest, pieces = lack
+    _, _, weight, P, slope, width, owner, beyond, priced, by_slope = relaxed
     for i in range(pieces):
         priced[i] = (slope[i] + multiplier * beyond[i]) / weight[owner[i]]
     _order(priced, pieces, by_slope)
@@ -195,26 +246,30 @@ def _fill(
 
 
 @jit
-def _tangent(demand: Any, B: Any, B0: Any, B00: Any, centre: Any, half: Any, weight: Any) -> Any:
-    """Write the weights of the balance of a box; give the least and largest weighted sum that may balance."""
+def _tangent(problem: Problem, relaxed: Relaxed) -> Any:
+    """Write the weights of the balance of a box; give the least and largest weighted sum that may balance.
+
+    sum P - P_L(P) = D gives sum w_j P_j = D' + e with w = 1 - dP_L/dP at the centre of the box and
+    abs(e) <= sum abs(B_ij) r_i r_j of its half widths r: of second order, it goes as boxes shrink.
+    """
+    B, centre, half = problem.B, relaxed.centre, relaxed.half
     n = centre.shape[0]
-    target, off = demand + B00, 0.0
+    target, off = problem.demand + problem.B00, 0.0
     for j in range(n):
         row = 0.0
         for i in range(n):
             row += B[j, i] * centre[i]
             off += abs(B[j, i]) * half[i] * half[j]
-        weight[j] = 1.0 - 2.0 * row - B0[j]
+        relaxed.weight[j] = 1.0 - 2.0 * row - problem.B0[j]
         target -= row * centre[j]  # P_L at the centre less what its slope says of it: -c'Bc + B00
     return target - off, target + off
 
 
 @jit
-def _surplus(P: Any, demand: Any, conditions: Any) -> Any:
+def _surplus(problem: Problem, P: Any) -> Any:
     """Sum of the outputs less losses and demand, MW."""
-    _, _, B, B0, B00, _, _, _ = conditions
-    n = P.shape[0]
-    found = -demand - B00
+    B, B0, n = problem.B, problem.B0, P.shape[0]
+    found = -problem.demand - problem.B00
     for j in range(n):
         row = 0.0
         for i in range(n):
@@ -224,25 +279,23 @@ def _surplus(P: Any, demand: Any, conditions: Any) -> Any:
 
 
 @jit
-def _meets(P: Any, table: Any, demand: Any, conditions: Any) -> Any:
+def _meets(problem: Problem, P: Any) -> Any:
     """Whether a dispatch meets all conditions."""
-    low, high, _, _, _, reserve, ready, _ = conditions
-    left = 0.0
+    table, low, high, ready, left = problem.table, problem.low, problem.high, problem.ready, 0.0
     for j in range(P.shape[0]):
         if P[j] < low[j] - 1e-9 or P[j] > high[j] + 1e-9:
             return False
         left += min(ready[j], table[j, 1] - P[j])
-    return abs(_surplus(P, demand, conditions)) <= 1e-7 and left >= reserve - 1e-7
+    return abs(_surplus(problem, P)) <= 1e-7 and left >= problem.reserve - 1e-7
 
 
 @jit
-def _mended(P: Any, table: Any, demand: Any, conditions: Any) -> Any:
+def _mended(problem: Problem, P: Any) -> Any:
     """Put a nearly balanced dispatch onto the balance by one unit; its cost, infinite when no unit can.
 
     The unit is the one with which it costs least; P is changed in place.
     """
-    low, high, B, B0, _, _, _, _ = conditions
-    n = P.shape[0]
+    table, low, high, B, B0, n = problem.table, problem.low, problem.high, problem.B, problem.B0, P.shape[0]
     cheapest, unit, output = np.inf, -1, 0.0
     for j in range(n):
         before = P[j]
@@ -250,11 +303,11 @@ def _mended(P: Any, table: Any, demand: Any, conditions: Any) -> Any:
             row = 0.0
             for i in range(n):
                 row += B[j, i] * P[i]
-            change = -_surplus(P, demand, conditions) / (1.0 - 2.0 * row - B0[j])
+            change = -_surplus(problem, P) / (1.0 - 2.0 * row - B0[j])
             P[j] += change
             if abs(change) < 1e-12:
                 break
-        if low[j] <= P[j] <= high[j] and _meets(P, table, demand, conditions):
+        if low[j] <= P[j] <= high[j] and _meets(problem, P):
             cost = 0.0
             for i in range(n):
                 cost += unit_cost(table[i], P[i])
@@ -267,161 +320,194 @@ def _mended(P: Any, table: Any, demand: Any, conditions: Any) -> Any:
 
 
 @jit
-def _search(
-    table: Any, groups: Any, demand: Any, start: Any, tol: Any, max_nodes: Any, corners: Any, depth: Any, narrow: Any,
-    conditions: Any,
-) -> Any:  # fmt: skip
-    """Search; with conditions the balance of a box is its tangent at the centre, between what it can be wrong by.
-
-    sum P - P_L(P) = D gives sum w_j P_j = D' + e with w = 1 - dP_L/dP at the centre of the box and
-    abs(e) <= sum abs(B_ij) r_i r_j of its half widths r: of second order, it goes as boxes shrink. Reserve enters by a
-    multiplier.
-    """
-    n = table.shape[0]
-    box_low, box_high, B, B0, B00, reserve, ready, conditioned = conditions
-    weight, centre, half = np.ones(n), np.empty(n), np.empty(n)
-    beyond = np.zeros(2 * n * corners)
+def _room(n: Any, depth: Any, corners: Any) -> Any:
+    """Make room for `depth` boxes and the relaxation of one; without conditions all weights stay one."""
     lo, hi = np.empty((depth, n)), np.empty((depth, n))
     x, y = np.empty((depth, n, corners)), np.empty((depth, n, corners))
-    count = np.empty((depth, n), np.int64)
-    bound = np.empty(depth)  # of the parent
+    boxes = Boxes(lo, hi, x, y, np.empty((depth, n), np.int64), np.empty(depth))
     pieces = 2 * n * corners
-    slope, width, owner = np.empty(pieces), np.empty(pieces), np.empty(pieces, np.int64)
-    by_slope, priced = np.empty(pieces, np.int64), np.empty(pieces)
-    P, best = np.empty(n), np.empty(n)
-    upper = 0.0
+    slope, width, beyond, priced = np.empty(pieces), np.empty(pieces), np.empty(pieces), np.empty(pieces)
+    owner, by_slope = np.empty(pieces, np.int64), np.empty(pieces, np.int64)
+    centre, half, weight, P = np.empty(n), np.empty(n), np.ones(n), np.empty(n)
+    return boxes, Relaxed(centre, half, weight, P, slope, width, owner, beyond, priced, by_slope)
+
+
+@jit
+def _begin(problem: Problem, start: Any, boxes: Boxes) -> Any:
+    """Put the whole box on the stack; give the cost of the dispatch to begin with, infinite if it does not do."""
+    table, low, high, cost = problem.table, problem.low, problem.high, 0.0
+    boxes.bound[0] = -np.inf
+    for j in range(start.shape[0]):
+        cost += unit_cost(table[j], start[j])
+        boxes.lo[0, j], boxes.hi[0, j] = low[j], high[j]
+        boxes.count[0, j] = _hull(table[j], low[j], high[j], problem.narrow, boxes.x[0, j], boxes.y[0, j])
+    return np.inf if problem.conditioned and not _meets(problem, start) else cost
+
+
+@jit
+def _cut(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
+    """Put all units to their lower ends; give the cost of that, the balance of both ends, the number of pieces."""
+    x, y = boxes.x[t], boxes.y[t]
+    _, _, weight, P, slope, width, owner, beyond, _, _ = relaxed
+    table, ready, reserve, count = problem.table, problem.ready, problem.reserve, boxes.count[t]
+    pieces, lower, filled, room = 0, 0.0, 0.0, 0.0
+    for j in range(P.shape[0]):
+        P[j] = x[j, 0]
+        lower += y[j, 0]
+        last = count[j] - 1
+        filled += weight[j] * x[j, 0]
+        room += weight[j] * x[j, last]
+        knee = table[j, 1] - ready[j]
+        for i in range(last):
+            whole = x[j, i + 1] - x[j, i]
+            rise = (y[j, i + 1] - y[j, i]) / whole
+            cut = knee - x[j, i]
+            if reserve > 0.0 and 0.0 < cut < whole:  # beyond the knee a unit gives less reserve
+                width[pieces], slope[pieces], owner[pieces], beyond[pieces] = cut, rise, j, 0.0
+                pieces += 1
+                width[pieces], slope[pieces], owner[pieces], beyond[pieces] = whole - cut, rise, j, 1.0
+            else:
+                width[pieces], slope[pieces], owner[pieces] = whole, rise, j
+                beyond[pieces] = 1.0 if reserve > 0.0 and cut <= 0.0 else 0.0
+            pieces += 1
+    return lower, filled, room, pieces
+
+
+@jit
+def _relax(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed, enough: Any) -> Any:
+    """Give the least cost of the relaxation of a box, infinite when nothing in it does, and what the balance lacks.
+
+    Write its outputs. With a reserve, its bound is raised until it is `enough`.
+    """
+    n = relaxed.P.shape[0]
+    least, most = problem.demand, problem.demand
+    if problem.conditioned:
+        table, ready, lows, highs, spare = problem.table, problem.ready, boxes.lo[t], boxes.hi[t], 0.0
+        for j in range(n):
+            lo, hi = lows[j], highs[j]
+            relaxed.centre[j], relaxed.half[j] = 0.5 * (lo + hi), 0.5 * (hi - lo)
+            spare += min(ready[j], table[j, 1] - lo)
+        if spare < problem.reserve - 1e-9:
+            return np.inf, 0.0
+        least, most = _tangent(problem, relaxed)
+    base, filled, room, pieces = _cut(problem, boxes, t, relaxed)
+    # a box narrower than `narrow` counts as its lower end: as much may be missing a unit
+    if filled > most + 1e-9 or room < least - n * problem.narrow:
+        return np.inf, 0.0
+    lack = (least - filled, most - filled, pieces)
+    lower, rest = _fill(relaxed, lack, base, 0.0)
+    if problem.reserve > 0.0 and lower < enough:
+        return _reserved(problem, boxes.x[t], relaxed, lack, base, (lower, rest), enough)
+    return lower, rest
+
+
+@jit
+def _reserved(problem: Problem, x: Any, relaxed: Relaxed, lack: Any, base: Any, found: Any, enough: Any) -> Any:
+    """Raise a bound by a price of the reserve: its dual function is concave, its best multiplier by bisection."""
+    lower, rest = found
+    table, ready, P, n = problem.table, problem.ready, relaxed.P, relaxed.P.shape[0]
+    multiplier, least, most = 0.0, 0.0, -1.0
+    for _ in range(40):
+        short = problem.reserve
+        for j in range(n):
+            short -= min(ready[j], table[j, 1] - P[j])
+        if short > 0.0:
+            least = multiplier
+            multiplier = max(1.0, 2.0 * multiplier) if most < 0.0 else 0.5 * (least + most)
+        elif multiplier == 0.0:
+            break
+        else:
+            most = multiplier
+            multiplier = 0.5 * (least + most)
+        offset = base + multiplier * problem.reserve
+        for j in range(n):
+            P[j] = x[j, 0]
+            offset -= multiplier * min(ready[j], table[j, 1] - P[j])
+        dual, rest = _fill(relaxed, lack, offset, multiplier)
+        lower = max(lower, dual)
+        if lower >= enough:
+            break
+    return lower, rest
+
+
+@jit
+def _widest(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
+    """Give the cost of the relaxation's outputs and the unit whose gap is the widest, -1 when all are narrow."""
+    table, B, P, half, n = problem.table, problem.B, relaxed.P, relaxed.half, relaxed.P.shape[0]
+    lo, hi, x, y, count = boxes.lo[t], boxes.hi[t], boxes.x[t], boxes.y[t], boxes.count[t]
+    cost, gap, split = 0.0, -1.0, -1
     for j in range(n):
-        best[j] = start[j]
-        upper += unit_cost(table[j], start[j])
-        lo[0, j], hi[0, j] = box_low[j], box_high[j]
-        count[0, j] = _hull(table[j], lo[0, j], hi[0, j], narrow, x[0, j], y[0, j])
-    if conditioned and not _meets(start, table, demand, conditions):
-        upper = np.inf
-    bound[0] = -np.inf
+        here = unit_cost(table[j], P[j])
+        cost += here
+        missing = here - _value(x[j], y[j], count[j], P[j])
+        if problem.conditioned:  # what the tangent and the reserve can be wrong by goes with the width, too
+            for i in range(n):
+                missing += 10.0 * abs(B[i, j]) * half[i] * half[j]
+            if problem.reserve > 0.0:
+                missing += 1e-3 * half[j]
+        if missing > gap and hi[j] - lo[j] > 4.0 * problem.narrow:
+            gap, split = missing, j
+    return cost, split
+
+
+@jit
+def _split(problem: Problem, boxes: Boxes, t: Any, split: Any, at: Any, lower: Any) -> None:
+    """Split box t where the relaxation puts a unit: what is below stays in t, what is above is put on top of it."""
+    lo, hi, x, y, count, bound = boxes
+    table, groups, narrow, n = problem.table, problem.groups, problem.narrow, lo.shape[1]
+    at = min(max(at, lo[t, split]), hi[t, split])
+    if min(at - lo[t, split], hi[t, split] - at) <= 2.0 * narrow:
+        at = 0.5 * (lo[t, split] + hi[t, split])
+    s = t + 1
+    for j in range(n):
+        lo[s, j], hi[s, j], count[s, j] = lo[t, j], hi[t, j], count[t, j]
+        for i in range(count[t, j]):
+            x[s, j, i], y[s, j, i] = x[t, j, i], y[t, j, i]
+    bound[t] = bound[s] = lower
+    # identical units stand in falling order: what is below is at most, what is above at least this
+    j = split
+    while j < n and groups[j] == groups[split] and hi[t, j] > at:
+        hi[t, j] = at
+        if lo[t, j] > at:
+            bound[t] = np.inf
+        count[t, j] = _hull(table[j], min(lo[t, j], at), at, narrow, x[t, j], y[t, j])
+        j += 1
+    j = split
+    while j >= 0 and groups[j] == groups[split] and lo[s, j] < at:
+        lo[s, j] = at
+        if hi[s, j] < at:
+            bound[s] = np.inf
+        count[s, j] = _hull(table[j], at, max(hi[s, j], at), narrow, x[s, j], y[s, j])
+        j -= 1
+
+
+@jit
+def _search(problem: Problem, start: Any, max_nodes: Any, depth: Any, corners: Any) -> Any:
+    """Search; with conditions the balance of a box is its tangent (`_tangent`), reserve enters by a multiplier."""
+    boxes, relaxed = _room(start.shape[0], depth, corners)
+    upper, best = _begin(problem, start, boxes), start.copy()
     closed = np.inf  # least bound of the boxes that are done with
     top, nodes = 1, 0
     while top > 0 and nodes < max_nodes:
-        t = top - 1
-        if bound[t] >= upper - tol:
-            closed = min(closed, bound[t])
-            top -= 1
+        top -= 1
+        bound = boxes.bound[top]
+        if bound < upper - problem.tol:
+            nodes += 1
+            bound, rest = _relax(problem, boxes, top, relaxed, upper - problem.tol)
+        if bound >= upper - problem.tol:
+            closed = min(closed, bound)
             continue
-        nodes += 1
-        low_target, high_target = demand, demand
-        if conditioned:
-            spare = 0.0
-            for j in range(n):
-                centre[j], half[j] = 0.5 * (lo[t, j] + hi[t, j]), 0.5 * (hi[t, j] - lo[t, j])
-                spare += min(ready[j], table[j, 1] - lo[t, j])
-            if spare < reserve - 1e-9:
-                top -= 1
-                continue
-            low_target, high_target = _tangent(demand, B, B0, B00, centre, half, weight)
-        # the relaxation: all units at their lower ends, then the pieces by rising slope
-        pieces, lower, filled, room = 0, 0.0, 0.0, 0.0
-        for j in range(n):
-            P[j] = x[t, j, 0]
-            lower += y[t, j, 0]
-            filled += weight[j] * P[j]
-            room += weight[j] * x[t, j, count[t, j] - 1]
-            knee = table[j, 1] - ready[j]
-            for i in range(count[t, j] - 1):
-                whole = x[t, j, i + 1] - x[t, j, i]
-                rise = (y[t, j, i + 1] - y[t, j, i]) / whole
-                cut = knee - x[t, j, i]
-                if reserve > 0.0 and 0.0 < cut < whole:  # beyond the knee a unit gives less reserve
-                    width[pieces], slope[pieces], owner[pieces], beyond[pieces] = cut, rise, j, 0.0
-                    pieces += 1
-                    width[pieces], slope[pieces], owner[pieces], beyond[pieces] = whole - cut, rise, j, 1.0
-                else:
-                    width[pieces], slope[pieces], owner[pieces] = whole, rise, j
-                    beyond[pieces] = 1.0 if reserve > 0.0 and cut <= 0.0 else 0.0
-                pieces += 1
-        # a box narrower than `narrow` counts as its lower end: as much may be missing a unit
-        if filled > high_target + 1e-9 or room < low_target - n * narrow:
-            top -= 1
-            continue
-        base = lower
-        lower, rest = _fill(base, low_target - filled, high_target - filled, pieces, slope, width, owner, weight,
-                            priced, by_slope, beyond, 0.0, P)  # fmt: skip
-        if reserve > 0.0 and lower < upper - tol:
-            multiplier, least, enough = 0.0, 0.0, -1.0
-            for _ in range(40):  # the dual function of the reserve is concave: its best multiplier by bisection
-                short = reserve
-                for j in range(n):
-                    short -= min(ready[j], table[j, 1] - P[j])
-                if short > 0.0:
-                    least = multiplier
-                    multiplier = max(1.0, 2.0 * multiplier) if enough < 0.0 else 0.5 * (least + enough)
-                elif multiplier == 0.0:
-                    break
-                else:
-                    enough = multiplier
-                    multiplier = 0.5 * (least + enough)
-                offset = base + multiplier * reserve
-                for j in range(n):
-                    P[j] = x[t, j, 0]
-                    offset -= multiplier * min(ready[j], table[j, 1] - P[j])
-                dual, rest = _fill(offset, low_target - filled, high_target - filled, pieces, slope, width, owner,
-                                   weight, priced, by_slope, beyond, multiplier, P)  # fmt: skip
-                lower = max(lower, dual)
-                if lower >= upper - tol:
-                    break
-        if lower >= upper - tol:
-            closed = min(closed, lower)
-            top -= 1
-            continue
-        cost, gap, split = 0.0, -1.0, -1
-        for j in range(n):
-            here = unit_cost(table[j], P[j])
-            cost += here
-            missing = here - _value(x[t, j], y[t, j], count[t, j], P[j])
-            if conditioned:  # what the tangent and the reserve can be wrong by goes with the width, too
-                for i in range(n):
-                    missing += 10.0 * abs(B[i, j]) * half[i] * half[j]
-                if reserve > 0.0:
-                    missing += 1e-3 * half[j]
-            if missing > gap and hi[t, j] - lo[t, j] > 4.0 * narrow:
-                gap, split = missing, j
-        if conditioned:
-            cost = _mended(P, table, demand, conditions)
-            rest = 0.0
+        cost, split = _widest(problem, boxes, top, relaxed)
+        if problem.conditioned:
+            cost, rest = _mended(problem, relaxed.P), 0.0
         if cost < upper and rest <= 1e-9:
             upper = cost
-            for j in range(n):
-                best[j] = P[j]
-        if lower >= upper - tol or split < 0 or top >= depth - 1:
-            closed = min(closed, lower)
-            top -= 1
+            best[:] = relaxed.P
+        if bound >= upper - problem.tol or split < 0 or top + 2 >= depth:
+            closed = min(closed, bound)
             continue
-        at = min(max(P[split], lo[t, split]), hi[t, split])
-        if min(at - lo[t, split], hi[t, split] - at) <= 2.0 * narrow:
-            at = 0.5 * (lo[t, split] + hi[t, split])
-        s = top
-        for j in range(n):
-            lo[s, j], hi[s, j], count[s, j] = lo[t, j], hi[t, j], count[t, j]
-            for i in range(count[t, j]):
-                x[s, j, i], y[s, j, i] = x[t, j, i], y[t, j, i]
-        hi[t, split], lo[s, split] = at, at
-        bound[t] = bound[s] = lower
-        count[t, split] = _hull(table[split], lo[t, split], at, narrow, x[t, split], y[t, split])
-        count[s, split] = _hull(table[split], at, hi[s, split], narrow, x[s, split], y[s, split])
-        # identical units stand in falling order: what is below is at most, what is above at least this
-        j = split + 1
-        while j < n and groups[j] == groups[split] and hi[t, j] > at:
-            hi[t, j] = at
-            if lo[t, j] > at:
-                bound[t] = np.inf
-            count[t, j] = _hull(table[j], min(lo[t, j], at), at, narrow, x[t, j], y[t, j])
-            j += 1
-        j = split - 1
-        while j >= 0 and groups[j] == groups[split] and lo[s, j] < at:
-            lo[s, j] = at
-            if hi[s, j] < at:
-                bound[s] = np.inf
-            count[s, j] = _hull(table[j], at, max(hi[s, j], at), narrow, x[s, j], y[s, j])
-            j -= 1
-        top += 1
+        _split(problem, boxes, top, split, relaxed.P[split], bound)
+        top += 2
     for t in range(top):
-        closed = min(closed, bound[t])
+        closed = min(closed, boxes.bound[t])
     return upper, closed, nodes, best

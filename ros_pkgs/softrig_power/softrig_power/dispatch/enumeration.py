@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import jit
@@ -14,6 +14,16 @@ from .units import NARROW, Array, Units, infeasible
 
 class TooManyError(ValueError):
     """More combinations than can be enumerated; the text says how many."""
+
+
+class Levels(NamedTuple):
+    """Units in order; the number of valve points of each, their powers (MW) and costs ($/h)."""
+
+    table: Array
+    groups: Any
+    sizes: Any
+    powers: Array
+    costs: Array
 
 
 def enumerate_kinks(units: Units, demand: float, most: int = 50_000_000) -> Array:
@@ -44,15 +54,16 @@ def enumerate_kinks(units: Units, demand: float, most: int = 50_000_000) -> Arra
     table, groups = np.ascontiguousarray(units.table[order]), units.groups[order]
     found = [units.valve_points(j) for j in order]
     sizes = np.array([len(p) for p in found], dtype=np.int64)
-    levels = np.zeros((len(units), int(np.max(sizes))))
-    for row, ends in zip(levels, found, strict=True):
+    powers = np.zeros((len(units), int(np.max(sizes))))
+    for row, ends in zip(powers, found, strict=True):
         row[: len(ends)] = ends
-    costs = np.array([[unit_cost(t, p) for p in row] for t, row in zip(table, levels, strict=True)])
+    costs = np.array([[unit_cost(t, p) for p in row] for t, row in zip(table, powers, strict=True)])
+    levels = Levels(table, groups, sizes, powers, costs)
     best, least, tried = np.zeros(len(units)), np.inf, 0
     for free in range(len(units)):
         if free and groups[free] == groups[free - 1]:
             continue  # the same problem again
-        cost, count = _enumerate(table, groups, levels, costs, sizes, free, demand, least, best, most - tried, NARROW)
+        cost, count = _enumerate(levels, free, demand, least, best, most - tried)
         least, tried = min(least, cost), tried + count
         if tried >= most:
             raise TooManyError(f"more than {most} combinations of valve points; expected at most about 13 units")
@@ -64,22 +75,10 @@ def enumerate_kinks(units: Units, demand: float, most: int = 50_000_000) -> Arra
 
 
 @jit
-def _enumerate(
-    table: Any,
-    groups: Any,
-    levels: Any,
-    costs: Any,
-    sizes: Any,
-    free: Any,
-    demand: Any,
-    least: Any,
-    best: Any,
-    most: Any,
-    narrow: Any,
-) -> Any:
+def _enumerate(fleet: Levels, free: Any, demand: Any, least: Any, best: Any, most: Any) -> Any:
     """Count through the levels of all units but `free` like an odometer; what cannot meet the demand is skipped."""
-    n = table.shape[0]
-    m = n - 1
+    table, groups, sizes, levels, costs = fleet
+    m = table.shape[0] - 1
     others = np.empty(m, np.int64)
     for k in range(m):
         others[k] = k if k < free else k + 1
@@ -96,7 +95,7 @@ def _enumerate(
         if i == m:
             count += 1
             rest = demand - power[m]
-            if table[free, 0] - narrow <= rest <= table[free, 1] + narrow:
+            if table[free, 0] - NARROW <= rest <= table[free, 1] + NARROW:
                 rest = min(max(rest, table[free, 0]), table[free, 1])
                 total = cost[m] + unit_cost(table[free], rest)
                 if total < least:
@@ -121,7 +120,7 @@ def _enumerate(
             continue
         power[i + 1], cost[i + 1] = power[i] + levels[j, pick[i]], cost[i] + costs[j, pick[i]]
         rest = demand - power[i + 1]
-        if rest < low[i + 1] + table[free, 0] - narrow or rest > high[i + 1] + table[free, 1] + narrow:
+        if rest < low[i + 1] + table[free, 0] - NARROW or rest > high[i + 1] + table[free, 1] + NARROW:
             pick[i] += 1
             continue
         i += 1

@@ -69,32 +69,32 @@ def lagrange(s: float, w: Array) -> None:
 
 @jit
 def trial_voltage(
-    u: Array, i: Array, z: float, r: float, delay: float, first: int, count: int,
-    misprint_sign: bool, misprint_coefficient: bool, shunt: float, out: Array,
-) -> None:  # fmt: skip
-    """Write the voltage at the trial point, seen from one end, for the samples first ... first + count - 1.
+    line: Model, end: Array, r: float, delay: float, first: int, misprint_sign: bool, shunt: float, out: Array
+) -> None:
+    """Write the voltage at the trial point, seen from one end, for the samples from `first` on.
 
     Parameters
     ----------
-    u, i : ndarray, shape (n,)
+    line : Model
+    end : ndarray, shape (2, n)
         Modal voltage and current of the end.
-    z, r : float
-        Surge impedance and resistance up to the point, ohm.
+    r : float
+        Resistance up to the point, ohm.
     delay : float
         Travel time to the point, samples.
     shunt : float
         Factor of u(t): R^2/8 where it is right.
     """
-    whole = int(delay)
+    u, i, z, whole = end[0], end[1], line.z, int(delay)
     w = np.empty(6)
     lagrange(delay - whole, w)
     plus, minus = z + 0.25 * r, z - 0.25 * r
     a = plus * plus
-    b = a if misprint_coefficient else minus * minus
+    b = a if line.coefficient else minus * minus
     back = -minus if misprint_sign else minus
     d = 0.5 * r * plus * minus
     scale = 0.5 / (z * z)
-    for n in range(count):
+    for n in range(out.shape[0]):
         k = first + n
         ahead = k + whole - 2
         behind = k - whole + 2
@@ -130,8 +130,8 @@ def mismatch(line: Model, ends: Array, first: int, count: int, x: float, tau: fl
     shunt_s, shunt_r = r_s * r_s / 8.0, r_r * r_r / 8.0
     if line.resistance:
         shunt_s, shunt_r = r_s / 8.0, r_s / 8.0
-    trial_voltage(ends[0], ends[1], line.z, r_s, tau, first, count, line.sign, line.coefficient, shunt_s, near)
-    trial_voltage(ends[2], ends[3], line.z, r_r, rest, first, count, False, line.coefficient, shunt_r, far)
+    trial_voltage(line, ends[:2], r_s, tau, first, line.sign, shunt_s, near)
+    trial_voltage(line, ends[2:], r_r, rest, first, False, shunt_r, far)
     total = 0.0
     for n in range(count):
         total += abs(near[n] - far[n])

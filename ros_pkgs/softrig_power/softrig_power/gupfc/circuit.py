@@ -53,6 +53,25 @@ class State(NamedTuple):
     v_dc: NDArray[np.float64]  # (1,)
 
 
+class Turning(NamedTuple):
+    """Shunt and both series converters at the begin of a period; arrays of shape (3,).
+
+    A series converter with sigma = 0 is bypassed (0 V).
+    """
+
+    sigma: NDArray[np.float64]  # conduction angle, rad
+    angle: NDArray[np.float64]  # of the voltage, rad
+    omega: NDArray[np.float64]  # its speed, rad/s
+
+
+class Rows(NamedTuple):
+    """What happened, a row a step; row 0 is the begin."""
+
+    bus: Complex  # (n + 1, 6), voltages at the end of the step
+    current: Complex  # (n + 1, 5), of the branches, at the end
+    converter: Complex  # (n + 1, 3), mean voltage over the step
+
+
 def circuit(params: NetworkParams, step: float) -> tuple[Circuit, Lines]:
     """Prepare the steps.
 
@@ -103,8 +122,9 @@ def mean_voltage(theta: float, turn: float, sigma: float, pulse: int) -> complex
 
 
 @jit
-def advance(circuit: Circuit, lines: Lines, state: State, first: int, sigma: Any, angle: Any, omega: Any, pulse: int,
-            tripped: bool, bus: Any, current: Any, converter: Any) -> Any:  # fmt: skip
+def advance(
+    circuit: Circuit, lines: Lines, state: State, first: int, turning: Turning, pulse: int, tripped: bool, rows: Rows
+) -> Any:
     """Take the steps of one control period.
 
     Parameters
@@ -113,16 +133,13 @@ def advance(circuit: Circuit, lines: Lines, state: State, first: int, sigma: Any
         From `circuit` and `steady.start`.
     first : int
         Number of steps taken before; step n ends at n h.
-    sigma, angle, omega : ndarray, shape (3,)
-        Conduction angle, voltage angle at the begin and its speed of the shunt and both series converters. A series
-        converter with sigma = 0 is bypassed (0 V).
+    turning : Turning
     pulse : {0, 1}
         Waveform.
     tripped : bool
         Shunt converter disconnected, DC link frozen.
-    bus, current, converter : ndarray, shape (n + 1, 6), (n + 1, 5), (n + 1, 3)
-        Row 0 is the begin; take bus voltages and branch currents at the end, and the mean converter voltages over each
-        step. n is the number of steps.
+    rows : Rows
+        Are written; their number says how many steps.
 
     Returns
     -------
@@ -130,6 +147,8 @@ def advance(circuit: Circuit, lines: Lines, state: State, first: int, sigma: Any
         Mean power that each converter delivers over the period.
     """
     c, ring, u, i = circuit, state.ring, state.u, state.i
+    sigma, angle, omega = turning
+    bus, current, converter = rows
     steps = bus.shape[0] - 1
     history = np.empty_like(ring[:, :, 0])
     ends = np.empty_like(history)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from softrig_core import Level, Plant, Port, array, executable, param
 from softrig_core.kit import dense
 
-from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, State as Network, advance, circuit
+from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, Rows, State as Network, Turning, advance, circuit
 from .measurement import Weights
 from .operating_point import DeviceParams, conduction, operating_point
 from .ports import DC_LINK, SERIES, SHUNT, STATUS, TRACE, measured
@@ -37,11 +37,9 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The newest period at every step, see `circuit.advance`, of which the outputs are means. Nobody writes into it."""
+    """The newest period at every step, of which the outputs are means, and its power. Nobody writes into it."""
 
-    bus: NDArray[np.complex128]
-    current: NDArray[np.complex128]
-    converter: NDArray[np.complex128]
+    rows: Rows
     power: NDArray[np.float64]
 
 
@@ -109,16 +107,16 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         self._weights = Weights(p.network.omega, p.step, p.substeps)
         self._point = point = operating_point(p)
         begin, rows = point.start, slice(-p.substeps - 1, None)
-        bus, current, converter = (row[rows].copy() for row in (begin.bus, begin.current, begin.converter))
-        between = 0.5 * (current[1:] + current[:-1])[:, [I_SH, I12, I34]]
-        power = dense.times(converter[1:], between.conj()).real.mean(axis=0)
+        seen = Rows(*(row[rows].copy() for row in (begin.bus, begin.current, begin.converter)))
+        between = 0.5 * (seen.current[1:] + seen.current[:-1])[:, [I_SH, I12, I34]]
+        power = dense.times(seen.converter[1:], between.conj()).real.mean(axis=0)
         sigmas = (p.network.shunt_sigma, *(self._conduction(v, point.v_dc) for v in (point.v12, point.v34)))
         omega = p.network.omega
         shunt, series_1, series_2 = (
             Command(sigma, cmath.phase(v) - p.period * omega, omega)
             for sigma, v in zip(sigmas, (point.v_sh, point.v12, point.v34), strict=True)
         )
-        self._begin = State(begin.state, (shunt, series_1, series_2), Seen(bus, current, converter, power))
+        self._begin = State(begin.state, (shunt, series_1, series_2), Seen(seen, power))
 
     def first(self) -> State:
         """Steady state at the references of the parameters, as if its last command had always held."""
@@ -130,7 +128,8 @@ class GupfcPlant(Plant[GupfcPlantParams]):
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the measured vectors, the DC voltage and the status at t."""
         seen = x.seen
-        bus, current = self._weights(seen.bus), self._weights(seen.current)
+        rows = seen.rows
+        bus, current = self._weights(rows.bus), self._weights(rows.current)
         vectors = {name: complex((bus if name[0] == "u" else current)[k]) for name, k in VECTORS.items()}
         v_dc = float(x.network.v_dc[0])
         s1, s2 = vectors["u2"] * vectors["i12"].conjugate(), vectors["u4"] * vectors["i34"].conjugate()
@@ -141,8 +140,8 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         found["status"] = (s1.real, s1.imag, s2.real, s2.imag, abs(vectors["u1"]), v_dc, *seen.power.tolist(),
                            v12, v34)  # fmt: skip
         if self.p.trace:
-            rows = (seen.converter[1:, 0], seen.converter[1:, 1], seen.bus[1:, BUS1], seen.current[1:, I_SH])
-            parts = np.column_stack([part for row in rows for part in (row.real, row.imag)])
+            shown = (rows.converter[1:, 0], rows.converter[1:, 1], rows.bus[1:, BUS1], rows.current[1:, I_SH])
+            parts = np.column_stack([part for row in shown for part in (row.real, row.imag)])
             found["trace"] = tuple(parts.ravel().tolist())
         return found
 
@@ -152,21 +151,18 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         """Move by one control period."""
         p, tripped = self.p, x.tripped
         commands = (self._taken(x, 0, shunt), self._taken(x, 1, series_1), self._taken(x, 2, series_2))
-        sigma, angle, omega = np.array([(c.sigma, c.angle, c.omega) for c in commands]).T.copy()
+        turning = Turning(*np.array([(c.sigma, c.angle, c.omega) for c in commands]).T.copy())
         ring, u, i, link = x.network
         network = Network(ring.copy(), u.copy(), i.copy(), link.copy())
-        bus, current, converter = (np.zeros_like(row) for row in (x.seen.bus, x.seen.current, x.seen.converter))
-        power = advance(
-            self._circuit, self._lines, network, x.steps, sigma, angle, omega, p.pulse, tripped, bus, current,
-            converter,
-        )  # fmt: skip
+        rows = Rows(*map(np.zeros_like, x.seen.rows))
+        power = advance(self._circuit, self._lines, network, x.steps, turning, p.pulse, tripped, rows)
         v_dc = float(network.v_dc[0])
         if not tripped and not TRIP[0] <= v_dc <= TRIP[1]:
             tripped = True
             text = f"DC voltage {v_dc:.4g} pu, outside {TRIP[0]:g} to {TRIP[1]:g} pu: tripped"
             self.report(Level.ERROR, "trip", text)
             network.i[I_SH] = 0.0
-        return State(network, commands, Seen(bus, current, converter, power), x.steps + p.substeps, tripped)
+        return State(network, commands, Seen(rows, power), x.steps + p.substeps, tripped)
 
     def _taken(self, x: State, k: int, command: tuple[float, ...]) -> Command:
         """Give the command of converter k, or what stands in for it."""
@@ -188,7 +184,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
             return Command(last.sigma, angle, last.omega, bad)
         self.report(Level.ERROR, f"{CONVERTERS[k]}_blocked", f"{text}, twice in a row: converter blocked")
         if k == 0:
-            return Command(last.sigma, cmath.phase(self._weights(x.seen.bus)[BUS1]), nominal, bad)
+            return Command(last.sigma, cmath.phase(self._weights(x.seen.rows.bus)[BUS1]), nominal, bad)
         return Command(0.0, angle, last.omega, bad)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softrig_core import param
 
@@ -47,8 +47,8 @@ class Adsmc:
 
     Parameters
     ----------
-    a1, a2, b1, b2, gamma, k : float
-        Gains, see `AdsmcGains`.
+    g : of one joint
+        Gains, see `AdsmcGains.of_joint`.
     printed_mu1 : bool
         See `Coefficients.of`.
     adapt_at_limit : bool
@@ -60,10 +60,9 @@ class Adsmc:
         Voltage limit; the limited value is what the integration goes on from.
     """
 
-    def __init__(self, *, a1: float, a2: float, b1: float, b2: float, gamma: float, k: float, printed_mu1: bool,
-                 adapt_at_limit: bool, T: float, v_max: float) -> None:  # fmt: skip
-        self._a1, self._a2, self._b1, self._b2, self._gamma, self._k = a1, a2, b1, b2, gamma, k
-        self._mu = Coefficients.of(a1, a2, b1, b2, printed_mu1)
+    def __init__(self, g: Any, *, printed_mu1: bool, adapt_at_limit: bool, T: float, v_max: float) -> None:
+        self._a1, self._a2, self._b1, self._b2, self._gamma, self._k = g.a1, g.a2, g.b1, g.b2, g.gamma, g.k
+        self._mu = Coefficients.of(g.a1, g.a2, g.b1, g.b2, printed_mu1)
         self._adapt_at_limit = adapt_at_limit
         self._T, self._v_max = T, v_max
 

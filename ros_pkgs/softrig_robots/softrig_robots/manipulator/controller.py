@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, command, executable, joint_state, param, reference, scalars
 
-from ..joints import motor_names
+from ..joints import JointGains, motor_names
 from .adsmc import Adsmc, AdsmcGains
 from .dsmc import Dsmc, DsmcGains
 from .plant import JOINTS
@@ -28,6 +28,9 @@ class Law(Protocol):
 
     def __call__(self, x: Any, qdd_d: float, e: float, ed: float) -> tuple[Any, float]:
         """Give the state after, and the voltage for the desired acceleration, the error and its rate (rad, s)."""
+
+
+LAWS: dict[str, Any] = {"adsmc": Adsmc, "dsmc": Dsmc, "smc": Smc}
 
 
 class State(NamedTuple):
@@ -60,13 +63,12 @@ class VcsControllerParams(BlockParams):
         """Make one law a joint."""
         n = len(self.joints)
         common: dict[str, Any] = {"T": self.period, "v_max": self.v_max}
-        if self.law == "smc":
-            return [Smc(**self.smc.of_joint("smc", i, n), **common) for i in range(n)]
-        common["printed_mu1"] = self.use_printed_mu1
-        if self.law == "dsmc":
-            return [Dsmc(**self.dsmc.of_joint("dsmc", i, n), **common) for i in range(n)]
-        common["adapt_at_limit"] = self.adapt_at_limit
-        return [Adsmc(**self.adsmc.of_joint("adsmc", i, n), **common) for i in range(n)]
+        if self.law != "smc":
+            common["printed_mu1"] = self.use_printed_mu1
+        if self.law == "adsmc":
+            common["adapt_at_limit"] = self.adapt_at_limit
+        gains: JointGains = getattr(self, self.law)
+        return [LAWS[self.law](gains.of_joint(self.law, i, n), **common) for i in range(n)]
 
 
 class VcsController(Block[VcsControllerParams]):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softrig_control.sliding_mode import switching
 from softrig_core import param
@@ -48,8 +48,8 @@ class Dsmc:
 
     Parameters
     ----------
-    a1, a2, b1, b2, rho : float
-        Gains, see `DsmcGains`.
+    g : of one joint
+        Gains, see `DsmcGains.of_joint`.
     printed_mu1 : bool
         See `Coefficients.of`.
     T : float
@@ -58,10 +58,9 @@ class Dsmc:
         Voltage limit; the limited value is what the integration goes on from.
     """
 
-    def __init__(self, *, a1: float, a2: float, b1: float, b2: float, rho: float, printed_mu1: bool, T: float,
-                 v_max: float) -> None:  # fmt: skip
-        self._a1, self._a2, self._b1, self._b2, self._rho = a1, a2, b1, b2, rho
-        self._mu = Coefficients.of(a1, a2, b1, b2, printed_mu1)
+    def __init__(self, g: Any, *, printed_mu1: bool, T: float, v_max: float) -> None:
+        self._a1, self._a2, self._b1, self._b2, self._rho = g.a1, g.a2, g.b1, g.b2, g.rho
+        self._mu = Coefficients.of(g.a1, g.a2, g.b1, g.b2, printed_mu1)
         self._T, self._v_max = T, v_max
 
     def first(self) -> DsmcState:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softrig_control.sliding_mode import switching
 from softrig_core import param
@@ -43,16 +43,16 @@ class Smc:
 
     Parameters
     ----------
-    a1, a2, rho : float
-        Gains, see `SmcGains`.
+    g : of one joint
+        Gains, see `SmcGains.of_joint`.
     T : float
         Sampling period, s.
     v_max : float
         Voltage limit.
     """
 
-    def __init__(self, *, a1: float, a2: float, rho: float, T: float, v_max: float) -> None:
-        self._a1, self._a2, self._rho = a1, a2, rho
+    def __init__(self, g: Any, *, T: float, v_max: float) -> None:
+        self._a1, self._a2, self._rho = g.a1, g.a2, g.rho
         self._T, self._v_max = T, v_max
 
     def first(self) -> SmcState:

@@ -6,7 +6,7 @@ The paper cites this law; its text was not available. This is the standard form 
 from __future__ import annotations
 
 from math import tanh
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softrig_core import param
 
@@ -52,8 +52,8 @@ class Arsc:
 
     Parameters
     ----------
-    k1, k2, h, gamma1, gamma2, gamma3, gamma4 : float
-        See `ArscGains`.
+    g : of one joint
+        Gains, see `ArscGains.of_joint`.
     T : float
         Sampling period, s.
     v_max : float
@@ -62,10 +62,9 @@ class Arsc:
 
     UNITS = {"theta1": "V s^2/rad", "theta2": "V s/rad", "theta3": "V", "theta4": "V"}
 
-    def __init__(self, *, k1: float, k2: float, h: float, gamma1: float, gamma2: float, gamma3: float, gamma4: float,
-                 T: float, v_max: float) -> None:  # fmt: skip
-        self._k1, self._k2, self._h = k1, k2, h
-        self._gamma = tuple(T * gamma for gamma in (gamma1, gamma2, gamma3, gamma4))
+    def __init__(self, g: Any, *, T: float, v_max: float) -> None:
+        self._k1, self._k2, self._h = g.k1, g.k2, g.h
+        self._gamma = tuple(T * gamma for gamma in (g.gamma1, g.gamma2, g.gamma3, g.gamma4))
         self._v_max = v_max
 
     def first(self) -> ArscState:

@@ -75,8 +75,7 @@ class VoltageControllerParams(BlockParams):
         """Make one law a joint."""
         gains: EmvcGains | TsarcGains | ArscGains = getattr(self, self.law)
         n = len(JOINTS)
-        common = {"T": self.period, "v_max": self.v_max}
-        return [LAWS[self.law](**gains.of_joint(self.law, i, n), **common) for i in range(n)]
+        return [LAWS[self.law](gains.of_joint(self.law, i, n), T=self.period, v_max=self.v_max) for i in range(n)]
 
 
 class State(NamedTuple):
@@ -147,7 +146,7 @@ class VoltageController(Block[VoltageControllerParams]):
             return
         late = "one period of delay" if p.loop_delay else "no delay"
         gains = [p.emvc.of_joint("emvc", i, len(JOINTS)) for i in range(len(JOINTS))]
-        (a1, a2), (l1, l2) = ([g[k] for g in gains] for k in ("alpha_hat", "lam"))
+        (a1, a2), (l1, l2) = ([getattr(g, k) for g in gains] for k in ("alpha_hat", "lam"))
         if is_stable(p.period, (a1, a2), (l1, l2), p.loop_delay, p.use_applied, p.robot):
             return
         together = True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import param
@@ -39,8 +39,8 @@ class Emvc:
 
     Parameters
     ----------
-    alpha_hat, lam, resistance : float
-        See `EmvcGains`.
+    g : of one joint
+        Gains, see `EmvcGains.of_joint`.
     T : float
         Sampling period, s. The law does not use it.
     v_max : float
@@ -55,8 +55,8 @@ class Emvc:
 
     UNITS = {"psi": "rad/s"}
 
-    def __init__(self, *, alpha_hat: float, lam: float, resistance: float, T: float, v_max: float) -> None:
-        self._alpha, self._lam, self._R, self._v_max = alpha_hat, lam, resistance, v_max
+    def __init__(self, g: Any, *, T: float, v_max: float) -> None:
+        self._alpha, self._lam, self._R, self._v_max = g.alpha_hat, g.lam, g.resistance, v_max
 
     def first(self) -> EmvcState:
         """No voltage yet."""

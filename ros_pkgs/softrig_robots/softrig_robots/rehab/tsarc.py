@@ -7,7 +7,7 @@ part of the voltage, a first-order Taylor series in time with adapted coefficien
 from __future__ import annotations
 
 from math import tanh
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import param
@@ -56,8 +56,8 @@ class Tsarc:
 
     Parameters
     ----------
-    alpha_hat, lam, resistance, gamma_a, gamma_b, rho, phi, window : float
-        See `TsarcGains`.
+    g : of one joint
+        Gains, see `TsarcGains.of_joint`.
     T : float
         Sampling period, s.
     v_max : float
@@ -66,11 +66,10 @@ class Tsarc:
 
     UNITS = {"a": "V", "b": "V/s"}
 
-    def __init__(self, *, alpha_hat: float, lam: float, resistance: float, gamma_a: float, gamma_b: float, rho: float,
-                 phi: float, window: float, T: float, v_max: float) -> None:  # fmt: skip
-        self._alpha, self._lam, self._R = alpha_hat, lam, resistance
-        self._gamma_a, self._gamma_b, self._rho, self._phi = gamma_a, gamma_b, rho, phi
-        self._steps = max(1, round(window / T))
+    def __init__(self, g: Any, *, T: float, v_max: float) -> None:
+        self._alpha, self._lam, self._R = g.alpha_hat, g.lam, g.resistance
+        self._gamma_a, self._gamma_b, self._rho, self._phi = g.gamma_a, g.gamma_b, g.rho, g.phi
+        self._steps = max(1, round(g.window / T))
         self._T, self._v_max = T, v_max
 
     def first(self) -> TsarcState:

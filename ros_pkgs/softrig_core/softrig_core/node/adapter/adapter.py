@@ -92,9 +92,6 @@ class Adapter:
 
     Parameters
     ----------
-    middleware : Middleware
-    block : Block
-    options : RunOptions
     sink : Sink, optional
         Gets what the node publishes, instead of the file that the options name.
     """
@@ -106,9 +103,7 @@ class Adapter:
         self.block = block
         self.options = options
         self.links = Links.model_validate_json(options.links) if options.links else _by_hand(block, options)
-        self.schedule = Schedule(
-            block.p.period, self.links.base or None, options.duration, block.speaks_at_end()
-        )  # fmt: skip
+        self.schedule = Schedule(block.p.period, self.links.base or None, options.duration, block.speaks_at_end())
         inputs, outputs = block.ports(block.p)
         self.step = Step(middleware.name, block, self.schedule, inputs, outputs, loads(options.changes))
         self.values = self.step.values
@@ -173,9 +168,8 @@ class Adapter:
         recorded = [(relative(o.topic), o.port.msgtype) for o in self.outputs]
         records = self.links.records
         outside = [
-            p for p in self.step.inputs
-            if (p.name not in self.links.inputs if records is None else p.name in records)
-        ]  # fmt: skip
+            p for p in self.step.inputs if (p.name not in self.links.inputs if records is None else p.name in records)
+        ]
         self.foreign = {port.name: len(recorded) + k for k, port in enumerate(outside)}
         recorded += [(relative(self.middleware.resolve(p.topic)), p.msgtype) for p in outside]
         self.extra_numbers = len(recorded)
@@ -359,8 +353,9 @@ class Adapter:
         }  # fmt: skip
         status |= self.drive.counts()
         if self.lacking:
-            status["published"] = {t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)]
-                                   for t in self.middleware.topics()}  # fmt: skip
+            status["published"] = {
+                t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)] for t in self.middleware.topics()
+            }
         if self.state != "running":  # what takes longer than a tick
             status |= {"peak_memory_mb": peak_memory()} | self.drive.statistics()
         if self.state == "done":

@@ -31,16 +31,15 @@ class Departure:
 
     Parameters
     ----------
-    node : Adapter
-    handshake : Handshake
     local : set of str
         Other nodes of this process.
     begin : callable
         Called once with the wall-clock time of t = 0 and by how much the clock of the rig is ahead of ours, ns.
     """
 
-    def __init__(self, node: Adapter, handshake: Handshake, local: Set[str],
-                 begin: Callable[[int, int], object]) -> None:  # fmt: skip
+    def __init__(
+        self, node: Adapter, handshake: Handshake, local: Set[str], begin: Callable[[int, int], object]
+    ) -> None:
         self._node = node
         self._begin = begin
         self.handshake = handshake

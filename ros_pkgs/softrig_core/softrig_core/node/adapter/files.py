@@ -20,7 +20,6 @@ class Files:
     ----------
     recording : Recording
         Of its senders; what came from outside is in its own, and the changes of its parameters.
-    own : Recording
     answered : mapping of str to float
         By node: the time before which it has answered all its ticks, ns.
     gone : set of str
@@ -38,7 +37,6 @@ def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
 
     Parameters
     ----------
-    folder : Path
     name : str
         Of the node that comes back; its record is ``NAME.shard.died``.
     peers : iterable of str

@@ -18,7 +18,6 @@ class Handshake:
 
     Parameters
     ----------
-    node : Adapter
     awaited : sequence of (Input, str)
         What must have a writer, and whose.
     wanted : sequence of (Output, list of str)
@@ -55,8 +54,9 @@ class Handshake:
         self.missing = [sender for i, sender in self._awaited if not i.publishers and not i.heard]
         absent = [
             f"no publisher on {i.port.topic} (expected from {sender}{self._other_type(i)})"
-            for i, sender in self._awaited if not i.publishers and not i.heard  # who has said all it had to say is gone
-        ]  # fmt: skip
+            for i, sender in self._awaited
+            if not i.publishers and not i.heard  # who has said all it had to say is gone
+        ]
         found: list[tuple[str, str]] = []
         for peer in self._outside(absent):
             topics = node.middleware.subscriptions_of(peer)

@@ -1,7 +1,7 @@
 """The table of a node's senders: who sends what, and what of it has come for which tick.
 
 A row for each topic that the node reads. Every message goes the same way through its row; what it means for the ticks
-is said by the kind of row: `paired` for lockstep, `feed` for real time.
+is said by the kind of row: `paired` for lockstep, `live` for real time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ class Sender(Input):
     ----------
     node : Adapter
         Who reads.
-    port : Port
     who : str
         Node name of the sender, for errors.
 

@@ -18,13 +18,7 @@ from .frames import Frames
 
 
 class Faces:
-    """Publishes diagnostics each second, figures of an observer, markers and latched texts; offers buttons.
-
-    Parameters
-    ----------
-    node : ServingNode
-    adapter : Adapter
-    """
+    """Publishes diagnostics each second, figures of an observer, markers and latched texts; offers buttons."""
 
     def __init__(self, node: ServingNode, adapter: Adapter) -> None:
         self._name = node.get_fully_qualified_name()

@@ -24,7 +24,6 @@ class Frames:
     Parameters
     ----------
     node : rclpy.node.Node
-    adapter : Adapter
     """
 
     def __init__(self, node: Node, adapter: Adapter) -> None:
@@ -61,7 +60,6 @@ def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
     ----------
     stamp : int
         ns.
-    poses : iterable of Pose
     """
     poses = list(poses)
     out = Writer()

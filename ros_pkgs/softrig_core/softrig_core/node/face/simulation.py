@@ -47,7 +47,6 @@ class Simulation:
 
     Parameters
     ----------
-    node : ServingNode
     adapter : Adapter
         Of the node that owns the clock, in lockstep.
     """

@@ -19,7 +19,6 @@ class Tuning:
     ----------
     node : ServingNode
         Whose parameters are declared.
-    adapter : Adapter
     """
 
     def __init__(self, node: ServingNode, adapter: Adapter) -> None:

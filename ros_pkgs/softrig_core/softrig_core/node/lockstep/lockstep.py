@@ -35,7 +35,6 @@ class Lockstep:
 
     Parameters
     ----------
-    node : Adapter
     turn : callable
         Has the runner of this process go on.
     """

@@ -26,7 +26,6 @@ class PairedSenders:
 
     Parameters
     ----------
-    node : Adapter
     turn : callable
         Has the ticks go on; called when the tick under way lacks nothing any more.
 
@@ -134,9 +133,6 @@ class Paired(Sender):
 
     Parameters
     ----------
-    table : PairedSenders
-    port : Port
-    who : str
     schedule : Schedule
         Of the sender.
     earlier : bool
@@ -160,8 +156,9 @@ class Paired(Sender):
         Stamp of the newest refused message that is answered: a better one that follows is too late.
     """
 
-    def __init__(self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool = False,
-                 silent: str = "") -> None:  # fmt: skip
+    def __init__(
+        self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool = False, silent: str = ""
+    ) -> None:
         super().__init__(table.node, port, who)
         self.table = table
         self.schedule = schedule

@@ -17,10 +17,6 @@ GOODBYE = 2.0  # s: who vanishes within them has taken leave; the graph keeps th
 class Stalls:
     """Looks, again and again, whether the run goes on.
 
-    Parameters
-    ----------
-    senders : PairedSenders
-
     Attributes
     ----------
     handshake : Handshake

@@ -204,12 +204,7 @@ class _RosTimer:
 
 
 class RosMiddleware(Middleware):
-    """One rclpy node; see `Middleware` for the methods.
-
-    Parameters
-    ----------
-    node : ServingNode
-    """
+    """One rclpy node; see `Middleware` for the methods."""
 
     _ears = Ears()  # one for all nodes of a process
 

@@ -30,10 +30,8 @@ class Hold:
 
     Attributes
     ----------
-    held : bool
     steps : int
         That it may take all the same.
-    pace : float
     waits : bool
         Whether a tick waits for the wall clock.
     """

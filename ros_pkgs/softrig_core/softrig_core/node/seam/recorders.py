@@ -34,7 +34,6 @@ class Recorders:
 
     Parameters
     ----------
-    middleware : Middleware
     named : sequence of str
         Nodes that read everything.
     """

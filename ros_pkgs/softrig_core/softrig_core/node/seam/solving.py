@@ -21,7 +21,6 @@ class Solving:
 
     Parameters
     ----------
-    middleware : Middleware
     step : Step
         Of the solver: its x holds the requests that a tick has begun.
     resume : callable
@@ -81,10 +80,8 @@ def hear_busy(middleware: Middleware, solvers: int, heard: Callable[[], None]) -
 
     Parameters
     ----------
-    middleware : Middleware
     solvers : int
         How many there are, this node included: the input has a publisher when all of them are matched.
-    heard : callable
     """
     item = Input(Port("busy", BUSY, TICK))
 
