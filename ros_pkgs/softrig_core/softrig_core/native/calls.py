@@ -68,11 +68,12 @@ class Calls(Expressions):
                 if any(r is None for r in rows):
                     return None
                 return [Group(tuple(parts)) for parts in zip(*(r for r in rows if r is not None), strict=False)]
-            if name in ("enumerate", "reversed") and len(node.args) == 1:
+            if name in ("enumerate", "reversed"):
                 found = self.listed(node.args[0])
                 if found is None or name == "reversed":
                     return found and found[::-1]
-                return [Group((Static(k), v)) for k, v in enumerate(found)]
+                begin: Any = self.program.guard(self.value(node.args[1])) if len(node.args) > 1 else 0  # type: ignore[arg-type]
+                return [Group((Static(k), v)) for k, v in enumerate(found, begin)]
             if name == "map" and len(node.args) == 2:
                 found = self.listed(node.args[1])
                 function = self.value(node.args[0])

@@ -69,6 +69,7 @@ class _Kept:
 
 
 _texts: list[_Kept] = []
+_refused: dict[Any, str] = {}  # kinds that only go without those of their members that are seldom due, and why
 _counts: dict[Any, tuple[int, int]] = {}  # of each kind: rigs that asked for another text, texts
 
 
@@ -207,6 +208,8 @@ class Engine:
                    for s, kind in zip(core, self._fits, strict=False)),
                  *self._fits[len(core) :], tuple(s.name for s in recorded), self._make)  # fmt: skip
         try:
+            if kinds in _refused:
+                raise NotNative(_refused[kinds])
             kept = next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
             if kept is None:
                 if not _worth_another(kinds):
@@ -227,6 +230,7 @@ class Engine:
             often = RARE * min(self._every[id(s)] for s in core)
             self._aside |= {s.name: str(reason) for s in core if self._every[id(s)] >= often}
             if any(s.name in self._aside for s in core):
+                _refused[kinds] = str(reason)
                 self._share()
                 return self._fitted()
             self.native.reason = str(reason)
