@@ -114,4 +114,5 @@ def test_replay_knows_how_far_back_it_can_see():
     for k in range(9):
         assert history.known == min(k, 5)
         history = replay.record(history, float(k))
-    assert history == ((8.0, 7.0, 6.0, 5.0, 4.0), 5)
+    assert [history.line.back(k)[0] for k in range(5)] == [8.0, 7.0, 6.0, 5.0, 4.0]
+    assert history.known == 5

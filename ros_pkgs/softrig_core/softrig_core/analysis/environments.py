@@ -17,11 +17,11 @@ from ..block.port import Sample
 from ..block.schedule import Schedule
 from ..block.step import Step
 from ..native.batch_text import Form, batch_text, remembered
-from ..native.compile import compiled, form
+from ..native.compile import compiled
 from ..native.engine import NATIVE, answered, forbidden
 from ..native.rig_text import Place, RigText, _source, taken
 from ..native.translate import follow
-from ..native.twins import unpacked
+from ..native.twins import form, unpacked
 from ..native.value import NotNative
 from ..rig.rig import Rig
 from ..timebase import SECOND
