@@ -9,8 +9,10 @@ from softrig_control.state_feedback import StateFeedback, UnstableDesign, closed
 
 MOTOR = ([[-5.26, 0.0], [1.0, 0.0]], [2.2862, 0.0], [0.0, 1.0])
 MASSES = (  # two carts, a spring and a damper: four states
-    [[0, 1, 0, 0], [-3, -0.2, 3, 0.2], [0, 0, 0, 1], [6, 0.4, -6, -0.4]], [0, 1, 0, 0], [0, 0, 1, 0],
-)  # fmt: skip
+    [[0, 1, 0, 0], [-3, -0.2, 3, 0.2], [0, 0, 0, 1], [6, 0.4, -6, -0.4]],
+    [0, 1, 0, 0],
+    [0, 0, 1, 0],
+)
 
 
 @pytest.mark.parametrize(
@@ -112,4 +114,5 @@ def test_replay_knows_how_far_back_it_can_see():
     for k in range(9):
         assert history.known == min(k, 5)
         history = replay.record(history, float(k))
-    assert history == ((8.0, 7.0, 6.0, 5.0, 4.0), 5)
+    assert [history.line.back(k)[0] for k in range(5)] == [8.0, 7.0, 6.0, 5.0, 4.0]
+    assert history.known == 5

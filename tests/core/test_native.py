@@ -16,6 +16,8 @@ from softrig_core import (
     Rig,
     RunError,
     Watch,
+    command,
+    load_scenario,
     param,
     rig_of,
     scalars,
@@ -27,6 +29,9 @@ from softrig_core.native.engine import Engine, Native
 from softrig_core.native.rig_text import rig_text
 from softrig_core.native.value import NotNative
 from softrig_core.run import inprocess
+from softrig_power.pv.plant import PvPlant
+from softrig_power.pv.ports import array_port
+from softrig_power.pv.shading import ShadingSource
 
 # one for each kind of block that native code knows, as short as its ticks allow
 KNOWN = {
@@ -86,8 +91,9 @@ def test_figures_of_many_runs_are_those_of_single_ones(monkeypatch: pytest.Monke
     """Bit for bit, and what one run leaves behind does not reach the next."""
     monkeypatch.setattr(engine, "_texts", [])
     variants = [{"dc_motor_plant.J": inertia} for inertia in (3e-4, 4e-4, 5e-4, 3e-4)]
-    single, many = ([simulate("dc_motor_smc_c1", duration=20.0, overrides=v, runs=n) for v in variants]
-                    for n in (1, 10**6))  # fmt: skip
+    single, many = (
+        [simulate("dc_motor_smc_c1", duration=20.0, overrides=v, runs=n) for v in variants] for n in (1, 10**6)
+    )
     for one, other in zip(single, many, strict=True):
         ticks = [run.blocks["dc_motor_plant"].native[0] for run in (one, other)]  # type: ignore[attr-defined]
         assert ticks == [0, 1999]
@@ -214,9 +220,10 @@ def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = ran(rig(), monkeypatch, lambda text: plain(text))[1]  # as what is compiled: with tables of numpy
     assert {name: step.native for name, step in steps.items()} == {
-        "plant": (489, "10 of its ticks were given up"), "law": (249, "10 of its ticks were given up"),
+        "plant": (489, "10 of its ticks were given up"),
+        "law": (249, "10 of its ticks were given up"),
         "watcher": (0, "it watches what is recorded"),
-    }  # fmt: skip
+    }
     assert {step.native for step in ran(rig(), monkeypatch, plain)[1].values()} == {(0, "")}
 
 
@@ -246,6 +253,60 @@ class AtOnce(Watcher):
     def at_once(self, x: Any, t: int, messages: Mapping[str, Any]) -> Any:
         """Count."""
         return (x[0] + int((messages["signal"].values[:, 0] > 0.0).sum()),)
+
+
+@pytest.mark.parametrize("faults", [
+    {"noisy": ("motor/state", {"kind": "noise", "value": [0.01]}),
+     "lost": ("motor/command", {"kind": "loss", "probability": 0.3}),
+     "late": ("motor/reference", {"kind": "delay", "delay": 0.03, "jitter": 0.02})},
+    {"spoilt": ("motor/state", {"kind": "invalid", "probability": 0.02})},
+])  # fmt: skip
+def test_links_that_are_silent_late_or_spoilt(faults, monkeypatch):
+    found = {name: {"link": link, "from": 0.2, "to": 1.5, **how} for name, (link, how) in faults.items()}
+    case = load_scenario("dc_motor_smc_b2").having(duration=2.0, faults=found)
+    for make in (plain, lambda text: plain(text)):  # the text that Python runs, and that numba gets
+        native = the_same(lambda: rig_of(case), monkeypatch, make)
+        assert native.ticks > 190
+        assert set(faults) < set(native.members)
+
+
+def test_members_that_are_seldom_due_stay_in_python(monkeypatch):
+    native = the_same(lambda: rig_of("manipulator_adsmc_two_link", duration=0.1), monkeypatch)
+    assert (native.ticks, native.given_up) == (95, 0)  # of 100: one is due at each twentieth, and speaks once
+    assert "robot_dynamics" not in native.members
+
+
+class ClimbParams(BlockParams):
+    """Of a test."""
+
+    period: float = param(0.001, "period", "s", gt=0.0)
+
+
+class Climb(Block[ClimbParams]):
+    """A duty that turns back when the power falls."""
+
+    INPUTS = (array_port("port"),)
+    OUTPUTS = (command("duty", "converter/duty", ("duty",), "1"),)
+
+    def first(self) -> tuple[float, float, float]:
+        """Duty, its change, power."""
+        return 0.4, 0.001, 0.0
+
+    def update(self, x: Any, t: int, *, port: tuple[float, ...]) -> Any:
+        """Go on, or back."""
+        duty, change, before = x
+        power = port[0] * port[1]
+        change = change if power >= before else -change
+        duty = min(max(duty + change, 0.2), 0.8)
+        return (duty, change, power), {"duty": (duty,)}
+
+
+def test_what_is_made_anew_at_times(monkeypatch):
+    """A photovoltaic string in weather that changes: its characteristic is a constant until it does."""
+    weather = ShadingSource(times=(0.0, 0.1), irradiance=(1000.0,) * 4 + (500.0,) * 4)
+    blocks = {"plant": PvPlant(), "weather": weather, "law": Climb()}
+    native = the_same(lambda: Rig.from_blocks(blocks, 0.2), monkeypatch)
+    assert (native.ticks, native.given_up) == (198, 1)
 
 
 @pytest.mark.parametrize("how", [{"growth": 1.05}, {"watcher": Failing}, {"watcher": Failing, "other": AtOnce()}])
@@ -332,25 +393,6 @@ def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked
     native = the_same(lambda: rig_of("dc_motor_smc", duration=0.3, overrides=about), monkeypatch)
     assert native.ticks == 2999
     assert len(calls) == round(0.3 / period) + 1 + asked
-
-
-@pytest.mark.parametrize(("name", "about"), [
-    ("induction_dtc", {"flux_monitor.window": 0.01}),  # forgets blocks
-    ("lsrm_fuzzy", {"profile_generator.v_d": -0.3, "motion_monitor.window": 0.02}),
-    ("lsrm_fuzzy_n2", {"lsrm_load.times": [0.0, 0.02]}),  # a load comes
-])  # fmt: skip
-def test_monitors_are_fed_at_once(name, about, monkeypatch):
-    calls: list[int] = []
-    block = next(m.block_class for m in rig_of(name).members if "monitor" in m.name)
-
-    def counted(self, x, t, *, told=block.update, **inputs):
-        calls.append(t)
-        return told(self, x, t, **inputs)
-
-    monkeypatch.setattr(block, "update", counted)
-    native = the_same(lambda: rig_of(name, duration=0.05, overrides=about), monkeypatch, lambda text: plain(text))
-    assert native.ticks > 900
-    assert len(calls) < 1.1 * (native.ticks // 20 if "lsrm" in name else native.ticks)
 
 
 def test_long_runs_go_by_one_text_and_short_ones_one_by_one(monkeypatch):

@@ -191,7 +191,10 @@ class BagWriter:
     def salvage(self) -> int:
         """Close the bag after a failed write, without what could not be written.
 
-        Returns: number of messages lost.
+        Returns
+        -------
+        int
+            Number of messages lost.
         """
         self._reserve.unlink(missing_ok=True)
         lost = self._file.discard() + self._unwritten

@@ -29,9 +29,16 @@ def plain(path: Path) -> Path:
 def storage_files(path: Path) -> list[Path]:
     """Give the storage files of a bag, whole or damaged, in their order.
 
-    `path`: bag directory or a single file. Where rosbag2 was killed while it compressed a file, both are there; the one
-    that is not compressed is whole.
-    Raises BagError: none there.
+    Parameters
+    ----------
+    path : Path
+        Bag directory or a single file. Where rosbag2 was killed while it compressed a file, both are there; the one
+        that is not compressed is whole.
+
+    Raises
+    ------
+    BagError
+        None there.
     """
     if path.is_file() and plain(path).suffix in SUFFIXES:
         return [path]
@@ -46,8 +53,12 @@ def storage_files(path: Path) -> list[Path]:
 def expanded(path: Path, scratch: Path) -> Iterator[tuple[Path, list[str]]]:
     """Give a storage file that is not compressed, and in words what of it could not be expanded.
 
-    `path`: as it is when it is not compressed whole; else a copy is made for as long as the context lasts.
-    `scratch`: folder for the copy.
+    Parameters
+    ----------
+    path : Path
+        As it is when it is not compressed whole; else a copy is made for as long as the context lasts.
+    scratch : Path
+        Folder for the copy.
     """
     if path.suffix != ".zstd":
         yield path, []

@@ -18,11 +18,18 @@ ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[str, Mapping[str, Any]]) -> Recording:
     """Give a recording with what the nodes say beside their signals.
 
-    `texts`: topic to what is latched there, as ``robot_description``; what is recorded already stays as it is.
-    `status`: of each node: ``reports`` (key to level, text and count), ``figures`` of an observer (name to value and
-    unit).
-    Returns: the same messages, the texts at the first stamp, and at the last one ``diagnostics`` (a status a node) and
-    ``NODE/metrics`` of each observer.
+    Parameters
+    ----------
+    texts : mapping of str to str
+        Topic to what is latched there, as ``robot_description``; what is recorded already stays as it is.
+    status : mapping of str to mapping
+        Of each node: ``reports`` (key to level, text and count), ``figures`` of an observer (name to value and unit).
+
+    Returns
+    -------
+    Recording
+        The same messages, the texts at the first stamp, and at the last one ``diagnostics`` (a status a node) and
+        ``NODE/metrics`` of each observer.
     """
     times = [t for topic in recording.topics.values() for t in (*topic.times[:1], *topic.times[-1:])]
     if not times:

@@ -18,9 +18,17 @@ class Holds:
     A publisher that hears nothing of a reader for the lease forgets it. What it sends until it has found it again is
     for nobody: the middleware reports no loss, and no number shows one.
 
-    `limit`: longest gap in s that no publisher minds.
-    `clock`: gives s; of a clock that goes on while the machine sleeps.
-    `found` (list of (float, int)): length of each longer gap in s, and the number of messages before it.
+    Parameters
+    ----------
+    limit : float
+        Longest gap in s that no publisher minds.
+    clock : callable
+        Gives s; of a clock that goes on while the machine sleeps.
+
+    Attributes
+    ----------
+    found : list of (float, int)
+        Length of each longer gap in s, and the number of messages before it.
     """
 
     def __init__(self, limit: float, clock: Callable[[], float] | None = None) -> None:
@@ -44,8 +52,10 @@ class Holds:
 def patience() -> float:
     """Give the longest silence in s after which no publisher forgets this process: its lease less an announcement.
 
-    Raises OSError, xml.etree.ElementTree.ParseError: the profile cannot be read; Fast DDS would not have started with
-    it.
+    Raises
+    ------
+    OSError, xml.etree.ElementTree.ParseError
+        The profile cannot be read; Fast DDS would not have started with it.
     """
     file = os.environ.get(VARIABLE)
     root = ElementTree.parse(Path(file)).getroot() if file else ElementTree.Element("none")

@@ -14,7 +14,10 @@ from .reader import BagReader
 def describe(path: Path | str) -> str:
     """Give files, times, topics and the writer's notes of a bag.
 
-    Raises BagError: no bag there, or it is damaged.
+    Raises
+    ------
+    BagError
+        No bag there, or it is damaged.
     """
     with BagReader(path) as bag:
         size = sum(f.stat().st_size for f in bag.files)

@@ -20,7 +20,10 @@ class Join:
     Stamps of simulated time begin at 0: whoever speaks with one period and has a first stamp beyond that began earlier.
     A topic without a steady period, or on the wall clock, tells nothing, and neither does one with two messages.
 
-    `open`: whether further messages are to be looked at.
+    Attributes
+    ----------
+    open : bool
+        Whether further messages are to be looked at.
     """
 
     def __init__(self, topic: BagTopic) -> None:

@@ -24,11 +24,20 @@ _MESSAGE_HEAD = Struct("<BQHIQQ")
 class McapFile:
     """One MCAP file that grows chunk by chunk; whole chunks survive a crash.
 
-    `path`: must not exist.
-    `compression`: ``none`` or ``zstd`` (each chunk by itself).
-    `metadata`: the bag's metadata as far as known at the start, YAML.
-    Raises OSError: from any method that writes; the file then ends with its last whole chunk, and `discard` and `close`
-    still work when there is room for the index.
+    Parameters
+    ----------
+    path : Path
+        Must not exist.
+    compression : str
+        ``none`` or ``zstd`` (each chunk by itself).
+    metadata : str
+        The bag's metadata as far as known at the start, YAML.
+
+    Raises
+    ------
+    OSError
+        From any method that writes; the file then ends with its last whole chunk, and `discard` and `close` still work
+        when there is room for the index.
     """
 
     SUFFIX = ".mcap"

@@ -33,10 +33,19 @@ _PIECE = 1 << 16
 def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, bool]:
     """Decompress what can be decompressed.
 
-    `data`: content of a chunk, perhaps cut.
-    `compression`: as MCAP names it: empty, ``zstd`` or ``lz4``.
-    `limit`: longest result.
-    Returns ((bytes, bool)): the content up to the first damage or the limit, and whether this is all of it.
+    Parameters
+    ----------
+    data : bytes
+        Content of a chunk, perhaps cut.
+    compression : str
+        As MCAP names it: empty, ``zstd`` or ``lz4``.
+    limit : int
+        Longest result.
+
+    Returns
+    -------
+    (bytes, bool)
+        The content up to the first damage or the limit, and whether this is all of it.
     """
     if not compression:
         return data[:limit], len(data) <= limit
@@ -72,8 +81,12 @@ def whole_records(content: bytes) -> tuple[list[McapRecord], int]:
 class Recovery:
     """Whole records of an MCAP file, those inside chunks included.
 
-    `lost` (list of str): what could not be read, in words.
-    `compression`: of the chunks: ``none`` or ``zstd``.
+    Attributes
+    ----------
+    lost : list of str
+        What could not be read, in words.
+    compression : str
+        Of the chunks: ``none`` or ``zstd``.
     """
 
     def __init__(self, path: Path) -> None:
@@ -147,7 +160,10 @@ def _chunk_head(body: bytes) -> tuple[int, int, str, int, int] | None:
 def check_sizes(path: Path) -> None:
     """Refuse a file with a chunk that claims, or would decompress to, more than `LIMIT` bytes, before it is read.
 
-    Raises BagError: names the file and the size.
+    Raises
+    ------
+    BagError
+        Names the file and the size.
     """
     size = path.stat().st_size
     with path.open("rb") as file:

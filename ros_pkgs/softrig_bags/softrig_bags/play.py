@@ -22,7 +22,10 @@ from .write import write_bag
 def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequence[tuple[Declaration, Any]]) -> int:
     """Play as the options of `cli.main_play` say; give the exit status.
 
-    `parameters` (sequence of (Declaration, value)): the options as the node shows them.
+    Parameters
+    ----------
+    parameters : sequence of (Declaration, value)
+        The options as the node shows them.
     """
     selection = Selection.of(options.topics, options.regex, options.exclude)
     answers = [absolute(name) for name in options.lockstep]

@@ -44,7 +44,10 @@ WATCH_PERIOD = 0.25  # s
 class Sender:
     """The publishers of the topics that are played, and who listens.
 
-    `remap`: recorded name to name to publish.
+    Parameters
+    ----------
+    remap : mapping of str to str
+        Recorded name to name to publish.
     """
 
     def __init__(self, session: Session, bag: BagReader, topics: Sequence[BagTopic], remap: Mapping[str, str]) -> None:
@@ -118,7 +121,10 @@ class Span:
 def span(bag: BagReader, offset: float, duration: float | None) -> Span:
     """Give the span that begins `offset` s after the first message and lasts `duration` s.
 
-    Raises BagError: the bag is empty, or the offset lies behind its end.
+    Raises
+    ------
+    BagError
+        The bag is empty, or the offset lies behind its end.
     """
     if not bag.count:
         raise BagError(f"{bag.path} is empty")
@@ -131,10 +137,16 @@ def span(bag: BagReader, offset: float, duration: float | None) -> Span:
 class Player:
     """Plays against the wall clock, at any rate; messages of equal times in their recorded order.
 
-    `rate`: bag seconds a wall-clock second.
-    `loop`: begin again at the end.
-    `clock`: publish bag time on /clock before the messages of each bag time, and in between.
-    `paused`: wait for ``~/resume`` or ``~/step``.
+    Parameters
+    ----------
+    rate : float
+        Bag seconds a wall-clock second.
+    loop : bool
+        Begin again at the end.
+    clock : bool
+        Publish bag time on /clock before the messages of each bag time, and in between.
+    paused : bool
+        Wait for ``~/resume`` or ``~/step``.
     """
 
     def __init__(
@@ -157,7 +169,10 @@ class Player:
     def run(self, wait: bool = False) -> None:
         """Play until the end or until stopped.
 
-        `wait`: do not start before every topic has a subscriber.
+        Parameters
+        ----------
+        wait : bool
+            Do not start before every topic has a subscriber.
         """
         while wait and not self._session.stopped and self._sender.unheard(list(self._sender.names.values())):
             self._session.spin(0.02)
@@ -213,8 +228,12 @@ class Player:
 class Answers:
     """What the node under test has published on one topic, and what is expected of it.
 
-    `name`: recorded topic name.
-    `recorded`: whether the bag says which ticks are answered; otherwise every tick is.
+    Parameters
+    ----------
+    name : str
+        Recorded topic name.
+    recorded : bool
+        Whether the bag says which ticks are answered; otherwise every tick is.
     """
 
     name: str
@@ -226,23 +245,27 @@ class Answers:
     data: list[bytes] = field(default_factory=list)
 
     def expect(self, tick: int, header: int) -> None:
-        """Await one more answer, of a tick and with a header stamp."""
+        """Await one more answer, of a tick and with a header stamp; RunError: it is there, with another stamp."""
         self.ticks.append(tick)
         self.stamps.append(header)
+        self._check(len(self.ticks) - 1)
+
+    def take(self, data: bytes) -> None:
+        """Take the next answer; RunError: it is awaited with another stamp."""
+        self.data.append(data)
+        self._check(len(self.data) - 1)
 
     @property
     def missing(self) -> bool:
         """Whether an answer is awaited."""
         return len(self.data) < len(self.ticks)
 
-    def check(self, i: int) -> str:
-        """Say what is wrong with answer `i`, if it is there and awaited."""
+    def _check(self, i: int) -> None:
         if not self.stamped or i >= min(len(self.data), len(self.ticks)):
-            return ""
-        found = stamp(self.data[i])
-        if found == self.stamps[i]:
-            return ""
-        return f"{self.name}: answer stamped {found / SECOND:.9g} s, expected {self.stamps[i] / SECOND:.9g} s"
+            return
+        found, wanted = stamp(self.data[i]), self.stamps[i]
+        if found != wanted:
+            raise RunError(f"{self.name}: answer stamped {found / SECOND:.9g} s, expected {wanted / SECOND:.9g} s")
 
 
 def _changes(bag: BagReader) -> Iterator[tuple[int, str, dict[str, Any]]]:
@@ -262,10 +285,16 @@ class LockstepPlayer:
     node that says its ticks on ``<node>/tick`` (one that may be silent on all topics) is waited for at each of them.
     What the bag has on ``/parameter_events`` of a node with the name of the one under test is set before its tick.
 
-    `sender`: of the topics that are played: none of the answers.
-    `answers`: recorded names of the topics that the node under test publishes.
-    `remap`: recorded name to the name on which the node publishes.
-    `timeout`: wall-clock seconds without progress that end the replay.
+    Parameters
+    ----------
+    sender : Sender
+        Of the topics that are played: none of the answers.
+    answers : sequence of str
+        Recorded names of the topics that the node under test publishes.
+    remap : mapping of str to str
+        Recorded name to the name on which the node publishes.
+    timeout : float
+        Wall-clock seconds without progress that end the replay.
     """
 
     def __init__(
@@ -292,7 +321,10 @@ class LockstepPlayer:
     def run(self) -> Recording:
         """Wait for the node, play all ticks, give its answers; their times are the ticks.
 
-        Raises RunError: the node did not come, did not answer in time, or answered another tick; or a signal came.
+        Raises
+        ------
+        RunError
+            The node did not come, did not answer in time, or answered another tick; or a signal came.
         """
         session = self._session
         session.node.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -325,12 +357,18 @@ class LockstepPlayer:
             if name in self._answers or (name not in recorded and live not in types):
                 continue
             topic = recorded.get(name) or BagTopic.known(name, types[live][0])
-            answer = self._answers[name] = Answers(name, topic.msgtype, name in recorded, is_stamped(topic))
-            profile = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-            self._heard.append(
-                self._session.node.create_subscription(_class(topic), live, self._receiver(answer), profile, raw=True)
-            )
+            self._hear(topic, live, name in recorded)
         return all(name in self._answers for name in self._names)
+
+    def _hear(self, topic: BagTopic, live: str, recorded: bool) -> None:
+        answer = self._answers[topic.name] = Answers(topic.name, topic.msgtype, recorded, is_stamped(topic))
+
+        def receive(data: bytes) -> None:
+            answer.take(data)
+            self._step()
+
+        profile = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+        self._heard.append(self._session.node.create_subscription(_class(topic), live, receive, profile, raw=True))
 
     def _absent(self) -> list[str]:
         """Describe what is not matched yet: the answers' publishers, and the node's own subscriptions."""
@@ -371,26 +409,8 @@ class LockstepPlayer:
         if tick in self._paces or tick in self._answers or not self._session.node.count_publishers(tick):
             return []
         self._paces.add(tick)
-        topic = BagTopic.known(tick, "std_msgs/msg/Header")
-        answer = self._answers[tick] = Answers(tick, topic.msgtype, False, True)
-        profile = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-        self._heard.append(
-            self._session.node.create_subscription(_class(topic), tick, self._receiver(answer), profile, raw=True)
-        )
+        self._hear(BagTopic.known(tick, "std_msgs/msg/Header"), tick, False)
         return [f"{tick} is not matched"]
-
-    def _receiver(self, answer: Answers) -> Callable[[bytes], None]:
-        def receive(data: bytes) -> None:
-            answer.data.append(data)
-            self._check(answer, len(answer.data) - 1)
-            self._step()
-
-        return receive
-
-    def _check(self, answer: Answers, i: int) -> None:
-        wrong = answer.check(i)
-        if wrong:
-            raise RunError(wrong)
 
     def _step(self) -> None:
         """Send ticks until one is to be answered."""
@@ -443,12 +463,10 @@ class LockstepPlayer:
             else:
                 answer = self._answers[self._bag.topics[i].name]
                 answer.expect(tick, stamp(data) if answer.stamped else 0)
-                self._check(answer, len(answer.ticks) - 1)
         if self.sent > sent:
             for answer in self._answers.values():
                 if not answer.recorded:
                     answer.expect(tick, tick)
-                    self._check(answer, len(answer.ticks) - 1)
 
     def _ticks(self) -> Iterator[tuple[int, list[tuple[int, bytes]]]]:
         """Give the messages of each tick, played and answers, in their recorded order."""

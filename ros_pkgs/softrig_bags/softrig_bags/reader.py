@@ -27,8 +27,15 @@ METADATA_LIMIT = 1 << 24
 class BagReader:
     """Context manager around a rosbag2 bag: MCAP or sqlite3, split or not, compressed or not, metadata versions to 9.
 
-    `path`: bag directory, or a single .mcap or .db3 file.
-    Raises BagError: on entering and on reading: no bag, damaged, or of an unknown format.
+    Parameters
+    ----------
+    path : Path or str
+        Bag directory, or a single .mcap or .db3 file.
+
+    Raises
+    ------
+    BagError
+        On entering and on reading: no bag, damaged, or of an unknown format.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -122,8 +129,12 @@ class BagReader:
     def messages(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[tuple[int, int, bytes]]:
         """Give (index into `topics`, bag time in ns, bytes) by time, equal times as written.
 
-        `topics`: absolute names; default all.
-        `start`: first bag time in ns.
+        Parameters
+        ----------
+        topics : collection of str, optional
+            Absolute names; default all.
+        start : int
+            First bag time in ns.
         """
         index = {t.name: i for i, t in enumerate(self.topics)}
         chosen = [c for c in self._connections if topics is None or c.topic in topics]

@@ -31,9 +31,12 @@ RESERVE = 1 << 20  # bytes kept free for index and metadata when the disk fills 
 class Recorder:
     """Subscribes what is selected as it appears, writes every message.
 
-    `stamped`: bag time is the header stamp (topics without header: the newest stamp seen) instead of the time of
-    arrival.
-    `holds`: notices that this process was held.
+    Parameters
+    ----------
+    stamped : bool
+        Bag time is the header stamp (topics without header: the newest stamp seen) instead of the time of arrival.
+    holds : Holds, optional
+        Notices that this process was held.
     """
 
     def __init__(self, session: Session, writer: BagWriter, selection: Selection, stamped: bool = False,
@@ -82,7 +85,10 @@ class Recorder:
     def run(self) -> None:
         """Record until a signal comes, then take what has arrived and close the bag.
 
-        Raises RunError: the disk is full or broken; the bag is closed and holds everything written before.
+        Raises
+        ------
+        RunError
+            The disk is full or broken; the bag is closed and holds everything written before.
         """
         self._discover()
         gc.collect()

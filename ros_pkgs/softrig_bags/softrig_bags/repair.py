@@ -66,11 +66,19 @@ class Repair:
 def repair(path: Path | str, out: Path | str | None = None) -> Repair:
     """Save every whole message of a damaged bag, write index and metadata anew.
 
-    `path`: bag directory, a single .mcap or .db3 file (also compressed whole, .zstd), or a directory with the shards of
-    a run that was killed.
-    `out`: where the new bag goes. By default it takes the place of a damaged directory, which is renamed to
-    ``NAME.damaged``; a file gets ``NAME_repaired`` beside it, shards get ``bag`` beside their directory.
-    Raises BagError: there is nothing to save, or the target exists.
+    Parameters
+    ----------
+    path : Path or str
+        Bag directory, a single .mcap or .db3 file (also compressed whole, .zstd), or a directory with the shards of a
+        run that was killed.
+    out : Path or str, optional
+        Where the new bag goes. By default it takes the place of a damaged directory, which is renamed to
+        ``NAME.damaged``; a file gets ``NAME_repaired`` beside it, shards get ``bag`` beside their directory.
+
+    Raises
+    ------
+    BagError
+        There is nothing to save, or the target exists.
     """
     path = Path(path).absolute()
     target = Path(out).absolute() if out is not None else None

@@ -36,11 +36,24 @@ SLICE = 0.1  # s: longest wait before a signal is noticed
 class Session:
     """A node of a tool, spun in slices; SIGINT and SIGTERM only set `stopped`, so that the tool ends in order.
 
-    `name`: node name.
-    `argv`: command line with the ROS arguments.
-    `parameters` (sequence of (Declaration, value)): the tool's options, which everybody may look up and nobody change.
-    Raises BagError: ROS does not understand its arguments, or they set a parameter.
-    `opened`: the session of this process; the two end together (`softrig_core.node.ros.leave`).
+    Parameters
+    ----------
+    name : str
+        Node name.
+    argv : sequence of str
+        Command line with the ROS arguments.
+    parameters : sequence of (Declaration, value)
+        The tool's options, which everybody may look up and nobody change.
+
+    Raises
+    ------
+    BagError
+        ROS does not understand its arguments, or they set a parameter.
+
+    Attributes
+    ----------
+    opened : Session or None
+        The session of this process; the two end together (`softrig_core.node.ros.leave`).
     """
 
     opened: ClassVar[Session | None] = None

@@ -22,11 +22,18 @@ LATCHED = ("robot_description", "tf_static", "markers")
 def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording:
     """Give a recording with what a viewer needs beside it.
 
-    `recording`: left as it is.
-    `scenes`: by the topic of the joint states. Of several robots the first is shown: their frames would have equal
-    names.
-    Returns: the same messages, and ``robot_description``, ``tf_static``, ``markers`` (the path of the tip, all three
-    once, at the first joint state) and ``tf`` (`PERIOD`).
+    Parameters
+    ----------
+    recording : Recording
+        Left as it is.
+    scenes : mapping of str to Scene
+        By the topic of the joint states. Of several robots the first is shown: their frames would have equal names.
+
+    Returns
+    -------
+    Recording
+        The same messages, and ``robot_description``, ``tf_static``, ``markers`` (the path of the tip, all three once,
+        at the first joint state) and ``tf`` (`PERIOD`).
     """
     topic, scene = next(((t, s) for t, s in scenes.items() if recording.topics[t].times), ("", None))
     if scene is None:

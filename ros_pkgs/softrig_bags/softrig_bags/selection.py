@@ -16,8 +16,12 @@ _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 class Selection:
     """A choice of topics.
 
-    `names`: absolute names.
-    `regex`, `exclude`: searched for in the absolute name.
+    Parameters
+    ----------
+    names : tuple of str
+        Absolute names.
+    regex, exclude : re.Pattern, optional
+        Searched for in the absolute name.
     """
 
     names: tuple[str, ...] = ()
@@ -28,7 +32,10 @@ class Selection:
     def of(cls, names: Sequence[str], regex: str = "", exclude: str = "") -> Selection:
         """Make a selection of what the command line gives.
 
-        Raises BagError: not a name of a topic, or not a regular expression.
+        Raises
+        ------
+        BagError
+            Not a name of a topic, or not a regular expression.
         """
         for name in names:
             if not _NAME.fullmatch(name):

@@ -17,10 +17,19 @@ from .topics import BagTopic, qos_dicts, to_yaml
 class Sqlite3File:
     """One .db3 file; what has been committed by `flush` survives a crash.
 
-    `path`: must not exist.
-    `compression`: only ``none``: rosbag2 has no compression inside this storage.
-    `metadata`: the bag's metadata as far as known at the start, YAML.
-    Raises OSError: from any method that writes.
+    Parameters
+    ----------
+    path : Path
+        Must not exist.
+    compression : str
+        Only ``none``: rosbag2 has no compression inside this storage.
+    metadata : str
+        The bag's metadata as far as known at the start, YAML.
+
+    Raises
+    ------
+    OSError
+        From any method that writes.
     """
 
     SUFFIX = ".db3"

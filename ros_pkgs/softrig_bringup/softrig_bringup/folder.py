@@ -19,7 +19,7 @@ MANIFEST = "softrig_files.json"
 UNDER_WAY = "*"  # in place of a list: a run has begun here and not ended; all that a run may write is its own
 NEW = ".new"  # where new files lie until all are written
 RUN = re.compile(
-    r"bag|log|metrics\.json|report\.html|(overview|plot_\d\d_[a-z0-9_]*)\.(png|svg|pdf)|softrig_files\.json"
+    r"bag|log|left_\d+\.yaml|metrics\.json|report\.html|(overview|plot_\d\d_[a-z0-9_]*)\.(png|svg|pdf)|softrig_files\.json"
 )
 STUDY = re.compile(
     r"study\.json|rows\.jsonl|table\.(parquet|csv)|summaries\.json|report\.html|softrig_files\.json|\.new"
@@ -33,10 +33,22 @@ FALSIFICATION = re.compile(
 class ResultsFolder:
     """A folder that a run or a study may write into.
 
-    `path`: new, empty, or with the results of a former run; other files may lie beside those.
-    `ours`: names at the top of the folder that this kind of run writes.
-    `replaced`: what a former run left there, in words; empty for nothing.
-    Raises ScenarioError: something there stands in the way that no run of softrig has listed as its own.
+    Parameters
+    ----------
+    path : Path
+        New, empty, or with the results of a former run; other files may lie beside those.
+    ours : pattern
+        Names at the top of the folder that this kind of run writes.
+
+    Attributes
+    ----------
+    replaced : str
+        What a former run left there, in words; empty for nothing.
+
+    Raises
+    ------
+    ScenarioError
+        Something there stands in the way that no run of softrig has listed as its own.
     """
 
     def __init__(self, path: Path, ours: re.Pattern[str] = RUN) -> None:
@@ -59,7 +71,10 @@ class ResultsFolder:
 
         What is killed, or refused by one of its nodes, must not stop the next one.
 
-        Raises ScenarioError: nothing can be written there.
+        Raises
+        ------
+        ScenarioError
+            Nothing can be written there.
         """
         try:
             if (other := self.hold()) is not None:
@@ -143,7 +158,10 @@ class ResultsFolder:
     def anew(self) -> Iterator[Path]:
         """Give a folder for new files; they take the places of the old ones when all are written, or none does.
 
-        Raises ScenarioError: one of them would replace a file of somebody else.
+        Raises
+        ------
+        ScenarioError
+            One of them would replace a file of somebody else.
         """
         self.begin()
         new = self.path / NEW
@@ -166,7 +184,10 @@ class ResultsFolder:
     def alone(self) -> Iterator[None]:
         """Hold the folder against other calls at the same time.
 
-        Raises ScenarioError: another call is at work there.
+        Raises
+        ------
+        ScenarioError
+            Another call is at work there.
         """
         self.begin()
         try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
@@ -16,7 +16,6 @@ from .unit_delay import LinkParams
 Kind = Literal["offset", "scale", "drift", "noise", "quantise", "saturate", "stuck", "spike", "delay", "loss", "repeat",
                "silence", "add", "replace", "invalid"]  # fmt: skip
 Message = tuple[float, ...] | Sample
-Began = tuple[int, tuple[float, ...]]
 
 
 class FaultParams(LinkParams):
@@ -122,10 +121,13 @@ class State(NamedTuple):
     """Whether the button is."""
 
     burst: bool = False
-    began: Began | None = None
-    """When it came, and what was sent then; None while it is not there."""
+    since: int = -1
+    """When it came; -1 while it is not there."""
 
-    before: Message | None = None
+    stuck: tuple[float, ...] = ()
+    """What was sent then."""
+
+    before: Message = ()
     """The message before."""
 
     line: Line = Line()
@@ -136,11 +138,11 @@ class State(NamedTuple):
     """Stamp of the newest message, of acquisition times."""
 
     newest: int = -1
-    """When the newest that has arrived was sent."""
+    """Stamp of the newest that has arrived."""
 
     last_due: int = 0
     k: int = 0
-    """Random numbers drawn."""
+    """Random numbers drawn: of kinds that draw some, 0 before the first message."""
 
 
 class Fault(Block[FaultParams]):
@@ -190,12 +192,15 @@ class Fault(Block[FaultParams]):
         self._concerned = p.concerned()
         self._values = p.value if len(p.value) > 1 else p.value * len(self._concerned)
         self._pressed = p.message == types.BUTTON.name
+        self._place = [self._concerned.index(i) if i in self._concerned else None
+                       for i, _ in enumerate(p.port("sent", p.topic_in).labels)]  # fmt: skip
         self._limits = list(zip(*p.range(), strict=True)) if p.kind == "saturate" else []
 
     def first(self) -> State:
         """Switched as the parameters say, nothing under way."""
         initial = self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size
-        return State(self.p.active, said=Sample(0, initial) if self.p.delayed else initial)
+        message = Sample(0, initial) if self.p.delayed else initial
+        return State(self.p.active, stuck=initial, before=message, line=Line(len(initial)), said=message)
 
     def params(self, x: State) -> FaultParams:
         """The button moves `active`."""
@@ -210,37 +215,45 @@ class Fault(Block[FaultParams]):
     ) -> tuple[State, Mapping[str, Message]]:
         """Hand on what has come at this tick, as the fault leaves it."""
         p, kind = self.p, self.p.kind
-        on, was_down, burst, began, before, line, said, taken, newest, last_due, k = x
+        on, was_down, burst, since, stuck, before, line, said, taken, newest, last_due, k = x
         down = toggle is not None and toggle[0] > 0.5
         if down and not was_down:
             on = not on
-        age, found = self.age("sent"), None
+        age, heard = self.age("sent"), False
         if isinstance(sent, Sample):  # a link of acquisition times repeats what it has until another one comes
-            data, last, taken = sent.data, taken, sent.stamp if age is not None else -1
+            stamp, data = sent
+            last, taken = taken, stamp if age is not None else -1
             fresh = taken > last
         else:
-            data, fresh = sent, age == 0
+            stamp, data, fresh = t, sent, age == 0
         if fresh:
+            repeats = k > 0  # of a kind that draws: whether there is one before
             draws, burst, k = self._draws(burst, k)
-            began = (began or (t, data)) if on and self._there(t) else None
-            if began is None:
-                found = sent
-            elif kind == "delay":
+            there = on and self._there(t)
+            if not there:
+                since = -1
+            elif since < 0:
+                since, stuck = t, data
+            if there and kind == "delay":
                 due = t + (self._delay + int(draws[0] * (self._jitter + 1))) * self._period
                 last_due = due if p.overtaking else max(due, last_due)
-                line = line.put(last_due, t, sent)
-            else:
-                found = self._faulty(t, sent, data, before, began, burst, draws)
+                line = line.put(last_due, stamp, data)
+            elif not there:
+                heard, newest, said = True, stamp, sent
+            elif not self._lost(burst, draws):
+                heard = True
+                said = before if kind == "repeat" and repeats and draws[0] < p.probability else (
+                    self._faulty(t, sent, data, since, stuck, draws))  # fmt: skip
             before = sent
         if kind == "delay":
-            newest = newest if found is None else t
-            line, stamp, late = line.taken(t, newest + 1, None)
-            if late is not None:
-                newest, found = stamp, late
-        if found is not None:
-            said = found
-        x = State(on, down, burst, began, before, line, said, taken, newest, last_due, k)
-        return x, {"arrived": said} if found is not None or p.holds else {}
+            last = newest
+            line, newest, late = line.taken(t, newest, said.data if isinstance(said, Sample) else said)
+            if newest > last:
+                heard, said = True, Sample(newest, late) if isinstance(said, Sample) else late
+        x = State(on, down, burst, since, stuck, before, line, said, taken, newest, last_due, k)
+        if not heard and not p.holds:
+            return x, {}
+        return x, {"arrived": said}
 
     def _there(self, t: int) -> bool:
         """Whether it is one of the times at which it is there."""
@@ -248,28 +261,23 @@ class Fault(Block[FaultParams]):
         every, lasts = self._cycle
         return first <= t < last and (not every or (t - first) % every < lasts)
 
-    def _faulty(
-        self, t: int, message: Message, sent: tuple[float, ...], before: Message | None, began: Began, burst: bool,
-        draws: list[float],
-    ) -> Message | None:  # fmt: skip
-        """What a message becomes; None when it is lost."""
+    def _lost(self, burst: bool, draws: Sequence[float]) -> bool:
+        """Whether a message is lost while the fault is there."""
         kind, p = self.p.kind, self.p
-        if kind == "silence":
-            return None
-        if kind == "loss":
-            chance = p.probability if not p.burst_begins else p.lost_in_burst if burst else 0.0
-            return None if draws[0] < chance else message
-        if kind == "repeat":
-            return before if before is not None and draws[0] < p.probability else message
-        if kind in ("spike", "invalid") and draws[0] >= p.probability:
+        chance = p.probability if not p.burst_begins else p.lost_in_burst if burst else 0.0
+        return kind == "silence" or (kind == "loss" and draws[0] < chance)
+
+    def _faulty(
+        self, t: int, message: Message, sent: tuple[float, ...], since: int, stuck: tuple[float, ...],
+        draws: Sequence[float],
+    ) -> Message:  # fmt: skip
+        """What a message becomes that is not lost."""
+        kind, p = self.p.kind, self.p
+        if kind in ("loss", "repeat") or (kind in ("spike", "invalid") and draws[0] >= p.probability):
             return message
-        changed = list(sent)
         profile = self._profile(t - self._window[0]) if p.points else 0.0
-        for k, i in enumerate(self._concerned):
-            if p.points:
-                changed[i] = profile if kind == "replace" else sent[i] + profile
-            else:
-                changed[i] = self._changed(k, sent[i], i, t, began, draws)
+        changed = [x if k is None else self._changed(k, x, t, since, held, draws, profile)
+                   for x, k, held in zip(sent, self._place, stuck, strict=True)]  # fmt: skip
         if self._pressed:
             changed = [float(x > 0.5) for x in changed]
         return Sample(message.stamp, tuple(changed)) if isinstance(message, Sample) else tuple(changed)
@@ -296,12 +304,17 @@ class Fault(Block[FaultParams]):
             burst = turn >= p.burst_ends if burst else turn < p.burst_begins
         return [self.uniform(k)], burst, k + 2
 
-    def _changed(self, k: int, x: float, i: int, t: int, began: Began, draws: list[float]) -> float:
-        kind, value = self.p.kind, self._values[k]
+    def _changed(
+        self, k: int, x: float, t: int, since: int, stuck: float, draws: Sequence[float], profile: float
+    ) -> float:  # fmt: skip
+        kind = self.p.kind
+        if kind in ("add", "replace"):
+            return profile if kind == "replace" else x + profile
+        value = self._values[k]
         if kind == "scale":
             return x * value
         if kind == "drift":
-            return x + value * ((t - began[0]) / 1e9)
+            return x + value * ((t - since) / 1e9)
         if kind == "noise":
             return x + value * draws[k]
         if kind == "quantise":
@@ -310,7 +323,7 @@ class Fault(Block[FaultParams]):
             low, high = self._limits[k]
             return min(max(x, low), high)
         if kind == "stuck":
-            return began[1][i]
+            return stuck
         if kind == "invalid":
             return math.nan
         return x + value  # offset, spike

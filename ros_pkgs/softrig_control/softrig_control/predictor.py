@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from softrig_core import History
+
 from .discretise import Matrix, matmul
 
 
 class Commands(NamedTuple):
-    """Commands of the last periods, newest first, as many as are kept; so many of them are known, the others 0."""
+    """Commands of the last periods, as many as are kept; so many of them are known, the others 0."""
 
-    newest: tuple[float, ...]
+    line: History
     known: int
 
 
@@ -48,11 +50,11 @@ class CommandReplay:
 
     def nothing(self) -> Commands:
         """Give the commands known before the first."""
-        return Commands((0.0,) * self._capacity, 0)
+        return Commands(History(step=1.0, longest=self._capacity), 0)
 
     def record(self, history: Commands, u: float) -> Commands:
         """Give the commands known with that of this period, as issued (after saturation)."""
-        return Commands((u, *history.newest)[: self._capacity], min(history.known + 1, self._capacity))
+        return Commands(history.line.put((u,)), min(history.known + 1, self._capacity))
 
     def present(self, history: Commands, x: Sequence[float], late: int) -> tuple[float, ...]:
         """Predict the state now.
@@ -70,6 +72,6 @@ class CommandReplay:
             for j in range(n):
                 total += self._powers[(late * n + i) * n + j] * x[j]
             for k in range(late):
-                total += impulse[k] * history.newest[k]
+                total += impulse[k] * history.line.back(k)[0]
             state.append(total)
         return tuple(state)

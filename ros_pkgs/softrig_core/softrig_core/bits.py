@@ -38,8 +38,11 @@ def pin(environ: MutableMapping[str, str] = os.environ, *, wider: bool | None = 
 
     What is set already stays. Where numpy is loaded already and has chosen others, that is said once, as a warning.
 
-    `environ` (mapping).
-    `wider`: whether the CPU has AVX-512; found out when absent.
+    Parameters
+    ----------
+    environ : mapping
+    wider : bool, optional
+        Whether the CPU has AVX-512; found out when absent.
     """
     if not (cpu_has_avx512() if wider is None else wider):
         return

@@ -15,8 +15,12 @@ from .errors import ScenarioError, closest
 class Number:
     """Type of an option that is a number within bounds.
 
-    `kind`: `int` or `float`.
-    `low`, `high`: bounds, both allowed; infinity and NaN are not.
+    Parameters
+    ----------
+    kind : type
+        `int` or `float`.
+    low, high : float
+        Bounds, both allowed; infinity and NaN are not.
     """
 
     def __init__(self, kind: type[int] | type[float], low: float, high: float = math.inf) -> None:
@@ -25,7 +29,10 @@ class Number:
     def __call__(self, text: str) -> float:
         """Read a number.
 
-        Raises argparse.ArgumentTypeError: not a number, or beyond the bounds.
+        Raises
+        ------
+        argparse.ArgumentTypeError
+            Not a number, or beyond the bounds.
         """
         try:
             value = self.kind(text)
@@ -84,7 +91,9 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise what the command line turns into one line and status 2.
 
-        Raises ScenarioError.
+        Raises
+        ------
+        ScenarioError
         """
         wrong = re.match(r"argument (\S+): invalid choice: '(.*)' \(choose from (.*)\)", message)
         if wrong:

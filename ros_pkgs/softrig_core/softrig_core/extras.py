@@ -27,9 +27,17 @@ EXTRAS = {
 def need(package: str, what: str) -> None:
     """See to it that a package can be imported.
 
-    `package`: one of `EXTRAS`.
-    `what`: what needs it, as the error says it.
-    Raises ScenarioError: it is not there and could not be added; says how to get it.
+    Parameters
+    ----------
+    package : str
+        One of `EXTRAS`.
+    what : str
+        What needs it, as the error says it.
+
+    Raises
+    ------
+    ScenarioError
+        It is not there and could not be added; says how to get it.
     """
     extra = EXTRAS[package]
     if _there(package):

@@ -33,9 +33,16 @@ _NAMED = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryEr
 def guarded(work: Callable[[], int]) -> int:
     """Do the work of a command and turn every failure into one line and its exit status.
 
-    `work`: gives 0 for done, 1 for done with another result than was asked for.
-    Returns: that of `work`; 2 bad input, 3 it broke, 4 an error of softrig itself (its traceback is in a file), 128 and
-    the number of the signal that stopped it, 141 nobody reads the output any more.
+    Parameters
+    ----------
+    work : callable
+        Gives 0 for done, 1 for done with another result than was asked for.
+
+    Returns
+    -------
+    int
+        That of `work`; 2 bad input, 3 it broke, 4 an error of softrig itself (its traceback is in a file), 128
+        and the number of the signal that stopped it, 141 nobody reads the output any more.
     """
     secure_streams()
     try:
@@ -61,15 +68,21 @@ def guarded(work: Callable[[], int]) -> int:
         say("stopped")
         return 128 + int(getattr(error, "number", signal.SIGINT))
     except MemoryError:
-        say("out of memory; a shorter run or a smaller size may fit")
-        return 3
+        return _full()
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "rclpy":
             return _wrong(error)
         say(WITHOUT_ROS)
         return 2
     except Exception as error:
+        if isinstance(error, ImportError) and "failed to map segment" in str(error):  # a library under `ulimit -v`
+            return _full()
         return _wrong(error)
+
+
+def _full() -> int:
+    say("out of memory; a shorter run or a smaller size may fit")
+    return 3
 
 
 def _wrong(error: Exception) -> int:
@@ -81,7 +94,10 @@ def _wrong(error: Exception) -> int:
 def need_ros() -> None:
     """See to it that ROS 2 is there, for what is to run over topics.
 
-    Raises ScenarioError: it is not; says what can be done without.
+    Raises
+    ------
+    ScenarioError
+        It is not; says what can be done without.
     """
     if importlib.util.find_spec("rclpy") is None:
         raise ScenarioError(WITHOUT_ROS)
@@ -170,7 +186,10 @@ def _flush() -> None:
 def keep_traceback(folder: Path | None = None) -> str:
     """Write the traceback under way into a file of its own; gives its name.
 
-    `folder`: made if need be; the system's temporary one when absent, or when nothing can be written there.
+    Parameters
+    ----------
+    folder : Path, optional
+        Made if need be; the system's temporary one when absent, or when nothing can be written there.
     """
     import tempfile
     import traceback

@@ -11,7 +11,10 @@ from pathlib import Path
 def check() -> None:
     """See to it that pydantic is there in its second version; Debian 12 and Ubuntu 24.04 bring the first.
 
-    Raises ImportError: it is not; says what to do.
+    Raises
+    ------
+    ImportError
+        It is not; says what to do.
     """
     spec = importlib.util.find_spec("pydantic")
     folder = Path(spec.origin).parent if spec is not None and spec.origin else None

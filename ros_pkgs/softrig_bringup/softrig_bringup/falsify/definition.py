@@ -64,7 +64,10 @@ def list_falsifications() -> dict[str, Path]:
 def falsification_of(what: str, changes: dict[str, Any]) -> Falsification:
     """Read a falsification by name or file, or make one of a scenario, with the command line's changes.
 
-    Raises ScenarioError: neither, or bad data; names file and key.
+    Raises
+    ------
+    ScenarioError
+        Neither, or bad data; names file and key.
     """
     known = list_falsifications()
     path = known.get(what) or (Path(what) if what.endswith(SUFFIX) and isfile(what) else None)

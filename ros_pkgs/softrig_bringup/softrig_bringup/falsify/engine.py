@@ -66,9 +66,14 @@ class Outcome:
 class Prepared(NamedTuple):
     """A falsification whose input has been judged.
 
-    `names`: the requirements.
-    `nominal`: their margins without changes.
-    `content`: what makes it this one and no other.
+    Parameters
+    ----------
+    names : tuple of str
+        The requirements.
+    nominal : dict of str to float or None
+        Their margins without changes.
+    content : dict
+        What makes it this one and no other.
     """
 
     space: Space
@@ -80,7 +85,10 @@ class Prepared(NamedTuple):
 def prepare(task: Falsification) -> Prepared:
     """Judge the input of a falsification, and run its scenario as it is; nothing is written.
 
-    Raises ScenarioError: bad input, a package that is missing, or a run that cannot be judged.
+    Raises
+    ------
+    ScenarioError
+        Bad input, a package that is missing, or a run that cannot be judged.
     """
     scenario = load_scenario(task.scenario).changed(duration=task.duration)
     names = _requirements(scenario, task.requirements)
@@ -100,10 +108,19 @@ def falsify(
 ) -> Outcome:
     """Search, and make what is found small.
 
-    `prepared`: what `prepare` gave of it.
-    `out`: gets ``falsification.json`` and ``rows.jsonl``; the runs that an earlier call left there are not run again.
-    `workers`, `scheduler`: see `softrig_optim.sweep.Workers`.
-    Raises ScenarioError: the folder holds another falsification.
+    Parameters
+    ----------
+    prepared : Prepared
+        What `prepare` gave of it.
+    out : Path
+        Gets ``falsification.json`` and ``rows.jsonl``; the runs that an earlier call left there are not run again.
+    workers, scheduler
+        See `softrig_optim.sweep.Workers`.
+
+    Raises
+    ------
+    ScenarioError
+        The folder holds another falsification.
     """
     space, names, nominal, content = prepared
     replace(out / "falsification.json", same(content, out / "falsification.json", "falsification"))

@@ -18,6 +18,7 @@ from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report.report import write_report
 from ..run.run import checked, execute, illustrate, save, summary
 from ..study.work import LARGE
+from ..terminal.listing import console as make_console
 from .definition import Falsification, falsification_of, list_falsifications
 from .engine import Outcome, falsify, prepare
 from .picture import draw_worst
@@ -76,7 +77,10 @@ def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool) -> dic
 def _standing_alone(text: str, file: Path) -> Scenario:
     """Load a scenario file before it is in its place: nobody finds one there that cannot run.
 
-    Raises ScenarioError: it cannot run by itself.
+    Raises
+    ------
+    ScenarioError
+        It cannot run by itself.
     """
     with TemporaryDirectory() as folder:
         place = Path(folder) / file.name
@@ -107,7 +111,10 @@ def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool) 
 def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) -> str:
     """Write a case as a scenario file: what it changes in the scenario that it extends, or all of it.
 
-    `kind`: ``worst`` or ``small``.
+    Parameters
+    ----------
+    kind : str
+        ``worst`` or ``small``.
     """
     scenario, overrides = case
     changed = scenario.changed(overrides=overrides)
@@ -151,8 +158,6 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
 
 def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Path]) -> None:
     from rich.table import Table
-
-    from ..terminal.listing import console as make_console
 
     console = make_console()
     rig_units = {f.name: f.unit for f in figures_of(rig_of(outcome.space.scenario))}

@@ -22,8 +22,12 @@ from ..plots.style import axis_title, quantity
 def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str) -> None:
     """Draw the signals of a requirement in several runs, a row a signal.
 
-    `runs`: by label; what the last one violates is shaded.
-    `path`: the PNG.
+    Parameters
+    ----------
+    runs : mapping of str to Run
+        By label; what the last one violates is shaded.
+    path : Path
+        The PNG.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure

@@ -16,11 +16,20 @@ HALVINGS = 12  # of the way of a parameter back to its nominal value: it is foun
 def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], bool], budget: int) -> tuple[Case, int]:
     """Make a violation small while it stays one.
 
-    `overrides`: of the violation.
-    `violates`: runs a case.
-    `budget`: largest number of runs.
-    Gives `case` (Scenario, dict).
-    Gives `runs`: how many were needed.
+    Parameters
+    ----------
+    overrides : dict
+        Of the violation.
+    violates : callable
+        Runs a case.
+    budget : int
+        Largest number of runs.
+
+    Returns
+    -------
+    case : (Scenario, dict)
+    runs : int
+        How many were needed.
     """
     runs = 0
 

@@ -21,8 +21,12 @@ from ..options.grammar import FORMS, Span, span
 class Over(Span):
     """One thing that the search may change: within which range, and what.
 
-    `key`: ``node.parameter``, ``fault.parameter``, or the name of a signal.
-    `adds`: of a profile on a signal: added to what is sent instead of replacing it.
+    Parameters
+    ----------
+    key : str
+        ``node.parameter``, ``fault.parameter``, or the name of a signal.
+    adds : bool
+        Of a profile on a signal: added to what is sent instead of replacing it.
     """
 
     key: str = ""
@@ -58,7 +62,10 @@ class Over(Span):
 def parse(key: str, given: str) -> Over:
     """Read one range; a key that ends with ``+`` adds to its signal.
 
-    Raises ScenarioError: another form, a range upside down, a logarithm of what is not above 0.
+    Raises
+    ------
+    ScenarioError
+        Another form, a range upside down, a logarithm of what is not above 0.
     """
     key = key.strip()
     adds, key = key.endswith("+"), key.removesuffix("+").strip()
@@ -74,10 +81,16 @@ def parse(key: str, given: str) -> Over:
 class Space:
     """A scenario and what may be changed in it.
 
-    `scenario`: with a fault for each profile.
-    `targets`: of each: the parameter that is set, ``node.parameter``.
-    `nominal`: of each: its value in the scenario as it is; None for profiles.
-    `whole`: of each: whether it takes whole numbers only.
+    Parameters
+    ----------
+    scenario : Scenario
+        With a fault for each profile.
+    targets : tuple of str
+        Of each: the parameter that is set, ``node.parameter``.
+    nominal : tuple
+        Of each: its value in the scenario as it is; None for profiles.
+    whole : tuple of bool
+        Of each: whether it takes whole numbers only.
     """
 
     scenario: Scenario
@@ -110,8 +123,10 @@ class Space:
 def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
     """Hold ranges against a rig, and put a fault on each link whose signal gets a profile.
 
-    Raises ScenarioError: no such parameter or signal, with the nearest name; a parameter that is no number, or a list
-    of another length.
+    Raises
+    ------
+    ScenarioError
+        No such parameter or signal, with the nearest name; a parameter that is no number, or a list of another length.
     """
     rig = rig_of(scenario)
     params = {m.name: flatten(m.params) for m in rig.members}

@@ -24,9 +24,14 @@ STRIP = 30.0  # units below the drawing: time, and how fast it goes
 class Film:
     """A drawing over a window of time.
 
-    `times` (float array of shape (n,)): simulated time of each frame, s.
-    `frames` (list of lists of Shape): one a time.
-    `speed`: simulated seconds in one second of film.
+    Parameters
+    ----------
+    times : float array of shape (n,)
+        Simulated time of each frame, s.
+    frames : list of lists of Shape
+        One a time.
+    speed : float
+        Simulated seconds in one second of film.
     """
 
     drawing: Drawing
@@ -62,10 +67,19 @@ def comfortable(span: float) -> float:
 def film(drawing: Drawing, signals: Mapping[str, Signal], start: float, end: float, speed: float | None = None) -> Film:
     """Draw a run's frames.
 
-    `signals` (mapping of str to (t, x)): `Signals` of the run; one that the run has not is drawn at rest.
-    `start`, `end`: s, of the simulated time.
-    `speed`: simulated seconds in one of film; a `comfortable` one without it.
-    Raises ScenarioError: nothing to draw from, or more than `LONGEST` frames.
+    Parameters
+    ----------
+    signals : mapping of str to (t, x)
+        `Signals` of the run; one that the run has not is drawn at rest.
+    start, end : float
+        s, of the simulated time.
+    speed : float, optional
+        Simulated seconds in one of film; a `comfortable` one without it.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing to draw from, or more than `LONGEST` frames.
     """
     speed = speed or comfortable(end - start)
     count = 1 + round((end - start) / speed * FRAMES)

@@ -22,9 +22,19 @@ _ANCHORS = {"start": "ls", "middle": "ms", "end": "rs"}
 def pixels(film: Film, form: str) -> tuple[bytes, str]:
     """Write a film as an animated picture.
 
-    `form` ({"gif", "webp", "png"}).
-    Returns: what a GIF was reduced to so that it is no larger than `LARGEST`; empty where it was not.
-    Raises ScenarioError: A GIF that is larger all the same.
+    Parameters
+    ----------
+    form : {"gif", "webp", "png"}
+
+    Returns
+    -------
+    str
+        What a GIF was reduced to so that it is no larger than `LARGEST`; empty where it was not.
+
+    Raises
+    ------
+    ScenarioError
+        A GIF that is larger all the same.
     """
     images = [picture(frame, film.bounds) for frame in film.frames]
     if form != "gif":

@@ -16,7 +16,10 @@ FONT = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', 'DejaVu Sans', sans-ser
 def sheet(dark: bool | None = None) -> str:
     """Give the style sheet: a class a role for strokes, one for fills.
 
-    `dark`: colours for dark ground, or light; by what the reader's system prefers without it.
+    Parameters
+    ----------
+    dark : bool, optional
+        Colours for dark ground, or light; by what the reader's system prefers without it.
     """
 
     def rules(which: int) -> str:
@@ -75,7 +78,11 @@ def number(value: float) -> str:
 def still(drawing: Drawing, shapes: Sequence[Shape], dark: bool | None = None) -> str:
     """Write one frame as a file by itself.
 
-    `shapes`: from `Drawing.frame`.
-    `dark`: see `sheet`.
+    Parameters
+    ----------
+    shapes : sequence of Shape
+        From `Drawing.frame`.
+    dark : bool, optional
+        See `sheet`.
     """
     return tostring(root(drawing.bounds, drawing.title, *map(element, shapes), dark=dark), "unicode")

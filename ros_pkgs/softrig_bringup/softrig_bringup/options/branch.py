@@ -15,7 +15,10 @@ from .like import Recalled, compared, tape
 def continued(scenario: Scenario, run: Recalled, at: float, values: Mapping[str, Any]) -> Scenario:
     """Give the scenario of a run up to a time (s), with other parameters from there on.
 
-    Raises ScenarioError: the run did not come so far, or a node of somebody else was in it.
+    Raises
+    ------
+    ScenarioError
+        The run did not come so far, or a node of somebody else was in it.
     """
     rig = rig_of(scenario)
     if outside := [m.name for m in rig.members if m.external]:

@@ -23,9 +23,14 @@ MANY = 50  # numbers of one profile or list: a search over more finds nothing in
 class Span:
     """Numbers from a least to a largest one.
 
-    `log`: whether their logarithm counts.
-    `count`: numbers of a list or profile; 0: a single number.
-    `linear`: of a profile: joined by lines.
+    Parameters
+    ----------
+    log : bool
+        Whether their logarithm counts.
+    count : int
+        Numbers of a list or profile; 0: a single number.
+    linear : bool
+        Of a profile: joined by lines.
     """
 
     low: float
@@ -35,10 +40,10 @@ class Span:
     linear: bool = False
 
 
-def settings(texts: Iterable[str], option: str = "--set") -> dict[str, Any]:
-    """Read ``NAME=VALUE`` of several options, VALUE as in a scenario file."""
-    pairs = (named(text, option, "VALUE") for text in texts)
-    return {name: read_yaml(value, f"{option} '{name}={value}'") for name, value in pairs}
+def settings(texts: Iterable[str]) -> dict[str, Any]:
+    """Read ``NAME=VALUE`` of several ``--set``, VALUE as in a scenario file."""
+    pairs = (named(text, "--set", "VALUE") for text in texts)
+    return {name: read_yaml(value, f"--set '{name}={value}'") for name, value in pairs}
 
 
 def values(name: str, text: str) -> list[Any]:
@@ -63,7 +68,10 @@ def _steps(name: str, text: str) -> list[Any]:
 def span(name: str, text: object) -> Span:
     """Read a range.
 
-    Raises ScenarioError: another form, a range upside down, a logarithm of what is not above 0.
+    Raises
+    ------
+    ScenarioError
+        Another form, a range upside down, a logarithm of what is not above 0.
     """
     found = _SPAN.fullmatch(str(text).strip())
     if not found:

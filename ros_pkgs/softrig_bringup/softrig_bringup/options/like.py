@@ -12,6 +12,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from softrig_bags.errors import BagError
+from softrig_bags.read import read_bag
+from softrig_bags.reader import BagReader
+from softrig_bags.tape import written
 from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, rig_of
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
@@ -82,15 +86,19 @@ def lateness(status: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int
 def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
     """Find out what a run was, from its bag alone or from what `softrig pack` has made of it.
 
-    `path`: directory of the run, its bag, a single .mcap file of it, or a pack.
-    `parse`: gives the options of what follows ``softrig run``.
-    Raises ScenarioError: no such run, it has no bag, which alone knows what was changed while it ran, or a package that
-    it needs is not installed here.
-    """
-    from softrig_bags.errors import BagError
-    from softrig_bags.read import read_bag
-    from softrig_bags.reader import BagReader
+    Parameters
+    ----------
+    path : Path
+        Directory of the run, its bag, a single .mcap file of it, or a pack.
+    parse : callable
+        Gives the options of what follows ``softrig run``.
 
+    Raises
+    ------
+    ScenarioError
+        No such run, it has no bag, which alone knows what was changed while it ran, or a package that it needs is not
+        installed here.
+    """
     if is_pack(path):
         return _unpacked(path, parse)
     bag = path / "bag" if (path / "bag").is_dir() else path
@@ -117,9 +125,6 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
 
 def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
     """Recall a run from a pack."""
-    from softrig_bags.read import read_bag
-    from softrig_bags.reader import BagReader
-
     folder = opened(path)
     said = about(folder)
     need_packages(f"--like {path}", [*said.packages, *said.code])
@@ -145,7 +150,10 @@ def _content(metrics: Path) -> Mapping[str, Any]:
 def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     """Give the scenario of a run with what was changed while it ran, and a node that says what came from outside.
 
-    Raises ScenarioError: somebody else's plant: it alone knows what it does.
+    Raises
+    ------
+    ScenarioError
+        Somebody else's plant: it alone knows what it does.
     """
     if run.digests:
         return scenario  # its file has them
@@ -183,8 +191,6 @@ def from_outside(rig: Rig, recording: Recording) -> list[Port]:
 
 
 def _text(port: Port) -> str:
-    from softrig_bags.tape import written
-
     return written(port)
 
 
@@ -196,8 +202,15 @@ def compared(before: Recalled, run: Run, made_with: Mapping[str, Any]) -> tuple[
 
     The end counts as far as both have come: in real time the last tick may be over before all have answered it.
 
-    `made_with`: what has made the repetition, as ``metrics.json`` has it.
-    Gives `told`: the last line says whether it repeats, and if not, which version differs first.
+    Parameters
+    ----------
+    made_with : mapping
+        What has made the repetition, as ``metrics.json`` has it.
+
+    Returns
+    -------
+    told : list of str
+        The last line says whether it repeats, and if not, which version differs first.
     """
     lines, messages, topics = _differences(before, run)
     same = not lines and messages > 0

@@ -78,7 +78,10 @@ def is_pack(path: Path) -> bool:
 def about(folder: Path) -> About:
     """Read what an unpacked file says of itself.
 
-    Raises ScenarioError: it does not say it, or not in this form.
+    Raises
+    ------
+    ScenarioError
+        It does not say it, or not in this form.
     """
     try:
         return About.model_validate_json((folder / ABOUT).read_bytes())
@@ -95,7 +98,10 @@ def opened(path: Path) -> Path:
 
     It lies in the cache by what the file holds, so that node processes and later calls find it.
 
-    Raises ScenarioError: not a file that `softrig pack` has written, or nothing that may be unpacked.
+    Raises
+    ------
+    ScenarioError
+        Not a file that `softrig pack` has written, or nothing that may be unpacked.
     """
     try:
         with path.open("rb") as file:
@@ -118,8 +124,11 @@ def opened(path: Path) -> Path:
 def unpack(path: Path, folder: Path) -> None:
     """Unpack a file below a new folder, and nowhere else.
 
-    Raises ScenarioError: it is damaged, too large (`MOST`, `FILES`, half of what is free on the disk), or has something
-    in it that is no plain file at one of its places.
+    Raises
+    ------
+    ScenarioError
+        It is damaged, too large (`MOST`, `FILES`, half of what is free on the disk), or has something in it that is no
+        plain file at one of its places.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -181,7 +190,10 @@ def _bring(path: Path, folder: Path) -> None:
 def need_packages(where: object, packages: Iterable[str]) -> None:
     """Name the packages that a run needs and that are not here.
 
-    Raises ScenarioError: one is missing, or its blocks were typed at a prompt and belong to none.
+    Raises
+    ------
+    ScenarioError
+        One is missing, or its blocks were typed at a prompt and belong to none.
     """
     names = list(packages)
     typed = [name for name in names if not name.isidentifier()]

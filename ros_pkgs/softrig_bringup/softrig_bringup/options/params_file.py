@@ -18,9 +18,17 @@ def params_of(file: Path, nodes: Iterable[str]) -> dict[str, Any]:
 
     Those that every ROS node has are left out, and so are ``run.*``, which the rig sets.
 
-    `file`: ``NODE: {ros__parameters: {NAME: VALUE}}``, NODE with or without its namespace, names dotted or nested.
-    `nodes`: of the scenario.
-    Raises ScenarioError: the file cannot be read, has another form, or names a node that is not of the scenario.
+    Parameters
+    ----------
+    file : Path
+        ``NODE: {ros__parameters: {NAME: VALUE}}``, NODE with or without its namespace, names dotted or nested.
+    nodes : iterable of str
+        Of the scenario.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read, has another form, or names a node that is not of the scenario.
     """
     nodes = list(nodes)
     try:

@@ -33,8 +33,12 @@ def _ours(prefix: Path) -> bool:
 def words(packages: Iterable[str], *verb: str) -> list[str]:
     """Give the beginning of a command: ours by its whole path, with the workspace of people's own packages.
 
-    `packages`: those of the nodes.
-    `verb`: what follows.
+    Parameters
+    ----------
+    packages : iterable of str
+        Those of the nodes.
+    *verb : str
+        What follows.
     """
     places = [place for place in dict.fromkeys(map(workspace, packages)) if place is not None]
     own = ["--workspace", str(places[0].absolute())] if places else []
@@ -58,7 +62,10 @@ def scenario_word(name: str) -> str:
 def for_reader(command: str) -> str:
     """Give a command that repeats a run as others can type it: without the folders of whoever ran it.
 
-    `command`: as metrics.json has it.
+    Parameters
+    ----------
+    command : str
+        As metrics.json has it.
     """
     try:
         parts = shlex.split(command)

@@ -20,10 +20,16 @@ FILE = "references.bib"
 class Citation(BaseModel):
     """A paper or book.
 
-    `authors`: as they are printed: ``A. Çakan``.
-    `place`: journal with volume, number and pages, or the publisher.
-    `doi`: empty when none is known.
-    `bibtex`: its entry, to be copied.
+    Parameters
+    ----------
+    authors : tuple of str
+        As they are printed: ``A. Çakan``.
+    place : str
+        Journal with volume, number and pages, or the publisher.
+    doi : str
+        Empty when none is known.
+    bibtex : str
+        Its entry, to be copied.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -40,7 +46,10 @@ class Citation(BaseModel):
 def cited(keys: Sequence[str]) -> tuple[Citation, ...]:
     """Find the papers of a scenario's key ``cites``.
 
-    Raises ScenarioError: no file has such an entry, or the entry cannot be read; names the key and the file.
+    Raises
+    ------
+    ScenarioError
+        No file has such an entry, or the entry cannot be read; names the key and the file.
     """
     if not keys:
         return ()

@@ -37,8 +37,11 @@ class Box:
 def draw_diagram(wiring: Wiring) -> Element:
     """Draw the block diagram of a rig.
 
-    Returns: an ``svg`` with one group of class ``node`` for each node and one of class ``wire`` for each wire, which
-    name it in ``data-node`` and ``data-topic``.
+    Returns
+    -------
+    Element
+        An ``svg`` with one group of class ``node`` for each node and one of class ``wire`` for each wire, which name
+        it in ``data-node`` and ``data-topic``.
     """
     found = columns(wiring)
     home = {n: k for k, column in enumerate(found) for n in column}

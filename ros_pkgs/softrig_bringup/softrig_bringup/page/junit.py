@@ -16,8 +16,12 @@ from ..folder import replace
 class Case:
     """One thing that was judged.
 
-    `failure`: why it does not hold; empty when it does.
-    `text`: what was measured.
+    Parameters
+    ----------
+    failure : str
+        Why it does not hold; empty when it does.
+    text : str
+        What was measured.
     """
 
     name: str
@@ -29,8 +33,12 @@ class Case:
 class Suite:
     """What was judged of a run.
 
-    `seconds`: wall-clock time of the run; each case says an equal share, since servers add up those of the cases.
-    `error`: why the run broke; empty when it did not.
+    Parameters
+    ----------
+    seconds : float
+        Wall-clock time of the run; each case says an equal share, since servers add up those of the cases.
+    error : str
+        Why the run broke; empty when it did not.
     """
 
     name: str

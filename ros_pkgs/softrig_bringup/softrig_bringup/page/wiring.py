@@ -13,9 +13,14 @@ SWEEPS = 8  # over the columns, until neighbours stand side by side
 class Node(BaseModel):
     """A node as a box of the diagram.
 
-    `executable`: with its package: ``softrig_drives/dc_motor_plant``.
-    `period`: s.
-    `plant`, `outside`: whether it owns time; whether somebody else starts it.
+    Parameters
+    ----------
+    executable : str
+        With its package: ``softrig_drives/dc_motor_plant``.
+    period : float
+        s.
+    plant, outside : bool
+        Whether it owns time; whether somebody else starts it.
     """
 
     model_config = ConfigDict(frozen=True)

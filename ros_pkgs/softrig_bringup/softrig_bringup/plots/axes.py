@@ -30,7 +30,10 @@ _PUBLISHED: dict[str, Any] = {"color": look.PUBLISHED, "linestyle": ":", "linewi
 def draw(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
     """Draw curves over time, those with the most ink below the others, references on top.
 
-    `scale`: from seconds to the unit of the time axis.
+    Parameters
+    ----------
+    scale : float
+        From seconds to the unit of the time axis.
     """
     ink = [float(np.abs(np.diff(c.y)).sum()) for c in curves]
     for curve, style, own in zip(curves, styles(curves), ink, strict=True):
@@ -70,8 +73,12 @@ def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Arti
 
     What lies far outside of the curves is left out: it would press them flat.
 
-    `ax`: with its curves.
-    `scale`: from seconds to the unit of the time axis.
+    Parameters
+    ----------
+    ax : Axes
+        With its curves.
+    scale : float
+        From seconds to the unit of the time axis.
     """
     (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
     drawn: dict[str, Artist] = {}
@@ -176,10 +183,16 @@ def legend(
 ) -> None:  # fmt: skip
     """Put the legend above the axes, where it covers no data.
 
-    `curves`: those that were drawn first, in order.
-    `width`: of the axes, in letters.
-    `marks` (sequence of (Artist, str)): from `draw_marks`.
-    `what`: what the curves are, where there are too many to be named.
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Those that were drawn first, in order.
+    width : int
+        Of the axes, in letters.
+    marks : sequence of (Artist, str)
+        From `draw_marks`.
+    what : str
+        What the curves are, where there are too many to be named.
     """
     if len(curves) > look.MANY:
         text = f"{len(curves)} {what}, dark to light from first to last"

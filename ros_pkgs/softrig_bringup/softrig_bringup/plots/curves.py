@@ -25,10 +25,15 @@ _AXES = {"alpha_beta": ("α", "β", "0"), "dq": ("d", "q", "0"), "abc": ("a", "b
 class Curve:
     """One line of a picture.
 
-    `x`, `y` (float arrays of shape (n,)).
-    `held`: the value stays until the next sample: drawn as steps.
-    `reference`: drawn as a thin dark dashed line on top.
-    `signal`: name of the signal that it shows; empty for a difference.
+    Parameters
+    ----------
+    x, y : float arrays of shape (n,)
+    held : bool
+        The value stays until the next sample: drawn as steps.
+    reference : bool
+        Drawn as a thin dark dashed line on top.
+    signal : str
+        Name of the signal that it shows; empty for a difference.
     """
 
     label: str
@@ -43,7 +48,10 @@ class Curve:
 def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[float] | None) -> Rig:
     """Give a rig with one plot of some signals, or its scenario's own when none are named, in a window of time.
 
-    Raises ScenarioError: no such signal, or the scenario has no plots of its own.
+    Raises
+    ------
+    ScenarioError
+        No such signal, or the scenario has no plots of its own.
     """
     own = (PlotEntry(title=title, signals=dict.fromkeys(names, "")),) if names else rig.scenario.plots
     if not own:
@@ -57,7 +65,10 @@ def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[floa
 def check_plots(rig: Rig) -> None:
     """Check that the rig has the signals of its scenario's plots.
 
-    Raises ScenarioError: a plot names a signal that the rig does not have.
+    Raises
+    ------
+    ScenarioError
+        A plot names a signal that the rig does not have.
     """
     known = signal_units(rig)
     for entry in rig.scenario.plots:
@@ -77,9 +88,17 @@ def check_plots(rig: Rig) -> None:
 def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
     """Reduce a long signal to what can be seen: first, lowest, highest and last value of each pixel column.
 
-    `x`, `y` (float arrays of shape (n,)): x ascending.
-    `columns`: width of the axes in pixels.
-    Gives `x, y` (float arrays of shape (at most 4 columns,)): the signal itself when it is not longer than that.
+    Parameters
+    ----------
+    x, y : float arrays of shape (n,)
+        x ascending.
+    columns : int
+        Width of the axes in pixels.
+
+    Returns
+    -------
+    x, y : float arrays of shape (at most 4 columns,)
+        The signal itself when it is not longer than that.
     """
     if len(x) <= 4 * columns:
         return x, y
@@ -96,7 +115,10 @@ def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
 def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
     """Cut a curve over time to a window, to whose edges it is drawn: no value from outside of it.
 
-    `window` ((float, float)): first and last time, s; none leaves the curve as it is.
+    Parameters
+    ----------
+    window : (float, float), optional
+        First and last time, s; none leaves the curve as it is.
     """
     if window is None or not len(curve.x):
         return curve
@@ -119,8 +141,12 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
 class Source:
     """The curves of a run by signal name.
 
-    `signals`: of the run's recording.
-    `rig`: says units, which topics are held between samples, which are references.
+    Parameters
+    ----------
+    signals : Signals
+        Of the run's recording.
+    rig : Rig
+        Says units, which topics are held between samples, which are references.
     """
 
     def __init__(self, signals: Signals, rig: Rig) -> None:

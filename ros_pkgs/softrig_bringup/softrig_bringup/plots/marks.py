@@ -63,7 +63,10 @@ def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
     Only figures of `softrig_core.judge.measures` that have a place in a picture over time: levels (final value, mean,
     extremes, overshoot, peak against a constant) and instants (rise, settling, reaching).
 
-    `signals` (Signals): of the run: a rise is counted from where it began.
+    Parameters
+    ----------
+    signals : Signals
+        Of the run: a rise is counted from where it began.
     """
     scenario = rig.scenario
     published = {c.figure or k: c.published for k, c in scenario.claims.items() if c.published is not None}

@@ -30,9 +30,14 @@ _SAMPLES = 1000  # of a band
 class Overlay:
     """A run to be laid over others.
 
-    `label`: what tells it apart.
-    `group`: the same for runs that are draws of the same, else the label.
-    `shown`: of the signals of its plots.
+    Parameters
+    ----------
+    label : str
+        What tells it apart.
+    group : str
+        The same for runs that are draws of the same, else the label.
+    shown : mapping
+        Of the signals of its plots.
     """
 
     label: str
@@ -51,7 +56,10 @@ def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str,
     Each signal has its own axes, each run or group of draws its own colour. A group of `LEAST` or more runs is its
     median and the band between the quantiles `BAND`. A reference that is the same in all runs is drawn once.
 
-    `note`: behind each title.
+    Parameters
+    ----------
+    note : str
+        Behind each title.
     """
     from matplotlib import rc_context
 
@@ -153,8 +161,14 @@ def _overlaid(ax: Axes, found: Drawn, references: Sequence[Curve], scale: float)
 def band(curves: Sequence[Curve]) -> tuple[Array, Array, Array, Array]:
     """Give median and quantiles of draws of one signal.
 
-    `curves`: each held, or taken as straight between its samples; compared as long as all of them go.
-    Gives `t, low, middle, high` (arrays of shape (n,)).
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Each held, or taken as straight between its samples; compared as long as all of them go.
+
+    Returns
+    -------
+    t, low, middle, high : arrays of shape (n,)
     """
     t = np.linspace(max(c.x[0] for c in curves), min(c.x[-1] for c in curves), _SAMPLES)
     rows = [c.y[np.searchsorted(c.x, t, "right") - 1] if c.held else np.interp(t, c.x, c.y) for c in curves]

@@ -38,9 +38,14 @@ def plot_entry(
 ) -> Figure:  # fmt: skip
     """Draw one plot of a run.
 
-    `signals`, `rig`: see `plot_run`.
-    `font`: size of the letters, points.
-    `inches`: width; the height follows, not below what the rows need.
+    Parameters
+    ----------
+    signals, rig
+        See `plot_run`.
+    font : float, optional
+        Size of the letters, points.
+    inches : float, optional
+        Width; the height follows, not below what the rows need.
     """
     from matplotlib import rc_context
 
@@ -115,8 +120,12 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: 
 def save_figure(figure: Figure, path: Path, title: str, run: str, also: str = "") -> None:
     """Write a picture with its title and, small, the name of the run.
 
-    `path`: the PNG.
-    `also`: svg, pdf, or empty.
+    Parameters
+    ----------
+    path : Path
+        The PNG.
+    also : str
+        svg, pdf, or empty.
     """
     figure.suptitle(title, x=0.008, ha="left", fontsize=12, fontweight="bold")
     figure.text(0.992, 0.992, run, ha="right", va="top", fontsize=8, color=look.SOFT)
@@ -230,8 +239,11 @@ def _overview(source: Source) -> Figure:
 def places(figure: Figure, count: int, columns: int) -> list[SubplotSpec]:
     """Divide a figure into columns, none of them with a hole: of an odd number the first takes the whole width.
 
-    `count`: of axes.
-    `columns` ({1, 2}).
+    Parameters
+    ----------
+    count : int
+        Of axes.
+    columns : {1, 2}
     """
     if not count:
         return []

@@ -113,7 +113,10 @@ class RunRecord(BaseModel):
 def read_run(directory: Path) -> RunRecord:
     """Read ``metrics.json`` of a run directory.
 
-    Raises ScenarioError: no such file, not JSON, or a key is missing or of the wrong type; names file and key.
+    Raises
+    ------
+    ScenarioError
+        No such file, not JSON, or a key is missing or of the wrong type; names file and key.
     """
     path = directory / "metrics.json"
     try:

@@ -16,6 +16,7 @@ from softrig_core import Rig, ScenarioError, rig_of
 from softrig_core.command_line import Parser
 
 from ..folder import replace
+from ..options.run_options import arguments, scenario_of
 from ..plots.curves import Curve, Source, with_plots
 from ..plots.pictures import UNDATED, plot_entry, plot_name, plot_run
 from .record import read_run
@@ -26,8 +27,15 @@ MM = 25.4  # in an inch
 def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
     """Give the rig of a run and its signals.
 
-    `directory`: of a run, or a bag that a run has written; a single .mcap file of it, or a pack.
-    Raises ScenarioError: neither, or no bag in it, or its scenario is unknown here.
+    Parameters
+    ----------
+    directory : Path
+        Of a run, or a bag that a run has written; a single .mcap file of it, or a pack.
+
+    Raises
+    ------
+    ScenarioError
+        Neither, or no bag in it, or its scenario is unknown here.
     """
     if directory.is_file():
         return _of_file(directory)
@@ -47,7 +55,6 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
 
 def _of_file(path: Path) -> tuple[Rig, BagSignals]:
     from ..options.like import recall
-    from ..options.run_options import scenario_of
 
     run = recall(path, _parser().parse_args)
     if not run.bag.exists():
@@ -56,8 +63,6 @@ def _of_file(path: Path) -> tuple[Rig, BagSignals]:
 
 
 def _parser() -> Parser:
-    from ..options.run_options import arguments
-
     parser = Parser(prog="softrig run")
     arguments(parser)
     return parser
@@ -65,8 +70,6 @@ def _parser() -> Parser:
 
 def _as_it_ran(command: str) -> Rig:
     """Build the rig that a run's command stands for."""
-    from ..options.run_options import scenario_of
-
     try:
         words = shlex.split(command)
         words = words[words.index("run") + 1 :]

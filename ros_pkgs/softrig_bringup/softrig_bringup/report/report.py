@@ -24,11 +24,20 @@ def main(options: argparse.Namespace) -> int:
 def write_report(directories: Sequence[Path], output: Path, labels: Sequence[str] = ()) -> None:
     """Write one page about one or more runs.
 
-    `directories`: run directories: ``metrics.json``, the bag, and the pictures of
-    `softrig_bringup.plots.pictures.plot_run`, as far as they are there.
-    `output`: the HTML file; appears complete or not at all.
-    `labels`: what the runs are called, in their order; of those that it does not reach, their own label or folder.
-    Raises ScenarioError: a directory is not that of a run; more labels than runs.
+    Parameters
+    ----------
+    directories : sequence of Path
+        Run directories: ``metrics.json``, the bag, and the pictures of
+        `softrig_bringup.plots.pictures.plot_run`, as far as they are there.
+    output : Path
+        The HTML file; appears complete or not at all.
+    labels : sequence of str
+        What the runs are called, in their order; of those that it does not reach, their own label or folder.
+
+    Raises
+    ------
+    ScenarioError
+        A directory is not that of a run; more labels than runs.
     """
     runs, without = [], []
     for directory in directories:

@@ -32,8 +32,11 @@ ELSEWHERE = ("For a machine that lacks the scenario or its packages, softrig pac
 def run_section(directory: Path, run: RunRecord, title: str, heading: str, anchor: str) -> Element:
     """Make the section about a run.
 
-    `directory`: with its pictures.
-    `heading` ({"h1", "h2"}).
+    Parameters
+    ----------
+    directory : Path
+        With its pictures.
+    heading : {"h1", "h2"}
     """
     below = f"h{int(heading[1]) + 1}"
     about = [run.title] if title != run.title else []

@@ -30,10 +30,16 @@ APART = 4.0  # runs of which one is so many times longer than the other have no 
 def names(runs: Sequence[tuple[Path, RunRecord]], given: Sequence[str] = ()) -> list[str]:
     """Name each run: as the command line says, by its own label, or by its folder.
 
-    `runs` (sequence of (Path, RunRecord)).
-    `given`: names of the first runs.
-    Returns: all different: of folders as much of their path as tells them apart, equal labels have the folder behind
-    them.
+    Parameters
+    ----------
+    runs : sequence of (Path, RunRecord)
+    given : sequence of str
+        Names of the first runs.
+
+    Returns
+    -------
+    list of str
+        All different: of folders as much of their path as tells them apart, equal labels have the folder behind them.
     """
     folders = _tails([path for path, _ in runs])
     wanted = [run.label for _, run in runs]
@@ -54,9 +60,16 @@ def _tails(paths: Sequence[Path]) -> list[str]:
 def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
     """Say of each run which draws it belongs to: those of equal code, parameters and machine that all ended.
 
-    `named`: from `names`.
-    Returns: what such runs have in common of their names, when there are `LEAST` of them, each of another seed; the
-    name itself for any other run.
+    Parameters
+    ----------
+    named : sequence of str
+        From `names`.
+
+    Returns
+    -------
+    list of str
+        What such runs have in common of their names, when there are `LEAST` of them, each of another seed; the name
+        itself for any other run.
     """
     keys = [_draws(run) for run in runs]
     found = list(named)
@@ -88,10 +101,13 @@ def _machine(run: RunRecord) -> dict[str, str]:
 def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
     """Give what differs between runs, by what it is: its value in each of them, as text; empty where it is not there.
 
-    Gives `changed`: what a person has done: another scenario, mode, seed or length, what the command line or a hand
-    changed; code of each package, nodes, what they ran on, and how they ended.
-    Gives `follows`: parameters that differ because of it. Of runs between which nobody says what was changed, they are
-    the change.
+    Returns
+    -------
+    changed : dict of str to list of str
+        What a person has done: another scenario, mode, seed or length, what the command line or a hand changed; code
+        of each package, nodes, what they ran on, and how they ended.
+    follows : dict of str to list of str
+        Parameters that differ because of it. Of runs between which nobody says what was changed, they are the change.
     """
     about: dict[str, Callable[[RunRecord], str]] = {
         "scenario": lambda r: r.scenario,

@@ -20,10 +20,22 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
 
     Figures need what all parts have recorded: `softrig bag repair` makes one bag of all shards in a folder.
 
-    `rig`: the whole.
-    `options`: of the verb `run`.
-    Returns: exit status.
-    Raises ScenarioError: no such node, no domain, or a placement without processes.
+    Parameters
+    ----------
+    rig : Rig
+        The whole.
+    options : argparse.Namespace
+        Of the verb `run`.
+
+    Returns
+    -------
+    int
+        Exit status.
+
+    Raises
+    ------
+    ScenarioError
+        No such node, no domain, or a placement without processes.
     """
     names = [m.name for m in rig.members if not m.external]
     for name in options.only:

@@ -14,6 +14,7 @@ from softrig_core.judge.claims import Claim
 from softrig_core.judge.expectation import Expected
 from softrig_core.scenario.places import explain
 from softrig_core.scenario.references import fill
+from softrig_core.scenario.scenario_file import scenario_folders
 from softrig_core.scenario.yaml_file import read_mapping
 
 MOST = 1_000_000  # seeds, points, candidates: room is made for all of them at once
@@ -83,10 +84,16 @@ class Search(_Model):
 class Summary(_Model):
     """A number over many runs.
 
-    `statistic`: ``share`` counts the runs that meet `of`; a figure that could not be measured does not meet it.
-    `q`: of ``quantile``.
-    `of` (Expectation): of ``share``: ``at least 99``.
-    `where`: only the runs whose case (key ``case``) or parameters have these values.
+    Parameters
+    ----------
+    statistic : str
+        ``share`` counts the runs that meet `of`; a figure that could not be measured does not meet it.
+    q : float
+        Of ``quantile``.
+    of : Expectation
+        Of ``share``: ``at least 99``.
+    where : dict
+        Only the runs whose case (key ``case``) or parameters have these values.
     """
 
     figure: str
@@ -160,8 +167,6 @@ class Study(_Model):
 
 def study_folders() -> list[Path]:
     """Where study files are looked for: ``studies`` beside each folder of scenarios."""
-    from softrig_core.scenario.scenario_file import scenario_folders
-
     folders = [folder.parent / "studies" for folder in scenario_folders()]
     given = [Path(p) for p in os.environ.get("SOFTRIG_STUDIES", "").split(os.pathsep) if p]
     return [f for f in (*given, *folders) if f.is_dir()]
@@ -180,7 +185,10 @@ def list_studies() -> dict[str, Path]:
 def load_study(name: str) -> Study:
     """Read a study by name or file.
 
-    Raises ScenarioError: unknown, not YAML, an unknown key or a bad value; names file and key.
+    Raises
+    ------
+    ScenarioError
+        Unknown, not YAML, an unknown key or a bad value; names file and key.
     """
     path = Path(name)
     if not (path.suffix in (".yaml", ".yml") and isfile(path)):

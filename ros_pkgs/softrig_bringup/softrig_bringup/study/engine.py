@@ -19,18 +19,30 @@ from softrig_core.wire.signals import full_name
 from ..folder import STUDY, ResultsFolder, replace
 from .batch import Batch, Log
 from .definition import Search, Study
-from .draw import Case, cases, count
+from .draw import Case, _values, cases, count
 from .work import Work, value_of
 
 
 def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> Log:
     """Run what is not yet done of a study.
 
-    `out`: gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
-    `workers`, `scheduler`: see `softrig_optim.sweep.Workers`.
-    Returns: the rows, closed.
-    Raises ScenarioError: bad input, or the directory holds another study, files of somebody else under our names, or
-    another call is at work there.
+    Parameters
+    ----------
+    out : Path
+        Gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
+    workers, scheduler
+        See `softrig_optim.sweep.Workers`.
+
+    Returns
+    -------
+    Log
+        The rows, closed.
+
+    Raises
+    ------
+    ScenarioError
+        Bad input, or the directory holds another study, files of somebody else under our names, or another call is at
+        work there.
     """
     folder = ResultsFolder(out, STUDY)
     free = {"title", "source", "summaries", "expect", "claims", "name"}  # what the rows do not depend on
@@ -107,8 +119,6 @@ def _first(study: Study, search: Search) -> Iterator[Case]:
 
 
 def _suggest_middle(d: Any) -> Any:
-    from .draw import _values
-
     return _values(d, np.array([0.5]))[0]
 
 

@@ -23,7 +23,10 @@ LONGEST = 120  # letters of a folder's name
 def study_of(options: Namespace) -> Study:
     """Give the study of a name or file, with the command line's changes; or make one of a scenario.
 
-    Raises ScenarioError: neither a study nor a scenario, or an option that cannot be read.
+    Raises
+    ------
+    ScenarioError
+        Neither a study nor a scenario, or an option that cannot be read.
     """
     name: str = options.study
     changes = _changes(options)

@@ -31,10 +31,19 @@ def draw_study(
 ) -> list[Path]:
     """Draw what the study's form asks for.
 
-    `rows`: by number.
-    `signals`: rows with the key ``signals``; read once.
-    `units`: unit of each figure, parameter (``node.name``) and signal.
-    Returns: of the pictures, in their order.
+    Parameters
+    ----------
+    rows : sequence
+        By number.
+    signals : iterable
+        Rows with the key ``signals``; read once.
+    units : mapping
+        Unit of each figure, parameter (``node.name``) and signal.
+
+    Returns
+    -------
+    list of Path
+        Of the pictures, in their order.
     """
     from matplotlib import rc_context
 

@@ -62,7 +62,10 @@ def run(work: Work) -> dict[str, Any]:
 
     Where margins are wanted, so does one whose parameters do not fit each other.
 
-    Raises ScenarioError: bad input: no run of such a study can work.
+    Raises
+    ------
+    ScenarioError
+        Bad input: no run of such a study can work.
     """
     case = work.case
     seed = seed_of(case.scenario) if case.seed is None else case.seed

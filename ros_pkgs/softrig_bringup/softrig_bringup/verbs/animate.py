@@ -32,10 +32,19 @@ def animate(options: argparse.Namespace) -> int:
 def film_of(what: str, start: float = 0.0, end: float | None = None, speed: float | None = None) -> Film:
     """Make the film of a run or of a scenario.
 
-    `what`: folder of a run, or name or file of a scenario.
-    `start`, `end`: s; to the end of the run without `end`.
-    `speed`: see `softrig_bringup.film.film.film`.
-    Raises ScenarioError: nothing to draw, or nothing in that window.
+    Parameters
+    ----------
+    what : str
+        Folder of a run, or name or file of a scenario.
+    start, end : float
+        s; to the end of the run without `end`.
+    speed : float, optional
+        See `softrig_bringup.film.film.film`.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing to draw, or nothing in that window.
     """
     if not Path(what).is_dir():
         rig = rig_of(what)

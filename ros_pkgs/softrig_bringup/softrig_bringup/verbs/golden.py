@@ -152,7 +152,10 @@ class Golden:
     ) -> Comparison:
         """Compare a new recording with the golden one: byte for byte, or elsewhere within the recipe's tolerances.
 
-        `elsewhere`: whether to allow what another build may change; found out when absent.
+        Parameters
+        ----------
+        elsewhere : bool, optional
+            Whether to allow what another build may change; found out when absent.
         """
         old, found = Signals(self.recording()), Signals(new)
         if not (bool(self.others) if elsewhere is None else elsewhere):
@@ -173,8 +176,12 @@ class Golden:
 
         The old one is there until the new one is written.
 
-        Raises ScenarioError: what is there was not made as a golden bag.
-        Raises RunError: the new bag could not be written.
+        Raises
+        ------
+        ScenarioError
+            What is there was not made as a golden bag.
+        RunError
+            The new bag could not be written.
         """
         _ours(self.bag)
         new = self.rerun()
@@ -198,7 +205,10 @@ def _era(python: str) -> int:
 def line(others: Iterable[str]) -> str:
     """Say which line of the table of doc/bits.md a machine is.
 
-    `others`: what is not as it was when golden bags were made: `Golden.others` of all of them.
+    Parameters
+    ----------
+    others : iterable of str
+        What is not as it was when golden bags were made: `Golden.others` of all of them.
     """
     differ = set(others)
     if "machine" in differ:
@@ -213,7 +223,10 @@ def line(others: Iterable[str]) -> str:
 def _ours(bag: Path) -> None:
     """Make sure that a folder holds a bag and nothing else, if it is there.
 
-    Raises ScenarioError: names what is not of a bag.
+    Raises
+    ------
+    ScenarioError
+        Names what is not of a bag.
     """
     other = [p for p in bag.glob("*") if not re.fullmatch(r"metadata\.yaml|bag_\d+\.mcap", p.name) or p.is_symlink()]
     if bag.is_symlink() or other or (bag.exists() and not bag.is_dir()):
@@ -232,8 +245,15 @@ def _allowed(rig: Rig, name: str, value: float) -> bool:
 def load(folder: Path, **changes: Any) -> Golden:
     """Read a golden folder.
 
-    `changes`: keys of the recipe that are to differ from golden.yaml.
-    Raises ScenarioError: golden.yaml is missing or wrong; names file and key.
+    Parameters
+    ----------
+    **changes
+        Keys of the recipe that are to differ from golden.yaml.
+
+    Raises
+    ------
+    ScenarioError
+        golden.yaml is missing or wrong; names file and key.
     """
     recipe = _read(folder, changes)
     return Golden(folder, recipe, _rig(recipe))
@@ -285,26 +305,19 @@ def _write(file: Path, recipe: Recipe) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Do what the command line says; gives the exit status."""
-    return remade(options.names, options.bags, duration=options.duration, seed=options.seed, check=options.check,
-                  junit=options.junit, as_json=options.json, workers=options.workers)  # fmt: skip
-
-
-def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool,
-           junit: Path | None = None, as_json: Path | None = None, workers: int | None = 1) -> int:  # fmt: skip
-    """Regenerate golden bags (all of the folder when none is named), or only check them.
+    """Regenerate golden bags (all of the folder when none is named), or only check them; gives the exit status.
 
     A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
-    `junit` and `as_json` are files that a check writes: whether each bag agrees, and how it was compared.
     """
-    changes: dict[str, Any] = {k: v for k, v in {"duration": duration, "seed": seed}.items() if v is not None}
+    folder, check = options.bags, options.check
+    changes = {k: v for k in ("duration", "seed") if (v := getattr(options, k)) is not None}
     if check and changes:
         given = " and ".join(f"--{key}" for key in changes)
         raise ScenarioError(f"golden --check with {given}: expected --check alone, a bag is checked as it was made")
-    for option, file in (("junit", junit), ("json", as_json)):
-        if file is not None and not check:
+    for option in ("junit", "json") if not check else ():
+        if getattr(options, option) is not None:
             raise ScenarioError(f"golden --{option}: goes with --check")
-    chosen = list(names) or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
+    chosen = options.names or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
     if not chosen:
         raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
     suites, content = [], []
@@ -312,7 +325,7 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
     for name in chosen if check else ():  # what is wrong with a recipe is said before the first run
         _read(folder / name, changes)
     works = [(folder / name, changes, check) for name in chosen]
-    for row, new, others in sweep(_one, works, title="golden bags", workers=workers if check else 1):
+    for row, new, others in sweep(_one, works, title="golden bags", workers=options.workers if check else 1):
         name, length = row["bag"], f"{row['duration_s']:g} s"
         size = sum(f.stat().st_size for f in (folder / name / "bag").glob("*")) / 1e3
         print(f"{name}: {length}, {size:.0f} kB, "
@@ -322,7 +335,7 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
         suites.append(Suite(name, row["wall_s"], [Case("bag", row["differs"], length)]))
         content.append(row)
         differing |= others
-    write_reports(junit, suites, as_json, content)
+    write_reports(options.junit, suites, options.json, content)
     if check:
         now = versions()
         here = (

@@ -64,9 +64,17 @@ def strange(words: Sequence[str]) -> str:
 class Launched:
     """The processes of a rig, for whoever starts them and says when they have ended.
 
-    `values`: what is given of `ARGUMENTS`.
-    Raises ScenarioError: the scenario, or what is changed of it, is wrong.
-    Raises RunError: the domain is a run's own.
+    Parameters
+    ----------
+    values : mapping of str to str
+        What is given of `ARGUMENTS`.
+
+    Raises
+    ------
+    ScenarioError
+        The scenario, or what is changed of it, is wrong.
+    RunError
+        The domain is a run's own.
     """
 
     def __init__(self, values: Mapping[str, str]) -> None:
@@ -124,10 +132,19 @@ class Launched:
     def ended(self, name: str, status: int, interrupted: bool) -> str:
         """Note that a process has ended; when it was the last one, do what `softrig run` does at the end of a run.
 
-        `name`: of the process.
-        `status`: its exit status.
-        `interrupted`: whether the launch was being shut down already.
-        Returns: why the launch is to end with a failure; empty when it is not.
+        Parameters
+        ----------
+        name : str
+            Of the process.
+        status : int
+            Its exit status.
+        interrupted : bool
+            Whether the launch was being shut down already.
+
+        Returns
+        -------
+        str
+            Why the launch is to end with a failure; empty when it is not.
         """
         self._running -= 1
         self._stopped = self._stopped or interrupted

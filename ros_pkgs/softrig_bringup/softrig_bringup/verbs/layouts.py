@@ -37,9 +37,20 @@ def layouts(options: argparse.Namespace) -> int:
 def files(rig: Rig) -> dict[str, str]:
     """Give the layouts of a rig by file name.
 
-    `rig`: each plot of its scenario becomes a plot a unit, with the same signals; of a difference both are shown.
-    Returns: ``NAME.plotjuggler.xml`` and ``NAME.foxglove.json``; ``NAME.rviz`` where a robot or markers are to be seen.
-    Raises ScenarioError: the scenario has no plots, or one with a signal that the rig does not have.
+    Parameters
+    ----------
+    rig : Rig
+        Each plot of its scenario becomes a plot a unit, with the same signals; of a difference both are shown.
+
+    Returns
+    -------
+    dict of str to str
+        ``NAME.plotjuggler.xml`` and ``NAME.foxglove.json``; ``NAME.rviz`` where a robot or markers are to be seen.
+
+    Raises
+    ------
+    ScenarioError
+        The scenario has no plots, or one with a signal that the rig does not have.
     """
     if not rig.scenario.plots:
         raise ScenarioError(f"{rig.scenario.name} has no plots, from which layouts are made: expected `plots` in it")
@@ -52,9 +63,13 @@ def files(rig: Rig) -> dict[str, str]:
 class Plotted:
     """A plot of one unit.
 
-    `title`: with the unit.
-    `curves` (tuple of (topic, port, label of the value, what it is called)).
-    `over`: label of the value on the x axis, of the same topic; empty for time.
+    Parameters
+    ----------
+    title : str
+        With the unit.
+    curves : tuple of (topic, port, label of the value, what it is called)
+    over : str
+        Label of the value on the x axis, of the same topic; empty for time.
     """
 
     title: str

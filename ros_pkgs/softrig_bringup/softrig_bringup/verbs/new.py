@@ -54,12 +54,24 @@ def first(place: str) -> str:
 def new_package(name: str, parent: Path, kind: str = "both") -> Path:
     """Write a package.
 
-    `name`: of the package: lower-case letters, digits and _.
-    `parent`: the folder in which its own folder is made.
-    `kind`: ``both``, ``law`` or ``plant``; see `KINDS`.
-    Returns: its folder.
-    Raises ScenarioError: not a name for a package, one that is taken by a package or a scenario, or a folder that is
-    there already.
+    Parameters
+    ----------
+    name : str
+        Of the package: lower-case letters, digits and _.
+    parent : Path
+        The folder in which its own folder is made.
+    kind : str
+        ``both``, ``law`` or ``plant``; see `KINDS`.
+
+    Returns
+    -------
+    Path
+        Its folder.
+
+    Raises
+    ------
+    ScenarioError
+        Not a name for a package, one that is taken by a package or a scenario, or a folder that is there already.
     """
     if not re.fullmatch(r"[a-z]([a-z0-9_]*[a-z0-9])?", name) or "__" in name:
         raise ScenarioError(f"package name {name!r}: expected lower-case letters, digits and single _, as in my_rig")

@@ -63,10 +63,17 @@ def main(options: argparse.Namespace) -> int:
 def collect(run: Path, *, bag: bool = True) -> _Pack:
     """Gather what somebody needs who repeats a run.
 
-    `run`: its folder, its bag, or a pack of it.
-    `bag`: whether the bag is in it; otherwise digests of what was said on each topic.
-    Raises ScenarioError: no run; what it was made of is no longer what it was; its bag alone has what is needed, and is
-    to be left out.
+    Parameters
+    ----------
+    run : Path
+        Its folder, its bag, or a pack of it.
+    bag : bool
+        Whether the bag is in it; otherwise digests of what was said on each topic.
+
+    Raises
+    ------
+    ScenarioError
+        No run; what it was made of is no longer what it was; its bag alone has what is needed, and is to be left out.
     """
     parser = argparse.ArgumentParser(exit_on_error=False)
     arguments(parser)
@@ -111,7 +118,10 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
 def write(packed: _Pack, out: Path) -> None:
     """Write a file; the same run gives the same bytes.
 
-    Raises ScenarioError: it would be larger than who unpacks it takes.
+    Raises
+    ------
+    ScenarioError
+        It would be larger than who unpacks it takes.
     """
     files: dict[str, bytes | Path] = {ABOUT: packed.about.model_dump_json(indent=1).encode() + b"\n", **packed.files}
     size = sum(len(c) if isinstance(c, bytes) else c.stat().st_size for c in files.values())
@@ -173,8 +183,12 @@ def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -
 def standing_alone(scenario: Scenario) -> tuple[bytes, Mapping[str, Path]]:
     """Write a scenario that needs no other file than those that its nodes name, which lie beside it by their content.
 
-    Returns: the text of its file.
-    Returns: relative place to file.
+    Returns
+    -------
+    bytes
+        The text of its file.
+    dict of str to Path
+        Relative place to file.
     """
     found: dict[str, Path] = {}
 

@@ -29,6 +29,10 @@ from softrig_optim.sweep import sweep
 from ..folder import ResultsFolder, replace
 from ..page.junit import Case, Suite, write_reports
 from ..run.run import illustrate, save, summary, versions
+from ..study.definition import list_studies, load_study
+from ..study.engine import run_study
+from ..study.table import claims, results, without_signals
+from .results_page import command, counts, html, markdown
 
 
 class Measured(NamedTuple):
@@ -46,11 +50,11 @@ class Measured(NamedTuple):
 def measure(work: tuple[str, Path | None]) -> Measured:
     """Run a scenario in this process and measure its figures, or give what was kept of such a run.
 
-    `work` ((str, Path or None)): its name, and the folder in which runs are kept by name: the run with pictures and
-    report, and its figures.
+    Parameters
+    ----------
+    work : (str, Path or None)
+        Its name, and the folder in which runs are kept by name: the run with pictures and report, and its figures.
     """
-    from .results_page import command
-
     name, folder = work
     try:
         rig = rig_of(name)
@@ -103,8 +107,15 @@ def _kept(place: Path, key: str) -> Measured | None:
 def claiming(systems: Sequence[str] = ()) -> list[Scenario]:
     """Give the scenarios with claims, all or those of some systems.
 
-    `systems`: names of systems as scenarios give them, or beginnings of scenario names.
-    Raises ScenarioError: nothing is called so.
+    Parameters
+    ----------
+    systems : sequence of str
+        Names of systems as scenarios give them, or beginnings of scenario names.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing is called so.
     """
     scenarios = [load_scenario(name) for name in list_scenarios()]
     for system in systems:
@@ -123,10 +134,19 @@ def gather(
 ) -> tuple[list[Finding], dict[str, Measured]]:
     """Run what the claims of some scenarios need, on all cores, and hold each claim against it.
 
-    `workers`: all cores when absent.
-    `keep`: see `measure`.
-    Gives `findings`: in the order of the scenarios and of the claims in them.
-    Gives `measured`: by scenario, what was run.
+    Parameters
+    ----------
+    workers : int, optional
+        All cores when absent.
+    keep : Path, optional
+        See `measure`.
+
+    Returns
+    -------
+    findings : list of Finding
+        In the order of the scenarios and of the claims in them.
+    measured : dict of str to Measured
+        By scenario, what was run.
     """
     scenarios = list(scenarios)
     names = sorted(set().union(*(needed(s) for s in scenarios)))
@@ -148,12 +168,11 @@ def study_findings(
 ) -> tuple[list[Scenario], list[Finding]]:
     """Run the studies with claims, or go on with them, and hold their claims.
 
-    Gives `scenarios`: each study's scenario under the name of the study.
+    Returns
+    -------
+    scenarios : list of Scenario
+        Each study's scenario under the name of the study.
     """
-    from ..study.definition import list_studies, load_study
-    from ..study.engine import run_study
-    from ..study.table import claims, results, without_signals
-
     scenarios, rows = [], []
     for study in map(load_study, list_studies()):
         scenario = load_scenario(study.scenario)
@@ -182,8 +201,6 @@ def suites(rows: Sequence[Finding], measured: Mapping[str, Measured]) -> list[Su
 
 def left_out(systems: Sequence[str]) -> str:
     """Say which claims are held by `--studies` alone; empty for none."""
-    from ..study.definition import list_studies, load_study
-
     found = [s for s in map(load_study, list_studies()) if s.claims]
     found = [s for s in found if not systems or any(_belongs(load_scenario(s.scenario), name) for name in systems)]
     more = sum(len(s.claims) for s in found)
@@ -193,8 +210,6 @@ def left_out(systems: Sequence[str]) -> str:
 
 def main(options: argparse.Namespace) -> int:
     """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked."""
-    from .results_page import counts, html, markdown
-
     systems, out = options.systems, options.out
     name = "_".join(["results", *systems])  # of some systems: beside the page of all
     scenarios = claiming(systems)

@@ -51,8 +51,12 @@ def by_system(
 def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = "", out: Path | None = None) -> str:
     """Make the HTML page.
 
-    `without`: what is not on it.
-    `out`: where it will stand, with the runs that it links.
+    Parameters
+    ----------
+    without : str
+        What is not on it.
+    out : Path, optional
+        Where it will stand, with the runs that it links.
     """
     groups = list(by_system(scenarios, rows))
     totals: list[tuple[Element | str, ...]] = [

@@ -44,9 +44,14 @@ class Process:
 def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
     """Give RViz with its file: the first robot, and what blocks draw.
 
-    `folder`: for files.
-    `namespace`: of the rig, without slashes; empty for the root.
-    `simulated`: whether the stamps are those of /clock.
+    Parameters
+    ----------
+    folder : Path
+        For files.
+    namespace : str
+        Of the rig, without slashes; empty for the root.
+    simulated : bool
+        Whether the stamps are those of /clock.
     """
     own = f"/{namespace}" if namespace else ""
     moved = [(f"/{name}", f"{own}/{name}") for name in ROOTED] if namespace else []
@@ -59,7 +64,10 @@ def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
 def rviz_file(rig: Rig, namespace: str = "") -> str:
     """Give the text of a configuration of RViz for a rig.
 
-    `namespace`: that its nodes are in, with a leading slash.
+    Parameters
+    ----------
+    namespace : str
+        That its nodes are in, with a leading slash.
     """
     robot, drawn = seen(rig)
     shown = _rviz(f"{namespace}/robot_description" if robot else "", [f"{namespace}/{n}/markers" for n in drawn])

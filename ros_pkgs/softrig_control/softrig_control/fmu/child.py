@@ -25,8 +25,15 @@ START = 60.0  # s: a process needs its time to begin on a busy machine, whatever
 class Isolated:
     """An `Instance` in another process; its methods, with the same numbers.
 
-    `seconds`: wall-clock time after which a call is given up and the process killed.
-    Raises Refusal: by every method: the FMU refused, crashed, or did not answer in time.
+    Parameters
+    ----------
+    seconds : float
+        Wall-clock time after which a call is given up and the process killed.
+
+    Raises
+    ------
+    Refusal
+        By every method: the FMU refused, crashed, or did not answer in time.
     """
 
     def __init__(self, plan: Plan, seconds: float) -> None:

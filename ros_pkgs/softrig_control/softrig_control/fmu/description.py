@@ -90,7 +90,10 @@ class Variable:
     def at(self, indices: Sequence[int]) -> Variable:
         """Give one value of an array, by its indices, counted from 1 as in Modelica.
 
-        Raises ValueError: there is none.
+        Raises
+        ------
+        ValueError
+            There is none.
         """
         inside = len(indices) == len(self.dims) and all(1 <= i <= n for i, n in zip(indices, self.dims, strict=True))
         if not inside:
@@ -121,10 +124,16 @@ def _example(dims: Sequence[int]) -> str:
 class Description:
     """An FMU as far as a rig needs to know it.
 
-    `version`: of the FMI: ``2.0``, ``3.0``.
-    `interfaces`: which it has of ``co_simulation``, ``model_exchange`` and ``scheduled_execution``.
-    `serialises`: whether its state can be kept as bytes.
-    `digest`: SHA-256 of its file.
+    Attributes
+    ----------
+    version : str
+        Of the FMI: ``2.0``, ``3.0``.
+    interfaces : tuple of str
+        Which it has of ``co_simulation``, ``model_exchange`` and ``scheduled_execution``.
+    serialises : bool
+        Whether its state can be kept as bytes.
+    digest : str
+        SHA-256 of its file.
     """
 
     path: Path
@@ -137,7 +146,10 @@ class Description:
     def variable(self, name: str, indices: Sequence[int] | None = None) -> Variable:
         """Find a variable; an element of an array by its indices, counted from 1: ``x[2]``, ``A[1,3]``.
 
-        Raises ValueError: there is none, or it is of a type that no channel carries.
+        Raises
+        ------
+        ValueError
+            There is none, or it is of a type that no channel carries.
         """
         indexed = _INDEXED.fullmatch(name)
         if name not in self.variables and indexed and indexed["name"] in self.variables:
@@ -154,8 +166,15 @@ class Description:
 def describe(source: str) -> Description:
     """Read the description of an FMU.
 
-    `source`: a file, or ``package://PACKAGE/path``.
-    Raises ValueError: there is no such file, it is no FMU of FMI 2.0 or 3.0, or has no binary for this machine.
+    Parameters
+    ----------
+    source : str
+        A file, or ``package://PACKAGE/path``.
+
+    Raises
+    ------
+    ValueError
+        There is no such file, it is no FMU of FMI 2.0 or 3.0, or has no binary for this machine.
     """
     path = resource(source, "FMU").resolve()
     stat = path.stat()
@@ -165,7 +184,10 @@ def describe(source: str) -> Description:
 def unpacked(path: Path) -> Path:
     """Give the folder with the content of an FMU, in the cache: nothing is left behind by a node that is killed.
 
-    Raises ParameterError: it cannot be unpacked, or is larger or deeper than `LARGEST` and `DEEPEST` allow.
+    Raises
+    ------
+    ParameterError
+        It cannot be unpacked, or is larger or deeper than `LARGEST` and `DEEPEST` allow.
     """
     folder = cache_folder() / "fmu" / _digest(path)[:32]
     if folder.is_dir():
@@ -264,8 +286,15 @@ def _unit(found: object) -> Unit:
 def conversion(found: Variable, wanted: str) -> tuple[float, float]:
     """Give how values of a variable become those of a port: ``scale * x + offset``.
 
-    `wanted`: unit at the port; empty: that of the variable.
-    Raises ValueError: they measure different quantities.
+    Parameters
+    ----------
+    wanted : str
+        Unit at the port; empty: that of the variable.
+
+    Raises
+    ------
+    ValueError
+        They measure different quantities.
     """
     if not wanted or found.unit is None or powers(wanted) == powers(found.unit.name):
         return 1.0, 0.0

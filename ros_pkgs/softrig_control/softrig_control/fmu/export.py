@@ -31,10 +31,22 @@ class {model}(Node, Fmi2Slave):
 def export(rig: Rig, node: str, folder: Path) -> Path:
     """Write a node of a rig as an FMU for co-simulation (FMI 2.0).
 
-    `node`: its name.
-    `folder`: the file ``NODE.fmu`` goes here.
-    Returns: of the FMU. It runs where softrig is installed: it holds the node's parameters, not its code.
-    Raises ScenarioError: there is no such node, or it has a link that an FMU cannot have.
+    Parameters
+    ----------
+    node : str
+        Its name.
+    folder : Path
+        The file ``NODE.fmu`` goes here.
+
+    Returns
+    -------
+    Path
+        Of the FMU. It runs where softrig is installed: it holds the node's parameters, not its code.
+
+    Raises
+    ------
+    ScenarioError
+        There is no such node, or it has a link that an FMU cannot have.
     """
     members = {m.name: m for m in rig.members}
     if node not in members:

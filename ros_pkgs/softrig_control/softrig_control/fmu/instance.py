@@ -47,7 +47,10 @@ class Refusal(RuntimeError):
 class Instance:
     """An FMU; see `Plan`.
 
-    Raises Refusal: by every method.
+    Raises
+    ------
+    Refusal
+        By every method.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -284,9 +287,14 @@ class Instance:
 class Cells(NamedTuple):
     """Variables of one type that are read or set in one call.
 
-    `total`: number of their values, those of arrays one after the other.
-    `where` (list of (int, int)): of each cell: its place among all, and that of its value.
-    `arrays`: whether one of them is an array.
+    Attributes
+    ----------
+    total : int
+        Number of their values, those of arrays one after the other.
+    where : list of (int, int)
+        Of each cell: its place among all, and that of its value.
+    arrays : bool
+        Whether one of them is an array.
     """
 
     references: list[int]

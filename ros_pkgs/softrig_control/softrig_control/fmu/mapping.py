@@ -51,12 +51,21 @@ def mapped(
 ) -> Mapped:
     """Make the ports of one side of an FMU.
 
-    `entries`: ``TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE``; without a unit that of the variable holds.
-    `outward`: whether these are outputs.
-    `trajectories`: topics that carry JointTrajectory messages.
-    `frames`: topics that carry Vector3Stamped messages, and their frames.
-    Raises ValueError: an entry cannot be read, names a variable that is not there, another quantity or the same place
-    as another.
+    Parameters
+    ----------
+    entries : sequence of str
+        ``TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE``; without a unit that of the variable holds.
+    outward : bool
+        Whether these are outputs.
+    trajectories : sequence of str
+        Topics that carry JointTrajectory messages.
+    frames : mapping of str to str
+        Topics that carry Vector3Stamped messages, and their frames.
+
+    Raises
+    ------
+    ValueError
+        An entry cannot be read, names a variable that is not there, another quantity or the same place as another.
     """
     frames = frames or {}
     topics: dict[str, dict[tuple[str, str], tuple[str, Variable, tuple[float, float]]]] = {}
@@ -140,7 +149,10 @@ def _names(unit: Description, causality: str) -> str:
 def start_values(unit: Description, entries: Sequence[str]) -> tuple[tuple[Variable, float | int | bool | str], ...]:
     """Read ``VARIABLE = VALUE``: parameters and start values, in the FMU's own units.
 
-    Raises ValueError: there is no such variable, it cannot be set, or the value is none of its type or bounds.
+    Raises
+    ------
+    ValueError
+        There is no such variable, it cannot be set, or the value is none of its type or bounds.
     """
     found: dict[str, tuple[Variable, float | int | bool | str]] = {}
     for entry in entries:

@@ -245,7 +245,10 @@ class _Fmu(Block[FmuParams]):
     def save(self, x: State) -> tuple[State, bytes | None]:
         """Give also what the FMU writes of its state; one that cannot is told again all that it was told.
 
-        Raises RunError: it cannot, and runs in real time, where what it was told is not kept.
+        Raises
+        ------
+        RunError
+            It cannot, and runs in real time, where what it was told is not kept.
         """
         if self.p.unit.serialises:
             return x, self._asked(x.k, self._running.call, "keep")

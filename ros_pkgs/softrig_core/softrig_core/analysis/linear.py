@@ -57,7 +57,10 @@ class Linear(NamedTuple):
     def system(self, **names: Sequence[str]) -> control.StateSpace:
         """Give it as a system of the python-control library, for poles, margins, Bode and step figures.
 
-        `names`: ``states``, ``inputs``, ``outputs``: sequences of names.
+        Parameters
+        ----------
+        **names
+            ``states``, ``inputs``, ``outputs``: sequences of names.
         """
         import control
 

@@ -47,7 +47,10 @@ class Place(NamedTuple):
 def signal_of(rig: Rig, name: str) -> str:
     """Give the whole name of a signal that a member says, called by its own or a shared name.
 
-    Raises ScenarioError: there is none.
+    Raises
+    ------
+    ScenarioError
+        There is none.
     """
     known = {f"{p.topic}/{label}" for m in rig.members for p in m.outputs for label in p.labels}
     shared = names_of(rig, signal_units(rig))[1]
@@ -261,11 +264,21 @@ class StateMap:
     ) -> tuple[Array, dict[str, float]]:
         """Go one period on.
 
-        `numbers`: of `names`, where it begins.
-        `added`: what is added to inputs over the period.
-        `fixed`: what is held in the place of what is said.
-        Returns: the numbers after it.
-        Returns: what each signal said at the beginning, before anything was added.
+        Parameters
+        ----------
+        numbers : array
+            Of `names`, where it begins.
+        added : mapping
+            What is added to inputs over the period.
+        fixed : mapping, optional
+            What is held in the place of what is said.
+
+        Returns
+        -------
+        array
+            The numbers after it.
+        dict
+            What each signal said at the beginning, before anything was added.
         """
         return next(self.go_on(numbers, 1, added, fixed))
 

@@ -20,11 +20,24 @@ Row = tuple[float, ...] | Sample  # what an output says at a tick
 def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
     """Make sure that a block's answer may leave it: right length, plain floats, all finite and within `Port.limits`.
 
-    `found` (mapping): what the block gave, port name to values; anything else is refused.
-    `node`: for the error.
-    `t`: time in ns, for the error.
-    Returns (tuple of float, Sample or None): none for the silence of a sporadic port.
-    Raises RunError: names node, port, value and time.
+    Parameters
+    ----------
+    found : mapping
+        What the block gave, port name to values; anything else is refused.
+    node : str
+        For the error.
+    t : int
+        Time in ns, for the error.
+
+    Returns
+    -------
+    tuple of float, Sample or None
+        None for the silence of a sporadic port.
+
+    Raises
+    ------
+    RunError
+        Names node, port, value and time.
     """
     try:
         given: Any = found[port.name]

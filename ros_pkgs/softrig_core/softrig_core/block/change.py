@@ -17,8 +17,12 @@ if TYPE_CHECKING:
 class Change(NamedTuple):
     """New values of parameters.
 
-    `at`: ns; it takes effect at the first tick of its node that is not earlier.
-    `values`: value by dotted name.
+    Parameters
+    ----------
+    at : int
+        ns; it takes effect at the first tick of its node that is not earlier.
+    values : mapping
+        Value by dotted name.
     """
 
     at: int
@@ -34,7 +38,10 @@ def dumps(changes: Iterable[Change]) -> str:
 def loads(text: str) -> list[Change]:
     """Read what `dumps` has written.
 
-    Raises ParameterError: something else.
+    Raises
+    ------
+    ParameterError
+        Something else.
     """
     try:
         return [Change(int(at), dict(values)) for at, values in json.loads(text or "[]")]
@@ -50,7 +57,10 @@ def changeable(model: type[BlockParams]) -> list[str]:
 def revise(params: BlockParams, values: Mapping[str, Any]) -> BlockParams:
     """Give the parameters with other values.
 
-    Raises ParameterError: one of them is unknown, may not change while running, or does not fit; names it.
+    Raises
+    ------
+    ParameterError
+        One of them is unknown, may not change while running, or does not fit; names it.
     """
     known, free = flatten(params), changeable(type(params))
     for name in values:
@@ -69,12 +79,25 @@ def _told(ports: tuple[tuple[Port, ...], tuple[Port, ...]]) -> list[list[Port]]:
 def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, Any], name: str = "") -> BlockParams:
     """Make sure that a block could begin with the changed parameters, and that its rig would still fit together.
 
-    `params`: as they are.
-    `values`: value by dotted name.
-    `name`: of the node.
-    Returns: as they are to be.
-    Raises ParameterError: see `revise`; or the block cannot be set up with them, its ports would be others, or what the
-    nodes of its rig must agree on would differ.
+    Parameters
+    ----------
+    params : BlockParams
+        As they are.
+    values : mapping
+        Value by dotted name.
+    name : str
+        Of the node.
+
+    Returns
+    -------
+    BlockParams
+        As they are to be.
+
+    Raises
+    ------
+    ParameterError
+        See `revise`; or the block cannot be set up with them, its ports would be others, or what the nodes of its rig
+        must agree on would differ.
     """
     revised = revise(params, values)
     block_class(revised, name)

@@ -24,8 +24,10 @@ class Decoder:
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
         """Give (stamp in ns, values); for the stamp of what has none see `cdr.Message.mark`.
 
-        Raises Refused: malformed bytes, missing or unknown channels, wrong length, wrong frame, NaN, infinity, beyond a
-        limit.
+        Raises
+        ------
+        Refused
+            Malformed bytes, missing or unknown channels, wrong length, wrong frame, NaN, infinity, beyond a limit.
         """
         found = self._layout.decode(data)
         if found is None:
@@ -43,7 +45,10 @@ class Decoder:
     def pick(self, layout: Layout) -> Pick | None:
         """Say how the numbers of messages of a layout become those of the port; None when they are the same.
 
-        Raises Refused: such messages do not carry what the port needs.
+        Raises
+        ------
+        Refused
+            Such messages do not carry what the port needs.
         """
         order = self._order(self._parse(layout.encode(0, (0.0,) * layout.size)))
         return None if order == tuple(range(layout.size)) else getter(order)
@@ -134,10 +139,17 @@ def encoder(layout: Layout, said: int = 0) -> Callable[[int, Sequence[float]], b
 def selection(source: Port, sink: Port) -> Pick | None:
     """Say how the values of `source` become those of `sink`; None when they are the same.
 
-    `source`: writes the messages.
-    `sink`: reads them.
-    Raises Refused: the two ports do not fit: another type, frame, channel set, or a field that the source does not
-    fill.
+    Parameters
+    ----------
+    source : Port
+        Writes the messages.
+    sink : Port
+        Reads them.
+
+    Raises
+    ------
+    Refused
+        The two ports do not fit: another type, frame, channel set, or a field that the source does not fill.
     """
     if source.msgtype != sink.msgtype:
         raise Refused(f"type {source.msgtype}, expected {sink.msgtype}")
@@ -162,7 +174,10 @@ def selection(source: Port, sink: Port) -> Pick | None:
 def readable_stamp(data: bytes) -> int | None:
     """Give the stamp (ns) of a message that is refused, where it stands at the begin; None when it cannot be read.
 
-    `data`: little-endian CDR of a message that begins with a stamp or a header.
+    Parameters
+    ----------
+    data : bytes
+        Little-endian CDR of a message that begins with a stamp or a header.
     """
     if len(data) < 12 or data[1] != 1:
         return None

@@ -30,7 +30,10 @@ Moment = Mapping[str, Kept]  # by name of the member
 def keep(steps: Iterable[Step]) -> Moment:
     """Keep the state of a rig's members, all between the same two ticks.
 
-    Raises RunError: what a block is made of cannot be kept; names it and says why.
+    Raises
+    ------
+    RunError
+        What a block is made of cannot be kept; names it and says why.
     """
     return {step.name: _kept(step) for step in steps}
 
@@ -38,7 +41,10 @@ def keep(steps: Iterable[Step]) -> Moment:
 def put_back(steps: Iterable[Step], moment: Moment) -> None:
     """Have members go on from a kept state: those that it was kept of, or those of the same rig wired anew.
 
-    Raises RunError: a block could not go back; names it and says why.
+    Raises
+    ------
+    RunError
+        A block could not go back; names it and says why.
     """
     for step in steps:
         kept = moment[step.name]

@@ -17,8 +17,10 @@ YOUNG = 200_000  # new objects between two searches for reference cycles: what a
 class Runner:
     """The members of a rig that live in this process: all of them, some, or one.
 
-    `steps`: plants first, then the others, each after those that it reads. Their schedules have one clock and end
-    together.
+    Parameters
+    ----------
+    steps : sequence of Step
+        Plants first, then the others, each after those that it reads. Their schedules have one clock and end together.
     """
 
     def __init__(self, steps: Sequence[Step]) -> None:

@@ -24,9 +24,16 @@ if TYPE_CHECKING:
 def rational(seconds: float | str | Fraction) -> Fraction:
     """Give the number of seconds that is meant.
 
-    `seconds`: a float means the simplest fraction within one unit in its last place (0.00034722222222222224 is 1/2880,
-    0.1 * 3 is 3/10); a text is a fraction or a decimal number ("1/2880", "0.001").
-    Raises ValueError: the text is no number.
+    Parameters
+    ----------
+    seconds : float, str or Fraction
+        A float means the simplest fraction within one unit in its last place (0.00034722222222222224 is 1/2880,
+        0.1 * 3 is 3/10); a text is a fraction or a decimal number ("1/2880", "0.001").
+
+    Raises
+    ------
+    ValueError
+        The text is no number.
     """
     if isinstance(seconds, Fraction):
         return seconds

@@ -174,7 +174,10 @@ class Step(Held):
     def set(self, values: Mapping[str, Any]) -> list[str]:
         """Change parameters at the next tick, all or none; names those of which another value waits for it already.
 
-        Raises ParameterError: see `softrig_core.block.change.permit`.
+        Raises
+        ------
+        ParameterError
+            See `softrig_core.block.change.permit`.
         """
         waiting: dict[str, Any] = {}
         for change in self.changes:
@@ -220,8 +223,12 @@ class Step(Held):
     def hands_to(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
         """Have an output fill an input of another step of this process.
 
-        `name`: of its input.
-        `pick`: how the values of the one become those of the other.
+        Parameters
+        ----------
+        name : str
+            Of its input.
+        pick : callable or None
+            How the values of the one become those of the other.
         """
         k = next(i for i, p in enumerate(self.outputs) if p.name == output)
         port = next(p for p in reader.inputs if p.name == name)
@@ -245,7 +252,10 @@ class Step(Held):
     def doubt(self, t: int, port: Port, found: Row) -> None:
         """Take a message that may be bad, as one that comes over a wire: what an input refuses never reaches the block.
 
-        Raises RunError: a plant has no command for its tick.
+        Raises
+        ------
+        RunError
+            A plant has no command for its tick.
         """
         reason = port.beyond(found.data if isinstance(found, Sample) else found)
         if not reason:

@@ -95,8 +95,12 @@ class Claim(BaseModel):
     def agrees(self, value: float, others: Mapping[str, float] | None = None) -> bool:
         """Whether the measurement agrees with the statement.
 
-        `value`: of the claim's figure; infinity for what never happens, NaN for what could not be measured.
-        `others`: the values behind `compared`.
+        Parameters
+        ----------
+        value : float
+            Of the claim's figure; infinity for what never happens, NaN for what could not be measured.
+        others : mapping, optional
+            The values behind `compared`.
         """
         if math.isnan(value):
             return False
@@ -122,7 +126,10 @@ class Claim(BaseModel):
     def asks(self, others: Mapping[str, float | None]) -> str:
         """Write what agrees with it: ``0.607 ± 0.03 (5 %)``, ``below 0.02``, ``above a.rise_time = 0.69 here``.
 
-        `others`: the values behind `compared`; None for one that is not known.
+        Parameters
+        ----------
+        others : mapping
+            The values behind `compared`; None for one that is not known.
         """
 
         def near(wanted: float) -> str:

@@ -19,8 +19,12 @@ FORMS = "expected a number, 'X +- T', 'X +- P %', 'at most X', 'at least X' or '
 class Expectation(BaseModel):
     """Limits of a figure; those that are None judge nothing.
 
-    `expected`, `tolerance`: two-sided: |value - expected| <= tolerance.
-    `at_most`, `at_least`: bounds.
+    Parameters
+    ----------
+    expected, tolerance : float, optional
+        Two-sided: |value - expected| <= tolerance.
+    at_most, at_least : float, optional
+        Bounds.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -56,7 +60,10 @@ def parse(given: Any) -> Any:
 
     ``0.694 +- 0.0069``, ``0.694 +- 1 %``, ``44`` (exactly), ``at most 0.02``, ``at least 3``, ``between 80 and 81.1``.
 
-    Raises ValueError: another form, a tolerance above a quarter of the value, an empty range.
+    Raises
+    ------
+    ValueError
+        Another form, a tolerance above a quarter of the value, an empty range.
     """
     if isinstance(given, Expectation | dict):
         return given

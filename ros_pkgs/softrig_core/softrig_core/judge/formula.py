@@ -47,11 +47,24 @@ class Condition:
 def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str, Condition]]:
     """Read a formula.
 
-    `given`: such as ``always (fault -> eventually[0, 0.05] abs(current) < 0.1)``, times in s.
-    `known`: what its names stand for: a number, or None for a signal.
-    Gives `tree` (plain data): with intervals in ns, numbers filled in.
-    Gives `conditions`: by variable.
-    Raises ScenarioError: it does not parse, or a name is unknown: with the nearest one.
+    Parameters
+    ----------
+    given : str
+        Such as ``always (fault -> eventually[0, 0.05] abs(current) < 0.1)``, times in s.
+    known : mapping
+        What its names stand for: a number, or None for a signal.
+
+    Returns
+    -------
+    tree : plain data
+        With intervals in ns, numbers filled in.
+    conditions : dict
+        By variable.
+
+    Raises
+    ------
+    ScenarioError
+        It does not parse, or a name is unknown: with the nearest one.
     """
     tree, conditions = _read(given, tuple(known.items()))
     return tree, dict(conditions)
@@ -224,11 +237,18 @@ def variables(tree: Tree) -> list[str]:
 def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]) -> tuple[Tree, str]:
     """Find the unit that a formula's margin has, and divide comparisons by their scale.
 
-    `tree` (plain data).
-    `units`: unit of each variable that is no condition.
-    `scale`: by unit, what counts as one; empty: margins stay in their unit, which must then be one.
-    Raises ScenarioError: sides of a comparison, or terms of a sum, of other units; comparisons of several units without
-    a scale.
+    Parameters
+    ----------
+    tree : plain data
+    units : mapping
+        Unit of each variable that is no condition.
+    scale : mapping
+        By unit, what counts as one; empty: margins stay in their unit, which must then be one.
+
+    Raises
+    ------
+    ScenarioError
+        Sides of a comparison, or terms of a sum, of other units; comparisons of several units without a scale.
     """
     found: set[str] = set()
 

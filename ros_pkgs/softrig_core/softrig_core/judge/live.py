@@ -40,7 +40,9 @@ class Live:
     Of an operator at the first instant it keeps what is decided and the instants that are still open, an `Opened`, so a
     tick costs what its windows are long; below it an operator without end leaves every instant open, and all are kept.
 
-    `tree` (plain data).
+    Parameters
+    ----------
+    tree : plain data
     """
 
     def __init__(self, tree: Tree) -> None:
@@ -59,8 +61,12 @@ class Live:
     ) -> tuple[Opened, ...]:  # fmt: skip
         """Take an instant in.
 
-        `t`: whole ns, ascending from 0.
-        `samples`, `truths`, `late`: see `softrig_core.judge.robustness.Record`.
+        Parameters
+        ----------
+        t : float
+            Whole ns, ascending from 0.
+        samples, truths, late : mapping
+            See `softrig_core.judge.robustness.Record`.
         """
         return tuple(part.push(one, t, samples, truths, late) for part, one in zip(self._parts, x, strict=True))
 

@@ -26,7 +26,10 @@ def registered() -> list[str]:
 def find(name: str) -> Function:
     """Give a figure function by its registered name; nothing else is ever called.
 
-    Raises ScenarioError: not registered, or its module cannot be imported.
+    Raises
+    ------
+    ScenarioError
+        Not registered, or its module cannot be imported.
     """
     if name in measures.__all__:
         return getattr(measures, name)

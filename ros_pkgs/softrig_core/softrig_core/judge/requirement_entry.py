@@ -46,7 +46,10 @@ Required = Annotated[
 def check_lengths(duration: float, shared: Mapping[str, Any], requirements: Mapping[str, Requirement]) -> None:
     """Refuse requirements that no run of a scenario's length can be judged by.
 
-    Raises ScenarioError: names the requirement, its last window and the duration.
+    Raises
+    ------
+    ScenarioError
+        Names the requirement, its last window and the duration.
     """
     for name, requirement in requirements.items():
         try:

@@ -77,9 +77,13 @@ def _joined(kind: str, a: Array, b: Array) -> Array:
 def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick, none: float) -> Array:
     """Give the least or greatest of ``values[..., first..last]`` for each pair of them, `none` where that is empty.
 
-    `values` (array, shape (2, 2, n)).
-    `first`, `last` (array of int, shape (m,)): between 0 and n - 1 where first <= last.
-    `pick` (ufunc): ``np.minimum`` or ``np.maximum``.
+    Parameters
+    ----------
+    values : array, shape (2, 2, n)
+    first, last : array of int, shape (m,)
+        Between 0 and n - 1 where first <= last.
+    pick : ufunc
+        ``np.minimum`` or ``np.maximum``.
     """
     if len(first) == 1:
         return pick.reduce(values[..., first[0] : last[0] + 1], axis=-1, keepdims=True, initial=none)
@@ -127,7 +131,10 @@ class Record:
     def margin(self, tree: Tree) -> Margin:
         """Measure a formula at the first instant.
 
-        Raises NotJudged: it may hold or not: says what is undefined, or where the record ends.
+        Raises
+        ------
+        NotJudged
+            It may hold or not: says what is undefined, or where the record ends.
         """
         found = self._at(tree, 0)
         least, greatest = float(found[0, 0]), float(found[1, 1])
@@ -147,8 +154,10 @@ class Record:
     def bounds(self, tree: Tree) -> Array:
         """Give a formula's robustness at each instant.
 
-        Returns (array, shape (2, 2, n)): by least and greatest over what may come after the record, and over what is
-        undefined.
+        Returns
+        -------
+        array, shape (2, 2, n)
+            By least and greatest over what may come after the record, and over what is undefined.
         """
         if id(tree) not in self._found:
             ((kind, body),) = tree.items()
@@ -322,7 +331,10 @@ class Record:
 def truth(condition: Condition, now: Array | float, before: Array | float) -> Array:
     """Say whether a condition holds: infinity or less infinity, it decides but is no distance; NaN where undefined.
 
-    `now`, `before`: its signal at each instant, and at the one before.
+    Parameters
+    ----------
+    now, before : array or float
+        Its signal at each instant, and at the one before.
     """
     edge = EDGES.get(condition.edge)
     lost = np.isnan(now) | (np.isnan(before) if edge else False)

@@ -21,8 +21,12 @@ def powers(unit: str) -> dict[str, int]:
 def compose(template: str, signal: str) -> str:
     """Put a signal's unit in the place of ``{signal}``: ``{signal}/s`` of ``V`` is ``V/s``.
 
-    `template`: unit of a figure, such as ``{signal}^2 s``.
-    `signal`: unit of the signal.
+    Parameters
+    ----------
+    template : str
+        Unit of a figure, such as ``{signal}^2 s``.
+    signal : str
+        Unit of the signal.
     """
     if "{signal}" not in template:
         return template
@@ -83,7 +87,10 @@ def _base(name: str) -> tuple[float, str]:
 def misfit(given: str, wanted: str) -> str:
     """Say why values in one unit cannot be read as values in another; empty when they can.
 
-    `given`, `wanted`: units; one that is not stated (empty) fits any, ``1`` is a pure number.
+    Parameters
+    ----------
+    given, wanted : str
+        Units; one that is not stated (empty) fits any, ``1`` is a pure number.
     """
     if not given or not wanted or powers(given) == powers(wanted):
         return ""
@@ -100,7 +107,10 @@ def misfit(given: str, wanted: str) -> str:
 def factor(given: str, wanted: str) -> float | None:
     """Number that turns values of one unit into another; None when they do not measure the same.
 
-    `given`, `wanted`: units such as ``rad/s``.
+    Parameters
+    ----------
+    given, wanted : str
+        Units such as ``rad/s``.
     """
     a, b = powers(given), powers(wanted)
     if a == b:

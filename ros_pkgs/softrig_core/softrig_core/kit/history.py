@@ -108,6 +108,10 @@ class History:
             raise ValueError(f"delay = {delay} s: expected 0 to {line.longest} s")
         return self.aged(delay / line.step)
 
+    def back(self, k: int) -> Row:
+        """Give the k-th sample before the newest; the longest delay reaches that far."""
+        return self._line.rows[self._count - 1 - k]
+
     def aged(self, age: float) -> Row:
         """Read all channels at an age in samples: 0 is the newest, 1 the one before; beyond the oldest, that one."""
         line = self._line
@@ -197,6 +201,11 @@ class HistoryRing(NamedTuple):
         if not 0.0 <= delay <= self.longest * (1.0 + 1e-9):
             raise ValueError(f"delay = {delay} s: expected 0 to {self.longest} s")
         return self.aged(delay / self.step)
+
+    def back(self, k: int) -> Row:
+        """See `History.back`."""
+        place, width = (self.written - 1 - k) % (2 * self.size), len(self.newest)
+        return tuple([self.ring[place * width + j] for j, _ in enumerate(self.newest)])
 
     def aged(self, age: float) -> Row:
         """See `History.aged`."""

@@ -16,6 +16,7 @@ from ..block.block import Block
 from ..kit.compiled import Compiled
 from ..kit.draws import Draws
 from ..kit.jit import Jit, power
+from ..kit.newest import Newest
 from .expressions import Expressions
 from .translate import (
     GIVEN_UP,
@@ -31,6 +32,7 @@ from .value import (
     UNKNOWN,
     Dynamic,
     Group,
+    Path,
     Record,
     Static,
     Value,
@@ -66,11 +68,12 @@ class Calls(Expressions):
                 if any(r is None for r in rows):
                     return None
                 return [Group(tuple(parts)) for parts in zip(*(r for r in rows if r is not None), strict=False)]
-            if name in ("enumerate", "reversed") and len(node.args) == 1:
+            if name in ("enumerate", "reversed"):
                 found = self.listed(node.args[0])
                 if found is None or name == "reversed":
                     return found and found[::-1]
-                return [Group((Static(k), v)) for k, v in enumerate(found)]
+                begin: Any = self.program.guard(self.value(node.args[1])) if len(node.args) > 1 else 0  # type: ignore[arg-type]
+                return [Group((Static(k), v)) for k, v in enumerate(found, begin)]
             if name == "map" and len(node.args) == 2:
                 found = self.listed(node.args[1])
                 function = self.value(node.args[0])
@@ -143,7 +146,11 @@ class Calls(Expressions):
             if isinstance(base.value, Block) and node.func.attr == "age" and base.value.ages is not None:
                 wanted = self.value(node.args[0])
                 name = self.program.guard(wanted) if isinstance(wanted, Static) else None
-                return Static(self.program.age(base.value, name))
+                age = self.program.age(base.value, name)
+                if isinstance(age, str):
+                    self.arrays.add("when")
+                    return Dynamic(age, 0)
+                return Static(age)
             function: Value = self.attribute(base, node.func.attr, node)
         else:
             function = self.value(node.func)
@@ -244,6 +251,8 @@ class Calls(Expressions):
             return self._written("power", power, given)
         if isinstance(called, Draws):
             return self._drawn(function, given[0])
+        if isinstance(called, Newest) and function.path is not None:
+            return self._newest(called, function.path, given[0])
         if isinstance(called, Compiled):
             return self._compiled(function, given, node)
         if isinstance(called, partial):
@@ -322,6 +331,14 @@ class Calls(Expressions):
         self.program.words.add("drawn_")
         self.arrays.add(name)
         return Dynamic(f"drawn_({name}, n, {self.dynamic(k).code})", 0.5)
+
+    def _newest(self, called: Newest[Any, Any], path: Path, key: Value) -> Static:
+        """Take the newest answer, as long as nothing else is asked."""
+        self.program.newest.add(path)
+        known = self.dynamic(Static(called.key, (*path, ("attr", "key"))))
+        self.emit(f"if {self.dynamic(key).code} != {known.code}:")
+        self.emit(f"    {GIVEN_UP}")
+        return Static(called.answer, (*path, ("attr", "answer")))
 
     def _compiled(self, function: Static, given: Sequence[Value], node: ast.AST) -> Dynamic:
         called = function.value

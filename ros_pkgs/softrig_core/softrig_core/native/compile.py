@@ -13,6 +13,7 @@ import numpy as np
 from ..kit.compiled import Compiled
 from ..kit.jit import Jit, our_numba, tokens_of
 from .rig_text import RigText
+from .twins import form
 
 # what every text may name
 BASE: dict[str, Any] = {
@@ -84,13 +85,6 @@ def same(before: Any, after: Any) -> Any:
     if form(before) != form(after):
         raise TypeError("a state that changes its type")
     return after
-
-
-def form(value: Any) -> Any:
-    """Give the types of a state, to its leaves."""
-    if isinstance(value, tuple):
-        return type(value), tuple(map(form, value))
-    return type(value)
 
 
 @lru_cache(maxsize=1)

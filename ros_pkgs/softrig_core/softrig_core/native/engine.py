@@ -19,15 +19,17 @@ from ..block.port import Sample
 from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
-from .compile import compiled, form, plain
-from .rig_text import Place, RigText, rig_text, taken
+from .compile import compiled, plain
+from .rig_text import WHEN, Place, RigText, links, rig_text, speakers, taken
 from .translate import follow
-from .twins import packed, unpacked
+from .twins import form, packed, unpacked
 from .value import NotNative
 
 SHORTEST, LONGEST = 1 << 10, 1 << 20  # ticks that are answered in one go
 GO = 0.05  # s: so long a go may last; who wants to stop a run waits for it
+NEVER = -1  # of a time, ns
 SELDOM = 16  # at least so many ticks are native for each that is given up, or the rest stays in Python
+RARE = 8  # ticks of the others for each of a member that Python answers
 PATIENCE = 64  # given up before that is judged
 WORTH = 4_000_000  # answers of members, which take Python some 2 us each: longer than native code is made
 QUICK = 2_000  # the same where it is there already
@@ -67,6 +69,7 @@ class _Kept:
 
 
 _texts: list[_Kept] = []
+_refused: dict[Any, str] = {}  # kinds that only go without those of their members that are seldom due, and why
 _counts: dict[Any, tuple[int, int]] = {}  # of each kind: rigs that asked for another text, texts
 
 
@@ -92,11 +95,14 @@ class Engine:
         watchers = [s for s in self.steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
         self._watchers = watchers
         self._tick_by_tick = {w.name for w in watchers if type(w.block).at_once is Observer.at_once}  # type: ignore[attr-defined]
-        self._core = [s for s in self.steps if s not in watchers]
         stride = math.gcd(*(s.schedule.every for s in self.steps))
         self._every = {id(s): s.schedule.every // stride for s in self.steps}
+        self._aside: dict[str, str] = {}  # members that are seldom due, so that Python may run their ticks, and why
+        self._share()
         self._time = self.runner.schedule.time
         self._kept: _Kept | None = None
+        self._newest: list[Any] = []  # what is made anew at times, and for which keys the constants are
+        self._keys: list[Any] = []
         self._fits: list[Any] = []
 
     def run(self) -> Iterator[int]:
@@ -118,7 +124,8 @@ class Engine:
             given_up = self.native.given_up
             reason = self.native.reason or (f"{given_up} of its ticks were given up" if given_up else "")
             for s in self.steps if self._typed else ():
-                s.native = s.native[0], "it watches what is recorded" if s in self._watchers else reason
+                why = "it watches what is recorded" if s in self._watchers else self._aside.get(s.name, reason)
+                s.native = s.native[0], why
 
     def _run(self) -> Iterator[int]:
         assert self.runner.ticks is not None
@@ -132,7 +139,7 @@ class Engine:
             if k and not fits and (k > LATEST or failures > TRIES):
                 break
             go = self._kept.go if self._kept else SHORTEST
-            until = min(last, k + go, self._next_change(k)) if fits else 0
+            until = min(last, k + go, self._next_stop(k)) if fits else 0
             if until > k:
                 started = time.perf_counter()
                 try:
@@ -150,7 +157,7 @@ class Engine:
                 self.native.ticks += reached - k
                 k = reached
                 yield self._time(k - 1) if k else 0
-                if k == until and k < last and k < self._next_change(k):
+                if k == until and k < last and k < self._next_stop(k):
                     continue
                 if k < until:
                     self.native.given_up += 1
@@ -160,7 +167,7 @@ class Engine:
             fresh = fresh or (bool(k) and self._next_change(k) <= k)
             yield self._python(k)
             k += 1
-            fresh = fresh or self._forms() != self._fits
+            fresh = fresh or self._forms() != self._fits or [one.key for one in self._newest] != self._keys
         if k <= last:
             for t in self.runner.run(k):
                 yield t or 0
@@ -179,6 +186,16 @@ class Engine:
         first = self.runner.schedule.tick(int(at))
         return max(k, first if self._time(first) >= at else first + 1)
 
+    def _next_stop(self, k: int) -> int:
+        """Give the first tick, from k on, that is one of Python's."""
+        due = [-(-k // self._every[id(s)]) * self._every[id(s)] for s in self.steps if s.name in self._aside]
+        return min(self._next_change(k), *due) if due else self._next_change(k)
+
+    def _share(self) -> None:
+        """Say which members are to be native."""
+        self._core = [s for s in self.steps if s not in self._watchers and s.name not in self._aside]
+        self._links, self._speakers = links(self._core), speakers(self._core)
+
     # the text -----------------------------------------------------------------------------------------------------
 
     def _fitted(self) -> bool:
@@ -187,14 +204,12 @@ class Engine:
         self._fits = self._forms()
         roots = [s.block for s in core]
         recorded = [s for s in core if s.outputs and (s.send is not None or s.send_all is not None or self._watched(s))]
-        odd = next((s for s in core if any(p.sporadic for p in s.outputs) or s.doubters or s.lacks is not None), None)
-        if odd is not None:
-            self.native.reason = f"{odd.name}: its messages do not come at each tick, or are spoilt"
-            return False
-        kinds = (*((type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks, *form)
-                   for s, form in zip(core, self._fits, strict=True)),
-                 tuple(s.name for s in recorded), self._make)  # fmt: skip
+        kinds = (*((type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks, *kind)
+                   for s, kind in zip(core, self._fits, strict=False)),
+                 *self._fits[len(core) :], tuple(s.name for s in recorded), self._make)  # fmt: skip
         try:
+            if kinds in _refused:
+                raise NotNative(_refused[kinds])
             kept = next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
             if kept is None:
                 if not _worth_another(kinds):
@@ -212,16 +227,25 @@ class Engine:
             self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
             tables |= {name: self._drawn(draws, self._guess()) for name, draws in self._sources.items()}
         except NotNative as reason:
+            often = RARE * min(self._every[id(s)] for s in core)
+            self._aside |= {s.name: str(reason) for s in core if self._every[id(s)] >= often}
+            if any(s.name in self._aside for s in core):
+                _refused[kinds] = str(reason)
+                self._share()
+                return self._fitted()
             self.native.reason = str(reason)
             return False
         self._tables = tables
+        self._newest = [follow(path, roots) for path in program.newest]
+        self._keys = [one.key for one in self._newest]
         self._recorded = recorded
         self.native.members, self.native.reason = tuple(s.name for s in core), ""
         return True
 
     def _forms(self) -> list[Any]:
         """Give the types of what each member remembers and holds: a text is for these."""
-        return [(tuple(map(form, s.values.values())), form(s.x)) for s in self._core]
+        forms = [(tuple(map(form, s.values.values())), form(s.x)) for s in self._core]
+        return [*forms, tuple(link.form for link in self._links)]
 
     def _drawn(self, draws: Any, count: int) -> Any:
         found = draws.first(count)
@@ -240,13 +264,17 @@ class Engine:
         reached, after, rows = self._called(first, last)
         if after is None:
             return first
-        begun = [w.save() for w in self._watchers]
+        begun = [(w.save(), dict(w.values)) for w in self._watchers]
+        spoken = [s.spoken for s in self._core]
         try:
             self._watch(first, reached, rows)
         except RunError:  # of one who watches: all again up to that tick, which Python answers
             reached = self.runner.schedule.tick(max(w.t for w in self._watchers if w.name in self._tick_by_tick))
-            for watcher, saved in zip(self._watchers, begun, strict=True):
+            for watcher, (saved, values) in zip(self._watchers, begun, strict=True):
                 watcher.load(saved)
+                watcher.values.update(values)
+            for s, before in zip(self._core, spoken, strict=True):
+                s.spoken = before
             if reached > first:
                 _, after, rows = self._called(first, reached)
                 self._watch(first, reached, rows)
@@ -259,9 +287,13 @@ class Engine:
         assert kept is not None
         while True:
             before = (*(packed(s.x, self._typed) for s in self._core), *(_numbers(s) for s in self._core),
-                      *(_stamps(self._core[k]) for k in kept.text.stamped))  # fmt: skip
+                      *(_stamps(self._core[k]) for k in kept.text.stamped),
+                      *(packed(link.value) for link in self._links))  # fmt: skip
             n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
-            rows, named = {}, dict(self._tables)
+            spoken = [self._core[k].spoken[j] for k, j in self._speakers]
+            times = [0, *(link.stamp for link in self._links), *(NEVER if t is None else t for t in spoken)]
+            self._when = np.array(times, np.int64) if self._typed else times
+            rows, named = {}, self._tables | {WHEN: self._when}
             for s in self._recorded:
                 k, count = self._core.index(s), len(self._own(s, first, last))
                 rows[id(s)] = Answers([], [])
@@ -298,28 +330,27 @@ class Engine:
         """Make what native code has found that of the steps."""
         assert self._kept is not None
         count = len(self._core)
-        stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=True))
+        stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=False))
+        spoken = dict(zip(self._speakers, map(int, self._when[1 + len(self._links) :]), strict=True))
         for k, s in enumerate(self._core):
             own = self._own(s, first, last)
             if not own:
                 continue
-            s.x, numbers = unpacked(after[k]), after[count + k]
-            s.t = s.schedule.time(own[-1])
+            s.x = unpacked(after[k])
+            newest = {j: t for (speaker, j), t in spoken.items() if speaker == k}
+            answered(s, own[-1], after[count + k], stamps.get(k, ()), newest)
             if self._typed:
                 s.native = s.native[0] + len(own), ""
-            said = _parted(s, numbers, stamps.get(k, ()))
-            if s.outputs:
-                s.said, s.numbers = said, numbers if s.plain else ()
-                s.spoken = s.spoken if s.plain else [s.t] * len(s.outputs)
-            for j, values, name, take in s.readers:
-                row = said[s.outputs[j].name]
-                values[name] = row if take is None else take(row)
+            for link, value in zip(self._links, after[len(after) - len(self._links) :], strict=True):
+                if link.source == k and newest.get(link.j, s.t) >= self._time(first):
+                    link.values[link.name] = unpacked(value)
             if s.send_all is not None:
                 times = s.schedule.times(own.start, own.stop)
                 s.send_all(times, np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0)))
             elif s.send is not None and s.outputs:
                 for number, row, z in zip(own, *rows[id(s)].listed(), strict=True):
-                    s.send(s.schedule.time(number), tuple(_parted(s, tuple(row), z).values()))
+                    said = _parted(s, tuple(row), z)
+                    s.send(s.schedule.time(number), tuple([said.get(p.name) for p in s.outputs]))
 
     def _watch(self, first: int, last: int, rows: dict[int, Answers]) -> None:
         """Let those who only watch see what was said, tick after tick."""
@@ -336,9 +367,13 @@ class Engine:
             for s, every, begin, (numbers, stamps), readers in told:
                 if (at := k // every - begin) >= 0:
                     s.t = s.schedule.time(k // every)
+                    if not s.plain:
+                        spoke = _parted(s, numbers[at], stamps[at])
+                        s.spoken = [s.t if p.name in spoke else t for p, t in zip(s.outputs, s.spoken, strict=True)]
                     for values, name, take, where in readers:
                         part = _part(numbers[at], stamps[at], where)
-                        values[name] = part if take is None else take(part)
+                        if part is not None:
+                            values[name] = part if take is None else take(part)
             for w, every in watchers:
                 if k % every == 0:
                     w.say(t)
@@ -358,13 +393,15 @@ class Engine:
                 return False
             step = max(1, every // self._every[id(s)])  # of its messages, one is seen
             seen = slice(-own.start % step, None, step)
-            for _, name, take, (low, high, stamp) in readings:
+            for _, name, take, (low, high, stamp, flag) in readings:
                 row, stamped = taken(high - low, stamp is not None, take)
-                if stamped:
+                if stamped or (flag is not None and step > 1):
                     self._tick_by_tick.add(watcher.name)
                     return False
                 stamps = s.schedule.times(own.start, own.stop)[seen]
                 table = np.reshape(said[id(s)].numbers, (len(own), len(_numbers(s))))[seen]
+                if flag is not None:
+                    stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
                 values = [table[:, low + p] if type(p) is Place else np.full(len(table), float(p)) for p in row]
                 messages[name] = Heard(stamps, np.array(values).T)
         t = watcher.schedule.time(ticks[-1])
@@ -376,32 +413,73 @@ class Engine:
         return True
 
 
-Where = tuple[int, int, int | None]  # numbers of an output: from, to; which stamp, of a delayed one
+Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, to; its stamp and flag, where it has them
+
+
+def _places(step: Step) -> list[Where]:
+    """Give where each output of a step stands in all that it says at a tick (`_part`)."""
+    at = [0, *accumulate(p.size for p in step.outputs)]
+    stamp = [0, *accumulate(p.delayed for p in step.outputs)]
+    flag = [*accumulate((p.sporadic for p in step.outputs), initial=at[-1])]
+    return [(at[j], at[j + 1], stamp[j] if p.delayed else None, flag[j] if p.sporadic else None)
+            for j, p in enumerate(step.outputs)]  # fmt: skip
 
 
 def _readings(source: Step, reader: Step) -> list[tuple[dict[str, Any], str, Any, Where]]:
     """Give what of a step's answers another one reads: where to, by which name, how, and which part (`_part`)."""
-    at = [0, *accumulate(p.size for p in source.outputs)]
-    stamp = [0, *accumulate(p.delayed for p in source.outputs)]
-    return [(values, name, take, (at[j], at[j + 1], stamp[j] if source.outputs[j].delayed else None))
-            for j, values, name, take in source.readers if values is reader.values]  # fmt: skip
+    places = _places(source)
+    ends = [*source.readers, *((j, other.values, port.name, take) for j, other, port, take in source.doubters)]
+    return [(values, name, take, places[j]) for j, values, name, take in ends if values is reader.values]
 
 
-def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row:
-    """Give what one output says, of all that a step says at a tick."""
-    low, high, stamp = where
+def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row | None:
+    """Give what one output says, of all that a step says at a tick; None: nothing."""
+    low, high, stamp, flag = where
+    if flag is not None and not numbers[flag]:
+        return None
     row = tuple(numbers[low:high])
     return row if stamp is None else Sample(stamps[stamp], row)
 
 
+def answered(
+    step: Step,
+    number: int,
+    numbers: tuple[float, ...],
+    stamps: Sequence[int] = (),
+    spoken: Mapping[int, int] | None = None,
+) -> None:
+    """Make what native code has found that a step says at a tick, of its own numbers, what it and its readers hold.
+
+    Parameters
+    ----------
+    step : Step
+        Whose tick it was.
+    number : int
+        Which of its own ticks.
+    numbers : tuple of float
+        All that it says, one output after another.
+    stamps : sequence of int
+        Of its delayed outputs, ns.
+    spoken : mapping of int to int
+        When each output that is silent at times spoke last, ns, by its place; `NEVER`.
+    """
+    step.t = step.schedule.time(number)
+    said = _parted(step, numbers, stamps)
+    if step.outputs:
+        step.said, step.numbers = said, numbers if step.plain else ()
+    if not step.plain:
+        newest = [(spoken or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
+        step.spoken = [None if t == NEVER else t for t in newest]
+    for j, values, name, take in step.readers:
+        if not step.outputs[j].sporadic:
+            row = said[step.outputs[j].name]
+            values[name] = row if take is None else take(row)
+
+
 def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
-    """Give what each output says."""
-    found: dict[str, Row] = {}
-    low = stamp = 0
-    for p in step.outputs:
-        found[p.name] = _part(numbers, stamps, (low, low + p.size, stamp if p.delayed else None))
-        low, stamp = low + p.size, stamp + p.delayed
-    return found
+    """Give what each output says that says something."""
+    parts = zip(step.outputs, _places(step), strict=True)
+    return {p.name: row for p, where in parts if (row := _part(numbers, stamps, where)) is not None}
 
 
 class Answers(NamedTuple):
@@ -418,15 +496,18 @@ class Answers(NamedTuple):
 
 
 def _numbers(step: Step) -> tuple[float, ...]:
-    """Give all that the newest answer of a step says."""
+    """Give all that the newest answer of a step says, zeros where it is silent; flags of those that may be after it."""
     if step.plain:
         return tuple(map(float, step.numbers))
-    rows = [step.said[p.name] for p in step.outputs]
-    return tuple(float(v) for row in rows for v in (row.data if isinstance(row, Sample) else row))
+    rows: list[Any] = [step.said.get(p.name) for p in step.outputs]
+    found = [(0.0,) * p.size if row is None else row.data if isinstance(row, Sample) else row
+             for p, row in zip(step.outputs, rows, strict=True)]  # fmt: skip
+    flags = [float(row is not None) for p, row in zip(step.outputs, rows, strict=True) if p.sporadic]
+    return (*(float(v) for row in found for v in row), *flags)
 
 
 def _stamps(step: Step) -> tuple[int, ...]:
-    return tuple(step.said[p.name].stamp for p in step.outputs if p.delayed)
+    return tuple(getattr(step.said.get(p.name), "stamp", 0) for p in step.outputs if p.delayed)
 
 
 NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, TypeError)  # what gives a tick up
@@ -452,6 +533,13 @@ def _answers(steps: Sequence[Step]) -> int:
     return answers
 
 
+def forbidden() -> str:
+    """Say why there can be no native code; empty where there can."""
+    if os.environ.get("SOFTRIG_JIT", "1") == "0":
+        return "SOFTRIG_JIT=0"
+    return "" if importlib.util.find_spec("numba") else "numba is not installed"
+
+
 def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
     """Say why native code is not worth its making, which takes seconds, once; empty where it is.
 
@@ -461,12 +549,10 @@ def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
     runs : int
         So many such runs are to come.
     """
-    if os.environ.get("SOFTRIG_JIT", "1") == "0":
-        return "SOFTRIG_JIT=0"
-    if importlib.util.find_spec("numba") is None:
-        return "numba is not installed"
+    if reason := forbidden():
+        return reason
     ticks = _answers(steps)
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
-    known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts if kept.kinds[-1] is compiled)
+    known = any(kinds == tuple(k[0] for k in kept.kinds[:-3]) for kept in _texts if kept.kinds[-1] is compiled)
     least = QUICK if known else max(QUICK, WORTH // max(1, runs))
     return "" if ticks > least else f"{ticks:,} answers a run, native code is worth its making from {least:,} on"

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..block.port import Sample
+from ..block.port import Port, Sample
 from ..block.step import Step
 from .translate import GIVEN_UP, LONGEST, Program, made
-from .twins import packed
+from .twins import form, packed
 from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
 from .ways import alike
 from .words import TEXTS
@@ -19,6 +19,9 @@ from .writer import Writer
 
 EDGE = 1.0 - 1e-9  # what is nearer to the bound of a port is left to the check of Python
 LARGEST = 1 << 62
+WHEN = (
+    "when"  # table of times, ns: of the tick, of what each link keeps, and at which each that may be silent spoke last
+)
 WORD = re.compile(r"\b\w+(?=\()")
 
 
@@ -42,6 +45,74 @@ class RigText:
     stamped: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class Link:
+    """What brings no message of its tick at each tick of the native members: whoever reads it keeps the newest.
+
+    Attributes
+    ----------
+    source, j : int or None
+        Number of the native member that speaks, and of its output; None: Python runs it, between native ticks.
+    values, name : dict, str
+        Where the reader has it.
+    take : callable or None
+        How what is said becomes what is read.
+    told : callable
+        Gives when something came last, ns; None: never.
+    doubts : Port or None
+        The reader's end, where that refuses what the port at this one lets pass.
+    """
+
+    source: int | None
+    j: int
+    values: dict[str, Any]
+    name: str
+    take: Any
+    told: Callable[[], int | None]
+    doubts: Port | None = None
+
+    @property
+    def value(self) -> Any:
+        """What the reader has."""
+        return self.values[self.name]
+
+    @property
+    def stamp(self) -> int:
+        """Of what the reader has, ns: its age counts from there."""
+        return self.value.stamp if isinstance(self.value, Sample) else self.told() or 0
+
+    @property
+    def form(self) -> Any:
+        """What a text is for: whether something has come, and of which types."""
+        return form(self.value), self.told() is None
+
+
+def links(steps: Sequence[Step]) -> list[Link]:
+    """Give those between native members that are silent at times, or late, or doubted, and those from other members."""
+    found: list[Link] = []
+    for k, s in enumerate(steps):
+        ends = [
+            (j, values, name, take, None)
+            for j, values, name, take in s.readers
+            if s.outputs[j].sporadic or s.outputs[j].delayed
+        ]
+        ends += [(j, other.values, port.name, take, port) for j, other, port, take in s.doubters]  # type: ignore[misc]
+        found += [Link(k, j, values, name, take, _told(s, j), port) for j, values, name, take, port in ends]
+    for s in steps:
+        found += [Link(None, j, s.values, name, take, s.stamps[name]) for source in s.sources if source not in steps
+                  for j, values, name, take in source.readers if values is s.values]  # fmt: skip
+    return found
+
+
+def _told(step: Step, j: int) -> Callable[[], int | None]:
+    return (lambda: step.t) if step.plain else lambda: step.spoken[j]
+
+
+def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
+    """Give the numbers of the outputs that are silent at times: of the member, and of its output."""
+    return [(k, j) for k, s in enumerate(steps) for j, p in enumerate(s.outputs) if p.sporadic]
+
+
 def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True) -> RigText:
     """Make the text of the members that are native.
 
@@ -60,21 +131,29 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         What of them native code does not know.
     """
     numbers = {id(s): k for k, s in enumerate(steps)}
-    program = Program([s.block for s in steps], Writer, _ages(steps), typed)
+    kept, spoken = links(steps), speakers(steps)
+    silent = [(k, steps[k].outputs[j]) for k, j in spoken]
+    program = Program([s.block for s in steps], Writer, _ages(steps, kept), silent, typed)
     stride = math.gcd(*(s.schedule.every for s in steps))
     arrays: set[str] = set()
     time = steps[0].schedule
     ns = (time.clock * stride * 10**9).as_integer_ratio()
-    inputs = [_inputs(s, steps, numbers, program, stride, ns) for s in steps]
+    inputs = [_inputs(s, numbers, kept, program, stride, ns) for s in steps]
+
+    def answered(k: int, value: Value, state: str | None) -> list[str]:
+        step = steps[k]
+        lines = _answered(program, step, k, value, state, recorded, stride, typed)
+        return _due(step, stride, lines + _handed_on(program, k, step, kept, spoken))
+
     plants = [k for k, s in enumerate(steps) if s.plant]
     others = [k for k, s in enumerate(steps) if not s.plant]
     body: list[str] = []
     for k in plants:
         value = _asked(program, steps[k], k, "outputs", {}, arrays)
-        body += _due(steps[k], stride, _answered(program, steps[k], k, value, None, recorded, stride, typed))
+        body += answered(k, value, None)
     for k in others:
         value = _asked(program, steps[k], k, "update", inputs[k], arrays)
-        body += _due(steps[k], stride, _answered(program, steps[k], k, value, f"x{k}", recorded, stride, typed))
+        body += answered(k, value, f"x{k}")
     for k in plants:
         value = _asked(program, steps[k], k, "advance", inputs[k], arrays)
         if not isinstance(value, Dynamic):
@@ -82,8 +161,9 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         body += _due(steps[k], stride, [_kept(f"x{k}", value, steps[k], typed)])
     stamped = tuple(k for k, s in enumerate(steps) if any(p.delayed for p in s.outputs))
     state = ", ".join([*(f"x{k}" for k, _ in enumerate(steps)), *(f"r{k}" for k, _ in enumerate(steps)),
-                       *(f"z{k}" for k in stamped)])  # fmt: skip
+                       *(f"z{k}" for k in stamped), *(f"h{i}" for i, _ in enumerate(kept))])  # fmt: skip
     written = [numbers[id(s)] for s in recorded]
+    arrays |= {WHEN} if kept or spoken else set()
     handed = [*sorted(arrays), *(f"o{k}" for k in written), *(f"p{k}" for k in written if k in stamped)]
     if 2 * ns[0] * (time.ticks or 1) > LARGEST:
         raise NotNative("times beyond whole numbers of 64 bits")
@@ -91,7 +171,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
     head += [f"    e{numbers[id(s)]} = (first + {s.schedule.every // stride - 1}) // {s.schedule.every // stride}"
              for s in recorded]  # fmt: skip
     head += ["    for k in range(first, last):", "        n[0] = k",
-             f"        t = {_time('k', ns)}"]  # fmt: skip
+             f"        t = {_time('k', ns)}", *([f"        {WHEN}[0] = t"] if WHEN in arrays else [])]  # fmt: skip
     rig = "\n".join([*head, *(f"        {line}" for line in body), f"    return ({state},)"])
     words = [TEXTS[w] for w in sorted(program.words)]
     text = "\n\n".join([*words, *_reached(program.functions, rig), rig]) + "\n"
@@ -117,14 +197,17 @@ def _reached(functions: Sequence[str], rig: str) -> list[str]:
     return [text for text in functions if text in found.values()]
 
 
-def _ages(steps: Sequence[Step]) -> dict[tuple[int, str], int | None]:
-    """Give the ages of inputs that are always the same: 0 of what is said at each tick of the reader."""
-    found: dict[tuple[int, str], int | None] = {}
+def _ages(steps: Sequence[Step], kept: Sequence[Link]) -> dict[tuple[int, str], int | str | None]:
+    """Give the ages of inputs: 0 of what is said at each tick of the reader; where it is not, how they are written."""
+    found: dict[tuple[int, str], int | str | None] = {}
     for k, step in enumerate(steps):
         for port in step.inputs:
             source = _source(step, port.name)
-            if source is None:
+            link = next((i for i, one in enumerate(kept) if one.values is step.values and one.name == port.name), None)
+            if source is None or (link is not None and kept[link].told() is None):
                 found[k, port.name] = None
+            elif link is not None:
+                found[k, port.name] = f"max(int({WHEN}[0] - {WHEN}[{link + 1}]), 0)"
             elif step.schedule.every % source[0].schedule.every == 0:
                 found[k, port.name] = 0
     return found
@@ -132,45 +215,81 @@ def _ages(steps: Sequence[Step]) -> dict[tuple[int, str], int | None]:
 
 def _source(step: Step, name: str) -> tuple[Step, int, Any] | None:
     """Give whose output fills an input, which one, and how."""
-    return next(((s, j, take) for s in step.sources for j, values, n, take in s.readers
-                 if values is step.values and n == name), None)  # fmt: skip
+    for s in step.sources:
+        for j, values, n, take in [*s.readers, *((j, o.values, p.name, take) for j, o, p, take in s.doubters)]:
+            if values is step.values and n == name:
+                return s, j, take
+    return None
 
 
 def _inputs(
-    step: Step, steps: Sequence[Step], numbers: Mapping[int, int], program: Program, stride: int, ns: tuple[int, int]
+    step: Step, numbers: Mapping[int, int], kept: Sequence[Link], program: Program, stride: int, ns: tuple[int, int]
 ) -> dict[str, Value]:
     """Say where a step has its inputs from: of whom, and which numbers."""
     found: dict[str, Value] = {}
     for port in step.inputs:
-        source = _source(step, port.name)
-        if source is None:
-            if not port.held or step.values[port.name] is not None:
-                raise NotNative(f"{step.name}: {port.topic} does not come from a member of the rig")
+        source, values = _source(step, port.name), step.values[port.name]
+        link = next((i for i, one in enumerate(kept) if one.values is step.values and one.name == port.name), None)
+        if source is None and (not port.held or values is not None):
+            raise NotNative(f"{step.name}: {port.topic} does not come from a member of the rig")
+        if source is None or values is None:
             found[port.name] = Static(None)
-            continue
-        s, j, take = source
-        if id(s) not in numbers:
-            raise NotNative(f"{step.name} reads {port.topic} of {s.name}, which is not native")
-        before = sum(p.size for p in s.outputs[:j])
-        delayed = s.outputs[j].delayed
-        places, _ = taken(s.outputs[j].size, delayed, take)
-        if len(places) > LONGEST:
-            raise NotNative(f"{step.name}: {port.topic} has {len(places)} numbers, expected at most {LONGEST}")
-        values = step.values[port.name]
-        data = values.data if isinstance(values, Sample) else values
-        row = [Dynamic(f"r{numbers[id(s)]}[{before + p}]" if type(p) is Place else repr(float(p)), float(v))
-               for p, v in zip(places, data, strict=True)]  # fmt: skip
-        if not isinstance(values, Sample):
-            found[port.name] = Group(tuple(row))
-            continue
-        every = s.schedule.every // stride
-        stamp = (f"z{numbers[id(s)]}[{len([p for p in s.outputs[:j] if p.delayed])}]" if delayed
-                 else _time(f"(k - k % {every})" if every > 1 else "k", ns))  # fmt: skip
-        found[port.name] = Dynamic(
-            f"{program.name(Sample, 'Sample')}({stamp}, ({''.join(f'{v.code}, ' for v in row)}))",
-            Sample(values.stamp, tuple(float(v) for v in data)),
-        )
+        elif port.size > LONGEST:
+            raise NotNative(f"{step.name}: {port.topic} has {port.size} numbers, expected at most {LONGEST}")
+        elif link is not None:
+            value = Dynamic(f"h{link}", packed(values))
+            found[port.name] = value if isinstance(values, Sample) else Group(tuple(
+                Dynamic(f"h{link}[{p}]", float(v)) for p, v in enumerate(values)))  # fmt: skip
+        else:
+            s, j, take = source
+            every, k = s.schedule.every // stride, numbers[id(s)]
+            time = _time(f"(k - k % {every})" if every > 1 else "k", ns)
+            found[port.name] = _read(program, s, j, take, f"r{k}", f"z{k}", time, values)
     return found
+
+
+def _read(program: Program, s: Step, j: int, take: Any, numbers: str, stamps: str, time: str, values: Any) -> Value:
+    """Write what a reader makes of an output, which has `values` of it now."""
+    before, delayed = sum(p.size for p in s.outputs[:j]), s.outputs[j].delayed
+    places, _ = taken(s.outputs[j].size, delayed, take)
+    data = values.data if isinstance(values, Sample) else values
+    row = [Dynamic(f"{numbers}[{before + p}]" if type(p) is Place else repr(float(p)), float(v))
+           for p, v in zip(places, data, strict=True)]  # fmt: skip
+    if not isinstance(values, Sample):
+        return Group(tuple(row))
+    stamp = f"{stamps}[{len([p for p in s.outputs[:j] if p.delayed])}]" if delayed else time
+    return Dynamic(
+        f"{program.name(Sample, 'Sample')}({stamp}, ({''.join(f'{v.code}, ' for v in row)}))",
+        Sample(values.stamp, tuple(float(v) for v in data)),
+    )
+
+
+def _handed_on(
+    program: Program, k: int, step: Step, kept: Sequence[Link], spoken: Sequence[tuple[int, int]]
+) -> list[str]:
+    """Hand what is said on to those who keep it, with its time; what is new in kind or not to be taken is Python's."""
+    lines: list[str] = []
+    flag = sum(p.size for p in step.outputs)
+    for j, port in enumerate(step.outputs):
+        said: list[str] = []
+        for i, link in enumerate(kept):
+            if (link.source, link.j) != (k, j):
+                continue
+            if link.value is None or link.told() is None:
+                said.append(GIVEN_UP)
+                continue
+            value = _read(program, step, j, link.take, f"q{k}", f"z{k}", "t", link.value)
+            row = isinstance(value, Group)
+            said.append(f"h{i} = {Writer(program, _handed_on, {}).code(value)}")  # type: ignore[arg-type]
+            said.append(f"{WHEN}[{i + 1}] = {'t' if row else f'h{i}.stamp'}")
+            for p, limit in enumerate(link.doubts.limits if link.doubts else ()):
+                said += [f"if not abs(h{i}{'' if row else '.data'}[{p}]) <= {limit!r}:", f"    {GIVEN_UP}"]
+        if port.sporadic:
+            said.append(f"{WHEN}[{1 + len(kept) + spoken.index((k, j))}] = t")
+            said = [f"if q{k}[{flag}] != 0.0:", *(f"    {line}" for line in said)]
+            flag += 1
+        lines += said
+    return lines
 
 
 def _asked(program: Program, step: Step, k: int, name: str, inputs: Mapping[str, Value], arrays: set[str]) -> Value:
@@ -202,8 +321,12 @@ def _answered(
         numbers: list[str] = []
         stamps: list[str] = []
         found: Any = value.items if isinstance(value, Record) else {}
+        flags: list[str] = []
         for port in step.outputs:
             said = found[port.name]
+            if port.sporadic:
+                flag, said = writer.parts(said, _NOWHERE)
+                flags.append(writer.code(flag))
             if port.delayed:
                 stamps.append(writer.code(writer.attribute(said, "stamp", _NOWHERE)))
                 said = writer.attribute(said, "data", _NOWHERE)
@@ -216,7 +339,7 @@ def _answered(
         raise NotNative(f"{step.name}: its answer: {error}") from None
     lines = writer.lines
     if numbers:
-        lines.append(f"q{k} = ({''.join(f'{x}, ' for x in numbers)})")
+        lines.append(f"q{k} = ({''.join(f'{x}, ' for x in [*numbers, *flags])})")
         bound = min(p.bound for p in step.outputs) * EDGE
         squares = " + ".join(f"q{k}[{i}] * q{k}[{i}]" for i, _ in enumerate(numbers))
         lines += [f"if not ({squares} <= {bound!r}):", f"    {GIVEN_UP}", f"r{k} = q{k}"]
@@ -228,7 +351,7 @@ def _answered(
         lines += [f"o{k}.append(q{k})", *([f"p{k}.append(z{k})"] if stamps else [])]
     elif any(s is step for s in recorded):
         at = f"k // {step.schedule.every // stride} - e{k}"
-        lines += [f"o{k}[{at}, {i}] = q{k}[{i}]" for i, _ in enumerate(numbers)]
+        lines += [f"o{k}[{at}, {i}] = q{k}[{i}]" for i, _ in enumerate([*numbers, *flags])]
         lines += [f"p{k}[{at}, {i}] = z{k}[{i}]" for i, _ in enumerate(stamps)]
     return lines
 

@@ -66,15 +66,18 @@ class Program:
         Blocks; paths begin with their numbers.
     writer : callable
         Gives the `Writer` of a function.
-    ages : mapping of (number of a block, input) to int or None
-        What `Block.age` answers, where it is always the same.
+    ages : mapping of (number of a block, input) to int, str or None
+        What `Block.age` answers, or how it is written.
+    silent : sequence of (int, Port)
+        Outputs that say nothing at some ticks, with the number of the block.
     typed : bool
         Whether objects in a state are as native code takes them (`twins.packed`).
     """
 
     roots: Sequence[Any]
     writer: Callable[..., Any]
-    ages: Mapping[tuple[int, str], int | None] = field(default_factory=dict)
+    ages: Mapping[tuple[int, str], int | str | None] = field(default_factory=dict)
+    silent: Sequence[tuple[int, Any]] = ()
     typed: bool = True
     functions: list[str] = field(default_factory=list)
     names: dict[str, Any] = field(default_factory=dict)
@@ -85,6 +88,7 @@ class Program:
     draws: dict[Path, str] = field(default_factory=dict)
     guards: dict[Path, Any] = field(default_factory=dict)
     scratches: dict[Path, str] = field(default_factory=dict)
+    newest: set[Path] = field(default_factory=set)
     callers: dict[str, str] = field(default_factory=dict)
     known: dict[Any, Made] = field(default_factory=dict)
     seldom: list[str] = field(default_factory=list)
@@ -99,9 +103,13 @@ class Program:
         self.names[name] = thing
         return name
 
-    def age(self, block: Any, name: str | None) -> int | None:
-        """Give what `Block.age` answers at each tick."""
-        number = next(k for k, root in enumerate(self.roots) if root is block)
+    def number(self, block: Any) -> int:
+        """Give the number of a block."""
+        return next(k for k, root in enumerate(self.roots) if root is block)
+
+    def age(self, block: Any, name: str | None) -> int | str | None:
+        """Give what `Block.age` answers, or how it is written."""
+        number = self.number(block)
         if name is None or (number, name) not in self.ages:
             raise NotNative(f"{block.name}: the age of {name}, which comes more seldom than its ticks")
         return self.ages[number, name]

@@ -64,6 +64,13 @@ def unpacked(value: Any) -> Any:
     return value
 
 
+def form(value: Any) -> Any:
+    """Give the types of a state, to its leaves."""
+    if isinstance(value, tuple):
+        return type(value), tuple(map(form, value))
+    return type(value)
+
+
 def class_of(sample: Any) -> type | None:
     """Give the class of a named tuple, or the dataclass that it stands for."""
     kind = type(sample)

@@ -50,7 +50,7 @@ TEXTS: dict[str, str] = {
                    "        middle = (low + high) // 2\n        if a[middle] < x:\n            low = middle + 1\n"
                    "        else:\n            high = middle\n    return low\n",
     "drawn_": "def drawn_(row, n, k):\n    if k >= len(row):\n        n[1] = k + 1\n        raise IndexError\n"
-              "    return row[k]\n",
+              "    return float(row[k])\n",
 }  # fmt: skip
 PLAIN = {name: f"math.{name}" for name in ("atan", "atan2", "tanh", "copysign", "fabs", "isfinite", "isnan", "isinf",
                                            "radians", "degrees", "asinh")}  # fmt: skip

@@ -6,6 +6,7 @@ import ast
 from collections.abc import Sequence
 from typing import Any
 
+from ..block.port import Sample
 from .calls import Calls
 from .translate import (
     GIVEN_UP,
@@ -18,6 +19,7 @@ from .value import (
     GivesUp,
     Group,
     NotNative,
+    Record,
     Static,
     Value,
     forms,
@@ -107,6 +109,7 @@ class Writer(Calls):
         value = node if isinstance(node, Static) else NONE if node.value is None else self.value(node.value)
         if self.ended:
             return
+        value = self._with_silence(value, node)
         self.returned.append(value)
         keep = isinstance(value, Static) and not self.lines
         try:
@@ -116,6 +119,30 @@ class Writer(Calls):
                 raise
             self.emit("return None")  # an object: known without a call
         self.ended = True
+
+    def _with_silence(self, value: Value, node: Any) -> Value:
+        """Give the answer of a block with a flag before the row of each output that may be silent."""
+        own = self.env.get("self")
+        if not isinstance(own, Static) or own.path is None or len(own.path) > 1 or not self.program.silent:
+            return value
+        answers = [getattr(type(own.value), name, None) for name in ("update", "outputs")]
+        ports = [port for k, port in self.program.silent if k == own.path[0]]
+        if self.function not in answers or not ports:
+            return value
+        x, found = self.parts(value, node) if self.function is answers[0] else (None, value)
+        if isinstance(found, Static) and not found.value:
+            found = Record({})
+        if not isinstance(found, Record):
+            raise self.unknown("an answer that is not written out")
+        rows: dict[str, Value] = dict(found.items)
+        for port in ports:
+            row = rows.get(port.name, NONE)
+            silent = isinstance(row, Static) and row.value is None
+            if silent:
+                row = Static((0.0,) * port.size)
+                row = self._named(Sample, [Static(0), row], node) if port.delayed else row
+            rows[port.name] = Group((Static(0.0 if silent else 1.0), row))
+        return Record(rows) if x is None else Group((x, Record(rows)))
 
     def _annassign(self, node: ast.AnnAssign) -> None:
         if node.value is not None:

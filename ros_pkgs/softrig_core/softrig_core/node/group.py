@@ -24,7 +24,10 @@ SLICE = 5_000_000  # ns: how long ticks may keep a timer waiting
 class Group:
     """Nodes of one process, driven together.
 
-    `nodes`: all in lockstep, or all in real time.
+    Parameters
+    ----------
+    nodes : sequence of Adapter
+        All in lockstep, or all in real time.
     """
 
     def __init__(self, nodes: Sequence[Adapter]) -> None:
@@ -91,7 +94,10 @@ class _Link(NamedTuple):
 def _links(nodes: Sequence[Adapter]) -> list[_Link]:
     """Find who reads whom.
 
-    Raises RunError: two ports of a topic do not fit, or two nodes publish it.
+    Raises
+    ------
+    RunError
+        Two ports of a topic do not fit, or two nodes publish it.
     """
     written: dict[tuple[str, str], tuple[Adapter, Output]] = {}
     for node in nodes:

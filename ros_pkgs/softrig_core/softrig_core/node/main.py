@@ -80,7 +80,10 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
 def make_adapter(node: ServingNode, block_class: type[Block], middleware: Middleware) -> Adapter:
     """Declare and validate a node's parameters, make its block and its adapter; a `Group` drives it.
 
-    Raises ParameterError: bad parameters.
+    Raises
+    ------
+    ParameterError
+        Bad parameters.
     """
     params, options = _parameters(node, block_class)
     rehearse(block_class, params, node.get_name(), always=options.mode == "realtime")

@@ -105,8 +105,15 @@ def holders(domains: Iterable[int]) -> str:
 def join_domain(number: int) -> int:
     """Hold a domain beside others who join it, against runs that want one for themselves, until this process ends.
 
-    Returns: a file number; to close it lets go.
-    Raises RunError: a run has reserved it.
+    Returns
+    -------
+    int
+        A file number; to close it lets go.
+
+    Raises
+    ------
+    RunError
+        A run has reserved it.
     """
     file = _open(number)
     try:
@@ -120,7 +127,10 @@ def join_domain(number: int) -> int:
 def require_loopback() -> None:
     """Make sure that nodes of this host can find each other.
 
-    Raises RunError: the loopback interface is down: each node would wait for the others in vain.
+    Raises
+    ------
+    RunError
+        The loopback interface is down: each node would wait for the others in vain.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         try:

@@ -22,7 +22,10 @@ MARGIN = 2  # s: an announcement in 0.5 s renews the lease; on a busy host it co
 def find_executable(package: str, executable: str) -> Path:
     """Find ``lib/<package>/<executable>`` of a sourced workspace.
 
-    Raises ScenarioError: it is not there; lists what the package has.
+    Raises
+    ------
+    ScenarioError
+        It is not there; lists what the package has.
     """
     installed = prefixes()
     for prefix in installed:
@@ -83,7 +86,10 @@ def node_main(package: str, executable: str, arguments: list[str]) -> int:
     """Become an executable: what ``ros2 run`` does. One of Python runs in this process, so that what stops its module
     from being imported is told with its place; any other replaces it.
 
-    Raises ScenarioError: no such executable, or its module cannot be imported.
+    Raises
+    ------
+    ScenarioError
+        No such executable, or its module cannot be imported.
     """
     path = find_executable(package, executable)
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(default_profile()))

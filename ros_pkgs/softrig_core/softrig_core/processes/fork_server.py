@@ -55,7 +55,9 @@ class Forked:
     def wait(self, timeout: float | None = None) -> int:
         """Wait for the end.
 
-        Raises subprocess.TimeoutExpired.
+        Raises
+        ------
+        subprocess.TimeoutExpired
         """
         status = self._ended(timeout)
         if status is None:
@@ -86,7 +88,10 @@ class Forked:
 class ForkServer:
     """A server of this process: it ends with this process, and its nodes with it.
 
-    `variables`: environment of its nodes, as far as it is not in `OWN`.
+    Parameters
+    ----------
+    variables : mapping
+        Environment of its nodes, as far as it is not in `OWN`.
     """
 
     def __init__(self, variables: Mapping[str, str]) -> None:
@@ -108,10 +113,19 @@ class ForkServer:
     ) -> Forked | None:
         """Fork a node.
 
-        `command`: the path of the executable and its arguments.
-        `variables`: its environment.
-        `output`: file descriptor for what it prints.
-        Returns: none when this server cannot; then another one, or the executable by itself, can.
+        Parameters
+        ----------
+        command : sequence of str
+            The path of the executable and its arguments.
+        variables : mapping
+            Its environment.
+        output : int
+            File descriptor for what it prints.
+
+        Returns
+        -------
+        Forked, or None
+            None when this server cannot; then another one, or the executable by itself, can.
         """
         request = {"package": package, "executable": executable, "command": list(command), "variables": dict(variables),
                    "directory": os.getcwd()}  # fmt: skip

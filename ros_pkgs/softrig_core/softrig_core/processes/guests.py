@@ -39,8 +39,10 @@ class Guests:
     def look(self, states: Mapping[str, Mapping[str, Any]]) -> None:
         """Say who has come since the last look, and, once, what stands in the way of the others.
 
-        `states`: what each node of ours has said of itself, by name
-        (`softrig_core.node.adapter.adapter.Adapter.status`).
+        Parameters
+        ----------
+        states : mapping
+            What each node of ours has said of itself, by name (`softrig_core.node.adapter.adapter.Adapter.status`).
         """
         if not self._needed:
             return

@@ -63,9 +63,14 @@ class Placement:
 class Listener:
     """Who hears of a run while it lasts.
 
-    `progress`: gets the plant's time in ns.
-    `announce`: gets a text when an external node is waited for, and when it has come.
-    `opened`: gets the domain before the first node is started.
+    Parameters
+    ----------
+    progress : callable, optional
+        Gets the plant's time in ns.
+    announce : callable, optional
+        Gets a text when an external node is waited for, and when it has come.
+    opened : callable, optional
+        Gets the domain before the first node is started.
     """
 
     progress: Callable[[int], object] | None = None

@@ -30,7 +30,10 @@ def of_domain(domain: int) -> range:
 def chosen(domain: int, now: float | None = None) -> dict[str, int]:
     """Give the port parameters of a participant that begins now, as a Fast DDS profile names them.
 
-    `now`: s, of a clock that all processes of a host share.
+    Parameters
+    ----------
+    now : float, optional
+        s, of a clock that all processes of a host share.
     """
     turn = (time.monotonic() if now is None else now) / AROUND % 1
     base = FLOWS[0] + UNIQUE + int(turn * UNIQUE)

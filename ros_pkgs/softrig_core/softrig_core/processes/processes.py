@@ -151,9 +151,14 @@ def gathered(
 ) -> tuple[Recording, dict[str, dict[str, Any]]]:
     """Give what the nodes of a run have recorded and what each said of itself.
 
-    `directory`: of the `FILES` that the nodes wrote.
-    `names`: of the nodes.
-    `namespace`: see `Recording.read_shard`.
+    Parameters
+    ----------
+    directory : Path
+        Of the `FILES` that the nodes wrote.
+    names : iterable of str
+        Of the nodes.
+    namespace : str
+        See `Recording.read_shard`.
     """
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     status = {}

@@ -19,7 +19,10 @@ Again = Callable[[int], object]
 def check_restart(rig: Rig, placement: Placement) -> None:
     """Make sure that nodes of a run could be started again, if that is wanted.
 
-    Raises ScenarioError: of this placement they could not; says why.
+    Raises
+    ------
+    ScenarioError
+        Of this placement they could not; says why.
     """
     if not placement.restart:
         return
@@ -43,9 +46,17 @@ class _Look(NamedTuple):
 class Restarts:
     """How often a node of a run may be started again.
 
-    `again` (callable): starts the node of a child anew, by its number, and puts it in its place.
-    `announce`: gets a text when that is done.
-    `counts` (dict of str to int): by node: how often it was.
+    Parameters
+    ----------
+    again : callable
+        Starts the node of a child anew, by its number, and puts it in its place.
+    announce : callable, optional
+        Gets a text when that is done.
+
+    Attributes
+    ----------
+    counts : dict of str to int
+        By node: how often it was.
     """
 
     def __init__(self, most: int, again: Again, announce: Callable[[str], object] | None = None) -> None:

@@ -26,8 +26,10 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     A port whose maker was killed before it had finished goes in any domain: whoever opens it waits for the maker for
     ever.
 
-    `domain`: A ROS_DOMAIN_ID in which nobody is or starts: its ports go, also where nobody has ever held a lock on
-    them.
+    Parameters
+    ----------
+    domain : int, optional
+        A ROS_DOMAIN_ID in which nobody is or starts: its ports go, also where nobody has ever held a lock on them.
     """
     removed = 0
     locked = {p.name[:-3] for p in (*folder.glob("fastrtps_*_el"), *folder.glob("fastrtps_*_sl"))}
@@ -53,7 +55,10 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
 
     A maker needs some microseconds; he has `AGE`.
 
-    `domain`: ROS_DOMAIN_ID; others may be in it.
+    Parameters
+    ----------
+    domain : int
+        ROS_DOMAIN_ID; others may be in it.
     """
     ours = {f"fastrtps_port{n}" for n in (*FLOWS, *of_domain(domain))}
     while True:

@@ -35,10 +35,14 @@ def node_parameters(
 ) -> dict[str, Any]:
     """Give the ROS parameters that start a member of a rig: those of its block that differ, and how it runs.
 
-    `mode` ({"lockstep", "realtime"}).
-    `recorders`: nodes outside the rig that read everything and are awaited, besides those that ask for it; None: the
-    domain is the rig's own, nobody else is in it.
-    `returns`: whether a node that died is started again.
+    Parameters
+    ----------
+    mode : {"lockstep", "realtime"}
+    recorders : sequence of str, optional
+        Nodes outside the rig that read everything and are awaited, besides those that ask for it; None: the domain is
+        the rig's own, nobody else is in it.
+    returns : bool
+        Whether a node that died is started again.
     """
     default = flatten(member.block_class.Params())
     own = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
@@ -60,8 +64,12 @@ def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: di
            again: bool = False) -> list[Child]:  # fmt: skip
     """Start a node, or several in a container.
 
-    `recorders`, `returns`: as `node_parameters` takes them.
-    `again`: it has died, and comes back.
+    Parameters
+    ----------
+    recorders, returns
+        As `node_parameters` takes them.
+    again : bool
+        It has died, and comes back.
     """
     log = directory / f"{'+'.join(m.name for m in group)[:200]}.log"
     given = {}
@@ -114,8 +122,12 @@ def container_arguments(
 ) -> list[str]:  # fmt: skip
     """Write the parameter files of nodes that share a process and give the command line of their container.
 
-    `given`: parameters by node, as `node_parameters` gives them.
-    `shared`: remaps of all of them.
+    Parameters
+    ----------
+    given : mapping
+        Parameters by node, as `node_parameters` gives them.
+    shared : mapping of str to str, optional
+        Remaps of all of them.
     """
     arguments: list[str] = []
     for member in group:
@@ -138,7 +150,10 @@ def _ros_arguments(member: Member, parameters: dict[str, Any], directory: Path) 
 def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Path) -> Path:
     """Write the parameters of a node as `--params-file` takes them.
 
-    `parameters`: as `node_parameters` gives them.
+    Parameters
+    ----------
+    parameters : mapping
+        As `node_parameters` gives them.
     """
     file = directory / f"{member.name}.params.yaml"
     lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]

@@ -14,7 +14,10 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 class Stopped(KeyboardInterrupt):
     """A signal asks for the end.
 
-    `number`: of the signal; a process that ends because of it has the status 128 + number.
+    Attributes
+    ----------
+    number : int
+        Of the signal; a process that ends because of it has the status 128 + number.
     """
 
     def __init__(self, number: int) -> None:

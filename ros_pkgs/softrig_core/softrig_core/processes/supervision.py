@@ -113,7 +113,10 @@ def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> s
 def blamed(waits: Mapping[str, Sequence[str]]) -> list[str]:
     """Give the nodes whose errors tell the cause: those that waited for none, or for one that has not failed.
 
-    `waits` (by node name): for whom each node that failed waited.
+    Parameters
+    ----------
+    waits : by node name
+        For whom each node that failed waited.
     """
     causes = [n for n, senders in waits.items() if not all(sender in waits for sender in senders) or not senders]
     return causes or list(waits)[:1]

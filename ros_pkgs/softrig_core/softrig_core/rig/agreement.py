@@ -21,9 +21,17 @@ class Named(Protocol):
 def require_agreement(where: str, members: Iterable[Named]) -> None:
     """Hold what the blocks say by `Block.agreed` against each other.
 
-    `where`: name of the scenario, for the message.
-    `members`: the nodes of the rig.
-    Raises ScenarioError: two nodes have different values of a quantity; names it, both nodes and both values.
+    Parameters
+    ----------
+    where : str
+        Name of the scenario, for the message.
+    members : iterable
+        The nodes of the rig.
+
+    Raises
+    ------
+    ScenarioError
+        Two nodes have different values of a quantity; names it, both nodes and both values.
     """
     members = list(members)
     said = spoken(members)
@@ -63,11 +71,19 @@ def agreeing(
 ) -> dict[str, Any]:
     """Fill arguments of a figure in with what the nodes of its rig say.
 
-    `said` (mapping of quantity to (node, value)): see `spoken`.
-    `arguments`: as the scenario gives them.
-    `agreed` (mapping of argument to quantity): what the figure's function declares; what no node says stays as it is
-    given.
-    Raises ScenarioError: an argument is given with another value than the node's; names both.
+    Parameters
+    ----------
+    said : mapping of quantity to (node, value)
+        See `spoken`.
+    arguments : mapping
+        As the scenario gives them.
+    agreed : mapping of argument to quantity
+        What the figure's function declares; what no node says stays as it is given.
+
+    Raises
+    ------
+    ScenarioError
+        An argument is given with another value than the node's; names both.
     """
     filled = dict(arguments)
     for name, quantity in agreed.items():

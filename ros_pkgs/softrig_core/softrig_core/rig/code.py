@@ -23,11 +23,18 @@ _BUILT = {"__pycache__", ".pyc", ".so", ".nbi", ".nbc"}  # made from the sources
 def fingerprints(classes: Iterable[type[Block]], modules: Iterable[str] = ()) -> dict[str, str]:
     """Give the fingerprint of each package whose code decides what some blocks do.
 
-    `classes`: the block classes of a rig; their bases count, and what their packages import of others that colcon
-    built.
-    `modules`: further modules, such as those of figure functions.
-    Returns: by package, or by class where its module belongs to none, as in a notebook: the first `LETTERS` of a
-    SHA-256 of its files.
+    Parameters
+    ----------
+    classes : iterable of type
+        The block classes of a rig; their bases count, and what their packages import of others that colcon built.
+    modules : iterable of str
+        Further modules, such as those of figure functions.
+
+    Returns
+    -------
+    dict of str to str
+        By package, or by class where its module belongs to none, as in a notebook: the first `LETTERS` of a SHA-256
+        of its files.
     """
     found: dict[str, str] = {}
     seen: set[str] = set()

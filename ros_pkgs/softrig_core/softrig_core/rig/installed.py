@@ -17,7 +17,10 @@ _NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the
 def load_main(package: str, executable: str) -> Any:
     """Import the main function of an installed Python executable; None when the package has none of this name.
 
-    Raises ScenarioError: its module cannot be imported; says why and where.
+    Raises
+    ------
+    ScenarioError
+        Its module cannot be imported; says why and where.
     """
     try:
         points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
@@ -38,7 +41,10 @@ def load_main(package: str, executable: str) -> Any:
 def load_block(package: str, executable: str) -> type[Block]:
     """Find the block class behind an installed executable; one that was found stays.
 
-    Raises ScenarioError: the package or executable is not installed, cannot be imported, or is not a softrig node.
+    Raises
+    ------
+    ScenarioError
+        The package or executable is not installed, cannot be imported, or is not a softrig node.
     """
     return _found(package, executable, tuple(sys.path))
 

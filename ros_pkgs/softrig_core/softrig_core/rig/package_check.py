@@ -27,9 +27,19 @@ def check_entry_point(point: EntryPoint) -> str:
     A block's ports have distinct names and topics of their own, it can be set up, and a plant's outputs at the start
     are finite and the same after a reset.
 
-    `point` (importlib.metadata.EntryPoint).
-    Returns: why less was checked; empty when all was.
-    Raises Exception: whatever is wrong with it.
+    Parameters
+    ----------
+    point : importlib.metadata.EntryPoint
+
+    Returns
+    -------
+    str
+        Why less was checked; empty when all was.
+
+    Raises
+    ------
+    Exception
+        Whatever is wrong with it.
     """
     target: Any = point.load()
     if not callable(target):

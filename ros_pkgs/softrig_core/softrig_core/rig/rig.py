@@ -139,9 +139,17 @@ def members_of(
 ) -> list[Member]:
     """Make members of a scenario, not yet linked.
 
-    `classes` (mapping of node name to type of Block): of those that no executable gives.
-    `names`: only these.
-    Raises ScenarioError: names the node whose executable, parameters or topics are wrong.
+    Parameters
+    ----------
+    classes : mapping of node name to type of Block
+        Of those that no executable gives.
+    names : iterable of str, optional
+        Only these.
+
+    Raises
+    ------
+    ScenarioError
+        Names the node whose executable, parameters or topics are wrong.
     """
     entries = scenario.nodes.items()
     known = {n: classes[n] if n in classes else load_block(e.package, e.executable) for n, e in entries}

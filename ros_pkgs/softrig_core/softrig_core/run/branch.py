@@ -20,12 +20,26 @@ def branched(
     Who changed what before that time has done it here, too; what people did from there on has not happened. The changes
     that the scenario itself makes stay.
 
-    `rig`: of the recorded run.
-    `at`: s; the first tick of each node that is not earlier is the first that may differ.
-    `values`: ``node.parameter`` to value from then on; of parameters that may change while running.
-    `epoch`: what the stamps of the recording count from, ns.
-    Returns: for the key ``changes`` of its scenario.
-    Raises ScenarioError: the run did not come so far.
+    Parameters
+    ----------
+    rig : Rig
+        Of the recorded run.
+    at : float
+        s; the first tick of each node that is not earlier is the first that may differ.
+    values : mapping
+        ``node.parameter`` to value from then on; of parameters that may change while running.
+    epoch : int
+        What the stamps of the recording count from, ns.
+
+    Returns
+    -------
+    list of dict
+        For the key ``changes`` of its scenario.
+
+    Raises
+    ------
+    ScenarioError
+        The run did not come so far.
     """
     reached = max((topic.times[-1] for topic in recording.topics.values() if topic.times), default=epoch) - epoch
     start = to_ns(at) if at >= 0.0 else -1

@@ -117,7 +117,10 @@ def _searched_seldom() -> Iterator[None]:
 def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
     """Make the steps of a rig's members, each handing what it says to those that read it.
 
-    `blocks`: of the members that live here, by name.
+    Parameters
+    ----------
+    blocks : dict of str to Block
+        Of the members that live here, by name.
     """
     members = [m for m in rig.members if m.name in blocks]
     steps = {m.name: step_of(m, blocks[m.name]) for m in members}
@@ -156,9 +159,14 @@ def keeper(
 ) -> Callable[[int, Rows], object]:
     """Give what records the answers of a step.
 
-    `ports`: its outputs; with /clock after them when it is the clock.
-    `numbers`: of their topics in the sink.
-    `said`: messages that the sink has already, by topic.
+    Parameters
+    ----------
+    ports : sequence of Port
+        Its outputs; with /clock after them when it is the clock.
+    numbers : sequence of int
+        Of their topics in the sink.
+    said : mapping of str to int, optional
+        Messages that the sink has already, by topic.
     """
     layouts = [p.layout() for p in ports]
     if step.plain:

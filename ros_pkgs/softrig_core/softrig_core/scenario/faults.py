@@ -20,9 +20,13 @@ Ports = tuple[tuple[Port, ...], tuple[Port, ...]]
 class FaultEntry(BaseModel):
     """A fault on a link.
 
-    `link`: the topic, for all its readers, or ``topic -> reader`` for one node.
-    `parameters`: of the node `softrig_control` ``fault``: kind, value, ...; ``from``, ``to`` and ``channels`` are its
-    `start`, `stop` and `affects`.
+    Parameters
+    ----------
+    link : str
+        The topic, for all its readers, or ``topic -> reader`` for one node.
+    **parameters
+        Of the node `softrig_control` ``fault``: kind, value, ...; ``from``, ``to`` and ``channels`` are its `start`,
+        `stop` and `affects`.
     """
 
     model_config = ConfigDict(frozen=True, extra="allow")
@@ -46,12 +50,26 @@ def insert(
 ) -> dict[str, Any]:  # fmt: skip
     """Put the faults of a scenario between its nodes, in the order in which they stand.
 
-    `where`: name of the scenario, for errors.
-    `faults`: by the name of the node that each becomes.
-    `nodes`: package, executable, parameters, remap and external of each node.
-    `ports`, `params`: of each node; topics of ports as remapped in `nodes`.
-    Returns: the nodes with those of the faults, remapped.
-    Raises ScenarioError: names the fault: no such link or reader, a name that is taken, a parameter that the link says.
+    Parameters
+    ----------
+    where : str
+        Name of the scenario, for errors.
+    faults : mapping of str to FaultEntry
+        By the name of the node that each becomes.
+    nodes : mapping of str to mapping
+        Package, executable, parameters, remap and external of each node.
+    ports, params : mapping
+        Of each node; topics of ports as remapped in `nodes`.
+
+    Returns
+    -------
+    dict
+        The nodes with those of the faults, remapped.
+
+    Raises
+    ------
+    ScenarioError
+        Names the fault: no such link or reader, a name that is taken, a parameter that the link says.
     """
     found = {name: {**entry, "remap": dict(entry["remap"])} for name, entry in nodes.items()}
     sources = {port.topic: (name, port) for name, (_, outputs) in ports.items() for port in outputs}

@@ -19,10 +19,19 @@ from .yaml_file import compose
 def place(name: str, path: Path, keys: Sequence[Any]) -> str:
     """Say where a key of a scenario is written: ``motor.yaml, line 12``.
 
-    `name`: of the scenario, which may be a variant.
-    `path`: of its file.
-    `keys`: from the top of the scenario down; where the last ones are not written, the line of those above.
-    Returns: the file alone when none of them is.
+    Parameters
+    ----------
+    name : str
+        Of the scenario, which may be a variant.
+    path : Path
+        Of its file.
+    keys : sequence
+        From the top of the scenario down; where the last ones are not written, the line of those above.
+
+    Returns
+    -------
+    str
+        The file alone when none of them is.
     """
     found = [(*_line(file, [*above, *keys]), file, len(above)) for file, above in _levels(name, path)]
     depth, line, file, above = max(found, key=lambda each: each[0] - each[3])
@@ -58,7 +67,10 @@ def _line(file: Path, keys: Sequence[Any]) -> tuple[int, int]:
 def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str:
     """Say in one line what the first error of a validation is, and where; of an unknown key, which one is near.
 
-    `model`: what was validated.
+    Parameters
+    ----------
+    model : type of BaseModel, optional
+        What was validated.
     """
     first = error.errors()[0]
     where = ".".join(str(p) for p in first["loc"])

@@ -25,7 +25,10 @@ def ports_text(ports: Sequence[Port]) -> str:
 def ports_of(text: str) -> tuple[Port, ...]:
     """Read ports from JSON.
 
-    Raises ValueError: the text is no JSON, or not of ports; says what was expected.
+    Raises
+    ------
+    ValueError
+        The text is no JSON, or not of ports; says what was expected.
     """
     try:
         given: list[dict[str, Any]] = json.loads(text)

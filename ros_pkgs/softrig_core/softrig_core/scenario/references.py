@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from ..block.params import flatten
 from ..errors import ScenarioError
 from .scenario_file import SHARED, Over, merge
 
@@ -17,9 +18,17 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
 
     Strings ``$node.parameter`` stay, they are for `fill_parameters`; ``$$`` stands for a dollar sign.
 
-    `value`: mappings, lists and scalars as YAML gives them; also changes laid over a reference (`Over`).
-    `shared`: shared values by name.
-    Raises ScenarioError: no such shared value, or one that refers to itself.
+    Parameters
+    ----------
+    value : any
+        Mappings, lists and scalars as YAML gives them; also changes laid over a reference (`Over`).
+    shared : mapping
+        Shared values by name.
+
+    Raises
+    ------
+    ScenarioError
+        No such shared value, or one that refers to itself.
     """
 
     def known(name: str, path: tuple[str, ...]) -> Any:
@@ -49,8 +58,12 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
 def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
     """Copy plain data with every string ``$node.parameter`` replaced by what `parameter` gives for the two names.
 
-    `value`: plain data.
-    `parameter`: gives a value for the name of a node and the dotted name of its parameter.
+    Parameters
+    ----------
+    value : any
+        Plain data.
+    parameter : callable
+        Gives a value for the name of a node and the dotted name of its parameter.
     """
     if isinstance(value, str):
         found = _PARAMETER.fullmatch(value)
@@ -65,9 +78,17 @@ def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
 def pick(values: Mapping[str, Any], name: str) -> Any:
     """Give a parameter by its dotted name, a group of them, or one element of a list by its number: ``times.0``.
 
-    `values`: parameters by dotted name.
-    `name`: which, ``times.0`` for the first element of the list ``times``, ``motors`` for all ``motors.NAME`` by name.
-    Raises KeyError: no such parameter or element.
+    Parameters
+    ----------
+    values : mapping
+        Parameters by dotted name.
+    name : str
+        Which, ``times.0`` for the first element of the list ``times``, ``motors`` for all ``motors.NAME`` by name.
+
+    Raises
+    ------
+    KeyError
+        No such parameter or element.
     """
     if name in values:
         return values[name]
@@ -78,3 +99,20 @@ def pick(values: Mapping[str, Any], name: str) -> Any:
     if head in values and last.isdigit() and int(last) < len(values[head]):
         return values[head][int(last)]
     raise KeyError(name)
+
+
+def parameter_of(where: str, nodes: Mapping[str, Any], params: Callable[[str], Any], node: str, name: str) -> Any:
+    """Give what ``$node.parameter`` stands for, `params` giving the parameters of one of the nodes.
+
+    Raises
+    ------
+    ScenarioError
+        No such node or parameter; begins with `where`.
+    """
+    if node not in nodes:
+        raise ScenarioError(f"{where}${node}.{name}: the nodes are {', '.join(nodes)}")
+    values = flatten(params(node))
+    try:
+        return pick(values, name)
+    except KeyError:
+        raise ScenarioError(f"{where}${node}.{name}: {node} has {', '.join(values)}") from None

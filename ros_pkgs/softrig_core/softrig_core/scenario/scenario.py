@@ -43,12 +43,18 @@ class NodeEntry(_Model):
 class FigureEntry(_Model):
     """What is measured of a run.
 
-    `function`: name of a registered figure function; the figure's own name when absent.
-    `arguments`: its arguments; ``$node.parameter`` stands for a parameter of the rig.
-    `unit`: unit of the figure; that of the function and its signal when absent.
-    `since`: a signal from whose newest step on it is measured: `start` and `end` count from there, `final` is the
-    signal's value after it, `initial` what is measured then, unless `final` is given. With several, a comma and a blank
-    between: from the newest step of any of them on, and `final` must be given. Empty: the whole run.
+    Parameters
+    ----------
+    function : str
+        Name of a registered figure function; the figure's own name when absent.
+    arguments : dict
+        Its arguments; ``$node.parameter`` stands for a parameter of the rig.
+    unit : str
+        Unit of the figure; that of the function and its signal when absent.
+    since : str
+        A signal from whose newest step on it is measured: `start` and `end` count from there, `final` is the signal's
+        value after it, `initial` what is measured then, unless `final` is given. With several, a comma and a blank
+        between: from the newest step of any of them on, and `final` must be given. Empty: the whole run.
     """
 
     function: str = ""
@@ -176,10 +182,8 @@ class Scenario(_Model):
             raise ValueError(f"requirements: {min(both)} is the name of a figure, too")
         return self
 
-    def changed(
-        self, *, duration: float | None = None, seed: int | None = None, overrides: Mapping[str, Any] | None = None
-    ) -> Scenario:
-        """Give the scenario with another length, seed or parameters (``node.parameter`` to value).
+    def changed(self, *, duration: float | None = None, overrides: Mapping[str, Any] | None = None) -> Scenario:
+        """Give the scenario with another length or parameters (``node.parameter`` to value).
 
         Raises
         ------
@@ -189,8 +193,7 @@ class Scenario(_Model):
         raw: dict[str, Any] = {k: {n: e.model_dump() for n, e in getattr(self, k).items()} for k in ("nodes", "faults")}
         for key, value in (overrides or {}).items():
             _override(raw, key, value)
-        changes = {k: v for k, v in (("duration", duration), ("seed", seed)) if v is not None}
-        new = self.having(**changes, **(raw if overrides else {}))
+        new = self.having(**({} if duration is None else {"duration": duration}), **(raw if overrides else {}))
         new._file = None if overrides else self._file
         return new
 

@@ -58,8 +58,15 @@ def list_scenarios(broken: list[ScenarioError] | None = None) -> dict[str, Path]
 def locate(name: str) -> tuple[str, Path]:
     """Find a scenario: its name and the file it is in.
 
-    `name`: a name, a variant's name, or the path of a YAML file.
-    Raises ScenarioError: there is none of that name; gives the closest.
+    Parameters
+    ----------
+    name : str
+        A name, a variant's name, or the path of a YAML file.
+
+    Raises
+    ------
+    ScenarioError
+        There is none of that name; gives the closest.
     """
     path = Path(name)
     if path.suffix in (".yaml", ".yml") and isfile(path):
@@ -78,7 +85,10 @@ def locate(name: str) -> tuple[str, Path]:
 def read(path: Path) -> dict[str, Any]:
     """Read the mapping of a scenario file; a file that has not changed is read once a process.
 
-    Raises ScenarioError: cannot be read, not YAML, or not a mapping.
+    Raises
+    ------
+    ScenarioError
+        Cannot be read, not YAML, or not a mapping.
     """
     try:
         state = path.stat()
@@ -104,7 +114,10 @@ def names(path: Path) -> Iterator[str]:
 def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]:
     """Apply `extends` and the variant that the name asks for; the file's own data stays as it is.
 
-    Raises ScenarioError: extends itself or nobody.
+    Raises
+    ------
+    ScenarioError
+        Extends itself or nobody.
     """
     if name in seen:
         raise ScenarioError(f"{path.name}: extends itself: {' -> '.join((*seen, name))}")
@@ -158,8 +171,12 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
     executable loses the inherited parameters, a figure with another function all that is inherited: it would mean
     nothing.
 
-    `base`: what is inherited; left as it is.
-    `change` (mapping): the scenario's own entry, or a variant's.
+    Parameters
+    ----------
+    base : mapping
+        What is inherited; left as it is.
+    change : mapping
+        The scenario's own entry, or a variant's.
     """
     if not isinstance(change, Mapping):
         raise ScenarioError(f"a variant is a mapping of changes, got {change!r}")
@@ -191,8 +208,12 @@ class Over(NamedTuple):
 def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     """Lay one mapping over another, level by level; null removes a key.
 
-    `base`: what lies below; left as it is.
-    `change`: what goes over it. A mapping over a reference ``$name`` becomes an `Over`.
+    Parameters
+    ----------
+    base : mapping
+        What lies below; left as it is.
+    change : mapping
+        What goes over it. A mapping over a reference ``$name`` becomes an `Over`.
     """
     merged = dict(base)
     for key, value in change.items():
@@ -235,8 +256,15 @@ def parent_of(path: Path, parent: Any) -> Path:
 def find(name: str, first: Path | None = None) -> Path | None:
     """Find the file of a scenario: that of its own name, else the longest beginning of it that has this variant.
 
-    `first`: a folder to look into before those of `scenario_folders`.
-    Returns: none: there is none of that name.
+    Parameters
+    ----------
+    first : Path, optional
+        A folder to look into before those of `scenario_folders`.
+
+    Returns
+    -------
+    Path or None
+        None: there is none of that name.
     """
     for folder in chain([first] if first else [], scenario_folders()):
         stem = "" if "/" in name else name

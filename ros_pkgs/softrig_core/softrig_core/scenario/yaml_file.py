@@ -60,8 +60,15 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _integer)
 def read_yaml(text: str, where: str) -> Any:
     """Read one YAML document.
 
-    `where`: what error messages call it, such as the file's name.
-    Raises ScenarioError: not YAML, a key twice, larger than `SIZE`, deeper than `DEPTH` or more than `NODES` values.
+    Parameters
+    ----------
+    where : str
+        What error messages call it, such as the file's name.
+
+    Raises
+    ------
+    ScenarioError
+        Not YAML, a key twice, larger than `SIZE`, deeper than `DEPTH` or more than `NODES` values.
     """
     if len(text) > SIZE:
         raise ScenarioError(f"{where}: {len(text)} characters, expected at most {SIZE}")
@@ -89,7 +96,10 @@ def read_yaml(text: str, where: str) -> Any:
 def read_mapping(path: Path) -> dict[str, Any]:
     """Read a file whose keys are the fields of something.
 
-    Raises ScenarioError: no text in UTF-8, see `read_yaml`, or no mapping; names the file.
+    Raises
+    ------
+    ScenarioError
+        No text in UTF-8, see `read_yaml`, or no mapping; names the file.
     """
     try:
         raw = read_yaml(path.read_text(encoding="utf-8"), path.name)

@@ -18,9 +18,16 @@ def rehearse(block_class: type[Block], params: Any, name: str, always: bool = Fa
 
     In lockstep the first tick would take seconds, in real time all the deadlines of these seconds would be missed.
 
-    `params` (BlockParams).
-    `always`: whatever it uses: against the wall clock an import in the first tick is late, too.
-    Returns: whether there was anything to rehearse. What fails here says so in the run.
+    Parameters
+    ----------
+    params : BlockParams
+    always : bool
+        Whatever it uses: against the wall clock an import in the first tick is late, too.
+
+    Returns
+    -------
+    bool
+        Whether there was anything to rehearse. What fails here says so in the run.
     """
     if issubclass(block_class, Solver) or not (always or _native(block_class)):
         return False

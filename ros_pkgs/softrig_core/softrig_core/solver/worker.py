@@ -49,9 +49,15 @@ class Work:
 class Worker:
     """Calls one function in a process of its own.
 
-    `function`: ``function(request, work)`` of an importable module: request and answer can be pickled, `work` is a
-    `Work`.
-    Raises ValueError: the function cannot be imported by name (defined at a prompt or within another function).
+    Parameters
+    ----------
+    function : callable
+        ``function(request, work)`` of an importable module: request and answer can be pickled, `work` is a `Work`.
+
+    Raises
+    ------
+    ValueError
+        The function cannot be imported by name (defined at a prompt or within another function).
     """
 
     def __init__(self, function: Callable[[Any, Work], Any]) -> None:
@@ -89,8 +95,15 @@ class Worker:
     def submit(self, request: Any, job: object = None) -> None:
         """Begin to work on a request.
 
-        `job`: by which the caller knows it: `job` until the next one or `cancel`.
-        Raises RuntimeError: it works on another one.
+        Parameters
+        ----------
+        job : object
+            By which the caller knows it: `job` until the next one or `cancel`.
+
+        Raises
+        ------
+        RuntimeError
+            It works on another one.
         """
         if self.state == "working":
             raise RuntimeError("a worker does one thing at a time; cancel it first")
@@ -148,8 +161,12 @@ class Worker:
 class _Process:
     """The process as its callers see it, one after the other.
 
-    `module`, `name`: of the function that it calls.
-    `key` (hashable): what a caller must have in common with the one that it was started for.
+    Parameters
+    ----------
+    module, name : str
+        Of the function that it calls.
+    key : hashable
+        What a caller must have in common with the one that it was started for.
     """
 
     idle: ClassVar[list[_Process]] = []  # the longest without an owner first

@@ -188,7 +188,10 @@ def told(rig: Members) -> dict[str, str]:
 def figures_in(text: str) -> list[Figure]:
     """Read what `told` wrote.
 
-    Raises ValueError: the text is no JSON, or not of figures; says what was expected.
+    Raises
+    ------
+    ValueError
+        The text is no JSON, or not of figures; says what was expected.
     """
     try:
         return [Figure(**about | {"function": find(about["function"])}) for about in json.loads(text)]

@@ -72,8 +72,12 @@ def values(results: Iterable[Result]) -> dict[str, float]:
 def findings(scenario: Scenario, figures: Callable[[str], Figures | None], units: Mapping[str, str]) -> list[Finding]:
     """Hold the claims of a scenario against measurements.
 
-    `figures`: figures of a scenario by its name; None when it has not been run.
-    `units`: unit of the scenario's own figures.
+    Parameters
+    ----------
+    figures : callable
+        Figures of a scenario by its name; None when it has not been run.
+    units : mapping
+        Unit of the scenario's own figures.
     """
     return hold(scenario.name, scenario.claims, figures, units)
 
@@ -83,10 +87,16 @@ def hold(
 ) -> list[Finding]:
     """Hold claims, of a scenario or of a study, against measurements; see `findings`.
 
-    `name`: of the scenario or study.
-    `claims`: by key.
-    `figures`: gives the figures of a scenario by its name; None when it was not run or broke.
-    `units`: unit by figure.
+    Parameters
+    ----------
+    name : str
+        Of the scenario or study.
+    claims : mapping of str to Claim
+        By key.
+    figures : callable
+        Gives the figures of a scenario by its name; None when it was not run or broke.
+    units : mapping of str to str
+        Unit by figure.
     """
     return [_finding(name, key, claim, figures, units) for key, claim in claims.items()]
 
@@ -127,7 +137,10 @@ def _words(key: str) -> str:
 def needed(scenario: Scenario) -> set[str]:
     """Names of the scenarios whose figures its claims need, itself included.
 
-    Raises ScenarioError: a claim names a scenario that is not there.
+    Raises
+    ------
+    ScenarioError
+        A claim names a scenario that is not there.
     """
     names = {scenario.name}
     for key, claim in scenario.claims.items():

@@ -52,7 +52,10 @@ class Judge:
     def margin(self, signals: SignalMap) -> Margin:
         """Measure the margin, and find where it is least and where the formula is violated.
 
-        Raises ValueError: not judged: the record does not decide the formula, or its arithmetic is undefined.
+        Raises
+        ------
+        ValueError
+            Not judged: the record does not decide the formula, or its arithmetic is undefined.
         """
         found = {name: signals[signal] for name, signal in self.signals.items()}
         ticks, _ = signals[self.ticker]
@@ -89,7 +92,10 @@ def _newest(times: Array, grid: Array) -> NDArray[np.intp]:
 def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:
     """Give the shared names of a rig's scenario that formulas may use: numbers, and signals.
 
-    `units`: of each signal of the rig.
+    Parameters
+    ----------
+    units : mapping
+        Of each signal of the rig.
     """
     shared = rig.scenario.shared.items()
     named = {k: fill_parameters(v, rig.parameter) if isinstance(v, str) else v for k, v in shared}
@@ -124,9 +130,16 @@ def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]
 def judges(rig: Members, units: Mapping[str, str]) -> dict[str, Judge]:
     """Read the requirements of a rig's scenario.
 
-    `units`: of each signal of the rig.
-    Raises ScenarioError: names the requirement: a formula that does not parse, an unknown name, units that do not fit,
-    an interval without a tick in it.
+    Parameters
+    ----------
+    units : mapping
+        Of each signal of the rig.
+
+    Raises
+    ------
+    ScenarioError
+        Names the requirement: a formula that does not parse, an unknown name, units that do not fit, an interval
+        without a tick in it.
     """
     if not rig.scenario.requirements:
         return {}

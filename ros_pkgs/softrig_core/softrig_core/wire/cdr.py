@@ -162,8 +162,12 @@ class Layout:
     def encode(self, stamp: int, values: Sequence[float]) -> bytes:
         """Give the message bytes for a stamp in ns and all numbers in wire order.
 
-        `stamp`: ns; of an array that is numbered its number on its topic, from 0; ignored where a message has neither.
-        `values`: all numbers of the message in wire order, field by field.
+        Parameters
+        ----------
+        stamp : int
+            ns; of an array that is numbered its number on its topic, from 0; ignored where a message has neither.
+        values : sequence of float
+            All numbers of the message in wire order, field by field.
         """
         if len(values) != self.size:
             raise ValueError(f"{len(values)} values, expected {self.size}")
@@ -188,8 +192,11 @@ class Layout:
     def encode_block(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Give the bytes of n messages as an array of shape (n, length): row by row what `encode` gives.
 
-        `stamps` (array of shape (n,)): ns, or the numbers of arrays.
-        `values` (array of shape (n, size)).
+        Parameters
+        ----------
+        stamps : array of shape (n,)
+            ns, or the numbers of arrays.
+        values : array of shape (n, size)
         """
         rows = np.tile(np.frombuffer(self.encode(0, (0.0,) * self.size), dtype=np.uint8), (len(stamps), 1))
         if self.stamp_offset is not None:
@@ -251,9 +258,17 @@ def _merge(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
 def parse(msgtype: str, data: bytes) -> Message:
     """Read any well-formed message of a known type, either endianness.
 
-    `msgtype`: ``package/msg/Type``.
-    `data`: serialized message, the four bytes of the encapsulation included.
-    Raises CdrError: the bytes are truncated or malformed; says where.
+    Parameters
+    ----------
+    msgtype : str
+        ``package/msg/Type``.
+    data : bytes
+        Serialized message, the four bytes of the encapsulation included.
+
+    Raises
+    ------
+    CdrError
+        The bytes are truncated or malformed; says where.
     """
     reader = Reader(msgtype, data)
     stamp: int | None = None

@@ -26,9 +26,14 @@ class Recorded(Protocol):
 def encode(t: int, node: str, values: Mapping[str, Any]) -> bytes:
     """Give the bytes of a message.
 
-    `t`: ns; of the tick from which the values hold.
-    `node`: its name, behind a slash and without the namespace of the rig.
-    `values`: value by name: numbers, texts, flags or lists of one of these; None: not set.
+    Parameters
+    ----------
+    t : int
+        ns; of the tick from which the values hold.
+    node : str
+        Its name, behind a slash and without the namespace of the rig.
+    values : mapping
+        Value by name: numbers, texts, flags or lists of one of these; None: not set.
     """
     out = Writer()
     out.add("I", t // SECOND, t % SECOND)
@@ -66,7 +71,10 @@ def _write(out: Writer, value: Any) -> None:
 def decode(data: bytes) -> tuple[int, str, dict[str, Any]]:
     """Give the tick in ns, the full name of the node and its changed values.
 
-    Raises CdrError: malformed bytes.
+    Raises
+    ------
+    CdrError
+        Malformed bytes.
     """
     reader = Reader(TYPE, data)
     t = reader.one("i") * SECOND + reader.one("I")
@@ -78,7 +86,10 @@ def decode(data: bytes) -> tuple[int, str, dict[str, Any]]:
 def recorded(recording: Recorded, epoch: int = 0) -> list[tuple[int, str, dict[str, Any]]]:
     """Give the changes in a recording, in the order of their times: tick in ns after `epoch`, node, its new values.
 
-    Raises ValueError: a message is malformed.
+    Raises
+    ------
+    ValueError
+        A message is malformed.
     """
     topic = recording.topics.get(TOPIC)
     found = [decode(data) for data in (topic.data if topic is not None else ())]

@@ -39,7 +39,10 @@ class Sink(Protocol):
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
         """Give what appends one message of each of some topics, all of one time, by their numbers.
 
-        `layouts`: by number of the topic; arrays are numbered in the order of the calls.
+        Parameters
+        ----------
+        layouts : mapping of int to Layout
+            By number of the topic; arrays are numbered in the order of the calls.
         """
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
@@ -57,8 +60,12 @@ class ShardWriter:
     What a node says at each of its ticks is a row: its messages have one stamp, and only their numbers are written.
     Their bytes are made when the shard is read, from the layouts in its head.
 
-    `topics` (sequence of (name, message type)): in the order of the numbers that `add` takes.
-    `row`: the messages of a row, in order: number of the topic and layout.
+    Parameters
+    ----------
+    topics : sequence of (name, message type)
+        In the order of the numbers that `add` takes.
+    row : mapping of int to Layout
+        The messages of a row, in order: number of the topic and layout.
     """
 
     LIMIT = 1 << 12  # bytes: the loop waits while they are written, 2 us a kB in files that are new
@@ -194,6 +201,17 @@ class Topic:
         else:
             n = bisect_left(self.times, t)
             found._times, found._data = self.times[:n], self.data[:n]
+        return found
+
+    def since(self, n: int) -> Topic:
+        """Give its messages but the first n."""
+        found, parts = Topic(self.name, self.msgtype), self.parts()
+        for part in parts:
+            if n < (size := len(part.times)):
+                found._columns.append(part.part(max(n, 0), size))
+            n -= size
+        if not parts:
+            found._times, found._data = self.times[n:], self.data[n:]
         return found
 
     def stream(self) -> Iterator[tuple[int, bytes]]:
@@ -341,7 +359,10 @@ class Recording:
 class ShardTail:
     """A shard that is still being written: what has come since the last look.
 
-    `path`: it need not be there yet.
+    Parameters
+    ----------
+    path : Path
+        It need not be there yet.
     """
 
     LIMIT = 1 << 22  # bytes of one look
@@ -354,7 +375,10 @@ class ShardTail:
     def read(self, recording: Recording) -> bool:
         """Add what is new to a recording; whether there may be more than one look takes.
 
-        `recording`: of the shard's topics.
+        Parameters
+        ----------
+        recording : Recording
+            Of the shard's topics.
         """
         try:
             with self._path.open("rb") as file:

@@ -34,8 +34,15 @@ class Table(NamedTuple):
 def full_name(name: str, known: Iterable[str]) -> str:
     """Give the whole name of a signal that was called without its field: ``buck/state/voltage`` of ``.../position``.
 
-    `known`: all signals.
-    Returns: the name itself when it is whole, or when none or several signals begin so.
+    Parameters
+    ----------
+    known : iterable of str
+        All signals.
+
+    Returns
+    -------
+    str
+        The name itself when it is whole, or when none or several signals begin so.
     """
     names = list(known)
     if name in names:

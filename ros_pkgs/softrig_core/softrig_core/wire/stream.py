@@ -13,8 +13,12 @@ class CdrError(ValueError):
 class Writer:
     """Puts the parts of a message behind each other, little endian.
 
-    `data` (bytearray): the message so far, the four bytes of the encapsulation included; alignment counts after these.
-    `written` (list of (int, int)): start and end of what has been written: not of padding, nor of what was left open.
+    Attributes
+    ----------
+    data : bytearray
+        The message so far, the four bytes of the encapsulation included; alignment counts after these.
+    written : list of (int, int)
+        Start and end of what has been written: not of padding, nor of what was left open.
     """
 
     def __init__(self) -> None:
@@ -50,8 +54,12 @@ class Writer:
 class Reader:
     """Takes the parts of a message one after the other, in either byte order.
 
-    `msgtype`: named in errors.
-    `data`: the four bytes of the encapsulation included.
+    Parameters
+    ----------
+    msgtype : str
+        Named in errors.
+    data : bytes
+        The four bytes of the encapsulation included.
     """
 
     def __init__(self, msgtype: str, data: bytes) -> None:
@@ -61,7 +69,10 @@ class Reader:
     def take(self, code: str, n: int = 1) -> tuple[Any, ...]:
         """Read `n` values of a struct's code.
 
-        Raises CdrError: the bytes end before.
+        Raises
+        ------
+        CdrError
+            The bytes end before.
         """
         if not n:
             return ()
@@ -79,7 +90,10 @@ class Reader:
     def count(self, what: str, size: int) -> int:
         """Read how many items follow, of at least so many bytes each.
 
-        Raises CdrError: more than fit.
+        Raises
+        ------
+        CdrError
+            More than fit.
         """
         n: int = self.one("I")
         if n * size > len(self._data):
@@ -89,7 +103,10 @@ class Reader:
     def text(self) -> str:
         """Read a string.
 
-        Raises CdrError: it does not fit.
+        Raises
+        ------
+        CdrError
+            It does not fit.
         """
         n: int = self.one("I")
         if n == 0 or self._at + n > len(self._data):

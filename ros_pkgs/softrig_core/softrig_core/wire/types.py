@@ -33,8 +33,12 @@ class Item(NamedTuple):
 class MessageType:
     """What the suite knows of a message type.
 
-    `name`: ``package/msg/Type``.
-    `schema`: all that is on the wire, in order.
+    Parameters
+    ----------
+    name : str
+        ``package/msg/Type``.
+    schema : tuple of Item
+        All that is on the wire, in order.
     """
 
     name: str
@@ -76,9 +80,14 @@ class MessageType:
     def labels(self, fields: Mapping[str, int], names: Sequence[str] = (), dims: Dims | None = None) -> tuple[str, ...]:
         """Name each value below the topic: ``shaft/velocity``, ``force/x``; ``x`` or ``data`` where one word says it.
 
-        `fields`: fields in the order of their values, with the number of values of each.
-        `names`: names of the channels.
-        `dims`: shape of an array.
+        Parameters
+        ----------
+        fields : mapping of str to int
+            Fields in the order of their values, with the number of values of each.
+        names : sequence of str
+            Names of the channels.
+        dims : Dims, optional
+            Shape of an array.
         """
         found: list[str] = []
         for name, count in fields.items():

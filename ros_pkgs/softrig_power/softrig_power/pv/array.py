@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
 from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, Level, Params, param
+from softrig_core.kit.newest import Newest
 
 from .module import ModuleParams
 from .string import Characteristic, characteristic
@@ -31,9 +30,9 @@ class ArrayParams(Params):
         """Give what a string and who judges it must have in common: its modules, and the conditions it begins in."""
         return {"pv/module": self.module.model_dump(), "pv/conditions": self.irradiance + self.temperature}
 
-    def sources(self) -> Callable[[tuple[float, ...]], Characteristic]:
-        """Give what gives the characteristic under the values of pv/environment; the newest are at hand."""
-        return lru_cache(maxsize=4)(lambda environment: characteristic(self.module, *split(environment)))
+    def sources(self) -> Newest[tuple[float, ...], Characteristic]:
+        """Give what gives the characteristic under the values of pv/environment."""
+        return Newest(lambda environment: characteristic(self.module, *split(environment)))
 
     @model_validator(mode="after")
     def _conditions(self) -> Self:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Self
 
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
 from softrig_core import Block, BlockParams, Port, executable, param
+from softrig_core.kit.newest import Newest
 
 from .array import IRRADIANCE, TEMPERATURE, refuse
 from .ports import environment
@@ -74,7 +74,7 @@ class ShadingSource(Block[ShadingSourceParams]):
 
     def setup(self) -> None:
         """Keep the patterns of a run at hand."""
-        self._profile = lru_cache(maxsize=2)(self._drawn)
+        self._profile = Newest(self._drawn)
 
     def first(self) -> tuple[float, ...]:
         """Draw the fluctuation of this run, the state: one number in [-1, 1] a value."""

@@ -39,8 +39,12 @@ CLOCK_LAYOUT = Layout(CLOCK.msgtype)
 class Drive(Protocol):
     """What says when the ticks of a node are ready.
 
-    `t`: time of the tick under way, ns.
-    `status_every`: status files a running node writes: one in so many watch periods.
+    Attributes
+    ----------
+    t : int
+        Time of the tick under way, ns.
+    status_every : int
+        Status files a running node writes: one in so many watch periods.
     """
 
     status_every: int
@@ -86,7 +90,10 @@ def _by_hand(block: Block, options: RunOptions) -> Links:
 class Adapter:
     """A block as a node.
 
-    `sink`: gets what the node publishes, instead of the file that the options name.
+    Parameters
+    ----------
+    sink : Sink, optional
+        Gets what the node publishes, instead of the file that the options name.
     """
 
     drive: Drive

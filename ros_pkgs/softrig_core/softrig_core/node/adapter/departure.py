@@ -29,8 +29,12 @@ REPEAT = 5  # checks between two times that a node says it is ready
 class Departure:
     """Waits for the common start of one node.
 
-    `local`: other nodes of this process.
-    `begin`: called once with the wall-clock time of t = 0 and by how much the clock of the rig is ahead of ours, ns.
+    Parameters
+    ----------
+    local : set of str
+        Other nodes of this process.
+    begin : callable
+        Called once with the wall-clock time of t = 0 and by how much the clock of the rig is ahead of ours, ns.
     """
 
     def __init__(

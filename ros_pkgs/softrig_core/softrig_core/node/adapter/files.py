@@ -16,9 +16,14 @@ from ...wire.recording import Recording, shard_topics
 class Files:
     """What a rig has said before one of its nodes came back.
 
-    `recording`: of its senders; what came from outside is in its own, and the changes of its parameters.
-    `answered`: by node: the time before which it has answered all its ticks, ns.
-    `gone` (set of str): nodes that have answered their last tick and left.
+    Parameters
+    ----------
+    recording : Recording
+        Of its senders; what came from outside is in its own, and the changes of its parameters.
+    answered : mapping of str to float
+        By node: the time before which it has answered all its ticks, ns.
+    gone : set of str
+        Nodes that have answered their last tick and left.
     """
 
     recording: Recording
@@ -30,8 +35,12 @@ class Files:
 def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
     """Read the files that the nodes of a run are writing.
 
-    `name`: of the node that comes back; its record is ``NAME.shard.died``.
-    `peers`: nodes that it reads, or that read it.
+    Parameters
+    ----------
+    name : str
+        Of the node that comes back; its record is ``NAME.shard.died``.
+    peers : iterable of str
+        Nodes that it reads, or that read it.
     """
     status = {who: read_status(folder / f"{who}.status") for who in peers}
     gone = frozenset(who for who, said in status.items() if said.get("state") == "done")

@@ -17,9 +17,17 @@ from .adapter import Adapter
 class Sender(Input):
     """A row: who sends us something on one topic.
 
-    `node`: who reads.
-    `who`: node name of the sender, for errors.
-    `stamp` (int or None): of the value that the input holds, ns.
+    Parameters
+    ----------
+    node : Adapter
+        Who reads.
+    who : str
+        Node name of the sender, for errors.
+
+    Attributes
+    ----------
+    stamp : int or None
+        Of the value that the input holds, ns.
     """
 
     def __init__(self, node: Adapter, port: Port, who: str = "another node") -> None:
@@ -80,7 +88,10 @@ class Sender(Input):
 
         Number 0 may begin anew: a bag that is played in a loop.
 
-        `number`: what the array says of itself; -1 when it says nothing: then it is new.
+        Parameters
+        ----------
+        number : int
+            What the array says of itself; -1 when it says nothing: then it is new.
         """
         expected = self.following
         if number < 0 or expected is None:

@@ -21,7 +21,9 @@ PERIOD = SECOND // 30  # ns of the wall between two sets of moving frames: a vie
 class Frames:
     """Publishes on /tf_static, for whoever comes, the frames that stand, and on /tf, while it is read, those that move.
 
-    `node` (rclpy.node.Node).
+    Parameters
+    ----------
+    node : rclpy.node.Node
     """
 
     def __init__(self, node: Node, adapter: Adapter) -> None:
@@ -54,7 +56,10 @@ class Frames:
 def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
     """Give the bytes of a tf2_msgs/msg/TFMessage.
 
-    `stamp`: ns.
+    Parameters
+    ----------
+    stamp : int
+        ns.
     """
     poses = list(poses)
     out = Writer()

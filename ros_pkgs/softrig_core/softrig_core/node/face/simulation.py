@@ -45,7 +45,10 @@ class _Steps:
 class Simulation:
     """Offers the services below the namespace of the rig: ``get_simulation_state`` and so on.
 
-    `adapter`: of the node that owns the clock, in lockstep.
+    Parameters
+    ----------
+    adapter : Adapter
+        Of the node that owns the clock, in lockstep.
     """
 
     def __init__(self, node: ServingNode, adapter: Adapter) -> None:

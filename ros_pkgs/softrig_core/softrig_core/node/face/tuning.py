@@ -15,7 +15,10 @@ from ..ros.ros import ServingNode, plain
 class Tuning:
     """Hands changed parameters to the step of a node, all of a call or none.
 
-    `node`: whose parameters are declared.
+    Parameters
+    ----------
+    node : ServingNode
+        Whose parameters are declared.
     """
 
     def __init__(self, node: ServingNode, adapter: Adapter) -> None:

@@ -14,8 +14,12 @@ from ..seam.endpoint import Output
 def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> None:
     """Have outputs keep their first message and publish it again when a reader comes.
 
-    `outputs`: advertised ones, with stamps by which a reader knows what it has.
-    `may_repeat`: whether the node is still at its first tick.
+    Parameters
+    ----------
+    outputs : iterable of Output
+        Advertised ones, with stamps by which a reader knows what it has.
+    may_repeat : callable
+        Whether the node is still at its first tick.
     """
     for output in outputs:
         _keep(output, may_repeat)

@@ -33,7 +33,10 @@ SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin s
 class Lockstep:
     """What makes the ticks of a node ready: the messages of its peers in other processes.
 
-    `turn`: has the runner of this process go on.
+    Parameters
+    ----------
+    turn : callable
+        Has the runner of this process go on.
     """
 
     status_every = 1
@@ -64,9 +67,14 @@ class Lockstep:
     def join(self, local: Set[str], begin: Callable[[], object], ticks: Iterator[int | None]) -> None:
         """Wait for the peers that are not in this process.
 
-        `local`: names of the other nodes of this process.
-        `begin`: called when all peers are there.
-        `ticks`: of the runner of this process; one that comes back goes through those that it had answered.
+        Parameters
+        ----------
+        local : set of str
+            Names of the other nodes of this process.
+        begin : callable
+            Called when all peers are there.
+        ticks : iterator
+            Of the runner of this process; one that comes back goes through those that it had answered.
         """
         node, senders, links = self.node, self.senders, self.node.links
         senders.without(local)

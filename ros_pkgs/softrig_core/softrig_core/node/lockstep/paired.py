@@ -79,8 +79,12 @@ class PairedSenders:
     def follow_ticks(self, local: Set[str], then: Callable[[], object]) -> None:
         """Read the acknowledgements of nodes of other processes that we wait for or that may be silent.
 
-        `local`: nodes of this process.
-        `then`: called after each.
+        Parameters
+        ----------
+        local : set of str
+            Nodes of this process.
+        then : callable
+            Called after each.
         """
         node, links = self.node, self.node.links
         silent: dict[str, list[Paired]] = {}
@@ -397,8 +401,12 @@ class Pace(Paired):
 class Ticks(Pace):
     """The acknowledgements of a node: of its ticks, and of the sporadic ports that have spoken at them.
 
-    `silent_rows`: what we read of these ports.
-    `then`: called after each.
+    Parameters
+    ----------
+    silent_rows : iterable of Paired
+        What we read of these ports.
+    then : callable
+        Called after each.
     """
 
     def __init__(self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool,

@@ -17,8 +17,12 @@ GOODBYE = 2.0  # s: who vanishes within them has taken leave; the graph keeps th
 class Stalls:
     """Looks, again and again, whether the run goes on.
 
-    `handshake`: of the start.
-    `rivals` (Input or None): an input with more than one publisher.
+    Attributes
+    ----------
+    handshake : Handshake
+        Of the start.
+    rivals : Input or None
+        An input with more than one publisher.
     """
 
     handshake: Handshake

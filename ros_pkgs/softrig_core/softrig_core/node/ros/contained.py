@@ -15,9 +15,12 @@ from .ros import RosMiddleware
 class ContainedMiddleware(RosMiddleware):
     """One rclpy node whose endpoints see only other processes; see `Middleware` for the methods.
 
-    `node` (rclpy.node.Node): of a participant that does not match its own endpoints with each other
-    (`profile.exclusive`).
-    `exchange`: that of the container.
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Of a participant that does not match its own endpoints with each other (`profile.exclusive`).
+    exchange : Exchange
+        That of the container.
     """
 
     mute = True

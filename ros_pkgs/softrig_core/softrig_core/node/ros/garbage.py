@@ -18,8 +18,12 @@ CLEAN, UNCLEAN = 100, 10  # steps to the next look, after one without and with a
 class Garbage:
     """Searches for cycles seldom while none come about, and as usual while some do.
 
-    `collector` (module): `gc`, or what stands in for it.
-    `off`: never search but in `step`: what is found may be what no other thread may destroy.
+    Parameters
+    ----------
+    collector : module
+        `gc`, or what stands in for it.
+    off : bool
+        Never search but in `step`: what is found may be what no other thread may destroy.
     """
 
     def __init__(self, collector: Any = gc, *, off: bool = False) -> None:

@@ -23,8 +23,11 @@ def leave(nodes: Sequence[Node], status: int) -> NoReturn:
     leaves comes at the same moment (eProsima/Fast-DDS#6513; once in some hundred runs, for nodes in lockstep finish
     together), and its static destructors may do the same. Hence a limit for the first, and no regular exit.
 
-    `nodes` (sequence of rclpy.node.Node).
-    `status`: exit status.
+    Parameters
+    ----------
+    nodes : sequence of rclpy.node.Node
+    status : int
+        Exit status.
     """
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):  # nobody reads it any more

@@ -20,7 +20,10 @@ from .tf_message import TF, tf_class
 def message_class(msgtype: str) -> Any:
     """Import ``package/msg/Type`` of an installed interface package, and no other module.
 
-    Raises ImportError: no installed interface package of this name: a type named by a bag must not run other code.
+    Raises
+    ------
+    ImportError
+        No installed interface package of this name: a type named by a bag must not run other code.
     """
     package, kind, name = (*msgtype.split("/"), "", "")[:3]
     index = "share/ament_index/resource_index/rosidl_interfaces"
@@ -83,8 +86,12 @@ def range_descriptor(declaration: Declaration) -> Any:
 def marker_array(stamp: int, markers: Sequence[Marker]) -> Any:
     """Make a visualization_msgs/MarkerArray; stamp in ns.
 
-    `stamp`: ns.
-    `markers`: what a block has to show.
+    Parameters
+    ----------
+    stamp : int
+        ns.
+    markers : sequence of Marker
+        What a block has to show.
     """
     from geometry_msgs.msg import Point as PointMessage
     from visualization_msgs.msg import Marker as MarkerMessage, MarkerArray

@@ -28,9 +28,17 @@ SPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 def joining(*, exclusive: bool = False) -> Iterator[None]:
     """Within the block a participant may begin: no damaged port is in its way, and its profile is made.
 
-    `exclusive`: whether its endpoints are matched with other processes only.
-    Raises OSError: the profile of the environment cannot be read.
-    Raises ValueError: it is no XML, or has no participant.
+    Parameters
+    ----------
+    exclusive : bool
+        Whether its endpoints are matched with other processes only.
+
+    Raises
+    ------
+    OSError
+        The profile of the environment cannot be read.
+    ValueError
+        It is no XML, or has no participant.
     """
     clear_ports(domain_id())
     given = os.environ.get(VARIABLE) or str(default_profile())
@@ -48,7 +56,10 @@ def joining(*, exclusive: bool = False) -> Iterator[None]:
 def own(profile: bytes, *, exclusive: bool = False) -> bytes:
     """Give a profile file whose participants have ports, unless it names some, and if `exclusive` the property.
 
-    Raises ValueError: no XML, or no participant in it.
+    Raises
+    ------
+    ValueError
+        No XML, or no participant in it.
     """
     try:
         root = ElementTree.fromstring(profile)

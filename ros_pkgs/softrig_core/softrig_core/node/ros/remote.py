@@ -33,9 +33,13 @@ PATIENCE = 10.0  # s: for a node to be there, and again for it to answer
 class Remote:
     """Clients of the services that have been asked for.
 
-    `node` (rclpy.node.Node).
-    `answer`: gets the id of a request, whether it was done (None: nobody answered), and the reason if it was not.
-    `patience`: how long to wait for a node, s.
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    answer : callable
+        Gets the id of a request, whether it was done (None: nobody answered), and the reason if it was not.
+    patience : float
+        How long to wait for a node, s.
     """
 
     def __init__(
@@ -102,9 +106,17 @@ class Remote:
 def set_parameters(wanted: Mapping[str, Mapping[str, Any]], patience: float) -> list[str]:
     """Set parameters of running nodes, those of one node all or none.
 
-    `wanted`: values by node and name.
-    `patience`: how long to wait for each node, s.
-    Returns: what went wrong, a line a node.
+    Parameters
+    ----------
+    wanted : mapping
+        Values by node and name.
+    patience : float
+        How long to wait for each node, s.
+
+    Returns
+    -------
+    list of str
+        What went wrong, a line a node.
     """
     refusals: list[str] = []
     waiting = set(wanted)

@@ -82,8 +82,12 @@ class ServingNode(Node):  # type: ignore[misc]
     a whole file); a whole number stands for a real one, and what a read-only parameter is already may be set again.
     The ticks of the nodes go first: who sets more than fits beside them is refused and told when to come back.
 
-    `remark`: what whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
-    `monitor` (Monitor): of whatever calls the node: no service is answered while a tick is under way.
+    Attributes
+    ----------
+    remark : str
+        What whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
+    monitor : Monitor
+        Of whatever calls the node: no service is answered while a tick is under way.
     """
 
     remark = ""
@@ -170,7 +174,10 @@ Arguments = ParamSpec("Arguments")
 def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
     """Let a callback end without a word in which a signal has shut the context down; the executor would log its stack.
 
-    `callback`: of a timer or a subscription; it may publish.
+    Parameters
+    ----------
+    callback : callable
+        Of a timer or a subscription; it may publish.
     """
 
     @wraps(callback)  # rclpy asks for the signature

@@ -173,7 +173,10 @@ def _bytes_only(*_: Any) -> Any:
 def tf_class() -> Any:
     """Give a class that rclpy takes for tf2_msgs/msg/TFMessage in publishers and subscriptions of bytes.
 
-    Raises ImportError: there is no Fast DDS.
+    Raises
+    ------
+    ImportError
+        There is no Fast DDS.
     """
     from geometry_msgs.msg import TransformStamped
     from rclpy.type_support import check_for_type_support

@@ -11,10 +11,17 @@ from ...block.port import Port
 class Buttons:
     """The buttons of a node.
 
-    `values` (mutable mapping): values of the node's inputs, which a press changes.
-    `record`: gets the port and whether it went down.
-    `pressed` (dict of Port to int): presses that the block has not seen go down and up again; nothing to `release` when
-    it is empty.
+    Parameters
+    ----------
+    values : mutable mapping
+        Values of the node's inputs, which a press changes.
+    record : callable
+        Gets the port and whether it went down.
+
+    Attributes
+    ----------
+    pressed : dict of Port to int
+        Presses that the block has not seen go down and up again; nothing to `release` when it is empty.
     """
 
     def __init__(self, values: MutableMapping[str, Any], record: Callable[[Port, bool], None]) -> None:

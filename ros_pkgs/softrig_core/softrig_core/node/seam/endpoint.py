@@ -66,9 +66,14 @@ class Input:
 class Output:
     """A published port.
 
-    `readers`: readers in other processes that are matched, as the writer sees them.
-    `numbered`: whether its messages have no stamp but a number.
-    `said`: of these: the number of the next one.
+    Attributes
+    ----------
+    readers : int
+        Readers in other processes that are matched, as the writer sees them.
+    numbered : bool
+        Whether its messages have no stamp but a number.
+    said : int
+        Of these: the number of the next one.
     """
 
     def __init__(self, port: Port, topic: str, number: int) -> None:

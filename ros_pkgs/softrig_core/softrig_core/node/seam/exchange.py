@@ -25,9 +25,13 @@ SLICE = 5_000_000  # ns: how long the queue may keep a timer waiting
 class ExchangeTimer:
     """A timer of the container's own; see `Timer`.
 
-    `due` (int or None): when it fires next, ns, monotonic; None when it is cancelled.
-    `moved`: whether it has been moved since the exchange has entered it; it is entered only once a turn, when all that
-    waited has been handed over: most limits are off again by then.
+    Attributes
+    ----------
+    due : int or None
+        When it fires next, ns, monotonic; None when it is cancelled.
+    moved : bool
+        Whether it has been moved since the exchange has entered it; it is entered only once a turn, when all that
+        waited has been handed over: most limits are off again by then.
     """
 
     def __init__(self, moved: list[ExchangeTimer], ns: int, callback: Callable[[], None]) -> None:
@@ -52,8 +56,12 @@ class ExchangeTimer:
 class Exchange:
     """The queue and the timers of a container.
 
-    `owners` (dict of callable to str): node names, by what is called for them.
-    `writers` (dict): number of writers in other processes that are matched, by reader.
+    Attributes
+    ----------
+    owners : dict of callable to str
+        Node names, by what is called for them.
+    writers : dict
+        Number of writers in other processes that are matched, by reader.
     """
 
     def __init__(self) -> None:
@@ -106,9 +114,17 @@ class Exchange:
     def serve(self, until: int, awake: int = 0) -> int:
         """Fire timers and hand over messages until nothing is due for `awake` ns or `until` has passed.
 
-        `until`: ns, monotonic.
-        `awake`: a timer that is nearer is waited for here.
-        Returns: ns to the next timer; 0 when something waits to be done.
+        Parameters
+        ----------
+        until : int
+            ns, monotonic.
+        awake : int
+            A timer that is nearer is waited for here.
+
+        Returns
+        -------
+        int
+            ns to the next timer; 0 when something waits to be done.
         """
         now, queue = time.monotonic_ns, self._queue
         while True:

@@ -20,7 +20,10 @@ _renameat2 = getattr(ctypes.CDLL(None), "renameat2", None)  # glibc 2.28
 class StatusFile:
     """The file in which a node says how it is, as JSON.
 
-    `path`: empty: none is wanted.
+    Parameters
+    ----------
+    path : str
+        Empty: none is wanted.
     """
 
     def __init__(self, path: str) -> None:
@@ -55,8 +58,12 @@ def _exchange(new: Path, path: Path) -> None:
 def percentiles(name: str, samples: Iterable[int]) -> dict[str, float]:
     """Give p50, p99 and maximum of times in ns as ``<name>_p50_ms`` and so on; nothing without samples.
 
-    `name`: beginning of the names of the figures.
-    `samples`: times in ns.
+    Parameters
+    ----------
+    name : str
+        Beginning of the names of the figures.
+    samples : iterable of int
+        Times in ns.
     """
     ordered = sorted(samples)
     if not ordered:

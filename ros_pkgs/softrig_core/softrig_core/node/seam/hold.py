@@ -21,10 +21,19 @@ BEHIND = 0.25  # s by which the run may be late and still catch up; what is beyo
 class Hold:
     """Whether the node of the clock may go on.
 
-    `held`: from the start.
-    `pace`: simulated time by wall-clock time; 0: as fast as it goes.
-    `steps`: that it may take all the same.
-    `waits`: whether a tick waits for the wall clock.
+    Parameters
+    ----------
+    held : bool
+        From the start.
+    pace : float
+        Simulated time by wall-clock time; 0: as fast as it goes.
+
+    Attributes
+    ----------
+    steps : int
+        That it may take all the same.
+    waits : bool
+        Whether a tick waits for the wall clock.
     """
 
     def __init__(self, held: bool = False, pace: float = 0.0) -> None:

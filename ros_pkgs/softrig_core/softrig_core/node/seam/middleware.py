@@ -48,8 +48,12 @@ class Middleware(Protocol):
     after whatever is under way in the reader's node has returned. That is what keeps a tick from running inside
     another one.
 
-    `mute`: whether what is published goes nowhere while the number of readers that `matched` has got is 0.
-    `prompt`: whether messages are taken in the thread that receives them (see `be_prompt`).
+    Attributes
+    ----------
+    mute : bool
+        Whether what is published goes nowhere while the number of readers that `matched` has got is 0.
+    prompt : bool
+        Whether messages are taken in the thread that receives them (see `be_prompt`).
     """
 
     name: str

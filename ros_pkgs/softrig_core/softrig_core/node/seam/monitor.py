@@ -23,9 +23,17 @@ class Monitor:
 
     As a context manager it is for the executor's thread alone, and not to be entered twice.
 
-    `wake`: has the executor's thread call `serve` soon; called from any thread.
-    `clock`: gives ns.
-    `closed`: whether nothing that has come is worked on any more: it is over, or something was raised.
+    Parameters
+    ----------
+    wake : callable
+        Has the executor's thread call `serve` soon; called from any thread.
+    clock : callable
+        Gives ns.
+
+    Attributes
+    ----------
+    closed : bool
+        Whether nothing that has come is worked on any more: it is over, or something was raised.
     """
 
     def __init__(self, wake: Callable[[], object], clock: Callable[[], int] = time.perf_counter_ns) -> None:
@@ -40,7 +48,10 @@ class Monitor:
     def arrive(self, work: Callable[[], object]) -> None:
         """Do some work, now or when whatever is under way has returned; for any thread, which is never held up.
 
-        `work`: takes a message and does what follows from it. What it raises comes out of `serve`.
+        Parameters
+        ----------
+        work : callable
+            Takes a message and does what follows from it. What it raises comes out of `serve`.
         """
         came, lock = self._came, self._lock
         came.append(work)

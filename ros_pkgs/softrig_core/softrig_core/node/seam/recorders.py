@@ -19,8 +19,12 @@ RECORDER = "/_softrig/recorder"  # hidden: no tool lists or records it unasked
 def left_out(recorder: str, topics: Iterable[str]) -> bytes:
     """Give the message by which a recorder says what it leaves out.
 
-    `recorder`: its full name.
-    `topics`: by their full names.
+    Parameters
+    ----------
+    recorder : str
+        Its full name.
+    topics : iterable of str
+        By their full names.
     """
     return TickWriter()(0, [f"{recorder}:{topic}" for topic in topics])
 
@@ -28,7 +32,10 @@ def left_out(recorder: str, topics: Iterable[str]) -> bytes:
 class Recorders:
     """Who is to read the first message of each topic of a node.
 
-    `named`: nodes that read everything.
+    Parameters
+    ----------
+    named : sequence of str
+        Nodes that read everything.
     """
 
     def __init__(self, middleware: Middleware, named: Sequence[str]) -> None:

@@ -19,8 +19,12 @@ LOOK = 2_000_000  # ns
 class Solving:
     """One solver block between the begin of a tick and its answer.
 
-    `step`: of the solver: its x holds the requests that a tick has begun.
-    `resume`: called when the answer that was waited for is there.
+    Parameters
+    ----------
+    step : Step
+        Of the solver: its x holds the requests that a tick has begun.
+    resume : callable
+        Called when the answer that was waited for is there.
     """
 
     def __init__(self, middleware: Middleware, step: Step, resume: Callable[[], object]) -> None:
@@ -74,7 +78,10 @@ class Solving:
 def hear_busy(middleware: Middleware, solvers: int, heard: Callable[[], None]) -> Input:
     """Call a function whenever a solver of the rig says that it is at work.
 
-    `solvers`: how many there are, this node included: the input has a publisher when all of them are matched.
+    Parameters
+    ----------
+    solvers : int
+        How many there are, this node included: the input has a publisher when all of them are matched.
     """
     item = Input(Port("busy", BUSY, TICK))
 

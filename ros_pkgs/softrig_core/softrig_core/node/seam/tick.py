@@ -34,7 +34,10 @@ class TickReader:
     def __call__(self, data: bytes) -> tuple[int, frozenset[str]]:
         """Give the stamp in ns and what was sent.
 
-        Raises Refused: malformed bytes.
+        Raises
+        ------
+        Refused
+            Malformed bytes.
         """
         sent = self._known.get(data[12:]) if data[:4] == b"\x00\x01\x00\x00" else None
         if sent is None:
