@@ -14,8 +14,9 @@ import hypothesis
 import pytest
 
 # a loaded machine is slow, which says nothing about the code
-hypothesis.settings.register_profile("any_speed", deadline=None,
-                                     suppress_health_check=[hypothesis.HealthCheck.too_slow])  # fmt: skip
+hypothesis.settings.register_profile(
+    "any_speed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 hypothesis.settings.load_profile("any_speed")
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # rclpy then refuses what it would send as garbage
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun in the background of a script: nodes would inherit it
@@ -215,8 +216,9 @@ def replay(folder, bag, answered, node, *options):
 
         process = start(*node)
         try:
-            player = start("softrig_bags", "player", bag, "--lockstep", *answered, *options,
-                           "--answers", folder / "answers")  # fmt: skip
+            player = start(
+                "softrig_bags", "player", bag, "--lockstep", *answered, *options, "--answers", folder / "answers"
+            )
             return player.wait(PATIENCE), player.communicate()[0]
         finally:
             process.kill()

@@ -104,11 +104,13 @@ def describe(model, version, exchange):
         structure = "".join(f'<Output valueReference="{k}"/>' for k in outputs)
     definitions = "".join(f"<Unit name={quoteattr(u)}>{base}</Unit>" for u, base in units.items() if u)
     experiment = '<DefaultExperiment tolerance="1e-9"/>' if model == "strict" else ""
-    return ('<?xml version="1.0" encoding="UTF-8"?>'
-            f'<fmiModelDescription fmiVersion="{token}" modelName="{model}" {tag}="{model}"{indicators}>'
-            f"{interfaces}<UnitDefinitions>{definitions}</UnitDefinitions>"
-            f"{experiment}<ModelVariables>{''.join(variables)}"
-            f"</ModelVariables><ModelStructure>{structure}</ModelStructure></fmiModelDescription>")  # fmt: skip
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>'
+        f'<fmiModelDescription fmiVersion="{token}" modelName="{model}" {tag}="{model}"{indicators}>'
+        f"{interfaces}<UnitDefinitions>{definitions}</UnitDefinitions>"
+        f"{experiment}<ModelVariables>{''.join(variables)}"
+        f"</ModelVariables><ModelStructure>{structure}</ModelStructure></fmiModelDescription>"
+    )
 
 
 if __name__ == "__main__":

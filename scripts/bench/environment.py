@@ -6,7 +6,7 @@ import os
 import sys
 
 import numpy as np
-from softrig_core import RigEnv, run_inprocess
+from softrig_core import RigEnv, RigVectorEnv, run_inprocess
 
 from .console import console
 from .induction import drive, peer, switching
@@ -14,6 +14,7 @@ from .induction_peers import LEGS
 from .timing import least
 
 SECONDS = 0.5
+MANY = 256
 
 
 def rates(seconds: float = SECONDS) -> dict[str, float]:
@@ -34,10 +35,21 @@ def rates(seconds: float = SECONDS) -> dict[str, float]:
         for action in actions[:-1]:  # the law says nothing at the end time
             environment.step(action)
 
+    many = RigVectorEnv(rig, "dtc_controller", act=dict.fromkeys(legs, (0.0, 1.0)), num_envs=MANY,
+                        reward=lambda now: -abs(now["joint_states/shaft/velocity"]))  # fmt: skip
+    many.reset(seed=1)
+    begin = iter([np.broadcast_to(action, (MANY, 3)) for action in actions])
+    moves = len(actions) // 6 - 1
+
+    def all_move() -> None:
+        for _ in range(moves):
+            many.step(next(begin))
+
     run = least(lambda: run_inprocess(rig, 1))
     return {
         "rig in process, with its law": len(actions) / run,
         "RigEnv, an agent in its place": len(actions) / least(episode),
+        f"RigVectorEnv, {MANY} of them": MANY * moves / least(all_move),
     }
 
 

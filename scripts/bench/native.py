@@ -15,26 +15,45 @@ from softrig_core.block.runner import Runner
 from softrig_core.native.compile import compiled, plain
 from softrig_core.native.engine import Engine
 from softrig_core.run.inprocess import record, wired
+from softrig_drives.induction_dtc.switching import VECTORS
 
 from .console import console
 from .timing import least
 
-SECONDS = 60.0  # simulated
 RIGS = ("dc_motor_smc", "dc_motor_fsfb", "induction_dtc", "lsrm_fuzzy", "tcp_aqm_smc", "rehab_impedance",
         "manipulator_adsmc")  # fmt: skip
-CODE = Path(__file__).with_name("dc_motor_smc.c")
+# by hand: seconds simulated, and topics of its tables: of each tick, and of each 20th
+LOOPS: dict[str, tuple[float, list[tuple[str, ...]]]] = {
+    "dc_motor_smc": (60.0, [("motor/state", "motor/sensors", "motor/command")]),
+    "induction_dtc": (20.0, [
+        ("joint_states", "currents_true", "currents_meas", "flux_true", "dc_link", "switches", "flux_estimate",
+         "torque_estimate"),
+        ("speed_ref", "torque_ref", "load_torque"),
+    ]),
+}  # fmt: skip
 
 
-def rates(seconds: float = SECONDS) -> dict[str, float]:
+def rates(name: str, seconds: float = 0.0) -> dict[str, float]:
     """Measure ns of CPU a tick, the least of five; what C and native code record must be the same bits.
+
+    Parameters
+    ----------
+    name : str
+        One of `LOOPS`.
+    seconds : float
+        Simulated; 0: those of `LOOPS`.
 
     Raises
     ------
     ScenarioError
         It is not.
     """
-    rig = rig_of("dc_motor_smc", duration=seconds)
+    usual, tables = LOOPS[name]
+    rig = rig_of(name, duration=seconds or usual)
     members = [m for m in rig.members if m.outputs]
+    blocks: dict[str, Any] = {m.name: m.block(rig.scenario.seed) for m in members}
+    sizes = [sum(rig.topics[topic].size for topic in topics) for topics in tables]
+    counts = [rig.ticks, -(-rig.ticks // 20)][: len(tables)]
 
     def native(recorded: bool) -> Recording:
         recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
@@ -43,34 +62,39 @@ def rates(seconds: float = SECONDS) -> dict[str, float]:
             record(rig, steps, recording)
         for _ in Engine(list(steps.values())).run():
             pass
-        if not steps["dc_motor_plant"].native[0]:
-            raise ScenarioError(f"not native: {steps['dc_motor_plant'].native[1]}")
+        if not steps[members[0].name].native[0]:
+            raise ScenarioError(f"not native: {steps[members[0].name].native[1]}")
         return recording
 
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "loop.so"
-        subprocess.run(["gcc", "-O2", "-ffp-contract=off", "-shared", "-fPIC", str(CODE), "-o", str(library), "-lm"],
+        code = Path(__file__).with_name(f"{name}.c")
+        subprocess.run(["gcc", "-O2", "-ffp-contract=off", "-shared", "-fPIC", str(code), "-o", str(library), "-lm"],
                        check=True)  # fmt: skip
         loop: Any = ctypes.CDLL(str(library)).loop
-    loop.restype, loop.argtypes = ctypes.c_double, [ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
-    constants = np.array(_constants({m.name: m.block(0) for m in members}))
+    loop.restype = ctypes.c_double
+    constants = np.array(_motor(blocks) if name == "dc_motor_smc" else _drive(blocks))
 
     def by_hand(recorded: bool) -> Any:
-        rows = np.empty((rig.ticks, 6)) if recorded else None
-        loop(rig.ticks, constants.ctypes.data, None if rows is None else rows.ctypes.data)
-        return rows
+        found = [np.empty((count, size)) for count, size in zip(counts, sizes, strict=True)]
+        draws = [blocks["im_plant"].uniform.first(2 * rig.ticks + 8192)] if "im_plant" in blocks else []
+        places = [ctypes.c_void_p(x.ctypes.data) for x in (constants, *draws)]
+        places += [ctypes.c_void_p(x.ctypes.data if recorded else None) for x in found]
+        loop(ctypes.c_long(rig.ticks), *places)
+        return found
 
-    columns = [native(True).topics[t].columns() for t in ("motor/state", "motor/sensors", "motor/command")]
-    found = np.hstack([c.values[: rig.ticks] for c in columns if c is not None])
-    if found.tobytes() != by_hand(True).tobytes():
-        raise ScenarioError("C by hand gives other bits")
+    recording = native(True)
+    for topics, count, table in zip(tables, counts, by_hand(True), strict=True):
+        columns = [recording.topics[topic].columns() for topic in topics]
+        if np.hstack([c.values[:count] for c in columns if c is not None]).tobytes() != table.tobytes():
+            raise ScenarioError(f"{name}: C by hand gives other bits")
     return {
-        f"{name}{', recorded' if recorded else ''}": least(lambda f=f, r=recorded: f(r)) / rig.ticks * 1e9  # type: ignore[misc]
-        for recorded in (False, True) for name, f in (("C by hand", by_hand), ("native", native))
+        f"{how}{', recorded' if recorded else ''}": least(lambda f=f, r=recorded: f(r)) / rig.ticks * 1e9  # type: ignore[misc]
+        for recorded in (False, True) for how, f in (("C by hand", by_hand), ("native", native))
     }  # fmt: skip
 
 
-def _constants(blocks: dict[str, Any]) -> list[float]:
+def _motor(blocks: dict[str, Any]) -> list[float]:
     plant, law = blocks["dc_motor_plant"], blocks["dc_motor_smc"]
     r = blocks["motor_reference"].p.velocities[0]
     gain = (law._k_per_ref * abs(r) if law._k is None else law._k) / law._gain
@@ -78,11 +102,24 @@ def _constants(blocks: dict[str, Any]) -> list[float]:
             law._delta, r, plant.p.load_torques[0], *plant._whole]  # fmt: skip
 
 
+def _drive(blocks: dict[str, Any]) -> list[float]:
+    plant, law, pid = blocks["im_plant"], blocks["dtc_controller"], blocks["speed_controller"]._pid
+    convert, p = plant._convert, law.p
+    speed, load = blocks["speed_source"].p, blocks["load_source"].p
+    return [*plant._constants, convert._q, convert._shift, convert._p_d, plant.p.U_dc,
+            blocks["speed_controller"]._rise, pid._kp, pid._ki_ts, pid._limit, blocks["speed_controller"].p.u_max,
+            law._estimator._half_R_s, p.flux_ramp, p.flux_ref, p.flux_band, p.torque_band, speed.velocities[1],
+            speed.times[1], load.values[1], load.times[1], p.magnetising_time, plant.p.trip_current,
+            *(leg for vector in VECTORS for leg in vector),
+            *(x for u in law._unit for x in (u.real, u.imag))]  # fmt: skip
+
+
 def print_table() -> None:
-    """Native code of dc_motor_smc beside C by hand, then of rigs beside Python, ns of CPU a tick; needs gcc."""
-    table = Table("loop", "ns a tick", box=None, pad_edge=False)
-    for name, ns in rates().items():
-        table.add_row(name, f"{ns:.1f}")
+    """Native code beside C by hand, then of rigs beside Python, ns of CPU a tick; needs gcc."""
+    table = Table("loop", *LOOPS, box=None, pad_edge=False)
+    found = {name: rates(name) for name in LOOPS}
+    for how in found["dc_motor_smc"]:
+        table.add_row(how, *(f"{found[name][how]:.1f}" for name in LOOPS))
     console.print(table)
     table = Table("rig", "ticks", "one by one", "one text in Python", "native", "times", box=None, pad_edge=False)
     for name in RIGS:

@@ -75,9 +75,13 @@ def accessible(page: str) -> str:
     """Give a page as Sphinx has made it without what keeps some readers out.
 
     A cell without text is no head, what scrolls can be reached by keys, landmarks of one kind have names, a page has a
-    head.
+    head, long names break between their words.
     """
     page = re.sub(r"<th\b[^>]*>(?:\s|</?p>)*</th>", "<td></td>", page)
+    page = re.sub(r'(class="highlight-(?:text|none) [^>]*><div class="highlight"><pre)>', r'\1 tabindex="0">', page)
+    page = re.sub(
+        r'<span class="pre">[^<]*', lambda name: re.sub(r"(?<=\w)([_/.])(?=[^\W\d])", r"\1<wbr>", name[0]), page
+    )
     page = page.replace('<div class="table-wrapper', '<div tabindex="0" class="table-wrapper')
     page = page.replace('<aside class="sidebar-drawer"', '<aside class="sidebar-drawer" aria-label="Pages"')
     page = page.replace('<aside class="toc-drawer', '<aside aria-label="On this page" class="toc-drawer')

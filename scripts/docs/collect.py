@@ -18,6 +18,8 @@ _SUMMARY = re.compile(r"<details>\n<summary>(.*?)</summary>")
 _FORMULA = re.compile(r"\$`([^`]+)`\$")
 _INDENTED = re.compile(r"(?<=\n\n)(?:    .*\n|\n+(?=    ))+")
 _COMMAND = re.compile(r"    ([\w./]*softrig|scripts/|ros2|eval|export|colcon|docker|pip|cd|git|ROS_|SOFTRIG_)\b")
+_COMMENTED = re.compile(r"^(\S.*?) {2,}(# .*)$")
+WIDTH = 88  # letters of code that a page shows beside its sidebars
 _HEADING = re.compile(r"^```.*?^```$|^(#+) ", re.S | re.M)
 
 
@@ -100,11 +102,13 @@ def _folder(path: Path) -> Path:
 
 
 def _fenced(found: re.Match[str]) -> str:
-    """Commands as such, so that their comments stand back."""
+    """Commands as such, so that their comments stand back; above them where a line would be cut."""
     if not _COMMAND.match(found[0]):
         return found[0]
-    lines = found[0].rstrip("\n").split("\n")
-    return "\n".join(["```bash", *(line[4:] for line in lines), "```", ""])
+    lines = [line[4:] for line in found[0].rstrip("\n").split("\n")]
+    if max(map(len, lines)) > WIDTH:
+        lines = [_COMMENTED.sub(r"\2\n\1", line) for line in lines]
+    return "\n".join(["```bash", *lines, "```", ""])
 
 
 def _unfolding(found: re.Match[str]) -> str:

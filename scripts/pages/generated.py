@@ -91,7 +91,12 @@ def node(package: str, executable: str) -> tuple[str, str]:
     text += [_topic(port, "reads") for port in inputs] + [_topic(port, "publishes") for port in outputs]
     text += ["", *parameters(block.Params)]
     head = (block.__doc__ or "").strip().splitlines()[0]
-    return head.replace(":math:`", "`"), "\n".join(text)
+    return re.sub(":math:(`[^`]*`)", _plain, head), "\n".join(text)
+
+
+def _plain(formula: re.Match[str]) -> str:
+    """Write a short formula without TeX: what folds, and lists, do not set it."""
+    return re.sub(r"\\(\w+)", r"\1", re.sub(r"\\dot (\w+)", r"\1'", formula[1]))
 
 
 def _topic(port: Port, direction: str) -> str:

@@ -725,8 +725,9 @@ def test_a_split_size_below_the_head_of_a_file_does_not_make_a_file_of_each_mess
 def test_split_bags_are_read_and_repaired(tmp_path, storage):
     source = recording(ticks=12_000)
     writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=5_000_000_000)
-    numbers = {t.name: writer.add_topic(BagTopic.known("/" + t.name.lstrip("/"), t.msgtype))
-               for t in source.topics.values()}  # fmt: skip
+    numbers = {
+        t.name: writer.add_topic(BagTopic.known("/" + t.name.lstrip("/"), t.msgtype)) for t in source.topics.values()
+    }
     for t, topic, data in source.messages():
         writer.write(numbers[topic.name], t, data)
     writer.close()

@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from argparse import Namespace
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from conftest import replay
 from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bringup.run.run import versions
-from softrig_bringup.verbs.golden import create, line, load, remade
+from softrig_bringup.verbs.golden import create, line, load, main
 from softrig_core import RunError, ScenarioError, Signals, bits, load_scenario, rig_of, run_processes
 from softrig_core.processes.spawning import node_parameters
 
@@ -227,8 +228,10 @@ def test_a_new_run_through_processes_agrees_with_the_golden_bag(name, tmp_path):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(("name", "node"), [("dc_motor_smc_b1", "dc_motor_smc"), ("dc_motor_smc_b4", "dc_motor_pid"),
-                                            ("dc_motor_smc_b1", "dc_motor_plant")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "node"),
+    [("dc_motor_smc_b1", "dc_motor_smc"), ("dc_motor_smc_b4", "dc_motor_pid"), ("dc_motor_smc_b1", "dc_motor_plant")],
+)
 def test_a_replay_in_lockstep_into_one_real_node_agrees(name, node, tmp_path):
     golden = load(BAGS / name)
     member = next(m for m in golden.rig.members if m.name == node)
@@ -267,42 +270,46 @@ def test_one_per_cent_of_a_gain_fails_both_regressions(name, node, parameter):
     assert not changed.open_loop(node).equal
 
 
+def remade(names, folder, **options):
+    without = {"duration": None, "seed": None, "check": False, "junit": None, "json": None, "workers": 1}
+    return main(Namespace(names=names, bags=folder, **without | options))
+
+
 def test_making_one_anew_shows_the_difference_and_check_tells_it(tmp_path, capsys):
     create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.2, 0).make()
-    assert remade([], tmp_path, duration=None, seed=None, check=True) == 0
+    assert remade([], tmp_path, check=True) == 0
     assert "kB, agrees byte for byte\n" in capsys.readouterr().out
     recipe = tmp_path / "dc_motor_smc_b2" / "golden.yaml"
     recipe.write_text(recipe.read_text().replace("scenario: dc_motor_smc_b2", "scenario: dc_motor_smc_b2_delta2"))
-    assert remade([], tmp_path, duration=None, seed=None, check=True) == 1
+    assert remade([], tmp_path, check=True) == 1
     assert "motor/command" in capsys.readouterr().out
-    assert remade([], tmp_path, duration=None, seed=None, check=False) == 0
+    assert remade([], tmp_path) == 0
     assert "DIFFERS" in capsys.readouterr().out
-    assert remade([], tmp_path, duration=None, seed=None, check=True) == 0
+    assert remade([], tmp_path, check=True) == 0
 
 
 def test_a_check_writes_what_it_found_for_continuous_integration(tmp_path):
     golden = create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.2, 0)
     golden.make()
-    files = {"junit": tmp_path / "golden.xml", "as_json": tmp_path / "golden.json"}
-    keys = {"duration": None, "seed": None, "check": True}
-    assert remade([], tmp_path, **keys, **files) == 0
+    files = {"junit": tmp_path / "golden.xml", "json": tmp_path / "golden.json"}
+    assert remade([], tmp_path, check=True, **files) == 0
     about = {"bag": "dc_motor_smc_b2", "scenario": "dc_motor_smc_b2", "duration_s": 0.2, "seed": 0}
     agrees = {**about, "pass": True, "compared": "byte for byte", "differs": ""}
-    assert json.loads(files["as_json"].read_text()) == [agrees]
+    assert json.loads(files["json"].read_text()) == [agrees]
     assert ET.parse(files["junit"]).find("testsuite").attrib == {
         "name": "dc_motor_smc_b2", "tests": "1", "failures": "0", "errors": "0", "time": "0.000"
     }  # fmt: skip
     recipe = golden.folder / "golden.yaml"
     recipe.write_text(recipe.read_text().replace("scenario: dc_motor_smc_b2", "scenario: dc_motor_smc_b2_delta2"))
-    assert remade([], tmp_path, **keys, **files) == 1
-    (found,) = json.loads(files["as_json"].read_text())
+    assert remade([], tmp_path, check=True, **files) == 1
+    (found,) = json.loads(files["json"].read_text())
     assert not found["pass"]
     assert "motor/command" in found["differs"]
     suite = ET.parse(files["junit"]).find("testsuite")
     assert suite.attrib["failures"] == "1"
     assert "motor/command" in suite.find("testcase/failure").attrib["message"]
     with pytest.raises(ScenarioError, match="golden --json: goes with --check"):
-        remade([], tmp_path, **keys | {"check": False, "as_json": files["as_json"]})
+        remade([], tmp_path, json=files["json"])
 
 
 def test_another_duration_or_seed_leaves_what_was_edited_by_hand(tmp_path):
@@ -311,8 +318,8 @@ def test_another_duration_or_seed_leaves_what_was_edited_by_hand(tmp_path):
     file = folder / "golden.yaml"
     edited = file.read_text().replace("tolerances: {}", "tolerances: {motor/*: {absolute: 0.5}}")
     file.write_text(edited.replace("why: ''", "why: by hand"))
-    assert remade([folder.name], tmp_path, duration=0.1, seed=None, check=False) == 0
-    assert remade([folder.name], tmp_path, duration=None, seed=3, check=False) == 0
+    assert remade([folder.name], tmp_path, duration=0.1) == 0
+    assert remade([folder.name], tmp_path, seed=3) == 0
     recipe = load(folder).recipe
     assert (recipe.duration, recipe.seed, recipe.why) == (0.1, 3, "by hand")
     assert recipe.tolerances["motor/*"].absolute == 0.5
@@ -321,11 +328,13 @@ def test_another_duration_or_seed_leaves_what_was_edited_by_hand(tmp_path):
 
 @pytest.mark.parametrize(
     ("keys", "message"),
-    [({"duration": 1.0, "check": True}, r"--check with --duration: expected --check alone"),
-     ({"seed": 1, "check": True}, r"--check with --seed"),
-     ({"duration": -1.0}, r"golden\.yaml: duration: Input should be greater than 0, got -1"),
-     ({"seed": -1}, r"golden\.yaml: seed: Input should be greater than or equal to 0, got -1")],
-)  # fmt: skip
+    [
+        ({"duration": 1.0, "check": True}, r"--check with --duration: expected --check alone"),
+        ({"seed": 1, "check": True}, r"--check with --seed"),
+        ({"duration": -1.0}, r"golden\.yaml: duration: Input should be greater than 0, got -1"),
+        ({"seed": -1}, r"golden\.yaml: seed: Input should be greater than or equal to 0, got -1"),
+    ],
+)
 @pytest.mark.parametrize("there", [True, False])
 def test_what_a_golden_run_cannot_be_is_refused_and_changes_nothing(tmp_path, there, keys, message):
     file = tmp_path / "dc_motor_smc_b1" / "golden.yaml"
@@ -333,7 +342,7 @@ def test_what_a_golden_run_cannot_be_is_refused_and_changes_nothing(tmp_path, th
         create(file.parent, "dc_motor_smc_b1", 0.1)
     before = file.read_text() if there else None
     with pytest.raises(ScenarioError, match=message):
-        remade(["dc_motor_smc_b1"], tmp_path, **{"duration": None, "seed": None, "check": False, **keys})
+        remade(["dc_motor_smc_b1"], tmp_path, **keys)
     assert (file.read_text() if file.exists() else None) == before
 
 

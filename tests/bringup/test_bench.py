@@ -36,8 +36,9 @@ def test_an_unknown_part_is_told(capsys):
 
 @pytest.mark.long
 @pytest.mark.skipif(which("gcc") is None, reason="needs gcc")
-def test_the_loop_in_c_gives_the_bits_of_native_code():
-    assert all(ns > 0.0 for ns in native.rates(2.0).values())
+@pytest.mark.parametrize("name", native.LOOPS)
+def test_the_loop_in_c_gives_the_bits_of_native_code(name):
+    assert all(ns > 0.0 for ns in native.rates(name, 2.0).values())
 
 
 def test_nothing_of_it_is_installed_with_the_packages():

@@ -23,6 +23,7 @@ from softrig_bringup.plots.pictures import plot_run
 from softrig_bringup.run.run import checkout, gaps, summary
 from softrig_bringup.verbs.run_verb import _announce
 from softrig_core import Recording, Rig, Run, figure, load_scenario, rig_of, run_inprocess, simulate
+from softrig_core.guard import guarded
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.wire import signals
 
@@ -342,10 +343,13 @@ def test_most_deadlines_missed_is_no_silent_success(folder, monkeypatch, capsys,
 
 def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys, undrawn):
     x = {"signal": "lag/state/x/position"}
-    settings = {"late": {"function": "final_value", "arguments": {**x, "start": 0.9}},
-                "rise": {"function": "reach_time", "arguments": {**x, "level": 9.0}}}  # fmt: skip
-    (folder / "short.yaml").write_text(json.dumps({"title": "Short", "extends": "lag", "figures": settings,
-                                                   "expect": {"late": 0.4, "rise": 0.1}}))  # fmt: skip
+    settings = {
+        "late": {"function": "final_value", "arguments": {**x, "start": 0.9}},
+        "rise": {"function": "reach_time", "arguments": {**x, "level": 9.0}},
+    }
+    (folder / "short.yaml").write_text(
+        json.dumps({"title": "Short", "extends": "lag", "figures": settings, "expect": {"late": 0.4, "rise": 0.1}})
+    )
     assert run("short", "--mode", "inprocess", "--duration", "0.5", "--no-record") == 0
     rows = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines() if line.split()}
     assert rows["late"][1:3] == ["not", "measured"]
@@ -588,20 +592,18 @@ def test_no_home_and_no_place_for_temporary_files(folder, tmp_path):
 
 
 def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monkeypatch, capsys, undrawn):
-    from softrig_bags import write
-
-    whole = write.write_bag
+    from softrig_bags.write import write_bag
 
     def struck(*arguments, **options):
         os.kill(os.getpid(), signal.SIGTERM)
-        return whole(*arguments, **options)
+        return write_bag(*arguments, **options)
 
-    monkeypatch.setattr(write, "write_bag", struck)
+    monkeypatch.setattr("softrig_bringup.run.run.write_bag", struck)
     before = signal.getsignal(signal.SIGTERM)
     assert run("lag", "--mode", "inprocess", "--out", "a") == 143
     assert signal.getsignal(signal.SIGTERM) is before
     assert capsys.readouterr().err == "softrig: stopped\n"
-    monkeypatch.setattr(write, "write_bag", whole)
+    monkeypatch.setattr("softrig_bringup.run.run.write_bag", write_bag)
     assert run("lag", "--mode", "inprocess", "--out", "b", "--no-plots") == 0
     assert main(["bag", "compare", "a/bag", "b/bag", "--bitwise"]) == 0
     assert run("lag", "--mode", "inprocess", "--out", "a", "--no-plots") == 0  # its list of files was closed too
@@ -629,6 +631,14 @@ def test_too_little_memory_is_no_bad_input(error, folder, monkeypatch, capsys):
     )
     assert run("lag", "--mode", "inprocess") == 3
     assert "out of memory" in capsys.readouterr().err
+
+
+def test_a_library_of_ours_that_finds_no_memory_is_told_as_that(capsys):
+    def work():
+        raise ImportError("x.so: failed to map segment from shared object")
+
+    assert guarded(work) == 3
+    assert capsys.readouterr().err == "softrig: out of memory; a shorter run or a smaller size may fit\n"
 
 
 def test_a_file_that_is_no_scenario_hides_no_other(folder, capsys, monkeypatch):

@@ -102,8 +102,9 @@ def test_their_commands_work_in_a_fresh_folder_in_order(tmp_path):
     user |= {"HOME": str(tmp_path), "PATH": f"{sys.base_prefix}/bin:/usr/bin:/bin"}
 
     def run(command, folder):
-        done = subprocess.run(["bash", "-ec", command], cwd=folder, env=user, capture_output=True, text=True,
-                              stdin=subprocess.DEVNULL)  # fmt: skip
+        done = subprocess.run(
+            ["bash", "-ec", command], cwd=folder, env=user, capture_output=True, text=True, stdin=subprocess.DEVNULL
+        )
         assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"
         return done.stdout
 

@@ -51,6 +51,10 @@ def test_how_a_page_is_moved(tmp_path):
     assert moved("So:\n\n    scripts/softrig list  # all\n    scripts/softrig new a\n\n    x = 1\n\nText\n") == (
         "So:\n\n```bash\nscripts/softrig list  # all\nscripts/softrig new a\n\nx = 1\n```\n\nText\n"
     )
+    long = f"scripts/softrig run a {'b' * 60}"
+    assert moved(f"So:\n\n    {long}  # as far\n    scripts/softrig run a  # all\n\nText\n") == (
+        f"So:\n\n```bash\n# as far\n{long}\n# all\nscripts/softrig run a\n```\n\nText\n"
+    )
     assert moved("<details>\n<summary>Three &lt; <code>four</code></summary>\n\n| a |\n|---|\n\n</details>\n") == (
         ":::{dropdown} Three < `four`\n\n| a |\n|---|\n\n:::\n"
     )
@@ -196,6 +200,9 @@ def test_what_keeps_readers_out_is_gone_from_a_page():
     assert accessible(page) == (
         '<td></td><th>a</th><div tabindex="0" class="table-wrapper x"><aside class="sidebar-drawer" aria-label="Pages">'
     )
+    columns = '<div class="highlight-text notranslate"><div class="highlight"><pre>'
+    assert accessible(columns) == f'{columns[:-1]} tabindex="0">'
+    assert accessible('<span class="pre">a_b/c_1.d</span>a_b') == '<span class="pre">a_<wbr>b/<wbr>c_1.<wbr>d</span>a_b'
 
 
 @pytest.mark.parametrize("name", sorted(outline.pages()))

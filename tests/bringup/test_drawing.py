@@ -86,8 +86,10 @@ def test_the_motor_turns_as_its_shaft_and_the_flux_points_as_it_does():
     drawing = drawing_for("induction_dtc")
     still = {"flux_true/x": 1.05, "flux_true/y": 0.0}
     up = {"flux_true/x": 0.0, "flux_true/y": 1.05}
-    tips = [next(s for s in drawing.frame(r) if s.role == "alarm" and type(s).__name__ == "Polygon").points[0]
-            for r in (still, up)]  # fmt: skip
+    tips = [
+        next(s for s in drawing.frame(r) if s.role == "alarm" and type(s).__name__ == "Polygon").points[0]
+        for r in (still, up)
+    ]
     assert tips == [(298.0, 180.0), (190.0, 72.0)]
     # a quarter turn of the picture with one pair of poles is an eighth of the shaft's, which has two
     marks = [next(s for s in drawing.frame({"joint_states/shaft/position": q}) if as_dict(s).get("fill") == s.role
@@ -109,8 +111,9 @@ def test_the_translator_stands_where_its_poles_are_aligned():
     for k, name in enumerate("abcd"):
         frame = drawing.frame({"joint_states/translator/position": 0.013 * k})
         letter = next(s for s in frame if as_dict(s).get("text") == name)
-        teeth = [sum(x for x, _ in s.points) / 4 for s in frame if as_dict(s).get("fill") == "faint"
-                 and s.role == "muted"]  # fmt: skip
+        teeth = [
+            sum(x for x, _ in s.points) / 4 for s in frame if as_dict(s).get("fill") == "faint" and s.role == "muted"
+        ]
         assert min(abs(x - letter.at[0]) for x in teeth) < 0.2
 
 

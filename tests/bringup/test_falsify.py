@@ -37,9 +37,7 @@ def loop(torques, times=None):
 
 
 def measure_of(space, name):
-    return lambda points: [
-        run(trial(space.scenario, space.overrides(p), (name,)))["figures"][name] for p in points
-    ]  # fmt: skip
+    return lambda points: [run(trial(space.scenario, space.overrides(p), (name,)))["figures"][name] for p in points]
 
 
 @pytest.mark.long

@@ -84,8 +84,10 @@ def test_runs_that_differ_have_folders_of_their_own(tmp_path, monkeypatch, capsy
     assert main([*RUN, "--no-plots", "--no-record", "--set", "dc_motor_smc.delta=1.0"]) == 0
     assert main([*RUN, "--no-plots", "--no-record", "--seed", "3", "--duration", "5"]) == 0
     assert sorted(p.name for p in (tmp_path / "runs").iterdir()) == [
-        "dc_motor_smc_b2", "dc_motor_smc_b2-dc_motor_smc.delta=1.0", "dc_motor_smc_b2-duration_5.0-seed_3",
-    ]  # fmt: skip
+        "dc_motor_smc_b2",
+        "dc_motor_smc_b2-dc_motor_smc.delta=1.0",
+        "dc_motor_smc_b2-duration_5.0-seed_3",
+    ]
 
 
 def test_a_changed_gain_is_no_failure(tmp_path, capsys):

@@ -25,9 +25,10 @@ def visible(prefix):
     """What ROS sees of a prefix: executables, data files and the ament index; what Python sees of the packages."""
     files = {
         str(path.relative_to(prefix)): path.resolve() if path.is_symlink() else None
-        for folder in ("lib", "share") for path in (prefix / folder).rglob("*")
+        for folder in ("lib", "share")
+        for path in (prefix / folder).rglob("*")
         if path.is_file() and not {"site-packages", "colcon-core", "hook"} & set(path.parts) and path.stem != "package"
-    }  # fmt: skip
+    }
     executables = {name for name in files if name.startswith("lib/")}
     assert all(os.access(prefix / name, os.X_OK) for name in executables)
     return {k: v for k, v in files.items() if k not in executables}, executables

@@ -58,9 +58,7 @@ def repeat(file, tmp_path, capsys):
 def test_a_file_repeats_elsewhere_number_for_number(options, run, tmp_path, capsys):
     file = pack(run, tmp_path / "sent.zip", *options)
     status, last = repeat(file, tmp_path, capsys)
-    assert (status, last) == (
-        0, f"softrig: repeats {file} number for number: 704 messages on 7 topics"
-    )  # fmt: skip
+    assert (status, last) == (0, f"softrig: repeats {file} number for number: 704 messages on 7 topics")
     assert pack(run, tmp_path / "once_more.zip", *options).read_bytes() == file.read_bytes()
     names = zipfile.ZipFile(file).namelist()
     assert any(name.startswith("bag/") for name in names) is not bool(options)

@@ -124,13 +124,14 @@ def test_marks_follow_the_unit_of_the_figure_and_the_side_of_the_peak():
     assert (mark.start, mark.end) == pytest.approx((5.0 - 0.06 * 7.0, 5.0 + 0.06 * 7.0))  # beside where it is
 
 
-def test_a_rise_is_marked_from_where_it_began():
-    given = scenario(figures={"rise_time": {"arguments": {"signal": X, "final": 0.75}}},
+@pytest.mark.parametrize("final", [{"final": 0.75}, {}])
+def test_a_rise_is_marked_from_where_it_began(final):
+    given = scenario(figures={"rise_time": {"arguments": {"signal": X} | final}},
                      expect={"rise_time": "0.5 +- 0.1"}, claims={})  # fmt: skip
     run = simulate(rig_of(given))
     (mark,) = marks_of(run.rig, run.signals)[X]
     t, x = run.signals[X]
-    began = t[np.argmax(x >= 0.075)]
+    began = t[np.argmax(x >= 0.1 * final.get("final", x[-1]))]
     assert (mark.axis, mark.low, mark.high) == ("time", pytest.approx(began + 0.4), pytest.approx(began + 0.6))
 
 
@@ -199,9 +200,11 @@ def test_a_loop_is_drawn_from_left_to_right(lag_rig):
 
 def test_who_only_looks_on_stands_behind_the_plant():
     nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "plant") for n in ["plant", "law", "log", "note"]}
-    wires = (Wire(topic="x", type="T", source="plant", readers=("law", "log")),
-             Wire(topic="u", type="T", source="law", readers=("plant", "log")),
-             Wire(topic="y", type="T", source="log", readers=("note",)))  # fmt: skip
+    wires = (
+        Wire(topic="x", type="T", source="plant", readers=("law", "log")),
+        Wire(topic="u", type="T", source="law", readers=("plant", "log")),
+        Wire(topic="y", type="T", source="log", readers=("note",)),
+    )
     assert columns(Wiring(nodes=nodes, wires=wires)) == [["law"], ["plant"], ["log"], ["note"]]
 
 
@@ -402,8 +405,10 @@ def test_a_band_is_the_quantiles_of_its_draws():
 def overlay(label, group, offset=0.0, end=1.0, window=None, peak=0.0):
     t = np.linspace(0.0, end, 101)
     entry = PlotEntry(title="Position", signals={"x/position": "position", "r/position": "reference"}, window=window)
-    shown = {"x/position": Shown(unit="m", held=False, reference=False),
-             "r/position": Shown(unit="m", held=True, reference=True)}  # fmt: skip
+    shown = {
+        "x/position": Shown(unit="m", held=False, reference=False),
+        "r/position": Shown(unit="m", held=True, reference=True),
+    }
     return Overlay(
         label,
         group,
@@ -420,8 +425,10 @@ def test_runs_overlay_with_bands_over_seeds(monkeypatch):
     ((title, png),) = draw_overlay(runs)
     assert (title, png[:4]) == ("Position", b"\x89PNG")
     (ax,) = figures[0].axes
-    own, median, reference = (next(line for line in ax.lines if line.get_label().startswith(n))
-                              for n in ("own", "draws: median of 5 seeds", "reference"))  # fmt: skip
+    own, median, reference = (
+        next(line for line in ax.lines if line.get_label().startswith(n))
+        for n in ("own", "draws: median of 5 seeds", "reference")
+    )
     assert len(ax.lines) == 3
     assert median.get_ydata()[0] == pytest.approx(0.2)
     assert own.get_ydata()[0] == pytest.approx(1.0)
@@ -465,8 +472,7 @@ def test_runs_of_very_different_length_have_no_axis_in_common(tmp_path):
         assert main(["run", str(one), "--mode", "inprocess", "--duration", seconds, "--no-plots",
                      "--out", str(tmp_path / name)]) == 0  # fmt: skip
     page = b"".join(tostring(e) for e in overlaid([(tmp_path / n, read_run(tmp_path / n)) for n in "abcde"], "abcde"))
-    assert re.findall(r'alt="Position(, [^"]*)"', page.decode()) == [
-        ", runs of up to 1 s", ", runs of up to 0.02 s"]  # fmt: skip
+    assert re.findall(r'alt="Position(, [^"]*)"', page.decode()) == [", runs of up to 1 s", ", runs of up to 0.02 s"]
     assert b"no other run of about their length has their plots: e" in page
 
 

@@ -27,9 +27,11 @@ def test_the_controller_of_the_tutorial_takes_the_place_of_ours(tmp_path, monkey
     with free_domain() as domain:
         pass  # `run --domain` takes its lock itself
     environment = os.environ | {
-        "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(tmp_path),
-    }  # fmt: skip
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE),
+        "ROS_LOG_DIR": str(tmp_path),
+    }
     controller = subprocess.Popen([sys.executable, "my_controller.py"], env=environment)
     try:
         status = main(["run", "dc_motor_smc_b2", "--external", "dc_motor_smc", "--domain", str(domain)])
@@ -69,9 +71,11 @@ def test_every_package_is_described_and_depends_one_way():
         declared = set(re.findall(r"<exec_depend>(softrig_\w+)</exec_depend>", text))
         assert used - {name} <= declared, f"{name} does not declare {used - {name} - declared}"
         allowed = {
-            "softrig_core": set(), "softrig_control": {"softrig_core"}, "softrig_optim": {"softrig_core"},
+            "softrig_core": set(),
+            "softrig_control": {"softrig_core"},
+            "softrig_optim": {"softrig_core"},
             "softrig_bags": {"softrig_core"},
-        }.get(name)  # fmt: skip
+        }.get(name)
         assert allowed is None or declared <= allowed, name
 
 

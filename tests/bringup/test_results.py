@@ -96,8 +96,10 @@ def test_runs_are_kept_until_their_code_or_scenario_changes(folder, capsys, monk
 
 
 def test_claims_of_studies_are_named_where_they_are_not_held(folder, capsys, monkeypatch):
-    study = ("title: Many\nscenario: lag\nseeds: 1\nsummaries: {mean: {figure: last}}\n"
-             "claims: {mean: {published: 0.4551, where: Table II, verdict: reproduced}}\n")  # fmt: skip
+    study = (
+        "title: Many\nscenario: lag\nseeds: 1\nsummaries: {mean: {figure: last}}\n"
+        "claims: {mean: {published: 0.4551, where: Table II, verdict: reproduced}}\n"
+    )
     (folder / "many").mkdir()
     (folder / "many" / "some.yaml").write_text(study)
     monkeypatch.setenv("SOFTRIG_STUDIES", str(folder / "many"))

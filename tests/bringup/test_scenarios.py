@@ -120,8 +120,10 @@ def test_figures_are_inherited_expectations_and_claims_are_not(folder):
 
 
 def test_another_executable_or_function_leaves_parameters_and_arguments_behind():
-    base = {"nodes": {"a": {"package": "p", "executable": "x", "parameters": {"k": 1}, "remap": {"u": "v"}}},
-            "figures": {"f": {"function": "rise_time", "arguments": {"final": 1.0}, "unit": "s"}}}  # fmt: skip
+    base = {
+        "nodes": {"a": {"package": "p", "executable": "x", "parameters": {"k": 1}, "remap": {"u": "v"}}},
+        "figures": {"f": {"function": "rise_time", "arguments": {"final": 1.0}, "unit": "s"}},
+    }
     same = inherit(base, {"nodes": {"a": {"executable": "x", "parameters": {"l": 2}}}})
     assert same["nodes"]["a"]["parameters"] == {"k": 1, "l": 2}
     other = inherit(base, {"nodes": {"a": {"executable": "y"}}, "figures": {"f": {"function": "peak"}}})
@@ -153,7 +155,9 @@ def test_a_change_goes_over_a_mapping_that_is_shared(folder):
         assert load_scenario("child").nodes["plant"].parameters == {"gain": 0.25}
         assert load_scenario("child_more").nodes["plant"].parameters == {"gain": 0.25, "limit": 5.0}
         assert load_scenario("child_more", {"k": 4.0, "plant.gain": 0.1}).nodes["plant"].parameters == {
-            "gain": 0.1, "limit": 4.0}  # fmt: skip
+            "gain": 0.1,
+            "limit": 4.0,
+        }
 
 
 def test_a_file_that_changed_is_read_again(folder):
@@ -197,7 +201,7 @@ def test_references_take_parameters_of_nodes_defaults_included(folder):
         ("verdict: reproduced", "verdict: refuted", "claims.last: the verdict refuted needs a reason"),
         ("  mean: {", "  last: {", "duplicate key 'last'"),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_fit_is_said_before_the_run(folder, old, new, message):
     with pytest.raises(ScenarioError, match=message) as caught:
         figures_of(rig_of(change(folder, old, new)))
@@ -328,13 +332,15 @@ def test_yaml_is_read_as_1_2():
         ("a: 1\na: 2", "t: not valid YAML: .*duplicate key 'a'"),
         ("[" * 60 + "]" * 60, "nested deeper than 40"),
         ("x" * (SIZE + 1), "characters, expected at most"),
-        ("a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 9)),
-         f"more than {NODES} values"),
+        (
+            "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 9)),
+            f"more than {NODES} values",
+        ),
         ("&a [*a]", "alias"),
         ("!!python/object/apply:os.system ['true']", "not valid YAML"),
         ("{[1]: 2}", "not valid YAML|no plain word"),
     ],
-)  # fmt: skip
+)
 def test_hostile_yaml_is_one_line(text, message):
     with pytest.raises(ScenarioError, match=message) as caught:
         read_yaml(text, "t")

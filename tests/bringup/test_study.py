@@ -115,17 +115,21 @@ def test_a_latin_hypercube_has_one_point_in_each_slice():
         ("", "study_lag"),
         ("--grid gain.k=1,2 --grid plant.T=0.1:0.3:0.1 --seeds 5", "study_lag-gain.k=1,2-plant.T=0.1:0.3:0.1-seeds_5"),
         ("--draw gain.k=1..2 --draws 7", "study_lag-gain.k=1..2-latin_hypercube_7"),
-        ("--draw gain.k=1..2 --search last --maximise --subject-to last<=5",
-         "study_lag-gain.k=1..2-latin_hypercube_100-max_last-last_=5"),
+        (
+            "--draw gain.k=1..2 --search last --maximise --subject-to last<=5",
+            "study_lag-gain.k=1..2-latin_hypercube_100-max_last-last_=5",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_folder_is_named_by_what_is_varied(words, name):
     assert folder_name("lag", make_parser().parse_args(["study", "lag", *words.split()])) == name
 
 
 def test_long_names_of_folders_stay_apart():
-    names = {folder_name("lag", make_parser().parse_args(["study", "lag", "--grid", f"gain.k={'1,' * 99}{k}"]))
-             for k in range(3)}  # fmt: skip
+    names = {
+        folder_name("lag", make_parser().parse_args(["study", "lag", "--grid", f"gain.k={'1,' * 99}{k}"]))
+        for k in range(3)
+    }
     assert len(names) == 3
     assert max(map(len, names)) < 140
 
@@ -145,10 +149,12 @@ def test_long_names_of_folders_stay_apart():
         ({"search": {"figure": "f", "count": 10**10, "parameters": {"a": {"uniform": [0, 1]}}}}, "search.count"),
         ({"summaries": {"s": {"figure": "last", "statistic": "share"}}}, "share, which needs it"),
         ({"expect": {"s": "at most 1"}}, "expect: no summary 's'"),
-        ({"grid": {"a": [1]}, "search": {"figure": "f", "count": 1, "parameters": {"a": {"uniform": [0, 1]}}}},
-         "not with cases, grid or draws"),
+        (
+            {"grid": {"a": [1]}, "search": {"figure": "f", "count": 1, "parameters": {"a": {"uniform": [0, 1]}}}},
+            "not with cases, grid or draws",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_study_that_makes_no_sense_is_refused(keys, message):
     with pytest.raises(ScenarioError, match=message):
         study(**keys)
@@ -321,8 +327,10 @@ def session(pid):
     return found
 
 
-@pytest.mark.parametrize(("number", "status"), [
-    (signal.SIGTERM, 143), pytest.param(signal.SIGHUP, 129, marks=pytest.mark.long), (signal.SIGKILL, -9)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [(signal.SIGTERM, 143), pytest.param(signal.SIGHUP, 129, marks=pytest.mark.long), (signal.SIGKILL, -9)],
+)
 def test_a_study_that_is_killed_leaves_no_process(folder, number, status):
     command = [sys.executable, "-m", "softrig_bringup", "study", "lag", "--duration", "20", "--seeds", "1000",
                "--workers", "2", "--out", "out"]  # fmt: skip
@@ -338,8 +346,10 @@ def test_a_study_that_is_killed_leaves_no_process(folder, number, status):
 
 
 def test_summaries_by_hand():
-    rows = [{"case": c, "seed": s, "scenario": "lag", "overrides": {"k": k}, "figures": {"f": f}}
-            for c, s, k, f in [("a", 0, 1, 1.0), ("a", 1, 1, 3.0), ("b", 0, 2, 8.0), ("b", 1, 2, None)]]  # fmt: skip
+    rows = [
+        {"case": c, "seed": s, "scenario": "lag", "overrides": {"k": k}, "figures": {"f": f}}
+        for c, s, k, f in [("a", 0, 1, 1.0), ("a", 1, 1, 3.0), ("b", 0, 2, 8.0), ("b", 1, 2, None)]
+    ]
 
     def value(**keys):
         return summarise(rows, study(summaries={"s": {"figure": "f"} | keys}).summaries["s"])
@@ -509,9 +519,10 @@ def test_what_is_drawn_has_the_forms_that_the_page_lists_and_no_option_swallows_
     assert found.scenario == "lag"
     assert found.grid == {"source.value": [1, 2]}
     assert {k: d.model_dump(exclude_none=True) for k, d in found.draws.parameters.items()} == {
-        "gain.k": {"log_uniform": (0.1, 10.0)}, "plant.gain": {"uniform": ([1.0, 1.0], [2.0, 2.0])},
+        "gain.k": {"log_uniform": (0.1, 10.0)},
+        "plant.gain": {"uniform": ([1.0, 1.0], [2.0, 2.0])},
         "plant.limit": {"choice": [1, 2, 3, 4]},
-    }  # fmt: skip
+    }
 
 
 def test_every_shipped_study_can_run(monkeypatch):

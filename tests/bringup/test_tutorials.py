@@ -89,9 +89,11 @@ def test_a_tutorial_does_what_it_says(name, tmp_path):
     text = script(found).replace("ROS_DOMAIN_ID=42", f"ROS_DOMAIN_ID={domain}")
     text = text.replace("--domain 42", f"--domain {domain}")
     environment = os.environ | {
-        "FOLDER": str(work), "XDG_STATE_HOME": str(tmp_path / "state"), "ROS_LOG_DIR": str(tmp_path / "log"),
+        "FOLDER": str(work),
+        "XDG_STATE_HOME": str(tmp_path / "state"),
+        "ROS_LOG_DIR": str(tmp_path / "log"),
         "COLUMNS": "300",  # the pages show lines that are not wrapped, however many digits a time has
-    }  # fmt: skip
+    }
     environment.pop("SOFTRIG_WORKSPACE", None)
     done = subprocess.Popen(["bash", "-c", text], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                             text=True, start_new_session=True)  # fmt: skip
@@ -132,8 +134,10 @@ def test_what_an_example_shows_is_held_against_what_was_printed():
     assert shown("a 1 s\n", "a 2 s\n") == "a 1 s"
     assert shown("b\na\n", "a\nb\n") == "a"  # in order
     assert blocks("Do:\n\n    softrig list\n\n```text\nx\n```\n```yaml\n# a.yaml\nb: 1\n```\n\n    always x > 1\n") == [
-        ("commands", "softrig list\n"), ("output", "x\n"), ("file", "# a.yaml\nb: 1\n"),
-    ]  # fmt: skip
+        ("commands", "softrig list\n"),
+        ("output", "x\n"),
+        ("file", "# a.yaml\nb: 1\n"),
+    ]
 
 
 def test_rounded_gains_settle_late():

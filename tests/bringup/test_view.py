@@ -1,5 +1,6 @@
 """The page beside a run, over its websocket as a browser has it: knobs, pause, step; nothing of it in the numbers."""
 
+import json
 import logging
 import math
 import re
@@ -21,11 +22,12 @@ from softrig_bags.read import signals
 from softrig_bringup.cli import main
 from softrig_bringup.view.beside import Beside
 from softrig_bringup.view.control import Control, Knob
+from softrig_bringup.view.here import Here
 from softrig_bringup.view.page import Page, reach
 from softrig_bringup.view.serve import OneLine
 from softrig_bringup.view.sources import Recorded
 from softrig_bringup.view.tracks import Track
-from softrig_core import Recording, Signals, load_scenario, rig_of
+from softrig_core import Recording, Session, Signals, load_scenario, rig_of, simulate
 from softrig_core.processes.placement import Placement
 
 
@@ -124,6 +126,69 @@ def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_t
     assert compare(seen, unseen, bitwise=True).equal
     t, recorded = seen["motor/state/shaft/velocity"]
     assert (speed["x"][-1], speed["y"][-1]) == (t[-1], recorded[-1])  # the page ends where the bag does
+
+
+def test_a_run_goes_back_from_its_page_and_the_branch_is_that_of_run_from(tmp_path):
+    words = ("dc_motor_smc", "--mode", "inprocess", "--duration", "0.1", "--no-plots")
+    with running("view", *words, "--pace", "full", "--out", tmp_path / "first") as process:
+        page = Browser(address(process))
+        page.until(lambda: "paused" in page["state"].text)
+        page.press("step")
+        page.says("step: one step")
+        page.press("hold")
+        page.until(lambda: "the run is over" in page["state"].text)
+        for asked, said in (("0,04", "expected a time"), ("0.2", "at most 0.1 s")):
+            page["back to"].value = asked
+            page.press("go back")
+            page.says(said)
+        page["back to"].value = "0.04"
+        page.press("go back")
+        page.says("back to 0.04 s from 0.1 s")
+        page.until(lambda: "0.0399 of 0.1 s, paused" in page["state"].text and not page["dc_motor_smc.delta"].disabled)
+        assert page["Speed follows its reference: motor/state/shaft/velocity"].data["x"][-1] < 0.04
+        page["dc_motor_smc.delta"].value = "0.5"
+        page.says("dc_motor_smc.delta = 0.5")
+        page.press("hold")
+        page.until(lambda: "the run is over" in page["state"].text)
+        page.close()
+        assert process.wait(PATIENCE) == 0
+    again = ("--from", f"{tmp_path}/first@0.04", "--set", "dc_motor_smc.delta=0.5", "--mode", "inprocess", "--no-plots")
+    assert main(["run", *again, "--out", str(tmp_path / "from")]) == 0
+    first, second, asked = (signals(tmp_path / name / "bag") for name in ("first", "first-2", "from"))
+    assert compare(second, asked, bitwise=True).equal
+    assert not compare(second, first, bitwise=True).equal
+    content = json.loads((tmp_path / "first-2/metrics.json").read_text())
+    assert content["branched"] == [{"at_s": 0.04, "from_s": 0.1, "left": str(tmp_path / "first")}]
+    assert "branched at 0.04 s" in content["changed"]
+
+
+def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_run(tmp_path):
+    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0)
+    session, control = source.session, source.control
+    session.go(0.05)
+    control.turn("me", "dc_motor_smc.delta", 0.5)
+    session.go(0.06)
+    control.turn("me", "dc_motor_smc.delta", 0.8)
+    session.go(0.08)
+    source.look()
+    left = session.recording.before(80_000_000)
+    control.go_back("me", 0.03)
+    assert (session.t, source.end, control.knobs["dc_motor_smc.delta"].value) == (0.03, 0.0299, 0.8)
+    assert source.pane(0.0, 1.0)["motor/state/shaft/velocity"].t[-1] == 0.0299
+    control.go_back("me", 0.02)  # nothing was turned between
+    session.go(0.03)
+    session.go()
+    source.look()
+    assert [t for t, *_ in source.changes] == [0.02]
+    plain = simulate("dc_motor_smc", duration=0.1)
+    assert session.recording.topics == plain.branch(0.02, {"dc_motor_smc.delta": 0.8}).recording.topics
+    found = source.written(tmp_path)
+    assert [(b["at_s"], b["from_s"], b["left"]) for b in found] == [
+        (0.03, 0.08, "left_1.yaml"),
+        (0.02, 0.03, "left_2.yaml"),
+    ]
+    run = simulate(str(tmp_path / "left_1.yaml"))
+    assert run.recording.before(80_000_000).topics == left.topics
 
 
 @pytest.mark.parametrize("at", ["0.0.0.0:0", "127.0.0.1:0"])
@@ -273,8 +338,10 @@ def test_pictures_begin_at_the_length_of_the_run_and_the_drawing_at_rest():
 
 def test_a_page_that_breaks_is_started_again_and_at_last_the_run_is_let_go(tmp_path, capsys, monkeypatch):
     asked = []
-    monkeypatch.setattr("softrig_bringup.view.beside.Remote", lambda *words: SimpleNamespace(
-        ask=lambda request, answered: asked.append(request), close=lambda: None))  # fmt: skip
+    monkeypatch.setattr(
+        "softrig_bringup.view.beside.Remote",
+        lambda *words: SimpleNamespace(ask=lambda request, answered: asked.append(request), close=lambda: None),
+    )
     page = Beside(load_scenario("dc_motor_smc"), tmp_path, Placement("container", paused=True, pace=1.0), "127.0.0.1:0")
     monkeypatch.setattr(page, "_start", lambda: subprocess.Popen(["false"], stdin=subprocess.PIPE, text=True))
     page.open(7)

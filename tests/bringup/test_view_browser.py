@@ -126,9 +126,10 @@ def test_a_page_whose_server_is_killed_comes_back_and_the_run_goes_on(tmp_path):
             browser.until(f"return {MODEL}.label === 'resume'", "hold")
             browser.driver.execute_script("window.before = true")
             (page,) = (
-                int(found.parent.name) for found in Path("/proc").glob("[0-9]*/cmdline")
+                int(found.parent.name)
+                for found in Path("/proc").glob("[0-9]*/cmdline")
                 if b"softrig_bringup.view.serve" in (line := found.read_bytes()) and str(tmp_path).encode() in line
-            )  # fmt: skip
+            )
             os.kill(page, signal.SIGKILL)
             browser.until("return window.before === undefined && window.Bokeh !== undefined && Bokeh.documents.length")
             browser.until(f"return {MODEL} && {MODEL}.label === 'resume'", "hold")

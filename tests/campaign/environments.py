@@ -272,8 +272,9 @@ def attack(seed: int, directory: Path) -> None:
     wrong = chance.sample(STRANGE, chance.choice((1, 1, 2)))
     for make in wrong:
         make(case)
-    short = [str(ROOT / "scripts/softrig")] if chance.random() < 0.2 else [
-        sys.executable, "-P", "-m", "softrig_bringup"]  # fmt: skip
+    short = (
+        [str(ROOT / "scripts/softrig")] if chance.random() < 0.2 else [sys.executable, "-P", "-m", "softrig_bringup"]
+    )
     command = [*case.prefix, *short, *case.command]
     about = f"{', '.join(f.__name__ for f in wrong)}: {' '.join(command)}"
     (directory / "case").write_text(ascii(about) + "\n")

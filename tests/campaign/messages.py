@@ -42,8 +42,10 @@ def attack(seed: int, directory: Path) -> None:
     chance = random.Random(seed)
     for port in PORTS:
         layout, decode = port.layout(), Decoder(port)
-        good = [chance.choice((0.0, 1.0)) if port.msgtype.endswith("Bool") else chance.gauss(0, 1e3)
-                for _ in range(layout.size)]  # fmt: skip
+        good = [
+            chance.choice((0.0, 1.0)) if port.msgtype.endswith("Bool") else chance.gauss(0, 1e3)
+            for _ in range(layout.size)
+        ]
         seconds = chance.randrange(2**31)
         data = layout.encode(seconds if layout.numbered else seconds * 10**9, good)
         for _ in range(100):

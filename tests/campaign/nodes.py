@@ -142,8 +142,9 @@ def attack(seed: int, directory: Path) -> None:
     assert len(text.splitlines()) < 200, f"{len(text.splitlines())} lines of log"
 
 
-def bombard(chance: random.Random, process: subprocess.Popen, block: type, status: Path, domain: int, live: bool
-            ) -> None:  # fmt: skip
+def bombard(
+    chance: random.Random, process: subprocess.Popen, block: type, status: Path, domain: int, live: bool
+) -> None:
     """Attack a node that has been started."""
     while not status.exists():
         if process.poll() is not None:

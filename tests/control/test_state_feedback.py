@@ -9,8 +9,10 @@ from softrig_control.state_feedback import StateFeedback, UnstableDesign, closed
 
 MOTOR = ([[-5.26, 0.0], [1.0, 0.0]], [2.2862, 0.0], [0.0, 1.0])
 MASSES = (  # two carts, a spring and a damper: four states
-    [[0, 1, 0, 0], [-3, -0.2, 3, 0.2], [0, 0, 0, 1], [6, 0.4, -6, -0.4]], [0, 1, 0, 0], [0, 0, 1, 0],
-)  # fmt: skip
+    [[0, 1, 0, 0], [-3, -0.2, 3, 0.2], [0, 0, 0, 1], [6, 0.4, -6, -0.4]],
+    [0, 1, 0, 0],
+    [0, 0, 1, 0],
+)
 
 
 @pytest.mark.parametrize(

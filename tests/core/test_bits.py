@@ -101,8 +101,9 @@ assert np.hypot(x, x[::-1]).tolist() == [abs(complex(a, b)) for a, b in zip(x.to
 """
 
 
-@pytest.mark.parametrize("features", [{"NPY_ENABLE_CPU_FEATURES": "X86_V2"}, {}, {bits.SIMD: ""}],
-                         ids=["baseline", "usual", "all"])  # fmt: skip
+@pytest.mark.parametrize(
+    "features", [{"NPY_ENABLE_CPU_FEATURES": "X86_V2"}, {}, {bits.SIMD: ""}], ids=["baseline", "usual", "all"]
+)
 def test_sines_and_hypot_of_arrays_are_the_c_librarys_at_every_level(features):
     python(SINES, **features)  # the rule of test_bit_rule.py lets plants and laws use them
 

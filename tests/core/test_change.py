@@ -79,8 +79,9 @@ def test_a_scripted_change_gives_the_same_bytes_in_every_placement(case):
 
 def test_a_change_takes_effect_at_the_first_tick_that_is_not_earlier():
     rig = changed_rig("dc_motor_smc_b2", 0.1, {0.0501: {"dc_motor_smc.set_point": 5.0, "dc_motor_smc.k": 60.0}})
-    a, b = (Signals(in_process(r))["motor/command/armature/effort"]
-            for r in (rig, changed_rig("dc_motor_smc_b2", 0.1, {})))  # fmt: skip
+    a, b = (
+        Signals(in_process(r))["motor/command/armature/effort"] for r in (rig, changed_rig("dc_motor_smc_b2", 0.1, {}))
+    )
     law = next(m for m in rig.members if m.name == "dc_motor_smc")
     k = next(k for k in range(len(a[0])) if a[1][k] != b[1][k])
     assert a[0][k] >= 0.0501 > a[0][k] - float(law.schedule.period)
@@ -172,8 +173,10 @@ def test_metrics_and_report_show_what_changed_and_when(tmp_path):
 
 def events(recording):
     """The changes that a recording holds, as a scenario says them."""
-    return [(t / 1e9, {f"{node}.{name}": value for name, value in values.items()})
-            for t, node, values in recorded(recording)]  # fmt: skip
+    return [
+        (t / 1e9, {f"{node}.{name}": value for name, value in values.items()})
+        for t, node, values in recorded(recording)
+    ]
 
 
 @pytest.mark.parametrize("groups", [(), [["dc_motor_plant", "dc_motor_smc"]]])
@@ -344,9 +347,11 @@ def test_a_fault_that_is_set_off_is_off_whoever_switched_it_on():
 
 def test_references_in_changes_stand_for_what_parameters_are_at_the_start(tmp_path):
     file = tmp_path / "mine.yaml"
-    file.write_text("extends: dc_motor_smc_b2\ntitle: t\nduration: 0.1\nshared: {gain: 60.0}\nchanges:\n"
-                    "  - {at: 0.02, set: {dc_motor_smc.k: $gain, dc_motor_smc.delta: 1.0}}\n"
-                    "  - {at: 0.05, set: {dc_motor_smc.delta: $dc_motor_smc.delta}}\n")  # fmt: skip
+    file.write_text(
+        "extends: dc_motor_smc_b2\ntitle: t\nduration: 0.1\nshared: {gain: 60.0}\nchanges:\n"
+        "  - {at: 0.02, set: {dc_motor_smc.k: $gain, dc_motor_smc.delta: 1.0}}\n"
+        "  - {at: 0.05, set: {dc_motor_smc.delta: $dc_motor_smc.delta}}\n"
+    )
     law = next(m for m in rig_of(file).members if m.name == "dc_motor_smc")
     file.write_text(file.read_text().replace("$dc_motor_smc.delta", "$dc_motor_smc.deltaa"))
     with pytest.raises(ScenarioError, match=r"change at 0\.05 s: \$dc_motor_smc\.deltaa: dc_motor_smc has period"):

@@ -200,8 +200,10 @@ def test_a_value_beyond_what_its_unit_can_mean_is_refused():
     decode, encode = Decoder(port), port.layout().encode
     large = (1e9, -1e9, 1e7, 1e7)  # each at its limit, together beyond the smallest
     assert decode(encode(0, large))[1] == large
-    for at, value, text in ((1, 1.1e9, "y/position is 1.1e+09 rad, expected at most 1e+09"),
-                            (2, -1.7e308, "x/velocity is -1.7e+308 rad/s, expected at most 1e+07")):  # fmt: skip
+    for at, value, text in (
+        (1, 1.1e9, "y/position is 1.1e+09 rad, expected at most 1e+09"),
+        (2, -1.7e308, "x/velocity is -1.7e+308 rad/s, expected at most 1e+07"),
+    ):
         values = list(large)
         values[at] = value
         with pytest.raises(Refused, match=re.escape(text)):

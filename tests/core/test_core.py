@@ -145,11 +145,13 @@ def test_a_bad_scenario_is_explained(folder, text, name, expected):
     [
         ("nodes:\n  plant:\n    parameters:\n      gian: 2.0", "did you mean 'gain'?.* \\(bad.yaml, line 6\\)$"),
         ("nodes:\n  plant:\n    remap: {stat: a}", "remap of 'stat', but .* \\(bad.yaml, line 5\\)$"),
-        ("nodes: {gain: {package: faultrig, executable: gain}, source: {package: faultrig, executable: source}}\n"
-         "figures:\n  peak: {function: maximum, arguments: {signal: lag/state/x/positoin}}",
-         "no signal 'lag/state/x/positoin' \\(did you mean 'lag/state/x/position'.* \\(bad.yaml, line 5\\)$"),
+        (
+            "nodes: {gain: {package: faultrig, executable: gain}, source: {package: faultrig, executable: source}}\n"
+            "figures:\n  peak: {function: maximum, arguments: {signal: lag/state/x/positoin}}",
+            "no signal 'lag/state/x/positoin' \\(did you mean 'lag/state/x/position'.* \\(bad.yaml, line 5\\)$",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_a_rig_cannot_be_names_the_line_of_its_file(folder, monkeypatch, entry, expected):
     monkeypatch.setenv("AMENT_PREFIX_PATH", INSTALLED)
     (folder / "bad.yaml").write_text(f"extends: base\nduration: 0.5\n{entry}\n")
@@ -238,8 +240,10 @@ def test_a_slow_block_is_due_on_its_own_ticks_only():
 
 
 def test_a_block_that_fails_is_named_with_the_time():
-    for how, text in [("nan", "gain: command u/effort became nan at t = 0.2 s"),
-                      ("raise", "gain: failed at t = 0.2 s: ArithmeticError: deliberate")]:  # fmt: skip
+    for how, text in [
+        ("nan", "gain: command u/effort became nan at t = 0.2 s"),
+        ("raise", "gain: failed at t = 0.2 s: ArithmeticError: deliberate"),
+    ]:
         rig = rig_of(make_scenario(BASIC | {"gain": node("killed", how=how, at=0.2)}))
         with pytest.raises(RunError) as error:
             run_inprocess(rig, 0)

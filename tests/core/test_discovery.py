@@ -75,14 +75,17 @@ def start(kind, seed, outside=(), stalls=0):
     longest = rng.choice((1, 5, 20)) * MS
     world = World(lambda *_: rng.randrange(1_000, longest), prompt=perhaps_prompt(seed))
     Discovery(world, rng)
-    run = SimulatedRig(rig, world, "lockstep", after=lambda name: rng.randrange(300 * MS), start_timeout=0.0,
-                       groups=some(rig, rng))  # fmt: skip
+    run = SimulatedRig(
+        rig, world, "lockstep", after=lambda name: rng.randrange(300 * MS), start_timeout=0.0, groups=some(rig, rng)
+    )
     for member in (m for m in ours.members if m.name in outside):
         reads = [p for p in member.inputs if p.name in member.links and member.links[p.name].source.name not in outside]
         calls = [p for p in reads if not member.links[p.name].port.sporadic]
         reads = [p for p in reads if p in calls[:1] or rng.random() < 0.5] if calls else []
-        world.at(world.now + rng.randrange(1_000 * MS), partial(
-            SimulatedOutside, ours, member, expected, world, reads, lambda: rng.randrange(100 * MS)))  # fmt: skip
+        world.at(
+            world.now + rng.randrange(1_000 * MS),
+            partial(SimulatedOutside, ours, member, expected, world, reads, lambda: rng.randrange(100 * MS)),
+        )
     for _ in range(stalls):
         world.at(world.now + rng.randrange(1_500 * MS), lambda: stall(run, rng))
     states = run.run(100.0)
@@ -334,9 +337,7 @@ def test_who_waits_for_a_node_that_cannot_begin_waits_as_long_as_that_may_take_a
     handshake.absent = lambda: absent() if world.now > begun + 40_000 * MS else ["plant does not subscribe lag/command"]
     assert set(run.run().values()) == {"done"}, {n: str(a.error) for n, a in run.adapters.items()}
     assert differences(expected, run.recording) == []
-    assert [text for _, text in run.nodes["gain"].logs] == [
-        "cannot begin yet: plant does not subscribe lag/command"
-    ]  # fmt: skip
+    assert [text for _, text in run.nodes["gain"].logs] == ["cannot begin yet: plant does not subscribe lag/command"]
 
 
 @pytest.mark.parametrize("kind", ["basic", "two plants", "end"])

@@ -121,6 +121,38 @@ def test_side_by_side_they_are_what_each_is_alone():
     assert [registered.step(np.array([3.0]))[0].tolist() for _ in range(5)] == alone
 
 
+LEGS = dict.fromkeys((f"switches/{leg}/effort" for leg in ("Sa", "Sb", "Sc")), (0.0, 1.0))
+DRIVE = {"what": "induction_dtc", "duration": 0.02, "reward": lambda now: now["currents_meas/x"] - now["speed"]}
+
+
+@pytest.mark.parametrize(("keys", "size", "least"), [
+    (MOTOR | {"observe": ["speed", "motor/sensors/current_a"], "act": ["voltage"], "penalty": -100.0,
+              "reward": lambda now: -abs(now["speed"] - now["set_point"])}, 14.0, 120),  # beyond 12 V it reports
+    pytest.param(MOTOR | {"replace": "motor_reference", "observe": ["speed"], "reward": lambda now: now["voltage"],
+                          "overrides": {"motor_reference.period": 0.002}},  # several ticks a step
+                 2.0, 180, marks=pytest.mark.long),
+    (MOTOR | {"reward": lambda now: 0.0, "terminate": ["settles"]}, 1.0, 0),  # who watches that is not native
+    pytest.param(DRIVE | {"replace": "dtc_controller", "act": LEGS}, 2.0, 2_400, marks=pytest.mark.long),
+    pytest.param(DRIVE | {"replace": "speed_controller"}, 20.0, 180, marks=pytest.mark.long),
+])  # fmt: skip
+def test_many_that_native_code_moves_are_what_each_is_alone(keys, size, least):
+    """Over ends of episodes, with noise, and where native code gives one up."""
+    one = gymnasium.vector.SyncVectorEnv([lambda: RigEnv(**keys)] * 3)
+    many = gymnasium.make_vec("softrig/Rig-v0", num_envs=3, **keys)
+    draws = np.random.default_rng(1)
+    pairs = [(many.reset(seed=5), one.reset(seed=5))]
+    for _ in range(70 if "act" not in keys or keys["act"] is not LEGS else 900):
+        actions = draws.uniform(-size, size, many.action_space.shape) * (draws.random((3, 1)) < 0.9)
+        pairs.append((many.step(actions), one.step(actions)))
+    for found, wanted in pairs:
+        for x, y in zip(found[:-1], wanted[:-1], strict=True):
+            assert (x.dtype, x.tobytes()) == (y.dtype, y.tobytes())
+        infos = [{k: (v.dtype, v.tolist()) for k, v in told.items()} for told in (found[-1], wanted[-1])]
+        assert infos[0] == infos[1]
+    assert many.unwrapped.native >= least
+    assert bool(many.unwrapped.reason) == (least == 0)
+
+
 def test_a_seed_is_that_of_the_rig_and_drawn_without_one():
     env = RigEnv("induction_dtc", "dtc_controller", observe=["i_a"], reward=lambda now: 0.0, duration=0.005)
     law = np.array([1.0, 0, 0, 0, 0, 0, 0])  # of all that it says, a leg on
@@ -197,15 +229,17 @@ def test_a_value_beyond_the_limits_of_its_port_ends_an_episode():
 
 @pytest.mark.parametrize(
     ("keys", "message"),
-    [({"replace": "dc_motor_plant"}, "it is a plant or says nothing; expected one of"),
-     ({"replace": "dc_motor_smcc"}, "it is not there.*dc_motor_smc"),
-     ({"observe": ["sped"]}, "no signal 'sped'.*speed"),
-     ({"act": ["speed"]}, "does not say motor/state/shaft/velocity; it says motor/command/armature/effort"),
-     ({"terminate": ["none"]}, "no requirement 'none'; expected one of settles"),
-     ({"act": {"voltage": (1.0, 1.0)}}, "1 is not below 1"),
-     ({"observe": ["voltage"]}, "cycle without a plant"),
-     ({"observe": []}, "observe: expected signals")],
-)  # fmt: skip
+    [
+        ({"replace": "dc_motor_plant"}, "it is a plant or says nothing; expected one of"),
+        ({"replace": "dc_motor_smcc"}, "it is not there.*dc_motor_smc"),
+        ({"observe": ["sped"]}, "no signal 'sped'.*speed"),
+        ({"act": ["speed"]}, "does not say motor/state/shaft/velocity; it says motor/command/armature/effort"),
+        ({"terminate": ["none"]}, "no requirement 'none'; expected one of settles"),
+        ({"act": {"voltage": (1.0, 1.0)}}, "1 is not below 1"),
+        ({"observe": ["voltage"]}, "cycle without a plant"),
+        ({"observe": []}, "observe: expected signals"),
+    ],
+)
 def test_what_cannot_be_an_environment_is_told(keys, message):
     with pytest.raises(ScenarioError, match=message):
         motor(**keys)
@@ -353,3 +387,5 @@ def test_the_page_trains_a_policy_and_says_what_it_does(tmp_path, monkeypatch, c
     exec(blocks[3], known)
     act = known["damped"]([0.5, 2.0], 1, 1)
     assert [act([1.0]), act([1.0])] == [[2.0], [3.0]]
+    exec(blocks[4].replace("256", "2"), known)
+    assert known["observations"].shape == (2, *known["envs"].single_observation_space.shape)

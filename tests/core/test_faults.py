@@ -43,8 +43,7 @@ RAMP = [float(k) for k in range(10)]
     [
         ({"kind": "offset", "value": (0.5,)}, [x + 0.5 for x in RAMP]),
         ({"kind": "scale", "value": (-2.0,), "start": 0.03}, [*RAMP[:3], *(-2 * x for x in RAMP[3:])]),
-        ({"kind": "drift", "value": (100.0,), "start": 0.02, "stop": 0.05},
-         [0, 1, 2, 3 + 1.0, 4 + 2.0, 5, 6, 7, 8, 9]),
+        ({"kind": "drift", "value": (100.0,), "start": 0.02, "stop": 0.05}, [0, 1, 2, 3 + 1.0, 4 + 2.0, 5, 6, 7, 8, 9]),
         ({"kind": "quantise", "value": (4.0,)}, [0, 0, 4, 4, 4, 4, 8, 8, 8, 8]),
         ({"kind": "saturate", "value": (6.0,), "lower": (2.0,)}, [2, 2, 2, 3, 4, 5, 6, 6, 6, 6]),
         ({"kind": "stuck", "start": 0.04, "stop": 0.08}, [0, 1, 2, 3, 4, 4, 4, 4, 8, 9]),
@@ -58,7 +57,7 @@ RAMP = [float(k) for k in range(10)]
         ({"kind": "loss", "probability": 1.0}, [None] * 10),
         ({"kind": "loss", "burst_begins": 1.0, "burst_ends": 0.5, "lost_in_burst": 0.0}, RAMP),
     ],
-)  # fmt: skip
+)
 def test_each_kind_does_what_it_says(params, expected):
     assert through(RAMP, **params) == expected
 
@@ -157,8 +156,10 @@ def test_a_fault_is_put_before_all_readers_or_one_and_the_record_has_both_sides(
 
 
 def test_several_faults_on_a_link_follow_each_other():
-    rig = faulty(a={"link": "lag/state -> gain", "kind": "offset", "value": [1.0]},
-                 b={"link": "lag/state -> gain", "kind": "scale", "value": [3.0]})  # fmt: skip
+    rig = faulty(
+        a={"link": "lag/state -> gain", "kind": "offset", "value": [1.0]},
+        b={"link": "lag/state -> gain", "kind": "scale", "value": [3.0]},
+    )
     signals = simulate(rig).signals
     x, last = signals["lag/state/x/position"].x, signals["lag/state/b/x/position"].x
     assert list(last) == list(3.0 * (x[: len(last)] + 1.0))

@@ -129,8 +129,10 @@ class Loops:
         if kind in (*PAST, "since"):
             window = range(0 if high is None else max(0, k - high), k - low + 1)
             if kind == "since":
-                held = {i: min((self.at(inner[0], j, come, lost) for j in range(i + 1, k + 1)), default=math.inf)
-                        for i in window}  # fmt: skip
+                held = {
+                    i: min((self.at(inner[0], j, come, lost) for j in range(i + 1, k + 1)), default=math.inf)
+                    for i in window
+                }
                 return max((min(self.at(inner[1], i, come, lost), held[i]) for i in window), default=-math.inf)
             values = [self.at(inner[0], i, come, lost) for i in window]
             return min(values, default=math.inf) if kind == "historically" else max(values, default=-math.inf)
@@ -140,8 +142,10 @@ class Loops:
             beyond, taken = high is None or k + high >= n, come
         window = range(k + low, n if high is None else min(n, k + high + 1))
         if kind == "until":
-            found = [min([self.at(inner[1], i, taken, lost)]
-                         + [self.at(inner[0], j, taken, lost) for j in range(k, i)]) for i in window]  # fmt: skip
+            found = [
+                min([self.at(inner[1], i, taken, lost)] + [self.at(inner[0], j, taken, lost) for j in range(k, i)])
+                for i in window
+            ]
             if beyond:
                 found.append(min([unknown] + [self.at(inner[0], j, taken, lost) for j in range(k, n)]))
             return max(found, default=-math.inf)
@@ -160,8 +164,10 @@ def drawn(seed):
     def value():
         return math.nan if rng.random() < missing else rng.choice([rng.uniform(-1.5, 1.5), rng.uniform(0.3, 2), 0.0])
 
-    samples = [{"x": value(), "y": value(), "fault": math.nan if rng.random() < missing else rng.choice([0.0, 1.0])}
-               for _ in range(n)]  # fmt: skip
+    samples = [
+        {"x": value(), "y": value(), "fault": math.nan if rng.random() < missing else rng.choice([0.0, 1.0])}
+        for _ in range(n)
+    ]
     first = {"x": 0, "y": rng.choice([0, 0, 0, 2]), "fault": 0}
     return tree, samples, first
 

@@ -105,6 +105,8 @@ def test_reference_signal_is_held_between_its_samples():
     late = signals | {"r": (np.array([2.0]), np.array([5.0]))}
     with pytest.raises(ValueError, match="r has no value yet at 0 s"):
         measures.mean_error(late, "y", reference="r")
+    last = {"y": (np.arange(4.0), np.array([0.0, 0.0, 0.0, 9.0])), "r": (np.arange(3.0), np.ones(3))}
+    assert measures.mean_error(last, "y", reference="r") == 1.0  # the plant's last word has no pair
 
 
 def test_window_ends_are_included():

@@ -91,8 +91,9 @@ def test_figures_of_many_runs_are_those_of_single_ones(monkeypatch: pytest.Monke
     """Bit for bit, and what one run leaves behind does not reach the next."""
     monkeypatch.setattr(engine, "_texts", [])
     variants = [{"dc_motor_plant.J": inertia} for inertia in (3e-4, 4e-4, 5e-4, 3e-4)]
-    single, many = ([simulate("dc_motor_smc_c1", duration=20.0, overrides=v, runs=n) for v in variants]
-                    for n in (1, 10**6))  # fmt: skip
+    single, many = (
+        [simulate("dc_motor_smc_c1", duration=20.0, overrides=v, runs=n) for v in variants] for n in (1, 10**6)
+    )
     for one, other in zip(single, many, strict=True):
         ticks = [run.blocks["dc_motor_plant"].native[0] for run in (one, other)]  # type: ignore[attr-defined]
         assert ticks == [0, 1999]
@@ -219,9 +220,10 @@ def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = ran(rig(), monkeypatch, lambda text: plain(text))[1]  # as what is compiled: with tables of numpy
     assert {name: step.native for name, step in steps.items()} == {
-        "plant": (489, "10 of its ticks were given up"), "law": (249, "10 of its ticks were given up"),
+        "plant": (489, "10 of its ticks were given up"),
+        "law": (249, "10 of its ticks were given up"),
         "watcher": (0, "it watches what is recorded"),
-    }  # fmt: skip
+    }
     assert {step.native for step in ran(rig(), monkeypatch, plain)[1].values()} == {(0, "")}
 
 
@@ -391,25 +393,6 @@ def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked
     native = the_same(lambda: rig_of("dc_motor_smc", duration=0.3, overrides=about), monkeypatch)
     assert native.ticks == 2999
     assert len(calls) == round(0.3 / period) + 1 + asked
-
-
-@pytest.mark.parametrize(("name", "about"), [
-    ("induction_dtc", {"flux_monitor.window": 0.01}),  # forgets blocks
-    ("lsrm_fuzzy", {"profile_generator.v_d": -0.3, "motion_monitor.window": 0.02}),
-    ("lsrm_fuzzy_n2", {"lsrm_load.times": [0.0, 0.02]}),  # a load comes
-])  # fmt: skip
-def test_monitors_are_fed_at_once(name, about, monkeypatch):
-    calls: list[int] = []
-    block = next(m.block_class for m in rig_of(name).members if "monitor" in m.name)
-
-    def counted(self, x, t, *, told=block.update, **inputs):
-        calls.append(t)
-        return told(self, x, t, **inputs)
-
-    monkeypatch.setattr(block, "update", counted)
-    native = the_same(lambda: rig_of(name, duration=0.05, overrides=about), monkeypatch, lambda text: plain(text))
-    assert native.ticks > 900
-    assert len(calls) < 1.1 * (native.ticks // 20 if "lsrm" in name else native.ticks)
 
 
 def test_long_runs_go_by_one_text_and_short_ones_one_by_one(monkeypatch):

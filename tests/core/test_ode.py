@@ -84,8 +84,9 @@ def pendulum(x, u):
 
 def symbolic_pendulum():
     x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
-    return ca.Function("pendulum", [x, u], [ca.vertcat(x[1], -9.81 * ca.sin(x[0]) - 0.3 * x[1] + u),
-                                            1.0 - ca.cos(x[0])])  # fmt: skip
+    return ca.Function(
+        "pendulum", [x, u], [ca.vertcat(x[1], -9.81 * ca.sin(x[0]) - 0.3 * x[1] + u), 1.0 - ca.cos(x[0])]
+    )
 
 
 @pytest.mark.parametrize("model", [pendulum, symbolic_pendulum()])

@@ -64,9 +64,11 @@ FAULTS = {
 @pytest.mark.parametrize("kind", FAULTS)
 def test_a_law_waits_for_a_fault_also_at_a_tick_at_which_that_is_silent(kind, places):
     """One fault behind another before a law, one before its reference: ticks and numbers are those of lockstep."""
-    faults = {"a": {"link": "lag/state -> gain", "kind": kind, **FAULTS[kind]},
-              "b": {"link": "lag/state -> gain", "kind": "noise", "value": [0.1]},
-              "c": {"link": "lag/reference", "kind": "loss", "probability": 0.2}}  # fmt: skip
+    faults = {
+        "a": {"link": "lag/state -> gain", "kind": kind, **FAULTS[kind]},
+        "b": {"link": "lag/state -> gain", "kind": "noise", "value": [0.1]},
+        "c": {"link": "lag/reference", "kind": "loss", "probability": 0.2},
+    }
     rig = rig_of(make_scenario(BASIC | {"watcher": "watcher"}, 0.4, faults=faults))
     names, rng = [m.name for m in rig.members], random.Random(kind)
     groups = {"alone": (), "some together": (rng.sample(names, 3),), "all together": (names,)}[places]
@@ -163,8 +165,9 @@ def test_a_stamp_from_the_future_is_refused_and_the_next_good_one_is_used():
     world.run(run.epoch + 300 * MS)
     assert gain.ticks == ticks + 20
     run.run()
-    assert np.array_equal(Signals(run.recording, run.epoch)["lag/state/x/position"].x,
-                          Signals(in_process(rig))["lag/state/x/position"].x)  # fmt: skip
+    assert np.array_equal(
+        Signals(run.recording, run.epoch)["lag/state/x/position"].x, Signals(in_process(rig))["lag/state/x/position"].x
+    )
 
 
 def test_a_refused_measurement_is_answered_at_its_tick_by_what_was_said_before():
@@ -258,8 +261,7 @@ def test_the_ports_of_the_rigs_work_in_lockstep_whatever_the_order_of_delivery(n
     rig = rig_of(make_scenario(nodes, duration, **options))
     expected = in_process(rig)
     for seed in range(20):
-        run = SimulatedRig(rig, World(jitter(seed, 1_000, 5 * MS)), "lockstep",
-                           groups=some(rig, random.Random(seed)))  # fmt: skip
+        run = SimulatedRig(rig, World(jitter(seed, 1_000, 5 * MS)), "lockstep", groups=some(rig, random.Random(seed)))
         assert set(run.run(1000.0).values()) == {"done"}, (seed, {n: str(a.error) for n, a in run.adapters.items()})
         assert differences(expected, run.recording) == [], seed
 

@@ -45,9 +45,11 @@ def test_a_law_goes_on_after_a_bad_message(system):
     rig = short(system)
     found = {
         f"{member.name} {port.name}": spoilt(rig, member, port, 7)
-        for member in rig.members if not member.is_plant
-        for port in member.inputs if port.name in member.links and not port.msgtype.endswith("/Bool")
-    }  # fmt: skip
+        for member in rig.members
+        if not member.is_plant
+        for port in member.inputs
+        if port.name in member.links and not port.msgtype.endswith("/Bool")
+    }
     assert found
     assert {n: wrong for n, wrong in found.items() if wrong} == {}
 

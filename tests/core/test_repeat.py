@@ -154,8 +154,9 @@ KP = ("--set", "fsfb_controller.kp=30.0")
 
 def from_there(tmp_path, capsys, run, at, *arguments, out="other"):
     """Exit status, what is said, and the record."""
-    status = main(["run", "--from", f"{run}@{at}", *arguments, "--mode", "inprocess", "--no-plots", "--out",
-                   str(tmp_path / out)])  # fmt: skip
+    status = main(
+        ["run", "--from", f"{run}@{at}", *arguments, "--mode", "inprocess", "--no-plots", "--out", str(tmp_path / out)]
+    )
     said = capsys.readouterr().err
     return status, said, json.loads((tmp_path / out / "metrics.json").read_text()) if not status else {}
 
@@ -171,8 +172,10 @@ def test_what_came_from_outside_before_a_branch_is_there_and_what_came_later_is_
     )
     assert record["changes"] == [{"at_s": up / 1e9, "node": "fsfb_controller", "set": {"kp": 30.0}}]
     assert record["changed"] == [
-        f"from {tmp_path / 'first'} at {up / 1e9:.9g} s", "fsfb_controller.kp=30.0", "duration 0.9"
-    ]  # fmt: skip
+        f"from {tmp_path / 'first'} at {up / 1e9:.9g} s",
+        "fsfb_controller.kp=30.0",
+        "duration 0.9",
+    ]
     assert (record["from"]["run"], record["duration_s"]) == (str(tmp_path / "first"), 0.9)
     other = read_bag(tmp_path / "other" / "bag")
     assert other.topics["reverse"].times == [down]

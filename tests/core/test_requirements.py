@@ -50,8 +50,9 @@ def test_a_margin_is_in_the_signals_unit_and_names_where_it_is_violated():
 def test_a_shared_signal_may_be_named_without_its_only_field(live):
     short = wired("always abs(command) <= 1.0", shared={"command": "lag/command/u"}, live=live)
     whole = wired("always abs(command) <= 1.0", live=live)
-    assert [figure_of(r, simulate(r).signals).value for r in (short, whole)] == [figure_of(
-        whole, simulate(whole).signals).value] * 2  # fmt: skip
+    assert [figure_of(r, simulate(r).signals).value for r in (short, whole)] == [
+        figure_of(whole, simulate(whole).signals).value
+    ] * 2
 
 
 def test_a_requirement_is_a_figure_of_a_run_and_passes_where_it_holds():

@@ -23,7 +23,7 @@ def test_a_float_means_the_simplest_fraction_that_rounds_to_it(p, q):
 @pytest.mark.parametrize(
     ("seconds", "meant"),
     [(1 / 2880, "1/2880"), ("1/2880", "1/2880"), (0.00083, "83/100000"), (0.1 * 3, "3/10"), (5e-5, "1/20000")],
-)  # fmt: skip
+)
 def test_periods_of_the_systems_are_exact(seconds, meant):
     assert rational(seconds) == Fraction(meant)
 

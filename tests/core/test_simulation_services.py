@@ -31,8 +31,9 @@ class Caller:
         rig = rig_of(load_scenario(name).model_copy(update={"duration": 0.2}))
         self.run = SimulatedRig(rig, self.world, "lockstep", **options)
         self.rig, self.adapter = rig, self.run.adapters[rig.clock.name]
-        node = SimpleNamespace(create_service=self._create, monitor=Monitor(lambda: None),
-                               get_fully_qualified_name=lambda: "/plant")  # fmt: skip
+        node = SimpleNamespace(
+            create_service=self._create, monitor=Monitor(lambda: None), get_fully_qualified_name=lambda: "/plant"
+        )
         monkeypatch.setattr(simulation, "_kind", lambda name, what="srv": KINDS.get(name, name))
         monkeypatch.setattr(simulation, "ActionServer", lambda node, kind, name, execute: None)
         self.simulation = Simulation(node, self.adapter)
@@ -143,13 +144,15 @@ def test_bodies_are_where_the_scene_has_them_and_move_as_the_joints_do(monkeypat
         p, r = told.state.pose.position, told.state.pose.orientation
         assert ((p.x, p.y, p.z), (r.x, r.y, r.z, r.w)) == (pose.position, pose.rotation)
         assert told.state.header.frame_id == pose.parent
-        later = next(x for x in scene.moving([a + 1e-4 * b for a, b in zip(q, rates, strict=True)])
-                     if x.child == pose.child)  # fmt: skip
+        later = next(
+            x for x in scene.moving([a + 1e-4 * b for a, b in zip(q, rates, strict=True)]) if x.child == pose.child
+        )
         v, w = told.state.twist.linear, told.state.twist.angular
         moved = [(b - a) / 1e-4 for a, b in zip(pose.position, later.position, strict=True)]
         assert (v.x, v.y, v.z) == pytest.approx(moved, abs=1e-3)
-        assert math.hypot(w.x, w.y, w.z) == pytest.approx(math.hypot(*turned(pose.rotation, later.rotation)) / 1e-4,
-                                                          abs=1e-3)  # fmt: skip
+        assert math.hypot(w.x, w.y, w.z) == pytest.approx(
+            math.hypot(*turned(pose.rotation, later.rotation)) / 1e-4, abs=1e-3
+        )
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -75,9 +75,11 @@ def test_only_the_nodes_know_the_middleware():
     may = ("softrig_core.node", *bags)
     breaches = [
         f"{module} imports {target}"
-        for modules in everything().values() for module, targets in modules.items() for target in sorted(targets)
+        for modules in everything().values()
+        for module, targets in modules.items()
+        for target in sorted(targets)
         if within(target, *MIDDLEWARE) and not within(module, *may)
-    ]  # fmt: skip
+    ]
     assert breaches == []
 
 
@@ -97,9 +99,10 @@ def test_a_room_knows_those_below_it(package):
 def test_no_room_holds_more_than_a_person_takes_in_at_a_look():
     crowded = {
         str(folder.relative_to(PACKAGES)): count
-        for package in ROOMS for folder in [PACKAGES / package / package, *(PACKAGES / package / package).rglob("*/")]
+        for package in ROOMS
+        for folder in [PACKAGES / package / package, *(PACKAGES / package / package).rglob("*/")]
         if (count := len([f for f in folder.glob("*.py") if f.stem != "__init__"])) > 16
-    }  # fmt: skip
+    }
     assert crowded == {}
 
 
@@ -145,8 +148,9 @@ def test_packages_depend_one_way():
     below["softrig_bags"] = ("softrig_core",)
     breaches = [
         f"{module} imports {target}"
-        for package, allowed in below.items() for module, targets in everything()[package].items()
+        for package, allowed in below.items()
+        for module, targets in everything()[package].items()
         for target in sorted(targets)
         if target.startswith("softrig_") and not within(target, package, *allowed)
-    ]  # fmt: skip
+    ]
     assert breaches == []

@@ -97,8 +97,10 @@ def test_an_offline_reference_is_not_paired_with_the_output_at_the_end():
 def test_a_figure_counts_from_the_newest_step_of_its_reference():
     """Steps to 1 at 0 s, to 3 at 2 s; the signal follows a sample of 0.5 s later, and says 9 at 4 s."""
     t = np.arange(0.0, 4.5, 0.5)
-    signals = {"r": (np.array([0.0, 1.0, 2.0, 3.0]), np.array([1.0, 1.0, 3.0, 3.0])),
-               "y": (t, np.where(t == 4.0, 9.0, np.where(t > 2.0, 3.0, np.where(t > 0.0, 1.0, 0.0))))}  # fmt: skip
+    signals = {
+        "r": (np.array([0.0, 1.0, 2.0, 3.0]), np.array([1.0, 1.0, 3.0, 3.0])),
+        "y": (t, np.where(t == 4.0, 9.0, np.where(t > 2.0, 3.0, np.where(t > 0.0, 1.0, 0.0)))),
+    }
 
     def measured(function, **arguments):
         return Figure("it", function, {"signal": "y", **arguments}, "", 1.0, "r")(signals)

@@ -167,14 +167,14 @@ def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
         if outcome != "killed":
             print(f"{outcome}: {place}:{mutant.start[0]} {mutant.told(source)} ({said})", flush=True)
     total = tally["killed"] + tally["survived"]
-    print(f"{total} mutants, seed {options.seed}: {tally['killed']} killed, {tally['survived']} survived "
-          f"({100 * tally['killed'] / max(1, total):.0f} %), {(time.monotonic() - started) / 60:.0f} min")  # fmt: skip
+    print(
+        f"{total} mutants, seed {options.seed}: {tally['killed']} killed, {tally['survived']} survived "
+        f"({100 * tally['killed'] / max(1, total):.0f} %), {(time.monotonic() - started) / 60:.0f} min"
+    )
     return int(tally["survived"] > 0)
 
 
-def _tried(
-    tree: Path, run: Warm, known: Tests, place: str, mutant: Mutant, most: float
-) -> tuple[str, str]:  # fmt: skip
+def _tried(tree: Path, run: Warm, known: Tests, place: str, mutant: Mutant, most: float) -> tuple[str, str]:
     """Run the tests of a mutant; whether one killed it, and how many there were."""
     tests = known.meeting(place, mutant)
     chosen, seconds = [], 0.0

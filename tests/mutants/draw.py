@@ -146,5 +146,7 @@ def _expression(node: ast.AST, runs: tuple[int, ...]) -> Iterator[Mutant]:
 
 
 def _words(node: ast.BinOp) -> bool:
-    return any(isinstance(n, ast.JoinedStr) or (isinstance(n, ast.Constant) and isinstance(n.value, str))
-               for n in ast.walk(node))  # fmt: skip
+    return any(
+        isinstance(n, ast.JoinedStr) or (isinstance(n, ast.Constant) and isinstance(n.value, str))
+        for n in ast.walk(node)
+    )

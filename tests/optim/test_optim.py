@@ -313,9 +313,11 @@ def test_of_equals_the_first_is_best(maximise):
 
 
 @given(
-    st.lists(st.floats(0.05, 1.0), min_size=3, max_size=8), st.lists(st.floats(0.0, 1.0), min_size=8, max_size=8),
-    st.floats(2.0, 50.0), st.sampled_from([0.003, 0.01, 0.05]),
-)  # fmt: skip
+    st.lists(st.floats(0.05, 1.0), min_size=3, max_size=8),
+    st.lists(st.floats(0.0, 1.0), min_size=8, max_size=8),
+    st.floats(2.0, 50.0),
+    st.sampled_from([0.003, 0.01, 0.05]),
+)
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_certificate_holds_on_any_falling_curve(widths, drops, load, eps):
     """The proven bound is never below the true maximum, and the search ends within eps of it."""

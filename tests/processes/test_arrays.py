@@ -80,8 +80,10 @@ def test_others_may_leave_the_number_out_or_write_it_as_they_like(label, number)
     decode, values = Decoder(MATRIX), tuple(map(float, range(6)))
     data = message([(label, 2), ("column", 3)], values)
     assert [decode(data), decode(MATRIX.layout().encode(7, values)), decode(data)] == [
-        (number, values), (7, values), (number, values)
-    ]  # fmt: skip
+        (number, values),
+        (7, values),
+        (number, values),
+    ]
 
 
 @pytest.mark.parametrize("label", ["row; sequence ", "row; sequence -5", "row; sequence 0x5", "row sequence 5"])

@@ -212,8 +212,10 @@ def test_a_bad_parameter_is_one_line_that_names_the_node(tmp_path):
     assert said.splitlines()[-1].startswith("mine: parameter noise = 'high'")
 
 
-@pytest.mark.parametrize(("arguments", "text"), [(["faultrig"], "expected PACKAGE EXECUTABLE"),
-                                                 (["faultrig", "nothing"], "no executable 'nothing'")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [(["faultrig"], "expected PACKAGE EXECUTABLE"), (["faultrig", "nothing"], "no executable 'nothing'")],
+)
 def test_a_bad_command_line_is_one_line(arguments, text, tmp_path):
     status, said = container(tmp_path, *arguments)
     assert status == 2
@@ -384,9 +386,11 @@ def test_a_timer_that_moves_or_ends_itself_is_obeyed():
 
 def test_a_profile_keeps_what_it_says_and_gets_ports_and_the_property(tmp_path, monkeypatch):
     mine = tmp_path / "mine.xml"
-    mine.write_text('<?xml version="1.0"?><profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">'
-                    '<participant profile_name="a" is_default_profile="true"><rtps><name>mine</name></rtps>'
-                    "</participant></profiles>")  # fmt: skip
+    mine.write_text(
+        '<?xml version="1.0"?><profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">'
+        '<participant profile_name="a" is_default_profile="true"><rtps><name>mine</name></rtps>'
+        "</participant></profiles>"
+    )
     monkeypatch.setenv(VARIABLE, str(mine))
     for exclusive in (True, False):
         with joining(exclusive=exclusive):
@@ -407,8 +411,10 @@ def test_the_well_known_ports_stay_and_the_others_change():
         ports = chosen(7, 1e6 + 0.45 * k)
         base = ports["portBase"]
         assert {name: base + ports[name] for name in ("offsetd0", "offsetd1", "offsetd2")} == {
-            "offsetd0": 7400, "offsetd1": 7410, "offsetd2": 7401,
-        }  # fmt: skip
+            "offsetd0": 7400,
+            "offsetd1": 7410,
+            "offsetd2": 7401,
+        }
         user, unique = base + ports["offsetd3"] - 7400, base - 400
         assert 11 + 2 * 32 < user < 250 - 2 * 31
         assert 6200 <= unique < 6600

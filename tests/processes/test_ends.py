@@ -157,11 +157,13 @@ def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
 def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
     """By a module that is being imported, say: the node would wait for its peers."""
     # a shell that starts the tests in the background has SIGINT ignored
-    code = ("import os, signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-            "from softrig_core.interrupt import interrupt; interrupt.install()\n"
-            "try: os.kill(os.getpid(), signal.SIGINT)\n"
-            "except BaseException: pass\n"
-            "print('alive')")  # fmt: skip
+    code = (
+        "import os, signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from softrig_core.interrupt import interrupt; interrupt.install()\n"
+        "try: os.kill(os.getpid(), signal.SIGINT)\n"
+        "except BaseException: pass\n"
+        "print('alive')"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     late = code.replace("interrupt.install()", "interrupt.install(); interrupt.early = False")
@@ -332,8 +334,9 @@ def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
             command = [str(find_executable(member.package, member.executable)), "--ros-args", "-r",
                        f"__node:={member.name}", "--params-file", str(file)]  # fmt: skip
             with (tmp_path / f"{member.name}.log").open("wb") as log:
-                running.append(start_node(member.package, member.executable, command, environment(domain, tmp_path),
-                                          log.fileno()))  # fmt: skip
+                running.append(
+                    start_node(member.package, member.executable, command, environment(domain, tmp_path), log.fileno())
+                )
         until(lambda: read_status(tmp_path / "plant.status").get("t", 0) > 10**8)
         for process in running:
             process.send_signal(signal.SIGINT)

@@ -16,8 +16,10 @@ from softrig_core.processes.fork_server import start_node
 from softrig_robots.manipulator.plant import ManipulatorPlant
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-POSES = [Pose("world", "base_link", (0.0, 1.0, -2.0), (0.0, 0.0, 0.0, 1.0)),
-         Pose("base_link", "a", (0.5, 0.25, 3.0), (0.5, -0.5, 0.5, 0.5))]  # fmt: skip
+POSES = [
+    Pose("world", "base_link", (0.0, 1.0, -2.0), (0.0, 0.0, 0.0, 1.0)),
+    Pose("base_link", "a", (0.5, 0.25, 3.0), (0.5, -0.5, 0.5, 0.5)),
+]
 
 LISTEN = f"""
 import sys
@@ -93,8 +95,9 @@ def test_the_frames_of_a_robot_are_forward_kinematics_of_what_it_says(tmp_path):
         said[name] += words
     still, *_ = (STORE.deserialize_cdr(bytes.fromhex(data), TF) for data in said["static"])
     assert [(x.header.frame_id, x.child_frame_id) for x in still.transforms] == [
-        ("world", "base_link"), ("link3", "tool")
-    ]  # fmt: skip
+        ("world", "base_link"),
+        ("link3", "tool"),
+    ]
     joints = [STORE.deserialize_cdr(bytes.fromhex(data), "sensor_msgs/msg/JointState") for data in said["joints"]]
     assert {j.header.frame_id for j in joints} == {"world"}
     at = {(j.header.stamp.sec, j.header.stamp.nanosec): j.position for j in joints}

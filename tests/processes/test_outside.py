@@ -95,9 +95,11 @@ def by_chance(rig):
     found = set()
     while True:
         more = {
-            m.name for m in rig.members for k in m.links.values()
+            m.name
+            for m in rig.members
+            for k in m.links.values()
             if k.source.name in found or (k.source.external and k.port.sporadic)
-        }  # fmt: skip
+        }
         if more <= found:
             return found
         found |= more

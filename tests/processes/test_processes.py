@@ -152,10 +152,11 @@ def test_a_slow_node_does_not_end_a_run_that_goes_on(tmp_path):
 
 def test_a_node_read_only_by_slower_ones_is_waited_for(tmp_path):
     nodes = {
-        "plant": params("plant", period=0.001), "source": params("source", period=0.1),
+        "plant": params("plant", period=0.001),
+        "source": params("source", period=0.1),
         "outer": params("outer", period=0.001),
         "gain": params("gain", period=0.02) | {"remap": {"lag/reference": "lag/inner_reference"}},
-    }  # fmt: skip
+    }
     wired = rig(nodes, 0.2)
     outcome = run_processes(wired, 0, tmp_path)
     assert outcome.error == ""

@@ -107,8 +107,7 @@ def test_of_two_rivals_neither_is_believed(bench):
 def test_nan_from_outside_is_refused_and_counted(bench):
     bench.start("plant", "plant")
     outside(bench, "intruder", PUBLISHER.replace("VALUE", "float('nan')"))
-    bench.wait(lambda: bench.status("plant")["refused"]["lag/command"][0] > 10
-               and bench.status("plant")["ticks"] > 10)  # fmt: skip
+    bench.wait(lambda: bench.status("plant")["refused"]["lag/command"][0] > 10 and bench.status("plant")["ticks"] > 10)
     assert bench.status("plant")["refused"]["lag/command"][1] == "u/effort is nan, expected a finite number"
     assert (bench.signal("plant", "lag/state/x/position").x == 0.0).all()
 
@@ -148,8 +147,9 @@ rclpy.spin(node)
 """
     bench.start("plant", "plant")
     outside(bench, "person", code)
-    bench.wait(lambda: bench.status("plant")["ticks"] > 10 and
-               bench.signal("plant", "lag/applied/u/effort").x[-1] == 3.0)  # fmt: skip
+    bench.wait(
+        lambda: bench.status("plant")["ticks"] > 10 and bench.signal("plant", "lag/applied/u/effort").x[-1] == 3.0
+    )
     assert bench.signal("plant", "lag/offset/data").x[-1] == 3.0
 
 

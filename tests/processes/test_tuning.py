@@ -76,8 +76,9 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
             command = [sys.executable, "-m", "softrig_bringup", "set", "law.delta", "0.5"]
             first = subprocess.run(command, env=bench.environment, timeout=60, capture_output=True, text=True)
             assert (first.returncode, first.stderr) == (0, "")
-            second = subprocess.run([*command, "law.c", "-1.0"], env=bench.environment, timeout=60,
-                                    capture_output=True, text=True)  # fmt: skip
+            second = subprocess.run(
+                [*command, "law.c", "-1.0"], env=bench.environment, timeout=60, capture_output=True, text=True
+            )
             assert second.returncode == 1
             assert "law refuses delta, c: " in second.stderr
             for number in ("99999999999999999999999", "[99999999999999999999999]"):  # of which no message can be made
@@ -88,8 +89,10 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
         finally:
             for name in list(bench.nodes):
                 bench.kill(name)
-    assert said["told"] == {"k": [False, "may change while running, from the next tick on"],
-                            "period": [True, "fixed from the start on"]}  # fmt: skip
+    assert said["told"] == {
+        "k": [False, "may change while running, from the next tick on"],
+        "period": [True, "fixed from the start on"],
+    }
     assert said["k"] == [[True, ""]]
     assert not said["period"][0][0]
     assert "c out of range" in said["c"][0][1]
@@ -129,8 +132,9 @@ def test_a_flood_of_sets_does_not_keep_a_rig_from_its_ticks(mode, duration, tmp_
     command = ["run", "induction_dtc", "--duration", duration, "--mode", mode, "--no-plots", "--domain", str(domain),
                "--out", str(tmp_path / "run")]  # fmt: skip
     try:
-        done = subprocess.run([sys.executable, "-m", "softrig_bringup", *command], timeout=PATIENCE,
-                              capture_output=True, text=True)  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-m", "softrig_bringup", *command], timeout=PATIENCE, capture_output=True, text=True
+        )
         answers = json.loads(person.communicate(timeout=10.0)[0])
     finally:
         person.kill()
@@ -186,8 +190,10 @@ def test_what_is_listed_and_dumped_fits_another_run(tmp_path):
 
 def test_a_replay_into_one_node_sets_what_the_bag_has_changed(tmp_path):
     """Scripted for the record, set by services in the replay: the same messages."""
-    entries = [{"at": 0.05, "set": {"dc_motor_smc.k": 60.0}},
-               {"at": 0.1011, "set": {"dc_motor_smc.delta": 0.5, "dc_motor_smc.c": 6.0}}]  # fmt: skip
+    entries = [
+        {"at": 0.05, "set": {"dc_motor_smc.k": 60.0}},
+        {"at": 0.1011, "set": {"dc_motor_smc.delta": 0.5, "dc_motor_smc.c": 6.0}},
+    ]
     scenario = load_scenario("dc_motor_smc_b2").changed(duration=0.3)
     rig = rig_of(type(scenario).model_validate({**dict(scenario), "changes": entries}))
     recording = in_process(rig)

@@ -182,12 +182,14 @@ def test_who_comes_from_another_host_finds_nobody(how, tmp_path):
         there = here | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": "10.213.7.1",
                         "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}  # fmt: skip
         enter = ["ip", "netns", "exec"]
-        plant = subprocess.Popen([*enter, a, find_executable("faultrig", "plant"), "--ros-args", "-r", "__node:=plant"],
-                                 env=here)  # fmt: skip
+        plant = subprocess.Popen(
+            [*enter, a, find_executable("faultrig", "plant"), "--ros-args", "-r", "__node:=plant"], env=here
+        )
         try:
             code = INTRUDER.replace("PATIENCE", str(PATIENCE) if how == PROFILE else "8")
-            seen = subprocess.run([*enter, b, sys.executable, "-c", code], env=there, capture_output=True, text=True,
-                                  timeout=PATIENCE)  # fmt: skip
+            seen = subprocess.run(
+                [*enter, b, sys.executable, "-c", code], env=there, capture_output=True, text=True, timeout=PATIENCE
+            )
             neighbour = here | {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}
             near = subprocess.run([*enter, a, sys.executable, "-c", INTRUDER.replace("PATIENCE", "60")], env=neighbour,
                                   capture_output=True, text=True, timeout=PATIENCE)  # fmt: skip

@@ -93,8 +93,9 @@ def test_in_real_time_the_start_is_after_the_controller_has_come():
     assert lacking(run) == []
 
 
-@pytest.mark.parametrize("groups", [(), [("plant", "source", "gain")], [("plant", "gain")]],
-                         ids=["processes", "a container", "both"])  # fmt: skip
+@pytest.mark.parametrize(
+    "groups", [(), [("plant", "source", "gain")], [("plant", "gain")]], ids=["processes", "a container", "both"]
+)
 def test_a_run_that_takes_longer_than_a_start_may_take_has_begun(groups, monkeypatch):
     """In a container nobody waits for a message of another process, which is what shows the others."""
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.4))
@@ -112,8 +113,10 @@ def test_a_topic_of_an_outside_node_is_not_remapped_by_who_looks_for_it():
     """An observer of this rig reads `other/command` in place of `lag/command`."""
     nodes = {n: e.model_dump() | {"external": n == "gain"} for n, e in KINDS["basic"].nodes.items()}
     elsewhere = {"lag/command": "other/command"}
-    nodes |= {"other": nodes["gain"] | {"external": False, "remap": elsewhere},
-              "watcher": nodes["gain"] | {"external": False, "executable": "watcher", "remap": elsewhere}}  # fmt: skip
+    nodes |= {
+        "other": nodes["gain"] | {"external": False, "remap": elsewhere},
+        "watcher": nodes["gain"] | {"external": False, "executable": "watcher", "remap": elsewhere},
+    }
     run = SimulatedRig(rig_of(make_scenario(nodes)), World(), "lockstep", start_timeout=0.0)
     run.run(100.0)
     assert {a.state for a in run.adapters.values()} == {"starting"}

@@ -155,8 +155,10 @@ def piecewise(rng, method):
     system = a_piecewise_system(rng)
     h = float(10.0 ** rng.uniform(-1.5, 0.7))
     criterion = Criterion(method, 0.0, 2, bool(rng.random() < 0.5))
-    what = f"{criterion} h = {h!r} A = {[m.tolist() for m in system.A]} Ad = {[m.tolist() for m in system.Ad]} " \
-           f"lines = {system.lines.tolist()} {system.lines_delayed.tolist()}"  # fmt: skip
+    what = (
+        f"{criterion} h = {h!r} A = {[m.tolist() for m in system.A]} Ad = {[m.tolist() for m in system.Ad]} "
+        f"lines = {system.lines.tolist()} {system.lines_delayed.tolist()}"
+    )
     try:
         valid = certify(system, h, criterion).valid
     except NotApplicable:
@@ -252,8 +254,10 @@ def rational(matrix):
 
 
 def times(a, b):
-    return [[sum((x * y for x, y in zip(row, column, strict=True)), Fraction(0)) for column in zip(*b, strict=True)]
-            for row in a]  # fmt: skip
+    return [
+        [sum((x * y for x, y in zip(row, column, strict=True)), Fraction(0)) for column in zip(*b, strict=True)]
+        for row in a
+    ]
 
 
 def schur(matrix):

@@ -71,8 +71,10 @@ def test_lsrm_twice_the_mass_half_the_acceleration():
     assert ways[1][1] == pytest.approx(0.5 * ways[0][1], rel=1e-3)
 
 
-@pytest.mark.parametrize(("change", "share"), [({"K_e": 0.5}, 2.0), ({"K_u": 4.0}, 2.0), ({"K_de": 0.02}, 1.0),
-    ({"rules": tuple(-r for r in TABLE_II)}, -1.0)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "share"),
+    [({"K_e": 0.5}, 2.0), ({"K_u": 4.0}, 2.0), ({"K_de": 0.02}, 1.0), ({"rules": tuple(-r for r in TABLE_II)}, -1.0)],
+)
 def test_fuzzy_law_ramps_as_its_scaling_factors_say(change, share):
     """Under a constant error the force rises by K_u e/K_e in each period, and falls with the rules turned round."""
     rises = []
@@ -93,8 +95,9 @@ def test_manipulator_of_twice_the_mass_falls_as_fast():
         falls.append(_free_fall(ManipulatorPlant(links=links, position=(0.3, 0.2, -0.4))))
     assert max(abs(a) for a in falls[0]) > 1.0
     assert falls[1] == pytest.approx(falls[0], rel=1e-9, abs=1e-9)
-    heavy = _free_fall(ManipulatorPlant(links={"mass": [2.0 * m for m in (19.0, 18.18, 10.99)]},
-                                        position=(0.3, 0.2, -0.4)))  # fmt: skip
+    heavy = _free_fall(
+        ManipulatorPlant(links={"mass": [2.0 * m for m in (19.0, 18.18, 10.99)]}, position=(0.3, 0.2, -0.4))
+    )
     assert heavy != pytest.approx(falls[0], rel=1e-3)  # masses alone: the inertias stay
 
 

@@ -429,10 +429,12 @@ MS = 1_000_000
 def ask(block, t_ms, y=0.0, v=0.0, *, stamp_ms=None, reference=None, forward=None, reverse=None):
     stamp = t_ms if stamp_ms is None else stamp_ms
     return block.update(
-        t_ms * MS, feedback=Sample(stamp * MS, (y, v)), reference=reference if reference is None else (reference,),
+        t_ms * MS,
+        feedback=Sample(stamp * MS, (y, v)),
+        reference=reference if reference is None else (reference,),
         forward=forward if forward is None else (float(forward),),
         reverse=reverse if reverse is None else (float(reverse),),
-    )  # fmt: skip
+    )
 
 
 def set_point(answer):

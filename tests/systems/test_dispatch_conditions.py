@@ -23,8 +23,9 @@ def enumerated(units, demand, conditions, step):
     for j in (0, 1):
         low, high = conditions.low[j], conditions.high[j]
         valves = units.valve_points(j)
-        axes.append(np.unique(np.concatenate([np.arange(low, high, step), valves[(valves >= low) & (valves <= high)],
-                                              [high]])))  # fmt: skip
+        axes.append(
+            np.unique(np.concatenate([np.arange(low, high, step), valves[(valves >= low) & (valves <= high)], [high]]))
+        )
     p0, p1 = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
     p2 = np.maximum(demand - p0 - p1, 0.0)
     b, b0 = conditions.losses.B, conditions.losses.B0
@@ -136,8 +137,10 @@ def test_tables_as_the_field_has_them(tmp_path):
     np.testing.assert_array_equal(again.table, units.table)
     np.testing.assert_array_equal(again.more, units.more)
     losses = tmp_path / "losses.csv"
-    lines = [",".join([name, *map(str, row), "0.001", "0.3" if k == 0 else ""]) for k, (name, row) in
-             enumerate(zip(units.ids, B.tolist(), strict=True))]  # fmt: skip
+    lines = [
+        ",".join([name, *map(str, row), "0.001", "0.3" if k == 0 else ""])
+        for k, (name, row) in enumerate(zip(units.ids, B.tolist(), strict=True))
+    ]
     losses.write_bytes(b"\xef\xbb\xbf" + "\n".join([",".join(["unit", *units.ids, "b0", "b00_MW"]), *lines]).encode())
     read = Losses.read(str(losses), units.ids)
     np.testing.assert_allclose(read.B, B)

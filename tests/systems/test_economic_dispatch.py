@@ -8,7 +8,6 @@ from softrig_core import ByHand, Level, ParameterError, list_scenarios, simulate
 from softrig_power.dispatch.baselines import lambda_iteration, swarm, without_ripples
 from softrig_power.dispatch.branch import branch_and_bound, chord_excess
 from softrig_power.dispatch.certify import InfeasibleError, Optimiser, lowering
-from softrig_power.dispatch.demand import DemandSource
 from softrig_power.dispatch.enumeration import TooManyError, enumerate_kinks
 from softrig_power.dispatch.fleet import UnitFleet
 from softrig_power.dispatch.solver import DispatchSolver
@@ -443,8 +442,6 @@ def test_a_bad_table_stops_the_node_and_the_scenario(tmp_path):
         ParameterError, match=r"unit_table.*no file 'package://softrig_power/dispatch/tables/units_4.csv'"
     ):
         UnitFleet(unit_table="units_4")
-    with pytest.raises(ParameterError, match="1 times for 1 demands: expected one less"):
-        DemandSource(times=(3.0,))
 
 
 def test_the_fleet_follows_within_limits_and_ramp():

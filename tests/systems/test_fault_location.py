@@ -18,7 +18,7 @@ from softrig_core.block.params import build
 from softrig_power.fault_location import pictures, study, study_tool
 from softrig_power.fault_location.cases import PUBLISHED, RESISTANCES, Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
-from softrig_power.fault_location.confidence import Confidence, ErrorBudget, confidence, shifted
+from softrig_power.fault_location.confidence import Confidence, ErrorBudget, confidence, describe, shifted
 from softrig_power.fault_location.inception import inception, windowed
 from softrig_power.fault_location.locate_tool import read, to_bag
 from softrig_power.fault_location.location import Locator, locate
@@ -314,8 +314,10 @@ def test_equations_as_printed():
     for case in (Case("AG", x, 0.0) for x in (5.0, 50.0, 100.0)):
         found = located(simulated(case), equations="printed")
         assert (found.status, found.x_km) == (Status.AT_TERMINAL, 0.0)
+        assert "beyond the line" in describe(found, Confidence(1.0, {}, 1.0), 120.0)
     wrong = located(simulated(Case("AG", 115.0, 0.0)), equations="printed")
     assert abs(wrong.x_km - 115.0) > 0.04 * 120.0
+    assert "beyond the line" not in describe(wrong, Confidence(1.0, {}, 1.0), 120.0)
     with_resistance = located(simulated(Case("AG", 115.0, 15.0)), equations="printed_sign")
     assert with_resistance.x_km == 0.0
 
@@ -687,6 +689,7 @@ def test_scenarios(variant):
     run = simulate(f"fault_location{variant}")
     assert [(r.name, r.value) for r in run.missed] == []
     assert any(r.judged for r in run.results)
+    assert ("rate" in run.blocks["fault_locator"].reports) == (variant == "_m4k")
 
 
 def test_every_variant_is_tested():

@@ -378,7 +378,7 @@ OWN = {  # parameters of monitors that bear the name of another node's, and are 
     "horizon": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
     "x_end": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
     "R": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("scenario", ["optimal_control_mvim", "fault_location_m4k", "pwa_delay"])

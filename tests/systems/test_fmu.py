@@ -381,8 +381,10 @@ def test_the_law_of_the_page_holds_the_speed_of_our_motor(page, tmp_path):
     assert run.signals["motor/state/shaft/velocity"].x[-1] == pytest.approx(1.0, abs=0.05)
 
 
-MIX = {"inputs": ("mix/in/a/effort = u[1]", "mix/in/c/effort = u[3]"),
-       "outputs": ("mix/out/first/effort = y[1]", "mix/out/second/effort [mV] = y[2]")}  # fmt: skip
+MIX = {
+    "inputs": ("mix/in/a/effort = u[1]", "mix/in/c/effort = u[3]"),
+    "outputs": ("mix/out/first/effort = y[1]", "mix/out/second/effort [mV] = y[2]"),
+}
 
 
 @pytest.mark.parametrize("isolated", [False, True])

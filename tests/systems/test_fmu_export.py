@@ -78,8 +78,9 @@ def through_fmus(scenario, nodes, folder):
                 vector = port.msgtype.endswith("Vector3Stamped")
                 given["vectors"] += [f"{port.topic} = {port.frame_id}"] if vector else []
                 given["trajectories"] += [port.topic] if port.msgtype.endswith("JointTrajectory") else []
-                given[side] += [f"{port.topic}/{label}{'/vector' * vector} = {variable(port.topic, label)}"
-                                for label in port.labels]  # fmt: skip
+                given[side] += [
+                    f"{port.topic}/{label}{'/vector' * vector} = {variable(port.topic, label)}" for label in port.labels
+                ]
         executable = "fmu_plant" if member.is_plant else "fmu_law"
         entries[member.name] = {"package": "softrig_control", "executable": executable, "parameters": given}
     raw = scenario.model_dump(mode="json", exclude_unset=True)

@@ -126,8 +126,10 @@ def test_halved_steps_agree():
     """43.4 and 10.85 us agree with 21.7 us to 5e-5 and 3e-5 pu in P, in V better, also in the transient."""
     found = {}
     for substeps in (8, 16, 32):
-        overrides = {f"{node}.substeps": substeps for node in
-                     ("gupfc_plant", "shunt_controller", "series_controller_1", "series_controller_2")}  # fmt: skip
+        overrides = {
+            f"{node}.substeps": substeps
+            for node in ("gupfc_plant", "shunt_controller", "series_controller_1", "series_controller_2")
+        }
         found[substeps] = simulate("gupfc", duration=0.7, overrides=overrides)
     for name in ("p1", "p2", "v1"):
         for substeps, tolerance in ((8, 6e-5), (32, 3e-5)):
@@ -194,8 +196,10 @@ class Ladder:
 def test_line_against_a_pi_ladder(solver):
     """Open-loop step of both series voltages against 60 pi sections: rms 0.008 pu of 0.63 in P1, 0.003 pu in V1."""
     params = DeviceParams()
-    first, second = (operating_point(DeviceParams(initial=References(p1=p1, q1=-0.3, p2=p2, q2=-0.4)))
-                     for p1, p2 in ((1.0, 1.0), (1.2, 1.2)))  # fmt: skip
+    first, second = (
+        operating_point(DeviceParams(initial=References(p1=p1, q1=-0.3, p2=p2, q2=-0.4)))
+        for p1, p2 in ((1.0, 1.0), (1.2, 1.2))
+    )
     # the plant's own steps, with a DC link that stays where it is
     prepared, lines = steps.circuit(NETWORK, params.step)
     prepared = prepared._replace(dc_time=1e12)
@@ -225,8 +229,9 @@ def test_line_against_a_pi_ladder(solver):
             y.append(turn @ y[-1])
         found = np.array(y).T + goal[:, None]
     else:
-        found = solve_ivp(lambda _, x: ladder.A @ x + b, (0.0, t[-1]), x0, method=solver, t_eval=t[::every], rtol=1e-6,
-                          atol=1e-6).y  # fmt: skip
+        found = solve_ivp(
+            lambda _, x: ladder.A @ x + b, (0.0, t[-1]), x0, method=solver, t_eval=t[::every], rtol=1e-6, atol=1e-6
+        ).y
     p1_ladder = (found[2] * found[ladder.current("12")].conj()).real
     assert np.sqrt(np.mean((p1_ladder - p1[::every]) ** 2)) < 0.009
     assert np.sqrt(np.mean((np.abs(found[1]) - u1[::every]) ** 2)) < 0.004

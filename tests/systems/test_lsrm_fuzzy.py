@@ -30,26 +30,6 @@ GEOMETRY = Geometry().numbers()
 OFF = (0.0, 0.0, 0.0, 0.0)
 MS = 1_000_000
 
-# Acceptance: figure: (value, tolerance); the scenario files have these and more. None: at most.
-ACCEPTANCE = {
-    "lsrm_fuzzy_b5": {"current": (5.35621, 1e-4), "force": (11.4756, 1e-3)},
-    "lsrm_fuzzy": {"overshoot": (2.14, 0.15), "peak_error": (0.0394, 0.001), "iae": (0.0117, 0.0003),
-                   "peak_force": (18.66, 0.25), "mean_force": (12.0, 0.05), "profile_end": (0.5, 1e-12)},
-    "lsrm_fuzzy_n2": {"dip": (2.91, 0.15), "recovery": (0.195, 0.02)},
-    "lsrm_fuzzy_n2_mrac": {"dip": (2.80, 0.15), "recovery": (0.166, 0.02)},
-    "lsrm_fuzzy_n2_pi": {"dip": (8.6, 0.3)},
-    "lsrm_fuzzy_mrac": {"peak_error": (0.0190, 0.001), "iae": (0.0056, 0.0004)},
-    "lsrm_fuzzy_pi": {"peak_error": (0.120, 0.003), "iae": (0.0556, 0.002)},
-    "lsrm_fuzzy_n3": {"end_position": (0.6, 0.0005)},
-    "lsrm_fuzzy_n3_pi": {"end_position": (0.589, 0.002)},
-    "lsrm_fuzzy_n4": {"arrival": (0.108, 0.003), "arrival_trapezoid": (0.120, 0.003), "peak_force": (35.6, 1.0)},
-    "lsrm_fuzzy_n5": {"end_speed": (2.5, 0.01), "mean_force": (25.0, 0.2)},
-    "lsrm_fuzzy_n5_printed": {"end_speed": (1.90, 0.05)},
-    "lsrm_fuzzy_s_fast": {"overshoot": (None, 0.6), "iae": (None, 0.001), "peak_force": (None, 17.9)},
-    "lsrm_fuzzy_n2_s_fast": {"dip": (None, 0.9)},
-    "lsrm_fuzzy_s_smooth": {"force_ripple": (None, 0.13)},
-    "lsrm_fuzzy_smooth": {"force_ripple": (None, 0.13)},
-}  # fmt: skip
 SCENARIOS = sorted(n for n in list_scenarios() if n.startswith("lsrm_fuzzy"))
 # the paper's three laws, its load and its arrival are daily
 MORE = {"10khz", "fast", "mrac_fast", "n2_fast", "n2_mrac", "n2_mrac_fast", "n2_pi_fast", "n2_s", "n2_s_fast", "n3",
@@ -83,11 +63,6 @@ def daily_or_long(names):
 
 @pytest.mark.parametrize("name", daily_or_long(SCENARIOS))
 def test_scenario_meets_its_numbers(name):
-    for figure, (expected, tolerance) in ACCEPTANCE.get(name, {}).items():
-        if expected is None:
-            assert value(name, figure) <= tolerance, figure
-        else:
-            assert value(name, figure) == pytest.approx(expected, abs=tolerance), figure
     assert [row for row in measured(name).values() if not row.passed] == []
     assert any(row.judged for row in measured(name).values())
 
@@ -214,8 +189,9 @@ def test_without_numba_the_same_bits():
         "plant = simulate('lsrm_fuzzy', duration=0.02).blocks['lsrm_plant']\n"
         "print([float(x).hex() for x in plant.x[:6]])\n"
     )
-    plain = subprocess.run([sys.executable, "-c", code], env=os.environ | {"SOFTRIG_JIT": "0"}, check=True,
-                           capture_output=True, text=True).stdout  # fmt: skip
+    plain = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | {"SOFTRIG_JIT": "0"}, check=True, capture_output=True, text=True
+    ).stdout
     assert os.environ.get("SOFTRIG_JIT", "1") == "1"
     compiled = simulate("lsrm_fuzzy", duration=0.02).blocks["lsrm_plant"]
     assert f"{[float(x).hex() for x in compiled.x[:6]]}\n" == plain
@@ -357,8 +333,9 @@ def simpful_surface(peaks, conjunction):
         system.set_crisp_output_value(f"out{n + 3}", n / 3)
     rules = [
         f"IF (e IS {names[i]}) AND (de IS {names[j]}) THEN (u IS out{min(max(i + j - 6, -3), 3) + 3})"
-        for i in range(7) for j in range(7)
-    ]  # fmt: skip
+        for i in range(7)
+        for j in range(7)
+    ]
     system.add_rules(rules)
 
     def evaluate(x, y):

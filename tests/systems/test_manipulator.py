@@ -83,8 +83,9 @@ def random_states(n, seed=0, joints=3):
 def answer(block, q, v, tau, acceleration=None):
     n = len(q)
     found = block.update(0, joint_query=(*q, *v, *tau), reference=acceleration)
-    return {k: np.reshape(x, (n, n) if k == "mass_matrix" else (6, n) if k == "jacobian" else -1)
-            for k, x in found.items()}  # fmt: skip
+    return {
+        k: np.reshape(x, (n, n) if k == "mass_matrix" else (6, n) if k == "jacobian" else -1) for k, x in found.items()
+    }
 
 
 # dynamics node, A1 -----------------------------------------------------------------------------------------------
@@ -196,8 +197,9 @@ def test_symbolic_dynamics_equal_pinocchios(urdf):
     n, tool = model.nv, model.getFrameId("tool")
     q, v, tau, armature, load = (ca.SX.sym(s, k) for s, k in zip("qvtal", (n, n, n, n, 1), strict=True))
     robot = SymbolicRobot(model, "tool")
-    f = ca.Function("f", [q, v, tau, armature, load],
-                    [robot.forward_dynamics(q, v, tau, armature, load), robot.tool_position(q)])  # fmt: skip
+    f = ca.Function(
+        "f", [q, v, tau, armature, load], [robot.forward_dynamics(q, v, tau, armature, load), robot.tool_position(q)]
+    )
     frame = model.frames[tool]
     ball = pin.Inertia(1.7, np.zeros(3), np.zeros((3, 3)))
     model.inertias[frame.parentJoint] += frame.placement.act(ball)
@@ -461,10 +463,12 @@ def test_a_continuous_joint_has_its_angle_and_poses_are_in_the_frame_of_the_robo
 def test_reference_without_accelerations_is_refused():
     scenario = load_scenario("manipulator_adsmc")
     source = scenario.nodes["trajectory_source"].model_copy(
-        update={"package": "softrig_control", "executable": "reference_source",
-                "parameters": {"channels": ["joint1", "joint2", "joint3"], "positions": [0.0] * 3,
-                               "velocities": [0.0] * 3}}
-    )  # fmt: skip
+        update={
+            "package": "softrig_control",
+            "executable": "reference_source",
+            "parameters": {"channels": ["joint1", "joint2", "joint3"], "positions": [0.0] * 3, "velocities": [0.0] * 3},
+        }
+    )
     nodes = scenario.nodes | {"trajectory_source": source}
     with pytest.raises(ScenarioError, match="lack acceleration"):
         rig_of(scenario.model_copy(update={"nodes": nodes}))

@@ -306,8 +306,9 @@ def true_end_error(times, order, stages):
     return np.linalg.norm(end) / np.linalg.norm(problem.x0)
 
 
-@pytest.mark.parametrize(("problem", "order"), [(SCALAR, 18), (SPACECRAFT, 8), (TWO_STATE, 40)],
-                         ids=["scalar", "spacecraft", "two_state"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("problem", "order"), [(SCALAR, 18), (SPACECRAFT, 8), (TWO_STATE, 40)], ids=["scalar", "spacecraft", "two_state"]
+)
 def test_the_true_state_error_is_below_1e_9(problem, order):
     n, T = len(problem.states), problem.horizon
     fine = solve(problem, 30, stages=4)

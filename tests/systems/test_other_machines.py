@@ -314,8 +314,10 @@ def test_the_arm_of_the_textbook_takes_the_voltages_of_its_equations():
     run = simulate("manipulator_adsmc_siciliano")
     joints = ("shoulder", "elbow")
     t = run.signals["joint_states/shoulder/position"][0]
-    q, qd = (np.column_stack([run.signals[f"joint_states/{j}/{what}"][1] for j in joints])
-             for what in ("position", "velocity"))  # fmt: skip
+    q, qd = (
+        np.column_stack([run.signals[f"joint_states/{j}/{what}"][1] for j in joints])
+        for what in ("position", "velocity")
+    )
     qdd = np.gradient(qd, t, axis=0)
     # 50 kg a link, 0.5 m to its centre, 10 kg m^2, the second motor of 5 kg at the elbow
     centre = (50 * 0.5 + 5 * 1.0) / 55
@@ -342,8 +344,10 @@ def test_another_leg_gives_way_by_its_impedance():
     H, M = 1.60, 60.0
     thigh, leg, whole = 0.245 * H, 0.246 * H, 0.285 * H
     t = run.signals["reference/hip/position"][0]
-    q_d, rate, acceleration = (np.column_stack([run.signals[f"reference/{j}/{what}"][1] for j in joints])
-                               for what in ("position", "velocity", "acceleration"))  # fmt: skip
+    q_d, rate, acceleration = (
+        np.column_stack([run.signals[f"reference/{j}/{what}"][1] for j in joints])
+        for what in ("position", "velocity", "acceleration")
+    )
     q = np.column_stack([run.signals[f"joint_states/{j}/position"][1] for j in joints])
     q = q[: t.size]
     F = np.interp(t, *run.signals["patient_force/force/x"])

@@ -38,7 +38,7 @@ from softrig_power.pv.converter import (
     ConverterParams,
     seen_resistance,
     steady_state,
-)  # fmt: skip
+)
 from softrig_power.pv.curves import PvCurves
 from softrig_power.pv.figures import POWER
 from softrig_power.pv.module import ModuleParams, cell
@@ -155,8 +155,10 @@ def test_string_against_lambert_w(irradiance, temperature):
         assert peak.p == pytest.approx(best, abs=1e-3)
 
 
-@given(st.lists(st.sampled_from([0.0, 1e-3, 30.0, 400.0, 400.5, 1000.0, 1500.0]), min_size=4, max_size=4),
-       st.lists(st.floats(-40.0, 100.0), min_size=4, max_size=4))  # fmt: skip
+@given(
+    st.lists(st.sampled_from([0.0, 1e-3, 30.0, 400.0, 400.5, 1000.0, 1500.0]), min_size=4, max_size=4),
+    st.lists(st.floats(-40.0, 100.0), min_size=4, max_size=4),
+)
 @settings(max_examples=15, deadline=None, derandomize=True)
 def test_current_never_rises_with_voltage(irradiance, temperature):
     """What makes a certified search possible; and the power is zero at open circuit whatever the shading."""
@@ -346,8 +348,10 @@ def test_firefly_evaluations():
 
 
 # the paper's law, its baselines, a change of light and the certified search are daily
-LATER = {f"pv_mppt_{n}" for n in ("s4_pattern2", "s5_certified_transients", "s5_issa", "s6", "s6_no_rescan", "s7",
-                                  "switched", "kc200gt")}  # fmt: skip
+LATER = {
+    f"pv_mppt_{n}"
+    for n in ("s4_pattern2", "s5_certified_transients", "s5_issa", "s6", "s6_no_rescan", "s7", "switched", "kc200gt")
+}
 NAMES = [n for n in list_scenarios() if n.startswith("pv_mppt")]
 
 
@@ -725,8 +729,7 @@ def test_a_short_gap_has_the_candidate_measured_again():
 
 def test_dim_light_is_not_darkness():
     """At a duty of 0.9 it brings milliwatts, but current; no search is given up."""
-    _, states, tracker = in_changing_light(lambda s: (20.0, 15.0, 10.0, 5.0), 2.5, algorithm="certified",
-                                           initial=0.5)  # fmt: skip
+    _, states, tracker = in_changing_light(lambda s: (20.0, 15.0, 10.0, 5.0), 2.5, algorithm="certified", initial=0.5)
     assert states[-1][0] == 2.0
     assert states[-1][3] == 0.0
     assert "no signal" not in tracker.reports

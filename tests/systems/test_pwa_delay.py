@@ -106,9 +106,8 @@ TABLE = [
 
 @pytest.mark.parametrize(
     ("name", "mu", "cell_terms", "expected", "tolerance"),
-    [pytest.param(*row, marks=[pytest.mark.long] * (row[:3] != ("scalar", 0.3, False)))
-     for row in TABLE],
-)  # fmt: skip
+    [pytest.param(*row, marks=[pytest.mark.long] * (row[:3] != ("scalar", 0.3, False))) for row in TABLE],
+)
 def test_theorem_1_table(name, mu, cell_terms, expected, tolerance):
     found = margin(name, 0.98 * expected, 1.02 * expected, mu, cell_terms)
     assert found == pytest.approx(expected, abs=tolerance)
@@ -236,10 +235,12 @@ def test_a_delay_of_microseconds_is_certified_as_one_of_seconds():
 
 def test_the_node_says_which_delays_its_certificate_covers():
     own = {"system": "user", "n": 1, "A": [0.0], "Ad": [-1.0], "method": "constant"}
-    for asked, text in (({"h": 1.5}, "a constant delay of 1.5 s alone, no shorter one"),
-                        ({"low": 1.0, "width": 0.1}, r"delays from 0 s to 1\.[45]\d* s, without a gap"),
-                        ({"h": 1.5, "method": "theorem1"}, "delays from 0 s to 1.5 s, without a gap"),
-                        ({"h": 1.6}, "nothing")):  # fmt: skip
+    for asked, text in (
+        ({"h": 1.5}, "a constant delay of 1.5 s alone, no shorter one"),
+        ({"low": 1.0, "width": 0.1}, r"delays from 0 s to 1\.[45]\d* s, without a gap"),
+        ({"h": 1.5, "method": "theorem1"}, "delays from 0 s to 1.5 s, without a gap"),
+        ({"h": 1.6}, "nothing"),
+    ):
         node = CertificateNode(**{**own, **asked})
         x, request = node.request(node.first(), 0)
         answer = CertificateNode.solve(request, SimpleNamespace(status=lambda **_: None))
@@ -272,8 +273,9 @@ def test_no_delay_empties_the_tank_below_its_certified_level(seed):
     """Adversarial: the delay jumps between nothing and all of it, in the tank's own loop, from the highest level."""
     h = 5.97
     bound = level_bound(h)
-    plant = ByHand(TankPlant(delay=h, profile="telegraph", seed=seed, x0=min(bound.highest, 0.99), period=0.05,
-                             step=0.05))  # fmt: skip
+    plant = ByHand(
+        TankPlant(delay=h, profile="telegraph", seed=seed, x0=min(bound.highest, 0.99), period=0.05, step=0.05)
+    )
     controller, lowest = ByHand(TankController(period=0.05)), 1.0
     for k in range(4000):
         level = plant.outputs(k)["level"]
@@ -306,7 +308,7 @@ def test_every_parameter_of_the_tank_is_held_against_its_certificate():
 @pytest.mark.parametrize(
     ("parameter", "value"),
     [pytest.param(*row, marks=[pytest.mark.long] * (row[0] != "tank_controller.k_high")) for row in TANKS.items()],
-)  # fmt: skip
+)
 def test_level_certificate_is_of_the_tank_and_law_that_the_rig_has(parameter, value):
     """With each other value the certified delay keeps the tank from running empty, however it jumps below it."""
     rig = rig_of(load_scenario("pwa_delay_p2", {parameter: value}))
@@ -345,12 +347,14 @@ def test_no_level_is_certified_where_the_drain_outweighs_the_inflow():
 
 @pytest.mark.parametrize(
     ("scenario", "changes", "quantity"),
-    [("pwa_delay", {"certificate.system": "benchmark"}, "pwa/system"),
-     ("pwa_delay", {"certificate.mu": 0.5}, "certificate/mu"),
-     ("pwa_delay_margin_user", {"switched_delay_plant.Ad": [-1.0, 0.0, -1.0, -2.0]}, "pwa/Ad"),
-     ("pwa_delay_margin_scalar", {"margin_search.A": [0.1]}, "pwa/A"),
-     ("pwa_delay_p2c", {"switched_delay_plant.system": "scalar"}, "pwa/system")],
-)  # fmt: skip
+    [
+        ("pwa_delay", {"certificate.system": "benchmark"}, "pwa/system"),
+        ("pwa_delay", {"certificate.mu": 0.5}, "certificate/mu"),
+        ("pwa_delay_margin_user", {"switched_delay_plant.Ad": [-1.0, 0.0, -1.0, -2.0]}, "pwa/Ad"),
+        ("pwa_delay_margin_scalar", {"margin_search.A": [0.1]}, "pwa/A"),
+        ("pwa_delay_p2c", {"switched_delay_plant.system": "scalar"}, "pwa/system"),
+    ],
+)
 def test_certificate_of_another_system_is_refused_by_name(scenario, changes, quantity):
     with pytest.raises(ScenarioError, match=f"must agree on {quantity}"):
         rig_of(load_scenario(scenario, changes))
@@ -378,8 +382,9 @@ def test_margin_of_the_switched_system():
     assert found.h == pytest.approx(0.020005, abs=3e-5)
 
 
-@pytest.mark.parametrize(("h", "rate"), [(0.0193, -0.00351), (0.020, -2.5e-5), (0.0205, 0.00246), (0.021, 0.00494),
-                                         (0.022, 0.0099)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("h", "rate"), [(0.0193, -0.00351), (0.020, -2.5e-5), (0.0205, 0.00246), (0.021, 0.00494), (0.022, 0.0099)]
+)
 def test_growth_of_the_switched_system(h, rate):
     found = growth_rate(simulate_pwa(switched(), profile("constant", h), (-2.0, 0.0), 60.0, steps=25))
     assert found == pytest.approx(rate, abs=6e-5)
@@ -435,8 +440,9 @@ def test_delay_at_which_the_tank_runs_empty():
     assert dry_margin(1.0, 6.1, 6.3) == pytest.approx(6.219, abs=0.005)
 
 
-@pytest.mark.parametrize(("h", "low", "high"), [(2.0, 0.386, 0.671), (4.0, 0.241, 0.790), (5.0, 0.149, 0.890),
-                                                (6.0, 0.052, 0.954)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("h", "low", "high"), [(2.0, 0.386, 0.671), (4.0, 0.241, 0.790), (5.0, 0.149, 0.890), (6.0, 0.052, 0.954)]
+)
 def test_limit_cycles_of_the_tank(h, low, high):
     found = simulate_tank(h, 0.2, 60.0 * h)
     late = found.sizes[found.sizes.size // 2 :]
@@ -493,13 +499,15 @@ def test_figures_of_the_scenarios(name):
 
 @pytest.mark.parametrize(
     ("system", "x0", "stable", "unstable", "mu", "seconds"),
-    [pytest.param("switched", (-2.0, 0.0), 0.0192, 1.03 * 0.020005, 0.0, 60.0, marks=pytest.mark.long),
-     ("switched", (-2.0, 0.0), 0.01728, 1.03 * 0.020005, 0.3, 60.0),
-     ("continuous_tank", (0.3,), 7.84, 1.03 * 11.49, 0.0, 1000.0),
-     ("continuous_tank", (0.3,), 7.5, 1.03 * 11.49, 0.3, 1000.0),
-     ("pendulum", (1.0, 0.0), 0.2657, 1.03 * 0.4192, 0.0, 60.0),
-     ("pendulum", (1.0, 0.0), 0.2451, 1.03 * 0.4192, 0.3, 60.0)],
-)  # fmt: skip
+    [
+        pytest.param("switched", (-2.0, 0.0), 0.0192, 1.03 * 0.020005, 0.0, 60.0, marks=pytest.mark.long),
+        ("switched", (-2.0, 0.0), 0.01728, 1.03 * 0.020005, 0.3, 60.0),
+        ("continuous_tank", (0.3,), 7.84, 1.03 * 11.49, 0.0, 1000.0),
+        ("continuous_tank", (0.3,), 7.5, 1.03 * 11.49, 0.3, 1000.0),
+        ("pendulum", (1.0, 0.0), 0.2657, 1.03 * 0.4192, 0.0, 60.0),
+        ("pendulum", (1.0, 0.0), 0.2451, 1.03 * 0.4192, 0.3, 60.0),
+    ],
+)
 def test_plants_fall_at_the_certified_delay_and_grow_beyond_their_margin(system, x0, stable, unstable, mu, seconds):
     def sizes(delay, kind):
         plant = ByHand(SwitchedDelayPlant(system=system, x0=x0, delay=delay, period=delay / 2.0, step=delay / 50.0,
@@ -538,8 +546,10 @@ def test_asymptotic_stability_of_the_tank_is_refused():
         certified_margin(tank())
     with pytest.raises(NotApplicable, match=r"sliding on the face .* of cells 0 and 1"):
         require_no_sliding(tank(), 1.0)
-    assert "not applicable: no equilibrium" in run("pwa_delay_margin_tank_refused").blocks["certificate"].reports[
-        "no_certificate"][1]  # fmt: skip
+    assert (
+        "not applicable: no equilibrium"
+        in run("pwa_delay_margin_tank_refused").blocks["certificate"].reports["no_certificate"][1]
+    )
 
 
 def test_sliding_is_found_and_crossing_is_not():
@@ -607,8 +617,10 @@ def test_bad_systems_are_refused(changes, reason):
         cells(**changes)
 
 
-@pytest.mark.parametrize(("h", "mu", "named"), [(0.0, 0.0, "h"), (-1.0, 0.0, "h"), (math.nan, 0.0, "h"),
-                                                (1.0, -0.1, "mu"), (1.0, math.inf, "mu")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("h", "mu", "named"),
+    [(0.0, 0.0, "h"), (-1.0, 0.0, "h"), (math.nan, 0.0, "h"), (1.0, -0.1, "mu"), (1.0, math.inf, "mu")],
+)
 def test_bad_delays_are_refused(h, mu, named):
     with pytest.raises(ValueError, match=f"{named} = "):
         certify(switched(), h, Criterion(mu=mu))

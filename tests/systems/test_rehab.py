@@ -98,8 +98,9 @@ def test_dynamics_node_gives_the_reference_values():
 def test_dynamics_node_agrees_with_the_lagrangian():
     rng = np.random.default_rng(0)
     block = ByHand(RobotDynamics(urdf="package://softrig_robots/urdf/rehab_leg.urdf", joints=JOINTS, tool="foot"))
-    for q, v, tau in zip(rng.uniform(-3, 3, (200, 2)), rng.uniform(-5, 5, (200, 2)), rng.uniform(-50, 50, (200, 2)),
-                         strict=True):  # fmt: skip
+    for q, v, tau in zip(
+        rng.uniform(-3, 3, (200, 2)), rng.uniform(-5, 5, (200, 2)), rng.uniform(-50, 50, (200, 2)), strict=True
+    ):
         M, bias, gravity, _ = (np.array(x) for x in lagrangian()(q, v))
         found = block.update(0, joint_query=(*q, *v, *tau), reference=None)
         np.testing.assert_allclose(found["mass_matrix"], M.ravel(), rtol=1e-9, atol=1e-10)
@@ -267,11 +268,13 @@ def test_order_of_the_laws(other, times):
 
 @pytest.mark.parametrize(
     ("resistance", "drift"),
-    [pytest.param(1.0, {}, marks=pytest.mark.long, id="1.0-steady"),
-     pytest.param(1.0, DRIFT, marks=pytest.mark.long, id="1.0-drift"),
-     pytest.param(8.0, {}, marks=pytest.mark.long, id="8.0-steady"),
-     pytest.param(8.0, DRIFT, id="8.0-drift")],
-)  # fmt: skip
+    [
+        pytest.param(1.0, {}, marks=pytest.mark.long, id="1.0-steady"),
+        pytest.param(1.0, DRIFT, marks=pytest.mark.long, id="1.0-drift"),
+        pytest.param(8.0, {}, marks=pytest.mark.long, id="8.0-steady"),
+        pytest.param(8.0, DRIFT, id="8.0-drift"),
+    ],
+)
 def test_law_is_an_integrator_whatever_the_resistance(resistance, drift):
     signals = run("rehab_impedance", 8.0, voltage_controller__emvc__resistance=resistance, **drift)
     nominal = run("rehab_impedance", 8.0, **drift)
@@ -306,10 +309,12 @@ def test_law_goes_on_from_the_voltage_that_the_plant_applied():
 
 @pytest.mark.parametrize(
     ("other", "expected", "limit"),
-    [pytest.param("rehab_impedance", (8e-8, 5e-8), 1e-6, marks=pytest.mark.long),
-     pytest.param("rehab_impedance_r4", None, 1e-5, marks=pytest.mark.long),
-     pytest.param("rehab_impedance_r7_payload", (1.5e-3, 2e-4), 5e-3, marks=pytest.mark.long)],
-)  # fmt: skip
+    [
+        pytest.param("rehab_impedance", (8e-8, 5e-8), 1e-6, marks=pytest.mark.long),
+        pytest.param("rehab_impedance_r4", None, 1e-5, marks=pytest.mark.long),
+        pytest.param("rehab_impedance_r7_payload", (1.5e-3, 2e-4), 5e-3, marks=pytest.mark.long),
+    ],
+)
 def test_errors_repeat_whatever_happens_to_the_plant(other, expected, limit):
     found = [repeatability(run("rehab_impedance_r7"), run(other), e) for e in E_SIGNAL]
     assert max(found) < limit

@@ -39,17 +39,19 @@ def test_a_shared_value_reaches_all_that_have_it(scenario, name, value, nodes):
 
 @pytest.mark.parametrize(
     ("scenario", "change", "quantity"),
-    [("optimal_control_mvim", {"ocp_evaluator.inertia": [90.0, 85.0, 110.0]}, "ocp/inertia"),
-     ("optimal_control_mvim", {"ocp_evaluator.x0": [0.02, 0.005, 0.001]}, "ocp/x0"),
-     ("optimal_control_mvim", {"mvim_planner.horizon": 90.0}, "ocp/horizon"),
-     ("optimal_control_mvim_a2", {"collocation_planner.x_end": [0.001, 0.0, 0.0]}, "ocp/x_end"),
-     ("optimal_control_mvim_a4", {"momentum_feedback.horizon": 90.0}, "ocp/horizon"),
-     ("gupfc", {"series_controller_2.network.r1": 0.03}, r"gupfc/network\.r1"),
-     ("gupfc", {"shunt_controller.initial.v": 1.01}, r"gupfc/initial\.v"),
-     ("gupfc", {"gupfc_plant.waveform": "pulse"}, "gupfc/waveform"),
-     ("economic_dispatch", {"dispatch_solver.unit_table": "units_13_e3_150"}, "dispatch/unit 3"),
-     ("economic_dispatch", {"unit_fleet.unit_table": "units_3"}, "dispatch/units")],
-)  # fmt: skip
+    [
+        ("optimal_control_mvim", {"ocp_evaluator.inertia": [90.0, 85.0, 110.0]}, "ocp/inertia"),
+        ("optimal_control_mvim", {"ocp_evaluator.x0": [0.02, 0.005, 0.001]}, "ocp/x0"),
+        ("optimal_control_mvim", {"mvim_planner.horizon": 90.0}, "ocp/horizon"),
+        ("optimal_control_mvim_a2", {"collocation_planner.x_end": [0.001, 0.0, 0.0]}, "ocp/x_end"),
+        ("optimal_control_mvim_a4", {"momentum_feedback.horizon": 90.0}, "ocp/horizon"),
+        ("gupfc", {"series_controller_2.network.r1": 0.03}, r"gupfc/network\.r1"),
+        ("gupfc", {"shunt_controller.initial.v": 1.01}, r"gupfc/initial\.v"),
+        ("gupfc", {"gupfc_plant.waveform": "pulse"}, "gupfc/waveform"),
+        ("economic_dispatch", {"dispatch_solver.unit_table": "units_13_e3_150"}, "dispatch/unit 3"),
+        ("economic_dispatch", {"unit_fleet.unit_table": "units_3"}, "dispatch/units"),
+    ],
+)
 def test_nodes_that_must_agree_are_refused_by_name(scenario, change, quantity):
     with pytest.raises(ScenarioError, match=f"must agree on {quantity}, but "):
         rig_of(load_scenario(scenario, change))
@@ -87,8 +89,9 @@ def test_evaluator_judges_the_plant_that_there_is():
 def test_an_operating_point_that_a_flat_start_misses_is_held_by_the_rig():
     """The reference of circuit 1 and 2 that diverged from a flat start: the rig starts there and stays."""
     flows = {"p1": 1.3, "q1": 0.15, "p2": 0.85, "q2": -0.1, "v": 1.02}
-    run = simulate("gupfc", overrides={"initial": flows, "flows_1": [1.3, 0.15] * 3, "flows_2": [0.85, -0.1] * 3},
-                   duration=0.5)  # fmt: skip
+    run = simulate(
+        "gupfc", overrides={"initial": flows, "flows_1": [1.3, 0.15] * 3, "flows_2": [0.85, -0.1] * 3}, duration=0.5
+    )
     for name, value in flows.items():
         found = run.signals[f"gupfc/status/{'v1' if name == 'v' else name}/position"].x
         assert np.abs(found - value).max() < 1e-3

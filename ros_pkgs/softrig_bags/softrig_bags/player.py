@@ -245,23 +245,27 @@ class Answers:
     data: list[bytes] = field(default_factory=list)
 
     def expect(self, tick: int, header: int) -> None:
-        """Await one more answer, of a tick and with a header stamp."""
+        """Await one more answer, of a tick and with a header stamp; RunError: it is there, with another stamp."""
         self.ticks.append(tick)
         self.stamps.append(header)
+        self._check(len(self.ticks) - 1)
+
+    def take(self, data: bytes) -> None:
+        """Take the next answer; RunError: it is awaited with another stamp."""
+        self.data.append(data)
+        self._check(len(self.data) - 1)
 
     @property
     def missing(self) -> bool:
         """Whether an answer is awaited."""
         return len(self.data) < len(self.ticks)
 
-    def check(self, i: int) -> str:
-        """Say what is wrong with answer `i`, if it is there and awaited."""
+    def _check(self, i: int) -> None:
         if not self.stamped or i >= min(len(self.data), len(self.ticks)):
-            return ""
-        found = stamp(self.data[i])
-        if found == self.stamps[i]:
-            return ""
-        return f"{self.name}: answer stamped {found / SECOND:.9g} s, expected {self.stamps[i] / SECOND:.9g} s"
+            return
+        found, wanted = stamp(self.data[i]), self.stamps[i]
+        if found != wanted:
+            raise RunError(f"{self.name}: answer stamped {found / SECOND:.9g} s, expected {wanted / SECOND:.9g} s")
 
 
 def _changes(bag: BagReader) -> Iterator[tuple[int, str, dict[str, Any]]]:
@@ -353,12 +357,18 @@ class LockstepPlayer:
             if name in self._answers or (name not in recorded and live not in types):
                 continue
             topic = recorded.get(name) or BagTopic.known(name, types[live][0])
-            answer = self._answers[name] = Answers(name, topic.msgtype, name in recorded, is_stamped(topic))
-            profile = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-            self._heard.append(
-                self._session.node.create_subscription(_class(topic), live, self._receiver(answer), profile, raw=True)
-            )
+            self._hear(topic, live, name in recorded)
         return all(name in self._answers for name in self._names)
+
+    def _hear(self, topic: BagTopic, live: str, recorded: bool) -> None:
+        answer = self._answers[topic.name] = Answers(topic.name, topic.msgtype, recorded, is_stamped(topic))
+
+        def receive(data: bytes) -> None:
+            answer.take(data)
+            self._step()
+
+        profile = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+        self._heard.append(self._session.node.create_subscription(_class(topic), live, receive, profile, raw=True))
 
     def _absent(self) -> list[str]:
         """Describe what is not matched yet: the answers' publishers, and the node's own subscriptions."""
@@ -399,26 +409,8 @@ class LockstepPlayer:
         if tick in self._paces or tick in self._answers or not self._session.node.count_publishers(tick):
             return []
         self._paces.add(tick)
-        topic = BagTopic.known(tick, "std_msgs/msg/Header")
-        answer = self._answers[tick] = Answers(tick, topic.msgtype, False, True)
-        profile = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-        self._heard.append(
-            self._session.node.create_subscription(_class(topic), tick, self._receiver(answer), profile, raw=True)
-        )
+        self._hear(BagTopic.known(tick, "std_msgs/msg/Header"), tick, False)
         return [f"{tick} is not matched"]
-
-    def _receiver(self, answer: Answers) -> Callable[[bytes], None]:
-        def receive(data: bytes) -> None:
-            answer.data.append(data)
-            self._check(answer, len(answer.data) - 1)
-            self._step()
-
-        return receive
-
-    def _check(self, answer: Answers, i: int) -> None:
-        wrong = answer.check(i)
-        if wrong:
-            raise RunError(wrong)
 
     def _step(self) -> None:
         """Send ticks until one is to be answered."""
@@ -471,12 +463,10 @@ class LockstepPlayer:
             else:
                 answer = self._answers[self._bag.topics[i].name]
                 answer.expect(tick, stamp(data) if answer.stamped else 0)
-                self._check(answer, len(answer.ticks) - 1)
         if self.sent > sent:
             for answer in self._answers.values():
                 if not answer.recorded:
                     answer.expect(tick, tick)
-                    self._check(answer, len(answer.ticks) - 1)
 
     def _ticks(self) -> Iterator[tuple[int, list[tuple[int, bytes]]]]:
         """Give the messages of each tick, played and answers, in their recorded order."""

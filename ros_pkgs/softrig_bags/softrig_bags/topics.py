@@ -20,15 +20,10 @@ from softrig_core.kit.resource import prefixes
 FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
 
 
-def qos(
-    reliability: QosReliability = QosReliability.RELIABLE,
-    durability: QosDurability = QosDurability.VOLATILE,
-    depth: int = 10,
-) -> Qos:
-    """Give an offered QoS profile: keep last, no deadline, no lifespan, automatic liveliness."""
-    return Qos(
-        QosHistory.KEEP_LAST, depth, reliability, durability, FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False
-    )
+def qos(durability: QosDurability = QosDurability.VOLATILE, depth: int = 10) -> Qos:
+    """Give an offered QoS profile: keep last, reliable, no deadline, no lifespan, automatic liveliness."""
+    reliable, alive = QosReliability.RELIABLE, QosLiveliness.AUTOMATIC
+    return Qos(QosHistory.KEEP_LAST, depth, reliable, durability, FOREVER, FOREVER, alive, FOREVER, False)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ MANIFEST = "softrig_files.json"
 UNDER_WAY = "*"  # in place of a list: a run has begun here and not ended; all that a run may write is its own
 NEW = ".new"  # where new files lie until all are written
 RUN = re.compile(
-    r"bag|log|metrics\.json|report\.html|(overview|plot_\d\d_[a-z0-9_]*)\.(png|svg|pdf)|softrig_files\.json"
+    r"bag|log|left_\d+\.yaml|metrics\.json|report\.html|(overview|plot_\d\d_[a-z0-9_]*)\.(png|svg|pdf)|softrig_files\.json"
 )
 STUDY = re.compile(
     r"study\.json|rows\.jsonl|table\.(parquet|csv)|summaries\.json|report\.html|softrig_files\.json|\.new"

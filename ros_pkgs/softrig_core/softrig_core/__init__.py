@@ -20,6 +20,7 @@ join_prefix()
 
 if TYPE_CHECKING:
     from .analysis.environment import RigEnv as RigEnv
+    from .analysis.environments import RigVectorEnv as RigVectorEnv
     from .analysis.linear import Sampled as Sampled, equilibrium as equilibrium, linearise as linearise
     from .analysis.linear_view import LinearView as LinearView, linear_view as linear_view
     from .analysis.steady import (
@@ -100,6 +101,7 @@ else:
         "solver.worker": "Work",
         "node": "executable",
         "analysis.environment": "RigEnv",
+        "analysis.environments": "RigVectorEnv",
         "verdict.figures": "Figure evaluate figures_of",
         "run.expand": "rig_of",
         "run.inprocess": "run_inprocess",

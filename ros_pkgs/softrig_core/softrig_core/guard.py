@@ -68,15 +68,21 @@ def guarded(work: Callable[[], int]) -> int:
         say("stopped")
         return 128 + int(getattr(error, "number", signal.SIGINT))
     except MemoryError:
-        say("out of memory; a shorter run or a smaller size may fit")
-        return 3
+        return _full()
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "rclpy":
             return _wrong(error)
         say(WITHOUT_ROS)
         return 2
     except Exception as error:
+        if isinstance(error, ImportError) and "failed to map segment" in str(error):  # a library under `ulimit -v`
+            return _full()
         return _wrong(error)
+
+
+def _full() -> int:
+    say("out of memory; a shorter run or a smaller size may fit")
+    return 3
 
 
 def _wrong(error: Exception) -> int:

@@ -32,12 +32,12 @@ def load_model(urdf: str) -> pin.Model:
         raise ValueError("the URDF has no moving joint")
     for i in range(1, model.njoints):
         if model.nqs[i] != 1:
-            raise ValueError(f"joint {names[i]} has {model.nqs[i]} coordinates: expected revolute, continuous or "
-                             "prismatic joints")  # fmt: skip
+            raise ValueError(
+                f"joint {names[i]} has {model.nqs[i]} coordinates: expected revolute, continuous or prismatic joints"
+            )
         body = model.inertias[i]
         moments = np.linalg.eigvalsh(body.inertia) if body.mass > 0.0 else np.zeros(3)
-        check_inertia(f"mass behind joint {names[i]}", body.mass, f"inertia behind joint {names[i]}",
-                      moments.tolist())  # fmt: skip
+        check_inertia(f"mass behind joint {names[i]}", body.mass, f"inertia behind joint {names[i]}", moments.tolist())
     return model
 
 

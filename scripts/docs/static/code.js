@@ -1,5 +1,11 @@
-// A button on every block of code that puts it on the clipboard.
+// A button on every block of code that puts it on the clipboard; a click on a picture shows it by itself.
 document.addEventListener("DOMContentLoaded", () => {
+  for (const picture of document.querySelectorAll("article img:not(a *, .sd-card *, [src^='data:'])")) {
+    const link = document.createElement("a");
+    link.href = picture.src;
+    picture.replaceWith(link);
+    link.append(picture);
+  }
   for (const block of document.querySelectorAll("article div.highlight")) {
     const code = block.querySelector("pre");
     if (!code || !navigator.clipboard) continue; // a page from the disk may have none

@@ -18,6 +18,7 @@ from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report.report import write_report
 from ..run.run import checked, execute, illustrate, save, summary
 from ..study.work import LARGE
+from ..terminal.listing import console as make_console
 from .definition import Falsification, falsification_of, list_falsifications
 from .engine import Outcome, falsify, prepare
 from .picture import draw_worst
@@ -157,8 +158,6 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
 
 def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Path]) -> None:
     from rich.table import Table
-
-    from ..terminal.listing import console as make_console
 
     console = make_console()
     rig_units = {f.name: f.unit for f in figures_of(rig_of(outcome.space.scenario))}

@@ -40,10 +40,10 @@ class Span:
     linear: bool = False
 
 
-def settings(texts: Iterable[str], option: str = "--set") -> dict[str, Any]:
-    """Read ``NAME=VALUE`` of several options, VALUE as in a scenario file."""
-    pairs = (named(text, option, "VALUE") for text in texts)
-    return {name: read_yaml(value, f"{option} '{name}={value}'") for name, value in pairs}
+def settings(texts: Iterable[str]) -> dict[str, Any]:
+    """Read ``NAME=VALUE`` of several ``--set``, VALUE as in a scenario file."""
+    pairs = (named(text, "--set", "VALUE") for text in texts)
+    return {name: read_yaml(value, f"--set '{name}={value}'") for name, value in pairs}
 
 
 def values(name: str, text: str) -> list[Any]:

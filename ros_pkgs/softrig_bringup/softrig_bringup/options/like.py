@@ -12,6 +12,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from softrig_bags.errors import BagError
+from softrig_bags.read import read_bag
+from softrig_bags.reader import BagReader
+from softrig_bags.tape import written
 from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, rig_of
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
@@ -95,10 +99,6 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
         No such run, it has no bag, which alone knows what was changed while it ran, or a package that it needs is not
         installed here.
     """
-    from softrig_bags.errors import BagError
-    from softrig_bags.read import read_bag
-    from softrig_bags.reader import BagReader
-
     if is_pack(path):
         return _unpacked(path, parse)
     bag = path / "bag" if (path / "bag").is_dir() else path
@@ -125,9 +125,6 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
 
 def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
     """Recall a run from a pack."""
-    from softrig_bags.read import read_bag
-    from softrig_bags.reader import BagReader
-
     folder = opened(path)
     said = about(folder)
     need_packages(f"--like {path}", [*said.packages, *said.code])
@@ -194,8 +191,6 @@ def from_outside(rig: Rig, recording: Recording) -> list[Port]:
 
 
 def _text(port: Port) -> str:
-    from softrig_bags.tape import written
-
     return written(port)
 
 

@@ -16,6 +16,7 @@ from softrig_core import Rig, ScenarioError, rig_of
 from softrig_core.command_line import Parser
 
 from ..folder import replace
+from ..options.run_options import arguments, scenario_of
 from ..plots.curves import Curve, Source, with_plots
 from ..plots.pictures import UNDATED, plot_entry, plot_name, plot_run
 from .record import read_run
@@ -52,8 +53,6 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
 
 def _as_it_ran(command: str) -> Rig:
     """Build the rig that a run's command stands for."""
-    from ..options.run_options import arguments, scenario_of
-
     parser = Parser(prog="softrig run")
     arguments(parser)
     try:

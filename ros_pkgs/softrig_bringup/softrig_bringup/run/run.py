@@ -17,6 +17,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from softrig_bags.health import with_health
+from softrig_bags.scenery import LATCHED, with_scenery
+from softrig_bags.write import write_bag
 from softrig_core import (
     Block,
     Observer,
@@ -44,10 +47,12 @@ from softrig_core.verdict.figures import Result
 from softrig_core.wire.parameter_event import recorded
 
 from ..folder import ResultsFolder
+from ..options.like import from_outside, lateness
 from ..page.citations import cited
 from ..page.wiring import wiring_of
 from ..plots.curves import check_plots, shown
 from ..plots.pictures import plot_run
+from ..report.report import write_report
 
 
 def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener = NOBODY) -> Run:
@@ -66,7 +71,7 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
         try:
             with stoppable():
                 steps = run_inprocess(rig, seed, run.recording, listener.progress)
-            run.blocks, run.status = steps, {name: _status(step) for name, step in steps.items()}
+            run.blocks, run.status = steps, {name: status_of(step) for name, step in steps.items()}
         except RunError as broken:
             run.error = str(broken)
         except KeyboardInterrupt as interrupt:
@@ -81,7 +86,7 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
     return run
 
 
-def _status(step: Step) -> dict[str, Any]:
+def status_of(step: Step) -> dict[str, Any]:
     """What a block says of itself at the end of a run in process, as a node's status file does."""
     status: dict[str, Any] = {"reports": {k: [int(level), text, n] for k, (level, text, n) in step.reports.items()},
                               "native": step.native}  # fmt: skip
@@ -156,6 +161,7 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "contents": {m.name: dict(found) for m in own if (found := m.block_class.contents(m.params))},
         "parameters": {m.name: flatten(m.params) for m in own},
         "changes": _changes(run),
+        "branched": run.branched,
         "once": _once(run),
         "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in own},
         "metrics": [f.model_dump(by_alias=True) for f in figures],
@@ -175,11 +181,9 @@ def _changes(run: Run) -> list[dict[str, Any]]:
 
 def _once(run: Run) -> list[str]:
     """Say why a run cannot be made again as it was from its scenario; nothing when it can."""
-    from ..options.like import from_outside
-
     outside = [m.name for m in run.rig.members if m.external]
     found = [f"{', '.join(outside)} from outside"] if outside else []
-    found += ["parameters were changed while it ran"] if turned(run) else []
+    found += ["parameters were changed while it ran"] if turned(run) or any(b["left"] for b in run.branched) else []
     found += ["messages came from outside"] if not outside and from_outside(run.rig, run.recording) else []
     return found + (["in real time"] if run.epoch else [])
 
@@ -256,10 +260,6 @@ def save(
         # first: if the disk is full, this is what tells why
         (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
         if record:
-            from softrig_bags.health import with_health
-            from softrig_bags.scenery import LATCHED, with_scenery
-            from softrig_bags.write import write_bag
-
             recording = with_scenery(run.recording, _scenes(run.rig))
             texts = _texts(run.rig) if health else {}
             recording = with_health(recording, texts, run.status) if health else recording
@@ -274,8 +274,6 @@ def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
     also : str
         See `softrig_bringup.plots.pictures.plot_run`.
     """
-    from ..report.report import write_report
-
     with _writing(folder) as directory:
         if any(topic.times for topic in run.recording.topics.values()):
             plot_run(run.signals, run.rig, directory, also)
@@ -310,7 +308,6 @@ def _scenes(rig: Rig) -> dict[str, Scene]:
 
 def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
     keys = ("scenario", "mode", "seed", "versions", "code", "command")
-    from ..options.like import lateness
 
     epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time
     late = lateness(run.status) if run.epoch else {}
@@ -319,4 +316,5 @@ def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
     epoch |= {"contents": json.dumps(content["contents"])} if content["contents"] else {}
     seen = {name: s["figures"] for name, s in run.status.items() if s.get("figures")}  # what observers said at the end
     observed = {"observed": json.dumps(seen)} if seen else {}
+    epoch |= {"branched": json.dumps(run.branched)} if run.branched else {}
     return epoch | observed | {k: v if isinstance(v := content[k], str) else json.dumps(v) for k in keys}

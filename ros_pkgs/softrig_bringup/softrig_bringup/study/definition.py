@@ -14,6 +14,7 @@ from softrig_core.judge.claims import Claim
 from softrig_core.judge.expectation import Expected
 from softrig_core.scenario.places import explain
 from softrig_core.scenario.references import fill
+from softrig_core.scenario.scenario_file import scenario_folders
 from softrig_core.scenario.yaml_file import read_mapping
 
 MOST = 1_000_000  # seeds, points, candidates: room is made for all of them at once
@@ -166,8 +167,6 @@ class Study(_Model):
 
 def study_folders() -> list[Path]:
     """Where study files are looked for: ``studies`` beside each folder of scenarios."""
-    from softrig_core.scenario.scenario_file import scenario_folders
-
     folders = [folder.parent / "studies" for folder in scenario_folders()]
     given = [Path(p) for p in os.environ.get("SOFTRIG_STUDIES", "").split(os.pathsep) if p]
     return [f for f in (*given, *folders) if f.is_dir()]

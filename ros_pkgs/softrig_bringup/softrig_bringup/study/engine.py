@@ -19,7 +19,7 @@ from softrig_core.wire.signals import full_name
 from ..folder import STUDY, ResultsFolder, replace
 from .batch import Batch, Log
 from .definition import Search, Study
-from .draw import Case, cases, count
+from .draw import Case, _values, cases, count
 from .work import Work, value_of
 
 
@@ -119,8 +119,6 @@ def _first(study: Study, search: Search) -> Iterator[Case]:
 
 
 def _suggest_middle(d: Any) -> Any:
-    from .draw import _values
-
     return _values(d, np.array([0.5]))[0]
 
 

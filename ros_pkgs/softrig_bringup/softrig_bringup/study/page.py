@@ -23,6 +23,7 @@ from ..folder import STUDY, ResultsFolder
 from ..page.citations import cited, sources
 from ..page.html import NONE, e, mark, picture, table, write_page
 from ..page.wording import NEVER, accepted, short
+from ..terminal.listing import console as make_console, styled
 from .definition import Study, list_studies
 from .engine import beyond, run_study
 from .options import folder_name, study_of
@@ -112,8 +113,6 @@ def _figure(row: Row, name: str) -> str:
 
 def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], out: Path) -> None:
     from rich.table import Table
-
-    from ..terminal.listing import console as make_console, styled
 
     console = make_console()
     shown = Table(title=study.title, title_justify="left", box=None)

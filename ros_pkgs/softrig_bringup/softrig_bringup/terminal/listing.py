@@ -16,6 +16,7 @@ from rich.tree import Tree
 from softrig_core import Scenario, ScenarioError, list_scenarios, load_scenario, rig_of
 from softrig_core.errors import closest
 from softrig_core.guard import plain, say
+from softrig_core.judge.registry import find, registered
 from softrig_core.rig.members import signal_units
 from softrig_core.wire.signals import short_name
 
@@ -110,8 +111,6 @@ def _took(name: str) -> list[str]:
 
 def list_figures(name: str) -> int:
     """Print the figure functions that scenarios may name, or what one of them says of itself."""
-    from softrig_core.judge.registry import find, registered
-
     if name:
         function = find(name)
         print(f"{name}{inspect.signature(function)}\n\n{inspect.getdoc(function) or ''}\n")

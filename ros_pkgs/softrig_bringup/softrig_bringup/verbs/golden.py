@@ -304,26 +304,19 @@ def _write(file: Path, recipe: Recipe) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Do what the command line says; gives the exit status."""
-    return remade(options.names, options.bags, duration=options.duration, seed=options.seed, check=options.check,
-                  junit=options.junit, as_json=options.json, workers=options.workers)  # fmt: skip
-
-
-def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool,
-           junit: Path | None = None, as_json: Path | None = None, workers: int | None = 1) -> int:  # fmt: skip
-    """Regenerate golden bags (all of the folder when none is named), or only check them.
+    """Regenerate golden bags (all of the folder when none is named), or only check them; gives the exit status.
 
     A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
-    `junit` and `as_json` are files that a check writes: whether each bag agrees, and how it was compared.
     """
-    changes: dict[str, Any] = {k: v for k, v in {"duration": duration, "seed": seed}.items() if v is not None}
+    folder, check = options.bags, options.check
+    changes = {k: v for k in ("duration", "seed") if (v := getattr(options, k)) is not None}
     if check and changes:
         given = " and ".join(f"--{key}" for key in changes)
         raise ScenarioError(f"golden --check with {given}: expected --check alone, a bag is checked as it was made")
-    for option, file in (("junit", junit), ("json", as_json)):
-        if file is not None and not check:
+    for option in ("junit", "json") if not check else ():
+        if getattr(options, option) is not None:
             raise ScenarioError(f"golden --{option}: goes with --check")
-    chosen = list(names) or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
+    chosen = options.names or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
     if not chosen:
         raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
     suites, content = [], []
@@ -331,7 +324,7 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
     for name in chosen if check else ():  # what is wrong with a recipe is said before the first run
         _read(folder / name, changes)
     works = [(folder / name, changes, check) for name in chosen]
-    for row, new, others in sweep(_one, works, title="golden bags", workers=workers if check else 1):
+    for row, new, others in sweep(_one, works, title="golden bags", workers=options.workers if check else 1):
         name, length = row["bag"], f"{row['duration_s']:g} s"
         size = sum(f.stat().st_size for f in (folder / name / "bag").glob("*")) / 1e3
         print(f"{name}: {length}, {size:.0f} kB, "
@@ -341,7 +334,7 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
         suites.append(Suite(name, 0.0, [Case("bag", row["differs"], length)]))
         content.append(row)
         differing |= others
-    write_reports(junit, suites, as_json, content)
+    write_reports(options.junit, suites, options.json, content)
     if check:
         now = versions()
         here = (

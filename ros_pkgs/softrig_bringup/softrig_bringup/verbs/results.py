@@ -29,6 +29,10 @@ from softrig_optim.sweep import sweep
 from ..folder import ResultsFolder, replace
 from ..page.junit import Case, Suite, write_reports
 from ..run.run import illustrate, save, summary, versions
+from ..study.definition import list_studies, load_study
+from ..study.engine import run_study
+from ..study.table import claims, results, without_signals
+from .results_page import command, counts, html, markdown
 
 
 class Measured(NamedTuple):
@@ -50,8 +54,6 @@ def measure(work: tuple[str, Path | None]) -> Measured:
     work : (str, Path or None)
         Its name, and the folder in which runs are kept by name: the run with pictures and report, and its figures.
     """
-    from .results_page import command
-
     name, folder = work
     try:
         rig = rig_of(name)
@@ -168,10 +170,6 @@ def study_findings(
     scenarios : list of Scenario
         Each study's scenario under the name of the study.
     """
-    from ..study.definition import list_studies, load_study
-    from ..study.engine import run_study
-    from ..study.table import claims, results, without_signals
-
     scenarios, rows = [], []
     for study in map(load_study, list_studies()):
         scenario = load_scenario(study.scenario)
@@ -197,8 +195,6 @@ def suites(rows: Sequence[Finding], measured: Mapping[str, Measured]) -> list[Su
 
 def left_out(systems: Sequence[str]) -> str:
     """Say which claims are held by `--studies` alone; empty for none."""
-    from ..study.definition import list_studies, load_study
-
     found = [s for s in map(load_study, list_studies()) if s.claims]
     found = [s for s in found if not systems or any(_belongs(load_scenario(s.scenario), name) for name in systems)]
     more = sum(len(s.claims) for s in found)
@@ -208,8 +204,6 @@ def left_out(systems: Sequence[str]) -> str:
 
 def main(options: argparse.Namespace) -> int:
     """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked."""
-    from .results_page import counts, html, markdown
-
     systems, out = options.systems, options.out
     name = "_".join(["results", *systems])  # of some systems: beside the page of all
     scenarios = claiming(systems)

@@ -62,6 +62,10 @@ def _run_reserved(options: argparse.Namespace) -> int:
     folder = results_folder(options, scenario.name)
     log = folder.path / "log"
     placement = placement_of(options)
+    if options.view and options.mode == "inprocess":
+        from ..view.here import here
+
+        return here(rig, placement, options.address, folder, lambda run, into: conclude(options, run, into))
     beside = page(scenario, log, placement, options.address)
     with folder.keeping(), beside as shown:
 
@@ -80,11 +84,8 @@ def _run_reserved(options: argparse.Namespace) -> int:
 
 def _check_view(options: argparse.Namespace) -> None:
     """Refuse what has no page; bring the library."""
-    if options.mode == "inprocess" or options.only:
-        what = "--mode inprocess" if options.mode == "inprocess" else "--only"
-        raise ScenarioError(
-            f"view shows a whole rig of nodes, which {what} is not; expected --mode container or processes"
-        )
+    if options.only:
+        raise ScenarioError("view shows a whole rig, which --only is not")
     need("bokeh", "view")
     from ..view.serve import free_address
 
@@ -165,6 +166,7 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
 def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> _Kept:
     """Write the folder and the report for continuous integration."""
     changed = changed_words(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
+    changed += [f"branched at {b['at_s']:.9g} s" for b in done.branched]
     with unstopped():  # who has waited for the last tick keeps what was recorded
         figures = [] if done.error else done.results
         command = shlex.join([*words((m.package for m in done.rig.members), "run"), *repeat(options)])

@@ -7,8 +7,11 @@ import json
 from pathlib import Path
 
 from softrig_core.extras import need
+from softrig_core.processes.stopping import stoppable
 
 from ..report.redraw import rig_of_run
+from ..view.serve import serve
+from ..view.sources import Recorded
 from . import run_verb
 
 
@@ -22,11 +25,7 @@ def view(options: argparse.Namespace) -> int:
 
 
 def _recorded(path: Path, address: str) -> int:
-    from softrig_core.processes.stopping import stoppable
-
     need("bokeh", "view")
-    from ..view.serve import serve
-    from ..view.sources import Recorded
 
     rig, signals = rig_of_run(path)
     directory = path if (path / "metrics.json").is_file() else path.absolute().parent

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from softrig_core import Rig, ScenarioError
+from softrig_core import Rig, RunError, ScenarioError
 from softrig_core.block.change import changeable
 from softrig_core.block.params import LARGEST, declarations, flatten
 from softrig_core.rig.members import Member
@@ -112,7 +112,11 @@ class Control:
     said : deque of Said
     lines : int
         How many there have been.
+    back : callable or None
+        Takes the run back to a time (s), where it can be; gives what to say, raises an error with the reason.
     """
+
+    back: Callable[[float], str] | None = None
 
     def __init__(self, rig: Rig, ask: Ask | None, now: Callable[[], float], over: Callable[[], str],
                  held: bool | None = None, pace: float = 0.0) -> None:  # fmt: skip
@@ -161,6 +165,14 @@ class Control:
                 self.held = what == "pause"
 
         self._call(who, self.clock, what, what, after)
+
+    def go_back(self, who: str, t: float) -> None:
+        """Take the run back to a time, s, also when it is over."""
+        assert self.back is not None
+        try:
+            self.say(who, self.back(t))
+        except (ScenarioError, RunError) as error:
+            self.say(who, f"back to {t:g} s refused: {error}", True)
 
     def go_at(self, who: str, pace: float) -> None:
         """Have the run go at a pace, simulated by wall-clock time; 0: as fast as it goes."""

@@ -97,6 +97,8 @@ class Page:
         top = [self._head, row(*self._bar(), sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})]
         if not source.live:
             top.append(self._recorded())
+        if control.back is not None:
+            top.append(self._backwards())
         found = [f for p in self._pictures for f in p.figures]
         groups = self._groups()
         roots = {"head": column(*top, self._beat, self._echo, sizing_mode="stretch_width")}
@@ -163,6 +165,17 @@ class Page:
         self._play = Toggle(label="play", width=90, stylesheets=[self._sheet], name="play", align="end")
         return row(self._slider, self._play, sizing_mode="stretch_width")
 
+    def _backwards(self) -> Any:
+        """A time to go back to, typed or moved to, with its line in the pictures."""
+        about: dict[str, Any] = {"stylesheets": [self._sheet], "align": "end"}
+        end = self._source.length
+        self._to = TextInput(title="t, s", value="0", width=90, name="back to", **about)
+        slider = Slider(start=0.0, end=end, value=0.0, step=end / 1000, show_value=False, name="back to slider",
+                        sizing_mode="stretch_width", **about)  # fmt: skip
+        slider.on_change("value", lambda attr, old, new: self._to.update(value=f"{new:.6g}"))
+        self._to.on_change("value", lambda attr, old, new: self._aim())
+        return row(self._to, self._button("go back", self._go_back), slider, sizing_mode="stretch_width")
+
     def _below(self) -> list[Any]:
         if not self._source.live:
             self._values = self._div("values")
@@ -220,6 +233,18 @@ class Page:
             self._control.say(self._who, str(error), True)
         self._texts = ()
 
+    def _aim(self) -> float:
+        """Give the time to go back to, s; NaN if what is typed is none."""
+        try:
+            self._cursor.location = float(self._to.value)
+        except ValueError:
+            self._cursor.location = math.nan
+        return float(self._cursor.location)
+
+    def _go_back(self) -> None:
+        self._control.go_back(self._who, self._aim())
+        self._shown = self._texts = ()
+
     def _pause(self) -> None:
         self._control.hold(self._who, "resume" if self._control.held else "pause")
 
@@ -274,7 +299,7 @@ class Page:
         """Give the time of the drawing, s: what has come in one piece is shown in as many frames as it took."""
         end = self._source.end
         if end != self._ahead:
-            self._speed, self._ahead = (end - self._at) * FRAME / EVERY, end
+            self._speed, self._ahead = max(0.0, end - self._at) * FRAME / EVERY, end
         self._at = end if self._source.outcome else min(end, self._at + self._speed)
         return self._at
 
@@ -327,8 +352,8 @@ class Page:
         pane, end = source.pane(first, min(last, source.end)), min(last, source.end)
         for picture in self._pictures:
             picture.show(pane, end)
-        if len(source.changes) != len(self._changes.data["t"]):
-            self._changes.data = {"t": [t for t, _, _ in source.changes]}
+        if (changes := [t for t, _, _ in source.changes]) != list(self._changes.data["t"]):
+            self._changes.data = {"t": changes}
         self._head.text = words.head(source, self._how, self._control)
         return True
 

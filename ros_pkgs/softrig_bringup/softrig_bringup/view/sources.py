@@ -24,17 +24,15 @@ LATELY = 12  # looks over which a speed is measured
 Turned = tuple[float, str, Mapping[str, Any]]  # s, node, new values
 
 
-class Live:
-    """A run under way, as its nodes record it.
-
-    The loop knows nothing of it: no topic is read, nothing is waited for.
+class Growing:
+    """A run under way.
 
     Parameters
     ----------
     rig : Rig
-    directory : Path
-        Where the nodes write their files.
-    realtime : bool
+    held : bool
+        Whether each message stands for a period: in lockstep nobody is behind the others for longer than he takes to
+        hand over what he records.
 
     Attributes
     ----------
@@ -58,11 +56,9 @@ class Live:
         Of late, simulated by wall-clock time.
     """
 
-    def __init__(self, rig: Rig, directory: Path, realtime: bool) -> None:
+    def __init__(self, rig: Rig, held: bool = True) -> None:
         self.rig, self.live, self.outcome = rig, True, ""
-        self._directory, self._realtime = directory, realtime
         self._names = [m.name for m in rig.members if not m.external]
-        self._tails = [ShardTail(directory / f"{name}.shard") for name in self._names]
         self._tracks = {topic: Track() for topic in rig.topics}
         self.status: dict[str, dict[str, Any]] = {name: {} for name in self._names}
         self.changes: list[Turned] = []
@@ -70,9 +66,9 @@ class Live:
         self.end, self.version = 0.0, 0
         self.length = rig.scenario.duration
         self._newest: dict[str, float] = {}
-        # s for which a message stands: only in lockstep nobody is behind the others for longer than he takes to write
-        self._holds = {} if realtime else {
-            p.topic: m.params.period for m in rig.members if not m.external for p in m.outputs if not p.sporadic
+        self._holds = {  # s
+            p.topic: m.params.period
+            for m in rig.members if held and not m.external for p in m.outputs if not p.sporadic
         }  # fmt: skip
         self._marks: deque[tuple[float, float]] = deque(maxlen=LATELY)
 
@@ -87,23 +83,8 @@ class Live:
         """Whether only extremes are left of what is old."""
         return any(track.thinned for track in self._tracks.values())
 
-    def look(self) -> None:
-        """Read what has come."""
-        if self.outcome:
-            return
-        self.read()
-        for name in self._names:
-            # half written, or being replaced: what it said before stands
-            self.status[name] = read_status(self._directory / f"{name}.status") or self.status[name]
-        self._marks.append((time.monotonic(), self.end))
-
-    def read(self) -> bool:
-        """Read a part of what the nodes have recorded; whether there is more."""
-        epoch = int(self.status.get(starter(self.rig).name, {}).get("epoch", 0))
-        if self._realtime and not epoch:
-            return False
-        recording = Recording((t, p.msgtype) for t, p in self.rig.topics.items())
-        more = [tail.read(recording) for tail in self._tails]
+    def take(self, recording: Recording, epoch: int = 0) -> None:
+        """Add what is new."""
         found = Signals(recording, epoch)
         for name, topic in recording.topics.items():
             if name in self._tracks and topic.times:
@@ -115,16 +96,10 @@ class Live:
         if self._newest:
             reached = [t + self._holds[name] for name, t in self._newest.items() if name in self._holds]
             self.end = min([max(self._newest.values()), *reached])
-        for t, node, values in recorded(recording, epoch):
-            self.changes.append((t / SECOND, node, values))
-            self.version += 1
-        return any(more)
+        self._marks.append((time.monotonic(), self.end))
 
     def finish(self, outcome: str, folder: Path | None) -> None:
         """Note that the run is over, and what it has brought."""
-        while self.read():
-            pass
-        self.look()
         self.end = max(self._newest.values(), default=0.0)
         if folder is not None:
             content = json.loads((folder / "metrics.json").read_text())
@@ -135,6 +110,54 @@ class Live:
     def pane(self, first: float, last: float) -> Pane:
         """Give the signals within a window of time, s."""
         return Pane({topic: track.table(first, last) for topic, track in self._tracks.items() if len(track)})
+
+
+class Live(Growing):
+    """A run under way, as its nodes record it.
+
+    The loop knows nothing of it: no topic is read, nothing is waited for.
+
+    Parameters
+    ----------
+    rig : Rig
+    directory : Path
+        Where the nodes write their files.
+    realtime : bool
+    """
+
+    def __init__(self, rig: Rig, directory: Path, realtime: bool) -> None:
+        super().__init__(rig, not realtime)
+        self._directory, self._realtime = directory, realtime
+        self._tails = [ShardTail(directory / f"{name}.shard") for name in self._names]
+
+    def look(self) -> None:
+        """Read what has come."""
+        if self.outcome:
+            return
+        self.read()
+        for name in self._names:
+            # half written, or being replaced: what it said before stands
+            self.status[name] = read_status(self._directory / f"{name}.status") or self.status[name]
+
+    def read(self) -> bool:
+        """Read a part of what the nodes have recorded; whether there is more."""
+        epoch = int(self.status.get(starter(self.rig).name, {}).get("epoch", 0))
+        if self._realtime and not epoch:
+            return False
+        recording = Recording((t, p.msgtype) for t, p in self.rig.topics.items())
+        more = [tail.read(recording) for tail in self._tails]
+        self.take(recording, epoch)
+        for t, node, values in recorded(recording, epoch):
+            self.changes.append((t / SECOND, node, values))
+            self.version += 1
+        return any(more)
+
+    def finish(self, outcome: str, folder: Path | None) -> None:
+        """Note that the run is over, and what it has brought."""
+        while self.read():
+            pass
+        self.look()
+        super().finish(outcome, folder)
 
 
 class Recorded:
@@ -176,4 +199,4 @@ def _cut(table: Table, first: float, last: float) -> Table:
     return Table(table.t[i:j], table.stamp[i:j], {label: x[i:j] for label, x in table.columns.items()})
 
 
-Source = Live | Recorded
+Source = Growing | Recorded

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from ..block.block import Observer
 from ..block.held import ByHand
 from ..block.params import flatten
 from ..block.port import Port, Sample
@@ -153,16 +154,18 @@ class RigEnv(gym.Env[Array, Array]):
         self._reward, self._penalty, self._record = reward, penalty, record
         self._entry = _entry(self._whole, self._law, observe, act)
         self.rig = self._with(self._entry, terminate)
-        member = next(m for m in self.rig.members if m.name == replace)
+        self._member = member = next(m for m in self.rig.members if m.name == replace)
         params: Any = member.params
         self.observation_space = _box(_bounds(observe, params.observe, _limits(member.inputs)))
         self.action_space = _box(params.bounds())
         self._blocks: dict[str, Any] = {}
+        self._steps: dict[str, Step] = {}
         self._ticks: Iterator[int | None] | None = None
         self._action: Array | None = None
         self._held: Array = np.zeros(self.observation_space.shape or (0,))
         self.now = Now(self.rig)
         self.run: Run | None = None
+        self._over: Callable[[], object] | None = None  # called after each tick
 
     # Gymnasium's own ----------------------------------------------------------------------------------------------
 
@@ -181,9 +184,12 @@ class RigEnv(gym.Env[Array, Array]):
         if self._blocks:
             for block in self._blocks.values():
                 block.reset(number)
-        else:
-            self._blocks = {m.name: m.block(number) for m in self.rig.members}
-        steps = wired(self.rig, self._blocks)
+        else:  # who only watches is seen by nobody, unless all is kept
+            members = [
+                m for m in self.rig.members if self._record or m.outputs or not issubclass(m.block_class, Observer)
+            ]
+            self._blocks = {m.name: m.block(number) for m in members}
+        self._steps = steps = wired(self.rig, self._blocks)
         self._agent, self._clock = steps[self._law.name], steps[self.rig.clock.name]
         self._agent.x = self._agent.x._replace(act=self._take)
         for step in steps.values():
@@ -198,11 +204,15 @@ class RigEnv(gym.Env[Array, Array]):
         for step in steps.values():
             self.now.watch(step)
         self._action, self._started = None, time.perf_counter()
-        self._ticks = Runner(list(steps.values())).run()
+        self._begin()
+        return self._held.copy(), self._info()
+
+    def _begin(self, tick: int = 0) -> None:
+        """Go on from a tick of the runner, before which the steps are as they are, up to the agent."""
+        self._ticks = Runner(list(self._steps.values())).run(tick)
         ended = self._go_on()
         if ended:
             raise RunError(ended if isinstance(ended, str) else f"{self._law.name} has no tick in this run")
-        return self._held.copy(), self._info()
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Let the agent's action count until its next tick.
@@ -310,6 +320,8 @@ class RigEnv(gym.Env[Array, Array]):
                 if t is None:
                     self._observe()
                     return False
+                if self._over is not None:
+                    self._over()
         except RunError as error:
             return str(error)
         self._observe()
@@ -388,4 +400,5 @@ def _box(bounds: Sequence[tuple[float, float]]) -> Any:
     return gym.spaces.Box(low, high, dtype=np.float64)
 
 
-gym.register("softrig/Rig-v0", entry_point=f"{__name__}:RigEnv")
+gym.register("softrig/Rig-v0", entry_point=f"{__name__}:RigEnv",
+             vector_entry_point=f"{__package__}.environments:RigVectorEnv")  # fmt: skip

@@ -64,6 +64,7 @@ class Block(Generic[P]):
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
     realtime = False  # whether the wall clock drives it, as its runner says: nothing may then wait in `update`
+    DRAWN_BY: ClassVar[str] = ""  # module:class of what draws it, a `softrig_core.drawing.Drawing`; else its `scene`
     TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports: it has switched something off for good
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
@@ -264,11 +265,6 @@ class Block(Generic[P]):
     @classmethod
     def scene(cls, params: Any) -> Scene | None:
         """Give what a viewer needs to show what the block moves, with these parameters; most move nothing."""
-        return None
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give the class that draws it, a `softrig_core.drawing.Drawing`; None: its `scene` does, or nothing."""
         return None
 
     def markers(self, *x: Any) -> Sequence[Marker]:

@@ -1,10 +1,12 @@
 """Plants as drawings: shapes that follow from what a rig publishes, for whoever puts them on a screen.
 
 No drawing library: `drawing_for` gives a `Drawing`, its `frame` a list of shapes for one row of signal values. A plant
-names its own by `Plant.drawing`.
+names its own by `Plant.DRAWN_BY`.
 """
 
 from __future__ import annotations
+
+from pkgutil import resolve_name
 
 from ..rig.members import Member
 from ..rig.rig import Rig
@@ -35,7 +37,6 @@ def drawing_for(rig: Rig | str) -> Drawing | None:
 
 
 def _kind(member: Member) -> type[Drawing] | None:
-    kind: type[Drawing] | None = member.block_class.drawing()
-    if kind is None and member.block_class.scene(member.params) is not None:
-        kind = Robot
-    return kind
+    if name := member.block_class.DRAWN_BY:
+        return resolve_name(name)
+    return Robot if member.block_class.scene(member.params) is not None else None

@@ -336,23 +336,13 @@ class Engine:
             own = self._own(s, first, last)
             if not own:
                 continue
-            s.x, numbers = unpacked(after[k]), after[count + k]
-            s.t = s.schedule.time(own[-1])
+            s.x = unpacked(after[k])
+            newest = {j: t for (speaker, j), t in spoken.items() if speaker == k}
+            answered(s, own[-1], after[count + k], stamps.get(k, ()), newest)
             if self._typed:
                 s.native = s.native[0] + len(own), ""
-            said = _parted(s, numbers, stamps.get(k, ()))
-            before = s.spoken
-            if s.outputs:
-                s.said, s.numbers = said, numbers if s.plain else ()
-            if not s.plain:
-                newest = [spoken.get((k, j), s.t) for j, _ in enumerate(s.outputs)]
-                s.spoken = [None if t == NEVER else t for t in newest]
-            for j, values, name, take in s.readers:
-                if not s.outputs[j].sporadic:
-                    row = said[s.outputs[j].name]
-                    values[name] = row if take is None else take(row)
             for link, value in zip(self._links, after[len(after) - len(self._links) :], strict=True):
-                if link.source == k and (s.plain or s.spoken[link.j] != before[link.j]):
+                if link.source == k and newest.get(link.j, s.t) >= self._time(first):
                     link.values[link.name] = unpacked(value)
             if s.send_all is not None:
                 times = s.schedule.times(own.start, own.stop)
@@ -451,6 +441,41 @@ def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row 
     return row if stamp is None else Sample(stamps[stamp], row)
 
 
+def answered(
+    step: Step,
+    number: int,
+    numbers: tuple[float, ...],
+    stamps: Sequence[int] = (),
+    spoken: Mapping[int, int] | None = None,
+) -> None:
+    """Make what native code has found that a step says at a tick, of its own numbers, what it and its readers hold.
+
+    Parameters
+    ----------
+    step : Step
+        Whose tick it was.
+    number : int
+        Which of its own ticks.
+    numbers : tuple of float
+        All that it says, one output after another.
+    stamps : sequence of int
+        Of its delayed outputs, ns.
+    spoken : mapping of int to int
+        When each output that is silent at times spoke last, ns, by its place; `NEVER`.
+    """
+    step.t = step.schedule.time(number)
+    said = _parted(step, numbers, stamps)
+    if step.outputs:
+        step.said, step.numbers = said, numbers if step.plain else ()
+    if not step.plain:
+        newest = [(spoken or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
+        step.spoken = [None if t == NEVER else t for t in newest]
+    for j, values, name, take in step.readers:
+        if not step.outputs[j].sporadic:
+            row = said[step.outputs[j].name]
+            values[name] = row if take is None else take(row)
+
+
 def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
     """Give what each output says that says something."""
     parts = zip(step.outputs, _places(step), strict=True)
@@ -508,6 +533,13 @@ def _answers(steps: Sequence[Step]) -> int:
     return answers
 
 
+def forbidden() -> str:
+    """Say why there can be no native code; empty where there can."""
+    if os.environ.get("SOFTRIG_JIT", "1") == "0":
+        return "SOFTRIG_JIT=0"
+    return "" if importlib.util.find_spec("numba") else "numba is not installed"
+
+
 def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
     """Say why native code is not worth its making, which takes seconds, once; empty where it is.
 
@@ -517,10 +549,8 @@ def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
     runs : int
         So many such runs are to come.
     """
-    if os.environ.get("SOFTRIG_JIT", "1") == "0":
-        return "SOFTRIG_JIT=0"
-    if importlib.util.find_spec("numba") is None:
-        return "numba is not installed"
+    if reason := forbidden():
+        return reason
     ticks = _answers(steps)
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
     known = any(kinds == tuple(k[0] for k in kept.kinds[:-3]) for kept in _texts if kept.kinds[-1] is compiled)

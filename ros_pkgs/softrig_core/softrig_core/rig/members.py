@@ -7,11 +7,11 @@ from typing import Any
 
 from ..block.block import Block, Plant
 from ..block.change import Change
-from ..block.params import BlockParams, ParameterError, flatten
+from ..block.params import BlockParams, ParameterError
 from ..block.port import CLOCK, Port
 from ..block.schedule import Schedule
 from ..errors import ScenarioError
-from ..scenario.references import pick
+from ..scenario.references import parameter_of
 from ..scenario.scenario import Scenario
 from ..wire.cdr import Pick
 
@@ -110,14 +110,8 @@ class Members:
         ScenarioError
             No such node or parameter.
         """
-        member = next((m for m in self.members if m.name == node), None)
-        if member is None:
-            raise ScenarioError(f"${node}.{name}: the nodes are {', '.join(m.name for m in self.members)}")
-        values = flatten(member.params)
-        try:
-            return pick(values, name)
-        except KeyError:
-            raise ScenarioError(f"${node}.{name}: {node} has {', '.join(values)}") from None
+        params = {m.name: m.params for m in self.members}
+        return parameter_of("", params, params.__getitem__, node, name)
 
 
 def signal_units(rig: Members) -> dict[str, str]:

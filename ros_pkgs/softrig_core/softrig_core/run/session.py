@@ -176,8 +176,13 @@ class Session:
                 raise ScenarioError(f"node {node}: {error}") from None
             self._turned.append(_Turned(self._k, node, own))
 
-    def rewind(self, t: float) -> None:
+    def rewind(self, t: float) -> dict[str, Any]:
         """Go back: as if no tick from t (s) on had been answered, and nothing been set from there on.
+
+        Returns
+        -------
+        dict
+            What had been set from there on: ``node.parameter`` to its newest value, as `set` takes it.
 
         Raises
         ------
@@ -187,10 +192,13 @@ class Session:
             A block has a state that cannot be kept, or does not come back to it; names it and says why.
         """
         k = self._past(t)
+        undone = {f"{turned.node}.{name}": value for turned in self._turned if turned.k >= k
+                  for name, value in turned.values.items()}  # fmt: skip
         self._turned = [turned for turned in self._turned if turned.k < k]
         self._kept = {at: moment for at, moment in self._kept.items() if at <= k}
         self._rest()
         self._come({name: step.block for name, step in self.steps.items()}, k)
+        return undone
 
     def branch(self, t: float | None = None) -> Session:
         """Give another run that goes on from t (s) by itself, by default from here; blocks are made anew.
@@ -212,7 +220,7 @@ class Session:
     def _past(self, t: float) -> int:
         """Give the first tick that is not before t, which the run has come to."""
         k = self._tick(t)
-        if k > self._k:
+        if k > min(self._k, self.ticks):
             raise ScenarioError(f"t = {t:.9g} s: expected a time that the run has come to, at most {self.t:.9g} s")
         return k
 

@@ -62,6 +62,8 @@ class Run:
         Of a run that `branch` gave: the rig of the first one, whose changes are the scenario's own.
     wanted : list of Figure, optional
         What `figures_of` gives of the rig, where that is known.
+    branched : list of dict
+        Where somebody went back while it ran: ``at_s``, ``from_s``, and ``left``, what keeps the branch that was left.
     """
 
     rig: Rig
@@ -76,6 +78,7 @@ class Run:
     blocks: Mapping[str, Held] = field(default_factory=dict)
     begun: Rig | None = None
     wanted: list[Figure] | None = None
+    branched: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def stopped_at(self) -> str:

@@ -10,11 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..block.block import Block
 from ..block.change import Change, permit
-from ..block.params import ParameterError, flatten
+from ..block.params import ParameterError
 from ..errors import ScenarioError, closest
 from ..timebase import to_ns
 from .faults import EXECUTABLE, PACKAGE, WORDS
-from .references import fill_parameters, pick
+from .references import fill_parameters, parameter_of
 
 
 class ChangeEntry(BaseModel):
@@ -62,19 +62,11 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
         No such node, a node of somebody else, or values that `softrig_core.block.change.permit` refuses.
     """
     known = {m.name: m for m in members}
-
-    def at_start(at: str, node: str, parameter: str) -> Any:
-        if node not in known:
-            raise ScenarioError(f"{at}: ${node}.{parameter}: the nodes are {', '.join(known)}")
-        values = flatten(known[node].params)
-        try:
-            return pick(values, parameter)
-        except KeyError:
-            raise ScenarioError(f"{at}: ${node}.{parameter}: {node} has {', '.join(values)}") from None
-
-    now = {m.name: m.params for m in known.values()}
+    first = {m.name: m.params for m in known.values()}
+    now = dict(first)
     for entry in sorted(entries, key=lambda e: e.at):
         at = f"{where}: change at {entry.at:g} s"
+        at_start = partial(parameter_of, f"{at}: ", first, first.__getitem__)
         by_node: dict[str, dict[str, Any]] = {}
         for key, value in entry.set.items():
             node, _, parameter = key.partition(".")
@@ -84,7 +76,7 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
                 )
             if (known[node].package, known[node].executable) == (PACKAGE, EXECUTABLE):
                 parameter = WORDS.get(parameter, parameter)
-            by_node.setdefault(node, {})[parameter] = fill_parameters(value, partial(at_start, at))
+            by_node.setdefault(node, {})[parameter] = fill_parameters(value, at_start)
         for node, values in by_node.items():
             member = known[node]
             if member.external:

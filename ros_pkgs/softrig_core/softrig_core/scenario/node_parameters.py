@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..block.block import Block
-from ..block.params import ParameterError, build, flatten
+from ..block.params import ParameterError, build
 from ..errors import ScenarioError
-from .references import fill_parameters, pick
+from .references import fill_parameters, parameter_of
 from .scenario import Scenario
 
 
@@ -41,11 +41,5 @@ class NodeParameters:
         return self._known[name]
 
     def _of(self, node: str, parameter: str) -> Any:
-        where = f"{self._scenario.name}: node {self._open[-1]}: ${node}.{parameter}"
-        if node not in self._scenario.nodes:
-            raise ScenarioError(f"{where}: the nodes are {', '.join(self._scenario.nodes)}")
-        values = flatten(self(node))
-        try:
-            return pick(values, parameter)
-        except KeyError:
-            raise ScenarioError(f"{where}: {node} has {', '.join(values)}") from None
+        where = f"{self._scenario.name}: node {self._open[-1]}: "
+        return parameter_of(where, self._scenario.nodes, self, node, parameter)

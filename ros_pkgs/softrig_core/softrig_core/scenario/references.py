@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from ..block.params import flatten
 from ..errors import ScenarioError
 from .scenario_file import SHARED, Over, merge
 
@@ -98,3 +99,20 @@ def pick(values: Mapping[str, Any], name: str) -> Any:
     if head in values and last.isdigit() and int(last) < len(values[head]):
         return values[head][int(last)]
     raise KeyError(name)
+
+
+def parameter_of(where: str, nodes: Mapping[str, Any], params: Callable[[str], Any], node: str, name: str) -> Any:
+    """Give what ``$node.parameter`` stands for, `params` giving the parameters of one of the nodes.
+
+    Raises
+    ------
+    ScenarioError
+        No such node or parameter; begins with `where`.
+    """
+    if node not in nodes:
+        raise ScenarioError(f"{where}${node}.{name}: the nodes are {', '.join(nodes)}")
+    values = flatten(params(node))
+    try:
+        return pick(values, name)
+    except KeyError:
+        raise ScenarioError(f"{where}${node}.{name}: {node} has {', '.join(values)}") from None

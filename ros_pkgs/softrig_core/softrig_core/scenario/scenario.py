@@ -182,10 +182,8 @@ class Scenario(_Model):
             raise ValueError(f"requirements: {min(both)} is the name of a figure, too")
         return self
 
-    def changed(
-        self, *, duration: float | None = None, seed: int | None = None, overrides: Mapping[str, Any] | None = None
-    ) -> Scenario:
-        """Give the scenario with another length, seed or parameters (``node.parameter`` to value).
+    def changed(self, *, duration: float | None = None, overrides: Mapping[str, Any] | None = None) -> Scenario:
+        """Give the scenario with another length or parameters (``node.parameter`` to value).
 
         Raises
         ------
@@ -195,8 +193,7 @@ class Scenario(_Model):
         raw: dict[str, Any] = {k: {n: e.model_dump() for n, e in getattr(self, k).items()} for k in ("nodes", "faults")}
         for key, value in (overrides or {}).items():
             _override(raw, key, value)
-        changes = {k: v for k, v in (("duration", duration), ("seed", seed)) if v is not None}
-        new = self.having(**changes, **(raw if overrides else {}))
+        new = self.having(**({} if duration is None else {"duration": duration}), **(raw if overrides else {}))
         new._file = None if overrides else self._file
         return new
 

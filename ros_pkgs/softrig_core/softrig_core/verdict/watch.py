@@ -125,13 +125,10 @@ class Watch(Observer[W]):
 
     def at_once(self, x: Any, t: int, messages: Mapping[str, Heard]) -> Any:
         """See `Observer.at_once`."""
-        seen = self.keep_at_once(x.seen, t, messages) if type(self).update is Watch.update else None
-        return None if seen is None else Window(seen)
-
-    def keep_at_once(self, seen: tuple[Kept, ...], t: int, messages: Mapping[str, Heard]) -> tuple[Kept, ...] | None:
-        """Give what `keep` gives tick after tick; None where it has to be asked so."""
+        if type(self).update is not Watch.update:
+            return None
         found, since = [], t - self._reach
-        for name, kept in zip(self._ports, seen, strict=True):
+        for name, kept in zip(self._ports, x.seen, strict=True):
             new = messages.get(name)
             if new is None:
                 found.append(kept)
@@ -139,7 +136,7 @@ class Watch(Observer[W]):
             if np.diff([*(m[0] for m in kept.newest[-1:]), *new.stamps, t]).max(initial=0) > self._reach:
                 return None
             found.append(kept.taken_at_once(new, since))
-        return tuple(found)
+        return Window(tuple(found))
 
     def figure(self, name: str, function: Function, arguments: Mapping[str, Any] = NONE) -> Figure:
         """Make a figure, in the unit that its function and its signal give it."""

@@ -203,6 +203,17 @@ class Topic:
             found._times, found._data = self.times[:n], self.data[:n]
         return found
 
+    def since(self, n: int) -> Topic:
+        """Give its messages but the first n."""
+        found, parts = Topic(self.name, self.msgtype), self.parts()
+        for part in parts:
+            if n < (size := len(part.times)):
+                found._columns.append(part.part(max(n, 0), size))
+            n -= size
+        if not parts:
+            found._times, found._data = self.times[n:], self.data[n:]
+        return found
+
     def stream(self) -> Iterator[tuple[int, bytes]]:
         """Give time and bytes of each message; what stands as numbers is not kept as bytes."""
         whole = self.columns()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_control.hardware import axis_urdf, hardware_tag
@@ -55,15 +55,9 @@ class DcAxisPlant(Plant[DcAxisParams]):
     loop G/(1 + G), G = 2.2862 / (s (s + 5.26)); G itself is the motor.
     """
 
+    DRAWN_BY = "softrig_drives.dc_axis.drawing:DcAxis"
     INPUTS = (replace(COMMAND, also=AXIS),)  # ros2_control knows one name for both ways
     OUTPUTS = (STATE, TRUE_STATE)
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import DcAxis
-
-        return DcAxis
 
     def latched(self) -> Mapping[str, str]:
         """Give the URDF for ros2_control, whose command is the voltage of the armature."""

@@ -10,12 +10,14 @@ FEEDBACK = joint_state("feedback", "axis/feedback", AXIS, position="mm", velocit
 REFERENCE = reference("reference", "axis/reference", AXIS, position="mm", held=True)
 COMMAND = command("command", "axis/command", ("armature",), "V")
 MODEL = scalars(
-    "model", "axis/model",
+    "model",
+    "axis/model",
     {"position_set": "mm", "velocity": "mm/s", "acceleration": "mm/s^2", "deceleration": "mm/s^2", "jerk": "mm/s^3"},
-)  # fmt: skip
+)
 CONTROLLER_STATE = scalars(
-    "controller_state", "axis/controller_state",
+    "controller_state",
+    "axis/controller_state",
     {"set_point": "mm", "position": "mm", "velocity": "mm/s", "integral": "mm s", "age": "s"},
-)  # fmt: skip
+)
 FORWARD = button("forward", "forward", held=True)
 REVERSE = button("reverse", "reverse", held=True)

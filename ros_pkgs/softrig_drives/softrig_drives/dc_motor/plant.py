@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
@@ -75,15 +75,9 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
     had been there from the start.
     """
 
+    DRAWN_BY = "softrig_drives.dc_motor.drawing:DcMotor"
     INPUTS = (replace(COMMAND, also=SHAFT),)  # ros2_control knows one name for both ways
     OUTPUTS = (STATE, SENSORS)
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import DcMotor
-
-        return DcMotor
 
     @classmethod
     def ports(cls, params: DcMotorPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -30,8 +30,7 @@ class SurfaceParams(MotorConstants, SpeedControlParams):
     model: Literal["printed", "motor"] = param(
         "printed", "the law's model: the coefficients as printed, or computed from R, L, J, b, Kt and Ke", live=True
     )
-    model_gain: float = param(13.89, "gain of the law's model w'' = gain u - a1 w' - a0 w, eq. (16)", gt=0.0,
-                              live=True)  # fmt: skip
+    model_gain: float = param(13.89, "gain of the law's model w'' = gain u - a1 w' - a0 w, eq. (16)", gt=0.0, live=True)
     model_a1: float = param(5.648, "coefficient a1 of that model", "1/s", live=True)
     model_a0: float = param(1.509, "coefficient a0 of that model", "1/s^2", live=True)
     publish_surface: bool = param(False, "also publish s on motor/surface")
@@ -101,8 +100,9 @@ class DcMotorSmcParams(SurfaceParams):
     wd_source: Literal["current", "diff"] = param(
         "current", "w' from the measured current, w' = wd_i i - wd_w w, or from the difference of speeds"
     )
-    wd_lp: float = param(0.0, "time constant of a first-order low-pass on w' of the difference; 0 is none", "s", ge=0.0,
-                         live=True)  # fmt: skip
+    wd_lp: float = param(
+        0.0, "time constant of a first-order low-pass on w' of the difference; 0 is none", "s", ge=0.0, live=True
+    )
     wd_w: float = param(5.5, "printed model: b/J in w' of the current", "1/s", live=True)
     wd_i: float = param(37.5, "printed model: Kt/J in w' of the current", "rad/s^2/A", live=True)
 

@@ -14,8 +14,9 @@ class SpeedControlParams(BlockParams):
     """Set point and its range."""
 
     set_point: float = param(10.0, "speed reference until one arrives on motor/reference", "rad/s", live=True)
-    reference_limit: float = param(21.8, "largest speed whose current the rig's sensor can tell", "rad/s", gt=0.0,
-                                   live=True)  # fmt: skip
+    reference_limit: float = param(
+        21.8, "largest speed whose current the rig's sensor can tell", "rad/s", gt=0.0, live=True
+    )
 
     @model_validator(mode="after")
     def _set_point(self) -> Self:
@@ -48,9 +49,10 @@ class SpeedControl(Block[P]):
         new = message[0]
         if abs(new) > self.p.reference_limit:
             self.report(
-                Level.WARN, "reference_range",
+                Level.WARN,
+                "reference_range",
                 f"reference {new:g} rad/s is beyond {self.p.reference_limit:g} rad/s; {r:g} rad/s is kept",
-            )  # fmt: skip
+            )
             return r
         return new
 

@@ -61,8 +61,9 @@ class InductionMotor(Drawing):
             current = side * held(self.currents[phase](row) / self.rated, 1.6)
             pen.circle(place, 11.0, "muted", "paper", 1.0)
             pen.circle(place, 6.6 * math.sqrt(abs(current)), role, role, 0)
-            pen.text((place[0], place[1] + 4.5), "·" if current > 0 else "×" if current < 0 else "", "paper", 13.0,
-                     "middle")  # fmt: skip
+            pen.text(
+                (place[0], place[1] + 4.5), "·" if current > 0 else "×" if current < 0 else "", "paper", 13.0, "middle"
+            )
         for k, (name, role) in enumerate(PHASES):
             axis = k * THIRD
             pen.line([polar(CENTRE, OUTER + 2, axis), polar(CENTRE, OUTER + 10, axis)], role, 2.0)

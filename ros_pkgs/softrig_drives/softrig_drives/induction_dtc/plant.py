@@ -62,6 +62,7 @@ class ImPlant(Plant[ImPlantParams]):
     The DC-link voltage and the trip may change while it runs; the load comes by its topic.
     """
 
+    DRAWN_BY = "softrig_drives.induction_dtc.drawing:InductionMotor"
     TRIPS: ClassVar[frozenset[str]] = frozenset({"overcurrent", "switch_fault"})
     INPUTS = (SWITCHES, LOAD_TORQUE)
     OUTPUTS = (JOINT_STATES, CURRENTS_TRUE, CURRENTS_MEAS, FLUX_TRUE, DC_LINK)
@@ -70,13 +71,6 @@ class ImPlant(Plant[ImPlantParams]):
     def agreed(cls, params: ImPlantParams) -> Mapping[str, Any]:
         """What its converters resolve, in which their errors are counted, and what makes torque of flux and current."""
         return {"induction_dtc/lsb": params.lsb, "induction_dtc/pole_pairs": params.pole_pairs}
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import InductionMotor
-
-        return InductionMotor
 
     def setup(self) -> None:
         """Compile the equations, scale the voltages."""

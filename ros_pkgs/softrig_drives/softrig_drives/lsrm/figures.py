@@ -76,15 +76,17 @@ def peak_force(
 
 
 @figure("N", (FORCE, POSITION), PITCH)
-def mean_force(signals: SignalMap, *, pitch: float, pitches: int = 2, end: float | None = None,
-               drive: str = "") -> float:  # fmt: skip
+def mean_force(
+    signals: SignalMap, *, pitch: float, pitches: int = 2, end: float | None = None, drive: str = ""
+) -> float:
     """Mean force in N over the last whole pole pitches (m) travelled before `end`."""
     return float(_last_pitches(signals, pitch * pitches, end, drive).mean())
 
 
 @figure("N", (FORCE, POSITION), PITCH)
-def force_ripple(signals: SignalMap, *, pitch: float, pitches: int = 2, end: float | None = None,
-                 drive: str = "") -> float:  # fmt: skip
+def force_ripple(
+    signals: SignalMap, *, pitch: float, pitches: int = 2, end: float | None = None, drive: str = ""
+) -> float:
     """Standard deviation of the force in N over the last whole pole pitches (m) travelled before `end`."""
     return float(_last_pitches(signals, pitch * pitches, end, drive).std())
 

@@ -24,10 +24,12 @@ class LsrmFuzzyParams(SpeedControlParams):
     K_e: float = param(1.0, "error that counts as 1", "m/s", gt=0.0, le=100.0, live=True)
     K_de: float = param(0.01, "change of the error in one period that counts as 1", "m/s", gt=0.0, le=100.0, live=True)
     K_u: float = param(2.0, "change of the force in one period for an output of 1", "N", gt=0.0, le=1e3, live=True)
-    peaks: tuple[float, ...] = param(THIRDS, "where the terms NB, NM, NS, Z, PS, PM, PB of both inputs are 1",
-                                     each=(-100.0, 100.0), live=True)  # fmt: skip
-    rules: tuple[int, ...] = param(TABLE_II, "Table II row by row (a row an error): the output's terms",
-                                   each=(-LARGEST, LARGEST), live=True)  # fmt: skip
+    peaks: tuple[float, ...] = param(
+        THIRDS, "where the terms NB, NM, NS, Z, PS, PM, PB of both inputs are 1", each=(-100.0, 100.0), live=True
+    )
+    rules: tuple[int, ...] = param(
+        TABLE_II, "Table II row by row (a row an error): the output's terms", each=(-LARGEST, LARGEST), live=True
+    )
     conjunction: And = param("product", "AND of a rule's two premises", live=True)
 
     @model_validator(mode="after")

@@ -25,8 +25,9 @@ class Geometry(Params):
 
     tau: float = param(0.052, "pole pitch of the stator (pole 21 mm, slot 31 mm)", "m", gt=0.0, le=1.0)
     shift: float = param(0.013, "distance between neighbouring phases", "m", gt=0.0, le=1.0)
-    G: float = param(0.8, "largest slope of the inductance, 2 x 12.57 D/2 H/m for a depth D of 64 mm", "H/m",
-                     gt=0.0, le=100.0)  # fmt: skip
+    G: float = param(
+        0.8, "largest slope of the inductance, 2 x 12.57 D/2 H/m for a depth D of 64 mm", "H/m", gt=0.0, le=100.0
+    )
     L_u: float = param(6e-3, "unaligned inductance L_u", "H", gt=0.0, le=1.0)
     c: float = param(10.5e-3, "centre of the overlap ramp, from the aligned position", "m", gt=0.0, le=1.0)
     h: float = param(6.5e-3, "half length of the overlap ramp", "m", gt=0.0, le=1.0)
@@ -160,8 +161,9 @@ def electromagnetic(state: Array, geometry: Array) -> float:
 
 
 @jit
-def advance(state: Array, u: Array, geometry: Array, constants: Triple, friction: float, locked: bool, h: float,
-            steps: int) -> None:  # fmt: skip
+def advance(
+    state: Array, u: Array, geometry: Array, constants: Triple, friction: float, locked: bool, h: float, steps: int
+) -> None:
     """Move the state by `steps` Runge-Kutta steps of order 4 and size `h`, voltages held.
 
     A flux linkage ends at zero in the step in which it gets there (asymmetric half bridge). Coulomb friction keeps its

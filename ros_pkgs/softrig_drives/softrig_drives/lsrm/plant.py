@@ -60,6 +60,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
     0 V, for good.
     """
 
+    DRAWN_BY = "softrig_drives.lsrm.drawing:ReluctanceMotor"
     TRIPS: ClassVar[frozenset[str]] = frozenset({"overcurrent"})
     INPUTS = (PHASE_VOLTAGE, LOAD)
     OUTPUTS = (JOINT_STATES, PHASE_CURRENTS, FORCE_PHASES)
@@ -68,13 +69,6 @@ class LsrmPlant(Plant[LsrmPlantParams]):
     def agreed(cls, params: LsrmPlantParams) -> Mapping[str, Any]:
         """The pole pitch, over which its force repeats."""
         return {"lsrm/pitch": params.tau}
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import ReluctanceMotor
-
-        return ReluctanceMotor
 
     def latched(self) -> Mapping[str, str]:
         """Give the URDF for ros2_control: its command, a force, is that of the current controller."""

@@ -60,8 +60,9 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
         p = self.p
         need = self._largest_force()
         if need > p.F_max:
-            self.report(Level.WARN, "infeasible", f"reference infeasible: it needs {need:.3g} N, the motor gives "
-                        f"{p.F_max:g} N")  # fmt: skip
+            self.report(
+                Level.WARN, "infeasible", f"reference infeasible: it needs {need:.3g} N, the motor gives {p.F_max:g} N"
+            )
         if p.profile == "jerk" and p.x_d is not None:
             low, high = Quintic.between(0.0, 0.0, p.v_d, p.t_d, p.x_d).speed_range(p.t_d)
             margin = 1e-9 * abs(p.v_d)

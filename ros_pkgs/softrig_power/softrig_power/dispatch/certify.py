@@ -177,9 +177,10 @@ class Optimiser:
         if not np.isfinite(proof.cost):
             done = proof.bound == np.inf
             raise InfeasibleError(
-                f"infeasible: no dispatch meets demand {demand:g} MW and reserve {conditions.reserve:g} MW" if done
+                f"infeasible: no dispatch meets demand {demand:g} MW and reserve {conditions.reserve:g} MW"
+                if done
                 else f"no dispatch found in {proof.nodes} boxes for demand {demand:g} MW with its conditions"
-            )  # fmt: skip
+            )
         found = self._answer(proof.P)
         found.bound, found.nodes, found.stage = min(proof.bound, found.cost), proof.nodes, "branch and bound"
         found.stages = {"branch and bound": time.perf_counter() - begun}

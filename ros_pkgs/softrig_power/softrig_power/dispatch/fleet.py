@@ -36,12 +36,7 @@ class UnitFleet(Plant[FleetParams]):
     outputs and of costs.
     """
 
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import Fleet
-
-        return Fleet
+    DRAWN_BY = "softrig_power.dispatch.drawing:Fleet"
 
     @classmethod
     def agreed(cls, params: FleetParams) -> Mapping[str, Any]:
@@ -52,8 +47,9 @@ class UnitFleet(Plant[FleetParams]):
     def ports(cls, params: FleetParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """One channel a unit."""
         units = Units.read(params.unit_table)
-        setpoints = command("setpoints", "dispatch/setpoints", units.ids, "MW", sporadic=True,
-                            safe=tuple(units.p_min.tolist()))  # fmt: skip
+        setpoints = command(
+            "setpoints", "dispatch/setpoints", units.ids, "MW", sporadic=True, safe=tuple(units.p_min.tolist())
+        )
         state = joint_state("state", "fleet/state", units.ids, position="MW", effort="$/MWh")
         return (setpoints,), (state, scalars("total", "fleet/total", {"output": "MW", "cost": "$/h"}))
 

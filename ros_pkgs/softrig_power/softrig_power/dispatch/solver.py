@@ -47,8 +47,9 @@ class DispatchParams(SolverParams):
     nseg: int = param(4, "segments of a whole arch in the MILPs", ge=1, le=64)
     tol: float = param(1e-3, "gap to prove", "$/h", gt=0.0, le=1e6)
     mip_gap: float = param(1e-7, "relative gap at which the MILP of the two stages ends", ge=0.0, le=1.0)
-    time_limit: float = param(120.0, "wall-clock time of a solve; then the best so far with its true gap", "s",
-                              gt=0.0, le=86400.0)  # fmt: skip
+    time_limit: float = param(
+        120.0, "wall-clock time of a solve; then the best so far with its true gap", "s", gt=0.0, le=86400.0
+    )
     loss_table: str = param("", "table of B coefficients (a file or a package:// URI); empty: no losses")
     reserve: float = param(0.0, "spinning reserve asked for", "MW", ge=0.0, le=1e7)
     warm_start: bool = param(True, "begin with the last dispatch")
@@ -218,8 +219,9 @@ class DispatchSolver(Solver[DispatchParams]):
             return x, {}
         found = result.answer
         if found is None or isinstance(found, str):
-            self.report(Level.ERROR, "no dispatch", f"{found or 'no dispatch in time'}; the last set points stay",
-                        anew=True)  # fmt: skip
+            self.report(
+                Level.ERROR, "no dispatch", f"{found or 'no dispatch in time'}; the last set points stay", anew=True
+            )
             return x, {}
         for key in ("infeasible", "no dispatch", "NLP", "time limit"):  # what was wrong with an earlier demand is over
             self.withdraw(key)

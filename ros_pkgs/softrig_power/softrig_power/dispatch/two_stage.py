@@ -115,8 +115,7 @@ def milp(
     # rows: balance; one segment a unit; w_k - width z_k <= 0
     index = np.concatenate([np.column_stack([np.zeros(segments), 1 + owner, 1 + n + z]).ravel(),
                             np.column_stack([np.zeros(segments), 1 + n + z]).ravel()]).astype(np.int32)  # fmt: skip
-    value = np.concatenate([np.column_stack([left, np.ones(segments), -width]).ravel(),
-                            np.ones(2 * segments)])  # fmt: skip
+    value = np.concatenate([np.column_stack([left, np.ones(segments), -width]).ravel(), np.ones(2 * segments)])
     lp = highspy.HighsLp()
     lp.num_col_, lp.num_row_ = 2 * segments, 1 + n + segments
     lp.col_cost_ = np.concatenate([y0, slope])

@@ -110,8 +110,9 @@ class Units:
                     try:
                         values.append(float(row[column]))
                     except (TypeError, ValueError):
-                        raise TableError(f"{path.name}, line {number}, column {column}: {row[column]!r} is no number"
-                                         ) from None  # fmt: skip
+                        raise TableError(
+                            f"{path.name}, line {number}, column {column}: {row[column]!r} is no number"
+                        ) from None
                     if column in MORE and not values[-1] >= 0.0:
                         raise TableError(
                             f"{path.name}, line {number}, column {column}: {row[column]}, expected at least 0"

@@ -104,9 +104,7 @@ def trial_voltage(
             i_ahead += w[j] * i[ahead + j]
             u_behind += w[j] * u[behind - j]
             i_behind += w[j] * i[behind - j]
-        out[n] = scale * (
-            a * (u_ahead - plus * i_ahead) + b * (u_behind + back * i_behind) - shunt * u[k] - d * i[k]
-        )  # fmt: skip
+        out[n] = scale * (a * (u_ahead - plus * i_ahead) + b * (u_behind + back * i_behind) - shunt * u[k] - d * i[k])
 
 
 @jit

@@ -94,16 +94,19 @@ def to_bag(record: Record, path: Path) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="softrig locate", description="Locate a line fault from records of both ends.",
+        prog="softrig locate",
+        description="Locate a line fault from records of both ends.",
         epilog="The line's data must be told, by --line or all four by --set line.length=... --set line.r1=... --set "
         "line.l1=... --set line.c1=...",
-    )  # fmt: skip
+    )
     parser.add_argument("source", nargs="+", type=Path, metavar="FILE",
                         help="a bag, a COMTRADE .cfg with both ends, or two: end S, end R")  # fmt: skip
-    parser.add_argument("--line", metavar="FILE",
-                        help="YAML: length (km), r1 (ohm/km), l1 (H/km), c1 (F/km); or paper: Table I")  # fmt: skip
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
-                        help="parameters, see fault_locator")  # fmt: skip
+    parser.add_argument(
+        "--line", metavar="FILE", help="YAML: length (km), r1 (ohm/km), l1 (H/km), c1 (F/km); or paper: Table I"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="parameters, see fault_locator"
+    )
     parser.add_argument("--error", action="append", default=[], metavar="NAME=VALUE",
                         help="uncertainties: sync_us, ratio, reactance, resistance")  # fmt: skip
     parser.add_argument("--window", nargs=2, type=float, metavar=("START", "END"),

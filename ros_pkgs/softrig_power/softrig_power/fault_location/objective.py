@@ -77,9 +77,10 @@ class Objective:
         if self.count < 1 or self.first < room or self.first + self.count + room > len(record.samples):
             end = record.start + (len(record.samples) - 1) / rate
             raise RecordError(
-                Status.TOO_SHORT, f"too short: the record from {record.start:.6g} to {end:.6g} s does not cover the "
-                f"window from {p.window_start:g} to {p.window_end:g} s and {room / rate:.3g} s beyond it at both ends"
-            )  # fmt: skip
+                Status.TOO_SHORT,
+                f"too short: the record from {record.start:.6g} to {end:.6g} s does not cover the "
+                f"window from {p.window_start:g} to {p.window_end:g} s and {room / rate:.3g} s beyond it at both ends",
+            )
         groups = [record.group(name) for name in ("u_s", "i_s", "u_r", "i_r")]
         self._modal = [
             np.array([g[:, 0] * a + g[:, 1] * b + g[:, 2] * c for g in groups]) for a, b, c in AERIAL.tolist()
@@ -127,5 +128,4 @@ def check_travel(travel: float, rate: float, p: LocatorParams) -> str:
 
 
 def _passed(travel: float, rate: float, p: LocatorParams) -> str:
-    return (f"waves pass the line of {p.line.length:g} km in {travel:.3g} samples of {1e6 / rate:.4g} us, "
-            "expected")  # fmt: skip
+    return f"waves pass the line of {p.line.length:g} km in {travel:.3g} samples of {1e6 / rate:.4g} us, expected"

@@ -81,8 +81,9 @@ class FaultParams(Params):
 
     type: FaultType = param("AG", "faulted phases, with G connected to ground; none: no fault")
     x_km: float = param(50.0, "distance of the fault from bus S", "km", gt=0.0, le=3000.0)
-    rf_ohm: float = param(0.0, "resistance of each faulted phase to the star point, at least 1 mohm acts", "ohm",
-                          ge=0.0, le=1e6)  # fmt: skip
+    rf_ohm: float = param(
+        0.0, "resistance of each faulted phase to the star point, at least 1 mohm acts", "ohm", ge=0.0, le=1e6
+    )
     t_on: float = param(0.020, "all phases close", "s", gt=0.0, le=3600.0)
     t_off: float = param(0.040, "each phase opens at its next current zero after this", "s", gt=0.0, le=3600.0)
 
@@ -106,8 +107,9 @@ class MeasurementParams(Params):
     """Instrument transformers, anti-alias filter, sampling."""
 
     profile: Profile = param("m20k", "sampling rate; m: low-pass of order 4 at a fifth of it, raw: none")
-    noise_snr_db: float | None = param(None, "white noise, dB below the rms of each pre-fault channel; absent: none",
-                                       "dB", ge=-20.0, le=300.0)  # fmt: skip
+    noise_snr_db: float | None = param(
+        None, "white noise, dB below the rms of each pre-fault channel; absent: none", "dB", ge=-20.0, le=300.0
+    )
     seed: int = param(0, "of the noise, added to the seed of the run", ge=0, le=2**31 - 1)
     shift_us_r: float = param(0.0, "how late the clock of R samples, whole internal steps", "us", ge=-1000.0, le=1000.0)
     ratio_err: RatioParams = RatioParams()

@@ -68,12 +68,7 @@ class LinePlant(Plant[LinePlantParams]):
     the line is ours.
     """
 
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import FaultedLine
-
-        return FaultedLine
+    DRAWN_BY = "softrig_power.fault_location.drawing:FaultedLine"
 
     @classmethod
     def agreed(cls, params: LinePlantParams) -> Mapping[str, Any]:

@@ -121,9 +121,10 @@ class Record:
         keep_r = (t_r >= begin - room) & (t_r <= end + room)
         if min(np.count_nonzero(keep_s), np.count_nonzero(keep_r)) < 2:
             raise RecordError(
-                Status.UNSYNCHRONISED, f"unsynchronised: S lasts from {t_s[0]:.9g} to {t_s[-1]:.9g} s and R from "
-                f"{t_r[0]:.9g} to {t_r[-1]:.9g} s"
-            )  # fmt: skip
+                Status.UNSYNCHRONISED,
+                f"unsynchronised: S lasts from {t_s[0]:.9g} to {t_s[-1]:.9g} s and R from "
+                f"{t_r[0]:.9g} to {t_r[-1]:.9g} s",
+            )
         if np.count_nonzero(keep_s) == np.count_nonzero(keep_r):
             apart = (t_r[keep_r] - t_s[keep_s]) * rate_s
             if abs(apart.mean()) <= EXACT and np.abs(apart).max() <= SYNC:
@@ -157,9 +158,10 @@ class Record:
                 lost = np.setdiff1d(times[there], times[short])
                 if lost.size:
                     raise RecordError(
-                        Status.GAP, f"gap: {TOPICS[short]} has no message at {lost[0]:.9g} s, {TOPICS[there]} has"
-                        + (f" ({lost.size} such times)" if lost.size > 1 else "")
-                    )  # fmt: skip
+                        Status.GAP,
+                        f"gap: {TOPICS[short]} has no message at {lost[0]:.9g} s, {TOPICS[there]} has"
+                        + (f" ({lost.size} such times)" if lost.size > 1 else ""),
+                    )
         ends = [np.column_stack([x for g in pair for _, x in found[g]]) for pair in (("u_s", "i_s"), ("u_r", "i_r"))]
         return cls.from_ends(times["u_s"] - late[0], ends[0], times["u_r"] - late[1], ends[1])
 
@@ -199,9 +201,10 @@ def _rate(t: Array, where: str = "") -> float:
     for k in np.flatnonzero(np.abs(steps - usual) > SYNC * usual)[:1].tolist():
         if steps[k] < usual:
             raise RecordError(
-                Status.UNSYNCHRONISED, f"{where}unsynchronised: stamp {t[k + 1]:.9g} s follows {t[k]:.9g} s, "
-                f"expected {usual:.6g} s between them"
-            )  # fmt: skip
+                Status.UNSYNCHRONISED,
+                f"{where}unsynchronised: stamp {t[k + 1]:.9g} s follows {t[k]:.9g} s, "
+                f"expected {usual:.6g} s between them",
+            )
         raise RecordError(Status.GAP, f"{where}gap at {t[k] + usual:.9g} s: the next sample is at {t[k + 1]:.9g} s")
     return round((len(t) - 1) / float(t[-1] - t[0]), 3)
 

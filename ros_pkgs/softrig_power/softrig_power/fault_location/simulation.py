@@ -77,15 +77,14 @@ def advance(net: Network, chain: Chain, transform: Array, state: State, k: int, 
         for mode in range(3):
             node[mode] = -(history[mode, 1] + history[3 + mode, 0]) / (g[mode] + g[3 + mode])
         for ph in range(3):
-            open_circuit[ph] = (
-                transform[0, ph] * node[0] + transform[1, ph] * node[1] + transform[2, ph] * node[2]
-            )  # fmt: skip
+            open_circuit[ph] = transform[0, ph] * node[0] + transform[1, ph] * node[1] + transform[2, ph] * node[2]
         _fault(net, state, open_circuit, n)
         for mode in range(3):
             i = (
-                transform[mode, 0] * state.fault_current[0] + transform[mode, 1] * state.fault_current[1]
+                transform[mode, 0] * state.fault_current[0]
+                + transform[mode, 1] * state.fault_current[1]
                 + transform[mode, 2] * state.fault_current[2]
-            )  # fmt: skip
+            )
             u = node[mode] - i / (g[mode] + g[3 + mode])
             voltage[mode, 1] = u
             voltage[3 + mode, 0] = u
@@ -120,9 +119,10 @@ def _fault(net: Network, state: State, open_circuit: Array, n: int) -> None:
         changed = False
         for ph in range(3):
             i = (
-                net.closed[bits, ph, 0] * open_circuit[0] + net.closed[bits, ph, 1] * open_circuit[1]
+                net.closed[bits, ph, 0] * open_circuit[0]
+                + net.closed[bits, ph, 1] * open_circuit[1]
                 + net.closed[bits, ph, 2] * open_circuit[2]
-            )  # fmt: skip
+            )
             if n >= net.off and state.phase[ph] == 1 and i * state.fault_current[ph] <= 0.0:
                 state.phase[ph] = 2
                 state.opened[ph] = n * net.step
@@ -135,9 +135,10 @@ def _fault(net: Network, state: State, open_circuit: Array, n: int) -> None:
                 bits |= 1 << ph
     for ph in range(3):
         i = (
-            net.closed[bits, ph, 0] * open_circuit[0] + net.closed[bits, ph, 1] * open_circuit[1]
+            net.closed[bits, ph, 0] * open_circuit[0]
+            + net.closed[bits, ph, 1] * open_circuit[1]
             + net.closed[bits, ph, 2] * open_circuit[2]
-        )  # fmt: skip
+        )
         state.fault_current[ph] = i
         state.peak[ph] = max(state.peak[ph], abs(i))
 

@@ -134,8 +134,9 @@ def sensitivity(mode: str = "auto", processes: int | None = None) -> dict[str, l
     for snr in (60.0, 40.0, 30.0):
         rows += [
             (f"SNR {snr:g} dB, std", case, {"measurement.noise_snr_db": snr, "measurement.seed": seed}, {"mode": mode})
-            for case in SENSITIVITY for seed in range(NOISE_SEEDS)
-        ]  # fmt: skip
+            for case in SENSITIVITY
+            for seed in range(NOISE_SEEDS)
+        ]
     found = run([(case, rig, loc) for _, case, rig, loc in rows], processes)
     table: dict[str, dict[Case, list[float]]] = {}
     for (name, case, _, _), row in zip(rows, found, strict=True):

@@ -78,15 +78,9 @@ class GupfcPlant(Plant[GupfcPlantParams]):
     VSC-based GUPFC for Parallel Transmission Lines, 2020.
     """
 
+    DRAWN_BY = "softrig_power.gupfc.drawing:Gupfc"
     STALE_PERIODS: ClassVar[int] = 3
     AWAITS_COMMAND: ClassVar[bool] = True
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import Gupfc
-
-        return Gupfc
 
     @classmethod
     def agreed(cls, params: GupfcPlantParams) -> Mapping[str, Any]:
@@ -137,8 +131,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         v12, v34 = (0.0 if x.tripped else limit * math.sin(0.5 * c.sigma) for c in x.commands[1:])
         found: dict[str, tuple[float, ...]] = {name: (v.real, v.imag, 0.0) for name, v in vectors.items()}
         found["dc_link"] = (v_dc * self.p.network.dc_voltage,)
-        found["status"] = (s1.real, s1.imag, s2.real, s2.imag, abs(vectors["u1"]), v_dc, *seen.power.tolist(),
-                           v12, v34)  # fmt: skip
+        found["status"] = (s1.real, s1.imag, s2.real, s2.imag, abs(vectors["u1"]), v_dc, *seen.power.tolist(), v12, v34)
         if self.p.trace:
             shown = (rows.converter[1:, 0], rows.converter[1:, 1], rows.bus[1:, BUS1], rows.current[1:, I_SH])
             parts = np.column_stack([part for row in shown for part in (row.real, row.imag)])
@@ -170,10 +163,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         amplitude, angle, omega = command
         nominal = p.network.omega
         highest = math.pi * (1.0 + 1e-12) if k == 0 else MAGNITUDE_LIMIT
-        if (
-            0.0 <= amplitude <= highest
-            and FREQUENCY_LIMIT[0] * nominal <= omega <= FREQUENCY_LIMIT[1] * nominal
-        ):  # fmt: skip
+        if 0.0 <= amplitude <= highest and FREQUENCY_LIMIT[0] * nominal <= omega <= FREQUENCY_LIMIT[1] * nominal:
             v_dc = float(x.network.v_dc[0])
             return Command(amplitude if k == 0 else self._conduction(amplitude, max(v_dc, TRIP[0])), angle, omega)
         bad = last.bad + 1

@@ -41,6 +41,7 @@ SERIES_REFERENCE = {k: scalars("reference", f"series_{k}/reference", {"p": "pu",
 SHUNT_REFERENCE = scalars("reference", "shunt/reference", {"v": "pu"}, held=True)
 DC_LINK = scalars("dc_link", "dc_link", {"voltage": "V"})
 STATUS = scalars(
-    "status", "gupfc/status",
+    "status",
+    "gupfc/status",
     dict.fromkeys(("p1", "q1", "p2", "q2", "v1", "v_dc", "p_sh", "p12", "p34", "v12", "v34"), "pu"),
-)  # fmt: skip
+)

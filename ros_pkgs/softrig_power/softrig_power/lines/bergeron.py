@@ -112,9 +112,7 @@ def discrete_two_port(section: Section, omega: float, step: float) -> Complex:
     return section.bergeron_two_port(omega, delay_factor(section, omega, step))
 
 
-def steady_history(
-    prepared: Lines, voltages: Complex, currents: Complex, omega: float, step: float
-) -> Complex:  # fmt: skip
+def steady_history(prepared: Lines, voltages: Complex, currents: Complex, omega: float, step: float) -> Complex:
     """Fill the ring with the sinusoidal past.
 
     Parameters

@@ -69,14 +69,8 @@ class PvPlant(Plant[PvPlantParams]):
     Four MSX-60 modules of J. Farzaneh, A. Karsaz (2020).
     """
 
+    DRAWN_BY = "softrig_power.pv.drawing:PvString"
     STALE_PERIODS: ClassVar[int] = 200  # 0.2 s: five periods of a tracker at 25 Hz, not five of the sensors
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import PvString
-
-        return PvString
 
     @classmethod
     def agreed(cls, params: PvPlantParams) -> Mapping[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, executable, param, to_ns
@@ -145,16 +145,10 @@ class RectifierPlant(Plant[RectifierPlantParams]):
     switches stay off, the diodes carry on.
     """
 
+    DRAWN_BY = "softrig_power.rectifier.drawing:Rectifier"
     TRIPS = frozenset({"collapse"})
     STALE_PERIODS = 20  # realtime: an older command is replaced by 0
     LATE_PERIODS = 5  # older than this it is held with a warning
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import Rectifier
-
-        return Rectifier
 
     @classmethod
     def ports(cls, params: RectifierPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -89,9 +89,7 @@ class Adsmc:
             step = big_sigma - sigma_before
             new = f_hat + self._gamma * step
             mu1, mu2, mu3, mu4 = self._mu
-            v += qdd_d - qdd_before + self._k * step + T * (
-                mu1 * (qdd_d - v) + mu2 * ed + mu3 * e + mu4 * e_int + new
-            )  # fmt: skip
+            v += qdd_d - qdd_before + self._k * step + T * (mu1 * (qdd_d - v) + mu2 * ed + mu3 * e + mu4 * e_int + new)
             top = self._v_max
             if -top <= v <= top or step * v <= 0.0 or self._adapt_at_limit:
                 f_hat = new

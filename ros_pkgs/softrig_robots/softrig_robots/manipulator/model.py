@@ -44,8 +44,9 @@ class Links(Params):
             if len(values) != size:
                 raise ValueError(f"links.{name} has {len(values)} values, expected {size} for {n} links")
         for i in range(n):
-            check_inertia(f"links.mass[{i}]", self.mass[i], f"links.inertia of link {i + 1}",
-                          self.inertia[3 * i : 3 * i + 3])  # fmt: skip
+            check_inertia(
+                f"links.mass[{i}]", self.mass[i], f"links.inertia of link {i + 1}", self.inertia[3 * i : 3 * i + 3]
+            )
         return self
 
 

@@ -34,9 +34,10 @@ class TrajectorySource(Block[TrajectoryParams]):
     def ports(cls, params: TrajectoryParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """One output, no input."""
         return (), (
-            reference("reference", "reference", params.joints, position="rad", velocity="rad/s",
-                      acceleration="rad/s^2"),
-        )  # fmt: skip
+            reference(
+                "reference", "reference", params.joints, position="rad", velocity="rad/s", acceleration="rad/s^2"
+            ),
+        )
 
     def setup(self) -> None:
         """Spread the amplitudes."""

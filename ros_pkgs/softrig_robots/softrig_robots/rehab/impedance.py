@@ -42,8 +42,9 @@ class ImpedanceParams(BlockParams):
     stiffness: PerJoint = param((100.0,), "desired stiffness K_d", "N m/rad", live=True)
     length: tuple[float, float] = param((0.5, 0.45), "lengths l_i of thigh and shank", "m")
     force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0, live=True)
-    stale_after: int = param(20, "periods without a new force or reference after which it counts as lost", ge=1,
-                             le=1000000, live=True)  # fmt: skip
+    stale_after: int = param(
+        20, "periods without a new force or reference after which it counts as lost", ge=1, le=1000000, live=True
+    )
 
     @model_validator(mode="after")
     def _possible(self) -> Self:

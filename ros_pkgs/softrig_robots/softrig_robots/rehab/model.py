@@ -27,18 +27,19 @@ class Segments(Params):
 
     mass: tuple[float, float] = param((5.5, 5.0), "masses m_i", "kg", each=(0.0, 1e4))
     length: tuple[float, float] = param((0.5, 0.45), "lengths l_i", "m", each=(0.0, 100.0))
-    center: tuple[float, float] = param((0.45, 0.40), "distances d_i from the joint to the centre of mass", "m",
-                                        each=(0.0, 100.0))  # fmt: skip
-    inertia: tuple[float, float] = param((0.25, 0.20), "moments of inertia I_i about the centre of mass", "kg m^2",
-                                         each=(0.0, 1e6))  # fmt: skip
+    center: tuple[float, float] = param(
+        (0.45, 0.40), "distances d_i from the joint to the centre of mass", "m", each=(0.0, 100.0)
+    )
+    inertia: tuple[float, float] = param(
+        (0.25, 0.20), "moments of inertia I_i about the centre of mass", "kg m^2", each=(0.0, 1e6)
+    )
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
         require_positive("segments.length", self.length)
         require_positive("segments.center", self.center, or_zero=True)
         for i in range(2):
-            check_inertia(f"segments.mass[{i}]", self.mass[i], f"segments.inertia[{i}] as a rod",
-                          rod(self.inertia[i]))  # fmt: skip
+            check_inertia(f"segments.mass[{i}]", self.mass[i], f"segments.inertia[{i}] as a rod", rod(self.inertia[i]))
         return self
 
 
@@ -57,8 +58,9 @@ def rod(inertia: float) -> tuple[float, float, float]:
     return (inertia, inertia, 0.1 * inertia)
 
 
-def rehab_urdf(segments: Segments | None = None, lower: tuple[float, ...] = LOWER,
-               upper: tuple[float, ...] = UPPER) -> str:  # fmt: skip
+def rehab_urdf(
+    segments: Segments | None = None, lower: tuple[float, ...] = LOWER, upper: tuple[float, ...] = UPPER
+) -> str:
     """Write the leg as URDF: joints turn about -y, z is up, the last frame is called ``foot``.
 
     Parameters

@@ -26,8 +26,9 @@ class PatientParams(BlockParams):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if self.begin + self.duration > self.cycle:
-            raise ValueError(f"begin = {self.begin:g} s and duration = {self.duration:g} s do not fit into "
-                             f"cycle = {self.cycle:g} s")  # fmt: skip
+            raise ValueError(
+                f"begin = {self.begin:g} s and duration = {self.duration:g} s do not fit into cycle = {self.cycle:g} s"
+            )
         return self
 
 

@@ -40,8 +40,9 @@ class TorqueWindow(Params):
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         if self.begin > self.end:
-            raise ValueError(f"disturbance.begin = {self.begin:g} s and disturbance.end = {self.end:g} s: expected "
-                             "begin <= end")  # fmt: skip
+            raise ValueError(
+                f"disturbance.begin = {self.begin:g} s and disturbance.end = {self.end:g} s: expected begin <= end"
+            )
         return self
 
 

@@ -40,9 +40,7 @@ class PromReferenceParams(BlockParams):
 class PromReference(Block[PromReferenceParams]):
     """Publishes positions, velocities and accelerations at every tick."""
 
-    OUTPUTS = (
-        reference("reference", "reference", JOINTS, position="rad", velocity="rad/s", acceleration="rad/s^2"),
-    )  # fmt: skip
+    OUTPUTS = (reference("reference", "reference", JOINTS, position="rad", velocity="rad/s", acceleration="rad/s^2"),)
 
     def setup(self) -> None:
         """Derive range and width of each joint."""

@@ -121,8 +121,9 @@ def _loops(T: float, robot: LinearRobot) -> list[tuple[Array, Array]]:
     return [_sampled(q1, q2, T, robot, *end) for end in sorted(ends) for q1 in angles[0] for q2 in angles[1]]
 
 
-def _sampled(q1: float, q2: float, T: float, robot: LinearRobot, resistance: float, constants: float
-             ) -> tuple[Array, Array]:  # fmt: skip
+def _sampled(
+    q1: float, q2: float, T: float, robot: LinearRobot, resistance: float, constants: float
+) -> tuple[Array, Array]:
     """State (q, q', I) and input V of the robot around a pose at rest, sampled; R and constants are multiplied."""
     s = robot.segments
     motors = {k: np.array(v) for k, v in robot.motors.table(2).items()}

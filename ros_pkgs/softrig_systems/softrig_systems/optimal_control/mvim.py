@@ -209,8 +209,9 @@ def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: f
     T = problem.horizon
     found, error = newton(problem, alpha, order, stages, T, accurate)
     if 1 < order <= LOW and not (error <= accurate and _moved(found, alpha) <= NEAR):
-        roots = distinct(alpha, found, error, accurate,
-                         lambda start: newton(problem, start, order, stages, T, accurate, 4, 16))  # fmt: skip
+        roots = distinct(
+            alpha, found, error, accurate, lambda start: newton(problem, start, order, stages, T, accurate, 4, 16)
+        )
         if roots:
             several = best(
                 problem, roots, lambda root: _series(problem, root, order, stages),

@@ -54,14 +54,8 @@ class OcpPlant(Plant[P]):
     ends the run. Its state is the problem's, by its names; with velocities also the command `applied` until now.
     """
 
+    DRAWN_BY = "softrig_systems.optimal_control.drawing:OptimalControl"
     AWAITS_COMMAND: ClassVar[bool] = True
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import OptimalControl
-
-        return OptimalControl
 
     @classmethod
     def agreed(cls, params: OcpPlantParams) -> Mapping[str, Any]:
@@ -124,12 +118,7 @@ class ScalarPlant(OcpPlant[ScalarPlantParams]):
 class SpacecraftPlant(OcpPlant):
     r"""Rates of a rigid spacecraft, :math:`I_1 \dot w_1 = (I_2 - I_3) w_2 w_3 + u_1`, cyclic."""
 
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import Spacecraft
-
-        return Spacecraft
+    DRAWN_BY = "softrig_systems.optimal_control.drawing:Spacecraft"
 
     def markers(self, x: Any) -> tuple[Marker, ...]:
         """Draw the momentum vector I w in axes of the body, 1 m for 1 kg m^2/s, and a ball at its tip."""

@@ -157,8 +157,9 @@ class Problem:
         )
         found = solver.solve()
         x = np.array(found.x)
-        return Solution(str(found.status), float(x[-1]), self._take_apart(x), time.perf_counter() - begin,
-                        int(found.iterations))  # fmt: skip
+        return Solution(
+            str(found.status), float(x[-1]), self._take_apart(x), time.perf_counter() - begin, int(found.iterations)
+        )
 
     def _coefficients(self, inequality: Inequality) -> dict[str, Array]:
         """Give, for each unknown, the matrix from its free entries to the scaled upper triangle of the inequality."""

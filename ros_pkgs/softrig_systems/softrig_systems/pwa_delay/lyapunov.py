@@ -168,8 +168,9 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
     def _take(self, matrices: tuple[float, ...], h: float) -> State:
         m = round(h / self.p.period)
         if m < SAMPLES:
-            self.report(Level.ERROR, "coarse", f"period {self.p.period:g} s: expected at most h/{SAMPLES} = "
-                        f"{h / SAMPLES:.3g} s")  # fmt: skip
+            self.report(
+                Level.ERROR, "coarse", f"period {self.p.period:g} s: expected at most h/{SAMPLES} = {h / SAMPLES:.3g} s"
+            )
             return State(Certificate(matrices))
         return State(Certificate(matrices, m, self.p.unpad(matrices)))
 

@@ -166,8 +166,9 @@ def pendulum_slopes(t: float, x: Array, past: Trajectory, p: PendulumConstants, 
     dx[2] = 0.0
 
 
-def located(rhs: Callable[..., None], cell_of: Callable[..., int],
-            limit: Callable[..., None] | None = None) -> Callable[..., int]:  # fmt: skip
+def located(
+    rhs: Callable[..., None], cell_of: Callable[..., int], limit: Callable[..., None] | None = None
+) -> Callable[..., int]:
     """Make the native loop of steps whose switches are located.
 
     Parameters
@@ -187,6 +188,13 @@ def located(rhs: Callable[..., None], cell_of: Callable[..., int],
     advance = integrator(rhs, limit)
 
     @jit
+    def cell_at(t: float, x: Array, past: Trajectory, p: Any) -> int:
+        """Cell of the state that the past had at t, which is written into x."""
+        for j in range(x.shape[0]):
+            x[j] = delayed(past, t, j)
+        return cell_of(t, x, past, p)
+
+    @jit
     def run(past: Trajectory, t: float, x: Array, h: float, n: int, p: Any, norms: Array) -> int:
         switches = 0
         start, probe = x.copy(), x.copy()
@@ -195,8 +203,7 @@ def located(rhs: Callable[..., None], cell_of: Callable[..., int],
             p.cell[0] = cell_of(t, x, past, p)
         for step in range(n):
             now, end = t + step * h, t + (step + 1) * h
-            for j in range(width):
-                start[j] = x[j]
+            start[:] = x
             found = 0
             while True:
                 advance(past, now, x, end - now, 1, p)
@@ -210,23 +217,17 @@ def located(rhs: Callable[..., None], cell_of: Callable[..., int],
                 low, high = now, end
                 for _ in range(BISECTIONS):
                     middle = 0.5 * (low + high)
-                    for j in range(width):
-                        probe[j] = delayed(past, middle, j)
-                    if cell_of(middle, probe, past, p) == p.cell[0]:
+                    if cell_at(middle, probe, past, p) == p.cell[0]:
                         low = middle
                     else:
                         high = middle
-                for j in range(width):
-                    probe[j] = delayed(past, high, j)
-                after = cell_of(high, probe, past, p)
+                after = cell_at(high, probe, past, p)
                 past.meta[0] -= 1  # back to the begin of the step, and up to the switch
-                for j in range(width):
-                    x[j] = start[j]
+                x[:] = start
                 if high - now > 1e-6 * h:
                     advance(past, now, x, high - now, 1, p)
                     now = high
-                    for j in range(width):
-                        start[j] = x[j]
+                    start[:] = x
                 p.cell[0] = after
                 if end - now <= 1e-6 * h:
                     break

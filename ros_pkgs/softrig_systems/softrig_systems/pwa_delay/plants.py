@@ -24,7 +24,7 @@ from .motion import (
     run_pwa,
     run_tank,
     tank_cell,
-)  # fmt: skip
+)
 from .params import DelayParams, SystemParams, law_of_the_tank
 from .ports import INFLOW, LEVEL, PENDULUM, TORQUE, mode, state
 from .profiles import Delay, Profile, delay_at
@@ -122,15 +122,9 @@ class SwitchedDelayPlantParams(SystemParams, DelayPlantParams):
 class SwitchedDelayPlant(DelayPlant[SwitchedDelayPlantParams]):
     """x' = A_i x + Ad_i x(t - d) + a_i, any piecewise affine system whose cells come from lines."""
 
+    DRAWN_BY = "softrig_core.drawing.state_plane:StatePlane"
     loop = run_pwa
     cell_of = pwa_cell
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from softrig_core.drawing.state_plane import StatePlane
-
-        return StatePlane
 
     @classmethod
     def agreed(cls, params: SwitchedDelayPlantParams) -> Mapping[str, Any]:
@@ -183,18 +177,12 @@ class TankPlant(DelayPlant[TankPlantParams]):
     these.
     """
 
+    DRAWN_BY = "softrig_systems.pwa_delay.drawing:Tank"
     INPUTS = (INFLOW,)
     OUTPUTS = (LEVEL, mode("tank/mode"))
     SHOWN = "level"
     loop = run_tank
     cell_of = tank_cell
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import Tank
-
-        return Tank
 
     def names(self) -> Sequence[str]:
         """The level, in the unit of the paper."""
@@ -238,17 +226,11 @@ class PendulumPlantParams(DelayPlantParams):
 class PendulumPlant(DelayPlant[PendulumPlantParams]):
     """theta'' = a theta + u, a = -0.825 or -0.4875 by the sign of theta; or theta'' = -sin(theta) + u (per M L^2)."""
 
+    DRAWN_BY = "softrig_systems.pwa_delay.drawing:Pendulum"
     INPUTS = (TORQUE,)
     OUTPUTS = (PENDULUM, mode("pendulum/mode"))
     loop = run_pendulum
     cell_of = pendulum_cell
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import Pendulum
-
-        return Pendulum
 
     def names(self) -> Sequence[str]:
         """Angle (rad) and speed (rad/s)."""

@@ -82,8 +82,9 @@ def growth_rate(run: Run) -> float:
     peak = np.flatnonzero((x[1:-1] >= x[:-2]) & (x[1:-1] > x[2:])) + 1
     peak = peak[x[peak] > 0.0]
     if peak.size < 3:
-        raise ValueError(f"{peak.size} maxima in {np.ptp(t) if t.size else 0.0:g} s: the run is too short for a growth "
-                         "rate")  # fmt: skip
+        raise ValueError(
+            f"{peak.size} maxima in {np.ptp(t) if t.size else 0.0:g} s: the run is too short for a growth rate"
+        )
     return float(np.polyfit(t[peak], np.log(x[peak]), 1)[0])
 
 
@@ -120,8 +121,9 @@ def find_margin(
             break
     if not at_low < 0.0 < at_high or at_low == -math.inf:
         first, last = next(iter(found.items())), next(reversed(found.items()))
-        raise ValueError(f"growth {first[1]:.3g} 1/s at {first[0]:g} s and {last[1]:.3g} 1/s at {last[0]:g} s: no "
-                         "margin between")  # fmt: skip
+        raise ValueError(
+            f"growth {first[1]:.3g} 1/s at {first[0]:g} s and {last[1]:.3g} 1/s at {last[0]:g} s: no margin between"
+        )
     low, high = list(found)[-2:]
     h = before = low
     side = 0

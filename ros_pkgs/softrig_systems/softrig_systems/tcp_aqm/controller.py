@@ -37,8 +37,9 @@ class AqmControllerParams(Gains, Bottleneck, BlockParams):
             raise ValueError(f"set_point = {self.set_point:g}: expected less than q_max = {self.q_max:g} packets")
         longest = self.q_max / self.C + self.tau_p
         if self.history < longest:
-            raise ValueError(f"history = {self.history:g} s is shorter than the longest delay q_max/C + tau_p = "
-                             f"{longest:g} s")  # fmt: skip
+            raise ValueError(
+                f"history = {self.history:g} s is shorter than the longest delay q_max/C + tau_p = {longest:g} s"
+            )
         return self
 
 

@@ -56,8 +56,9 @@ class Bottleneck(Drawing):
         if self.wanted.name:
             pen.line([(x, self.Y - 12), (x, self.Y + self.HEIGHT + 12)], "reference", 2.0, dashed=True)
         pen.arrow((self.LEFT + self.WIDTH, middle), (610, middle), "line", 3.0, 12.0)
-        pen.text((614, middle - 14), f"{self.capacity(row):.0f} {self.capacity.unit or 'packet/s'}", "muted",
-                 anchor="end")  # fmt: skip
+        pen.text(
+            (614, middle - 14), f"{self.capacity(row):.0f} {self.capacity.unit or 'packet/s'}", "muted", anchor="end"
+        )
         pen.text((self.LEFT, self.Y - 18), "Queue", "muted")
         pen.text((self.LEFT + self.WIDTH, self.Y - 18), self.queue.said(row), "accent", 15.0, "end")
         pen.text((30, 246), f"Queue of the last {self.trail:g} s, 0 to {self.full:.0f} {self.queue.unit}", "muted")

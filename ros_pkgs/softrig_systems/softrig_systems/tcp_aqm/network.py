@@ -81,14 +81,8 @@ class Network(Plant[P]):
     What it remembers has the fields `step`, the number of internal steps so far, and `net`, a `Net`.
     """
 
+    DRAWN_BY = "softrig_systems.tcp_aqm.drawing:Bottleneck"
     OUTPUTS = (STATE, TRUTH)
-
-    @classmethod
-    def drawing(cls) -> Any:
-        """Give what draws it."""
-        from .drawing import Bottleneck
-
-        return Bottleneck
 
     @classmethod
     def agreed(cls, params: NetworkParams) -> Mapping[str, Any]:

@@ -80,8 +80,9 @@ class TcpPackets(Network[TcpPacketsParams]):
         spread = 1.0 + p.spread * (2.0 * draw.random(most) - 1.0)
         active = np.zeros(most, np.int64)
         active[: p.N] = 1
-        sources = Sources(np.full(most, p.w0), np.zeros(most, np.int64), p.tau_p * spread, np.full(most, -1.0), active,
-                          spread)  # fmt: skip
+        sources = Sources(
+            np.full(most, p.w0), np.zeros(most, np.int64), p.tau_p * spread, np.full(most, -1.0), active, spread
+        )
         events = most * (int(p.w_max) + 1) + room + 4
         agenda = Agenda(np.zeros(events), np.zeros(events, np.int64), np.zeros(events, np.int64),
                         np.zeros(events, np.int64), np.zeros(events))  # fmt: skip

@@ -1,0 +1,241 @@
+"""A rig in the process of its page: a `Session` that goes on at a pace, is held, stepped, tuned, and goes back."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import yaml
+from softrig_core import Recording, Rig, Run, RunError, ScenarioError, Session
+from softrig_core.block.params import flatten
+from softrig_core.guard import say
+from softrig_core.processes.placement import Placement
+from softrig_core.processes.stopping import signal_of, unstopped
+from softrig_core.run.branch import branched
+from softrig_core.timebase import SECOND
+from softrig_core.wire.parameter_event import recorded
+
+from ..folder import ResultsFolder
+from ..run.run import gaps, status_of
+from .control import Answer, Control
+from .page import FRAME
+from .serve import Pages, new_token
+from .sources import Growing, Turned
+
+SLICE = 0.05  # s that ticks take before the page has its turn
+REST = 0.01  # s between two looks at the wall clock, where ticks wait for it
+BEHIND = 0.25  # s by which the run may be late and still catch up; what is beyond is forgotten
+
+Conclude = Callable[[Run, ResultsFolder], int]
+
+
+class Here(Growing):
+    """A session as a page shows it.
+
+    Parameters
+    ----------
+    session : Session
+    held : bool
+        From the start.
+    pace : float
+        Simulated by wall-clock time; 0: as fast as it goes.
+
+    Attributes
+    ----------
+    control : Control
+    branched : list of (float, float, str, dict)
+        Where it went back: to when, from when (s), the folder of what was left or, if it had not ended and somebody had
+        tuned it there, its scenario.
+    """
+
+    def __init__(self, session: Session, held: bool, pace: float) -> None:
+        super().__init__(session.rig)
+        self.session = session
+        self._pace = pace
+        self._mark: tuple[float, float] | None = None  # s of the wall and of the run, which the pace counts from
+        self._seen: Counter[str] = Counter()  # messages by topic
+        self.branched: list[tuple[float, float, str, dict[str, Any]]] = []
+        self._folder = ""  # of the newest run that has ended
+        self.control = Control(session.rig, self._ask, lambda: self.end, lambda: self.outcome, held, pace)
+        self.control.buttons.clear()  # a press is a message from outside, for which a session has no place
+        self.control.back = self.back
+        session.step()
+        self.look()
+
+    # what the page asks for ----------------------------------------------------------------------------------------
+
+    def _ask(self, request: Mapping[str, Any], answered: Answer) -> None:
+        try:
+            answered(True, self._do(**request))
+        except ScenarioError as error:
+            answered(False, str(error))
+
+    def _do(self, node: str, set: Mapping[str, Any] | None = None, call: str = "") -> str:
+        if set is not None and "run.pace" in set:
+            self._pace, self._mark = set["run.pace"], None
+        elif set is not None:
+            self.session.set({f"{node}.{name}": value for name, value in set.items()})
+        elif call == "step":
+            if not self.control.held:
+                raise ScenarioError("it runs: pause it first")
+            self._step()
+            return "one step"
+        self._mark = None
+        return {"pause": "paused", "resume": "goes on"}.get(call, "")
+
+    def back(self, t: float) -> str:
+        """Go back to a time (s) and stay there, the knobs as they are turned."""
+        session, before = self.session, self.session.t
+        changes = branched(session.rig, session.recording, self.end, {})
+        turned = session.rewind(t)
+        session.set(turned)
+        left = {}
+        if turned and not self.outcome:  # nothing is expected of a run that was tuned
+            left = session.rig.scenario.having(changes=changes).model_dump(
+                mode="json", exclude_defaults=True, exclude={"name", "expect", "claims", "requirements"}
+            )
+        self.branched.append((session.t, before, self._folder if self.outcome else "", left))
+        self.outcome, self.results, self.control.held = "", [], True
+        self._tracks, self._newest = {topic: type(track)() for topic, track in self._tracks.items()}, {}
+        self._seen.clear()
+        self.look()
+        for knob in self.control.knobs.values():
+            known = flatten(session.steps[knob.node].params)[knob.name]
+            knob.value = turned.get(knob.key, known)
+        return f"back to {session.t:.9g} s from {before:.9g} s: what is turned holds from there on"
+
+    def finish(self, outcome: str, folder: Path | None) -> None:
+        """Note that the run is over, and what it has brought."""
+        super().finish(outcome, folder)
+        self._folder = str(folder)
+        self.control.say("the run", outcome)
+
+    def written(self, folder: Path) -> list[dict[str, Any]]:
+        """Say where it went back, as `Run.branched`; what keeps the branches that were left is written."""
+        found = []
+        for k, (at, before, left, scenario) in enumerate(self.branched, 1):
+            if scenario:
+                left = f"left_{k}.yaml"
+                (folder / left).write_text(yaml.safe_dump(scenario, sort_keys=False, width=110))
+            found.append({"at_s": at, "from_s": before, "left": left})
+        self.branched = []
+        return found
+
+    # ticks ---------------------------------------------------------------------------------------------------------
+
+    def turn(self) -> float:
+        """Take the ticks that are due, for a while; gives how long the next ones may wait, s."""
+        session, until = self.session, time.monotonic() + SLICE
+        while not session.over and not self.control.held:
+            now = time.monotonic()
+            if self._pace:
+                since, first = self._mark = self._mark or (now, session.t)
+                reached = first + (now - since) * self._pace
+                if session.t > reached:
+                    return REST
+                if reached - session.t > BEHIND * self._pace:
+                    self._mark = now, session.t
+            if now > until:
+                return 0.0
+            self._step()
+        return REST
+
+    def _step(self) -> None:
+        with suppress(RunError):  # the session is over then, and says why
+            self.session.step()
+
+    def look(self) -> None:
+        """Take over what is recorded."""
+        session = self.session
+        part = Recording(())
+        for name, topic in session.recording.topics.items():
+            part.topics[name] = topic.since(self._seen[name])
+            self._seen[name] += len(part.topics[name].times)
+        self.take(part)
+        found: list[Turned] = [(t / SECOND, node, values) for t, node, values in recorded(session.recording)]
+        for change in found:
+            if change not in self.changes:
+                self.control.took_effect(*change)
+        self.changes = found
+        self.status = {
+            name: {"state": "failed" if session.error else "done" if session.over else "running",
+                   "ticks": step.t // step.schedule.time(1), **status_of(step)}
+            for name, step in session.steps.items()
+        }  # fmt: skip
+
+
+def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, conclude: Conclude) -> int:
+    """Show a rig that runs in this process, until it is over and nobody looks any more, or Ctrl-C.
+
+    A run that has ended stays as it was written: what goes back from it goes to a folder beside.
+
+    Parameters
+    ----------
+    rig : Rig
+    placement : Placement
+    address : str
+        ``host:port``.
+    folder : ResultsFolder
+        Held, for the first run.
+    conclude : callable
+        Writes a run into a folder and judges it; gives the exit status.
+    """
+    from tornado.ioloop import IOLoop, PeriodicCallback
+
+    started = time.perf_counter()
+    source = Here(Session(rig), placement.paused, placement.pace)
+    session, loop = source.session, IOLoop.current()
+    pages = Pages(source, source.control, str(placement), address, new_token(), loop)
+    say(f"the page is {pages.url}")
+    status, ended = 0, False
+
+    def end(stopped: int = 0) -> None:
+        nonlocal status, ended
+        place = _beside(folder.path) if ended else folder
+        with unstopped(), place.keeping():
+            source.look()
+            run = session.run
+            run.mode, run.wall_s, run.stopped = str(placement), time.perf_counter() - started, stopped
+            run.status, run.branched = source.status, source.written(place.path)
+            run.error = run.error or ("" if stopped else gaps(rig, run.recording))
+            status = conclude(run, place)
+            ended = True
+            source.finish(f"broke: {run.error}" if run.error else run.stopped_at or "ended", place.path)
+
+    def turn() -> None:
+        rest = source.turn()
+        if session.over and not source.outcome:
+            end()
+        loop.call_later(rest, turn)
+
+    def look() -> None:
+        if not source.outcome:
+            source.look()
+        pages.measure()
+        if pages.left() and source.outcome:
+            loop.stop()
+
+    PeriodicCallback(look, FRAME).start()
+    loop.add_callback(turn)
+    try:
+        loop.start()
+    except KeyboardInterrupt as interrupt:
+        if not source.outcome and not (ended and session.t == source.branched[-1][0]):
+            end(signal_of(interrupt))
+    finally:
+        pages.close()
+    return status
+
+
+def _beside(path: Path) -> ResultsFolder:
+    """Give a folder of its own for what went back from the run in this one."""
+    number = 2
+    while (place := path.with_name(f"{path.name}-{number}")).exists():
+        number += 1
+    folder = ResultsFolder(place)
+    folder.clear()
+    return folder

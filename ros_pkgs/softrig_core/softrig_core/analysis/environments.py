@@ -1,0 +1,359 @@
+"""Many environments of one rig, moved on by one call of native code."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from copy import copy
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from ..block.port import Sample
+from ..block.schedule import Schedule
+from ..block.step import Step
+from ..native.batch_text import Form, batch_text, remembered
+from ..native.compile import compiled
+from ..native.engine import NATIVE, answered, forbidden
+from ..native.rig_text import Place, RigText, _source, taken
+from ..native.translate import follow
+from ..native.twins import form, unpacked
+from ..native.value import NotNative
+from ..rig.rig import Rig
+from ..timebase import SECOND
+from .environment import Now, RigEnv
+
+DRAWS = 4096  # random numbers of each instance at first
+TRIES = 3  # texts
+
+
+class Columns(Now):
+    """The newest values of each signal of all instances, arrays of shape (instances,), by name."""
+
+    def __init__(self, rig: Rig) -> None:
+        super().__init__(rig)
+        self.rows: NDArray[np.float64] = np.empty((0, 0))
+        self.first: dict[str, int] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        """Give the newest values of a signal, NaN where nothing has come yet, or a shared number."""
+        if name in self._shared[0]:
+            return self._shared[0][name]
+        topic, k = self._known[self.whole(name)]
+        return self.rows[self.first[topic] + k]
+
+
+class RigVectorEnv(VectorEnv[Any, Any, Any]):
+    """Instances of one rig as environments, each one what `RigEnv` alone is, bit for bit.
+
+    An instance that has begun an episode is moved on by native code, all of them by one call; where that gives one up,
+    and at the first and the last step of an episode, Python moves that one on. One that has ended is begun anew by the
+    next step (``AutoresetMode.NEXT_STEP``).
+
+    Parameters
+    ----------
+    what, replace
+        See `RigEnv`.
+    num_envs : int
+    reward : callable
+        Gets the newest values by name, arrays of shape (num_envs,); gives all rewards: ``numpy.maximum``, not ``max``.
+    make : callable
+        Makes the function of a text.
+    penalty : float
+        See `RigEnv`.
+    **keys
+        Those of `RigEnv`, but `record`.
+
+    Attributes
+    ----------
+    envs : list of RigEnv
+    native : int
+        Steps of instances that native code has made.
+    reason : str
+        Why it makes none, or gave up the newest text; empty where it goes.
+
+    Examples
+    --------
+    >>> envs = RigVectorEnv("induction_dtc", "dtc_controller", num_envs=256, reward=lambda now: -abs(now["speed"]))
+    """
+
+    def __init__(
+        self, what: Any, replace: str, *, num_envs: int = 1, reward: Callable[[Mapping[str, Any]], Any],
+        penalty: float = 0.0, make: Callable[[RigText], Callable[..., Any]] = compiled, **keys: Any,
+    ) -> None:  # fmt: skip
+        first = RigEnv(what, replace, reward=_nothing, **keys)
+        self.envs = [first, *(copy(first) for _ in range(num_envs - 1))]
+        for env in self.envs:
+            env._blocks = {}
+        self.num_envs, self._reward, self._penalty, self._make = num_envs, reward, penalty, make
+        self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+        self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.native, self.reason = 0, forbidden()
+        self.now = Columns(first.rig)
+        self._tries = TRIES
+        self._text: RigText | None = None
+        self._ended = np.zeros(num_envs, np.bool_)
+        self._before: list[Any] = [None] * num_envs  # of those in Python: what they remember before the agent's tick
+        self._k = np.full(num_envs, -1)  # ticks of those that are native
+        self._fits = np.zeros(num_envs, np.bool_)  # whether the text is for them
+        self._t = np.zeros(num_envs)
+        self._last = 0  # tick from which on a step is the last
+
+    # Gymnasium's own ----------------------------------------------------------------------------------------------
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode in all of them.
+
+        Parameters
+        ----------
+        seed : int or sequence of (int or None), optional
+            Of the first, the next one has seed + 1; or one each.
+        options : dict, optional
+            None are known.
+        """
+        many = isinstance(seed, int | np.integer) and [int(seed) + j for j in range(self.num_envs)]
+        seeds = many or (seed or [None] * self.num_envs)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"{len(seeds)} seeds, expected {self.num_envs}")
+        self._ended[:] = False
+        self._k[:] = -1
+        found = [self._begun(j, each) for j, each in enumerate(seeds)]
+        return np.array(found), self._info({})
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Let the actions count until the agents' next ticks.
+
+        Parameters
+        ----------
+        actions : array, shape (num_envs, actions)
+
+        Raises
+        ------
+        ValueError
+            Another shape, a value or a reward that is not finite.
+        """
+        given = np.ascontiguousarray(actions, np.float64)
+        if given.shape != self.action_space.shape or not np.isfinite(given).all():
+            raise ValueError(f"expected actions of {self.action_space.shape} finite numbers, got {actions!r}")
+        terminated, truncated = np.zeros((2, self.num_envs), np.bool_)
+        errors: dict[int, str] = {}
+        late: dict[int, Any] = {}
+
+        def by_python(j: int) -> None:
+            self._loaded(j)
+            late[j], _, terminated[j], truncated[j], info = self.envs[j].step(given[j])
+            if terminated[j]:
+                errors[j] = info["error"]
+            self._told(j)
+
+        begun = self._ended
+        for j in np.flatnonzero(begun).tolist():
+            late[j] = self._begun(j, None)
+        for j in np.flatnonzero(~begun & ((self._k < 0) | (self._k >= self._last))).tolist():
+            by_python(j)
+        if self._text is not None and len(late) < self.num_envs:
+            self._moved(given, by_python)
+        observed = np.empty((self.num_envs, len(self.envs[0]._held)))
+        for column, place in enumerate(self._observes if len(late) < self.num_envs else ()):
+            observed[:, column] = self.now.rows[place] if type(place) is Place else place
+        for j, row in late.items():
+            observed[j] = row
+        for j in late:
+            if not (begun[j] or terminated[j] or truncated[j]):
+                self._packed(j)
+        rewards = np.array(np.broadcast_to(self._reward(self.now), (self.num_envs,)), np.float64)
+        rewards[terminated] += self._penalty
+        rewards[begun] = 0.0
+        if not np.isfinite(rewards).all():
+            worst = int(np.argmin(np.isfinite(rewards)))
+            raise ValueError(f"the reward of {worst} became {rewards[worst]} at t = {self._t[worst]:.9g} s")
+        self._ended = terminated | truncated
+        return observed, rewards, terminated, truncated, self._info(errors)
+
+    # in Python ----------------------------------------------------------------------------------------------------
+
+    def _begun(self, j: int, seed: int | None) -> Any:
+        """Begin an episode; gives its observation."""
+        env, self._k[j], self._fits[j], self._before[j] = self.envs[j], -1, False, None
+        env._over = None
+        observation, _ = env.reset(seed=seed)
+        if self.now.rows.shape[1] != self.num_envs:
+            sizes = [p.size for s in env._steps.values() for p in s.outputs]
+            topics = [p.topic for s in env._steps.values() for p in s.outputs]
+            self.now.first = dict(zip(topics, [0, *accumulate(sizes)], strict=False))
+            self.now.rows = np.full((sum(sizes), self.num_envs), np.nan)
+        self.now.rows[:, j] = np.nan
+        env._over = lambda: self._after(j)
+        self._told(j)
+        return observation
+
+    def _after(self, j: int) -> None:
+        """Keep what an instance remembers after a tick."""
+        steps = list(self.envs[j]._steps.values())
+        self._before[j] = None if self.reason else [(s.x, s.numbers) for s in steps]
+
+    def _told(self, j: int) -> None:
+        """Take what an instance has said."""
+        now = self.envs[j].now
+        for topic, row in now._rows.items():
+            values = row.data if isinstance(row, Sample) else row
+            self.now.rows[self.now.first[topic] : self.now.first[topic] + len(values), j] = values
+        self._t[j] = self.envs[j]._clock.t / SECOND
+
+    def _loaded(self, j: int) -> None:
+        """Make an instance go on in Python."""
+        if self._k[j] < 0:
+            return
+        env, k = self.envs[j], int(self._k[j])
+        states, said = self._form.get(self._numbers[j], self._whole[j])
+        for s, x, numbers in zip(env._steps.values(), states, said, strict=True):
+            if s.name != env._member.name:
+                s.x = unpacked(x)
+            answered(s, (k - 1) // (s.schedule.every // self._stride), numbers)
+        self._k[j] = -1
+        env._over = None
+        env._begin(k)
+        env._over = lambda: self._after(j)
+
+    # native -------------------------------------------------------------------------------------------------------
+
+    def _packed(self, j: int) -> None:
+        """Have native code move an instance on, where there is a text for it, or can be."""
+        env = self.envs[j]
+        if self.reason or self._before[j] is None:
+            return
+        steps, agent = list(env._steps.values()), env._steps[env._member.name]
+        try:
+            state = remembered(agent, steps, self._before[j])
+            if self._text is None or form(state) != self._forms:
+                self._texted(steps, agent, state)
+        except NotNative as reason:
+            self.reason = str(reason)
+            return
+        if not self._fits[j] and not self._fitted(j):
+            return
+        self._form.put(state, self._numbers[j], self._whole[j])
+        self._k[j] = self._clock.tick(env._clock.t)
+
+    def _fitted(self, j: int) -> bool:
+        """Whether the text is for an instance whose episode has begun; gives that its random numbers."""
+        assert self._text is not None
+        program, blocks = self._text.program, [s.block for s in self.envs[j]._steps.values()]
+        self._fits[j] = not program.differs(blocks) and program.constants(blocks) == self._constants
+        for path, name in program.draws.items() if self._fits[j] else ():
+            self._tables[name][j] = follow(path, blocks).first(self._tables[name].shape[1])
+        return bool(self._fits[j])
+
+    def _texted(self, steps: list[Step], agent: Step, state: Any) -> None:
+        """Make the text for the states as they are."""
+        if not self._tries:
+            raise NotNative("what it remembers changes its type")
+        odd = [s.name for s in steps if s.doubters or s.changes or any(p.sporadic or p.delayed for p in s.outputs)]
+        if odd:
+            raise NotNative(f"{odd[0]}: its messages do not come at each tick, or its parameters change")
+        self._tries -= 1
+        for j in np.flatnonzero(self._k >= 0).tolist():
+            self._loaded(j)
+        self._form, self._forms = Form(state), form(state)
+        params: Any = self.envs[0]._member.params
+        bounds = dict(zip(params.act, params.bounds(), strict=True))
+        said = []
+        for port in agent.outputs:
+            for label, safe in zip(port.labels, port.safe, strict=True):
+                signal = f"{port.topic}/{label}"
+                if signal not in bounds:
+                    said.append(repr(float(safe)))
+                    continue
+                a, (low, high) = f"a[{params.act.index(signal)}]", bounds[signal]
+                said.append(f"({low!r} if {a} < {low!r} else {high!r} if {a} > {high!r} else {a})")
+        text = batch_text(steps, agent, said, self._form)
+        blocks = [s.block for s in steps]
+        program = text.program
+        self._stride = math.gcd(*(s.schedule.every for s in steps))
+        schedule = steps[0].schedule
+        ticks = (schedule.ticks or 0) // self._stride
+        self._clock = Schedule(schedule.clock * self._stride)
+        self._times = self._clock.times(0, ticks + 1) / SECOND
+        self._last = ticks - agent.schedule.every // self._stride
+        self._constants = program.constants(blocks)
+        self._tables = dict(zip(program.arrays.values(), program.tables(blocks), strict=True))
+        self._tables |= {name: follow(path, blocks).scratch() for path, name in program.scratches.items()}
+        self._tables |= {name: np.zeros((self.num_envs, DRAWS)) for name in program.draws.values()}
+        self._numbers = np.zeros((self.num_envs, self._form.sizes[0]))
+        self._whole = np.zeros((self.num_envs, self._form.sizes[1]), np.int64)
+        self._observes = self._places(steps, agent)
+        self._fits[:] = False
+        self._function = self._make(text)
+        self._text = text
+
+    def _places(self, steps: list[Step], agent: Step) -> list[Any]:
+        """Say where each value of an observation stands among all that is said, or what it is."""
+        first = dict(zip(map(id, steps), [0, *accumulate(len(s.numbers) for s in steps)], strict=False))
+        block: Any = agent.block
+        found: list[Any] = []
+        for port, k in block._observed:
+            source = _source(agent, port.name)
+            if source is None:
+                found.append(float(port.safe[k]))
+                continue
+            s, j, take = source
+            places, _ = taken(s.outputs[j].size, False, take)
+            before = first[id(s)] + sum(p.size for p in s.outputs[:j])
+            found.append(Place(before + places[k]) if type(places[k]) is Place else float(places[k]))
+        return found
+
+    def _moved(self, given: Any, by_python: Callable[[int], None]) -> None:
+        """Move on those that are native; what is given up is left to Python."""
+        assert self._text is not None
+        begin, n = 0, np.zeros(2, np.int64)
+        while begin < self.num_envs:
+            tables = [self._tables[name] for name in self._text.arrays]
+            n[:] = 0
+            try:
+                self._function(begin, self.num_envs, n, self._constants, self._numbers, self._whole, self.now.rows,
+                               given, self._k, *tables)  # fmt: skip
+                break
+            except NATIVE:
+                begin = int(n[0])
+                if n[1]:
+                    self._drawn(int(n[1]))
+                else:
+                    by_python(begin)
+                    begin += 1
+            except Exception as error:
+                if type(error).__module__.partition(".")[0] != "numba":
+                    raise
+                self.reason = f"numba: {' '.join(str(error).split())[:300]}"
+                for j in np.flatnonzero(self._k >= 0).tolist():
+                    by_python(j)
+                self._text = None
+                return
+        moved = self._k >= 0
+        self.native += int(moved.sum())
+        self._t[moved] = self._times[self._k[moved]]
+
+    def _drawn(self, count: int) -> None:
+        """Have more random numbers of each instance."""
+        assert self._text is not None
+        for path, name in self._text.program.draws.items():
+            old = self._tables[name]
+            self._tables[name] = found = np.zeros((self.num_envs, max(count, 2 * old.shape[1])))
+            for j in np.flatnonzero(self._fits):
+                blocks = [s.block for s in self.envs[j]._steps.values()]
+                found[j] = follow(path, blocks).first(found.shape[1])
+
+    def _info(self, errors: Mapping[int, str]) -> dict[str, Any]:
+        info: dict[str, Any] = {"t": self._t.copy(), "_t": np.ones(self.num_envs, np.bool_)}
+        for j, error in errors.items():
+            info = self._add_info(info, {"error": error}, j)
+        return info
+
+
+def _nothing(now: Now) -> float:
+    return 0.0

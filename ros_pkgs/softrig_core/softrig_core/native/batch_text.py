@@ -1,0 +1,208 @@
+"""The function of many instances of a rig, one of whose members is an agent: a period of it for each of them.
+
+What an instance remembers between two calls stands in a row of two tables, its numbers and its whole numbers, as it is
+before the agent's tick; what is said up to the agent is said once more at the begin of the next call.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import Any
+
+from ..block.step import Step
+from .rig_text import LARGEST, RigText, _ages, _answered, _asked, _due, _inputs, _kept, _reached, _time, links
+from .translate import Program
+from .twins import packed
+from .value import Dynamic, NotNative
+from .words import TEXTS
+from .writer import Writer
+
+
+class Form:
+    """Where the parts of a state stand in a row of the two tables.
+
+    Parameters
+    ----------
+    sample : tuple
+        A state.
+
+    Raises
+    ------
+    NotNative
+        Part of it is no number.
+    """
+
+    def __init__(self, sample: Any) -> None:
+        self.sizes = [0, 0]
+        self.parts: list[tuple[tuple[int, ...], str, int, type]] = []
+        self.tree = self._placed(sample, ())
+
+    def _placed(self, value: Any, path: tuple[int, ...]) -> Any:
+        if isinstance(value, tuple):
+            return type(value), [self._placed(v, (*path, k)) for k, v in enumerate(value)]
+        if value is None:
+            return None
+        kind = type(value)
+        if kind not in (float, int, bool, complex):
+            raise NotNative(f"{kind.__name__} in a state: an instance is a row of numbers")
+        table = kind in (int, bool)
+        self.parts.append((path, "FI"[table], self.sizes[table], kind))
+        self.sizes[table] += 1 + (kind is complex)
+        return self.parts[-1]
+
+    def read(self, program: Program, tree: Any) -> str:
+        """Write what makes a state, or part of one, of row i."""
+        if tree is None:
+            return "None"
+        if len(tree) == 2:
+            kind, parts = tree
+            inner = "".join(f"{self.read(program, part)}, " for part in parts)
+            return f"{program.name(kind, kind.__name__) if hasattr(kind, '_fields') else ''}({inner})"
+        _, table, at, kind = tree
+        if kind is complex:
+            return f"complex(F[i, {at}], F[i, {at + 1}])"
+        return f"({table}[i, {at}] != 0)" if kind is bool else f"{table}[i, {at}]"
+
+    def write(self, name: str) -> list[str]:
+        """Write what puts a state into row i."""
+        found = []
+        for path, table, at, kind in self.parts:
+            value = f"{name}{''.join(f'[{k}]' for k in path)}"
+            parts = [f"{value}.real", f"{value}.imag"] if kind is complex else [value]
+            found += [f"{table}[i, {at + j}] = {part}" for j, part in enumerate(parts)]
+        return found
+
+    def put(self, state: Any, numbers: Any, whole: Any) -> None:
+        """Put a state of this form into a row."""
+        for path, table, at, kind in self.parts:
+            value = state
+            for k in path:
+                value = value[k]
+            if table == "I":
+                whole[at] = value
+            else:
+                parts = (value.real, value.imag) if kind is complex else (value,)
+                numbers[at : at + len(parts)] = parts
+
+    def get(self, numbers: Any, whole: Any, tree: Any = ()) -> Any:
+        """Give the state that is in a row."""
+        tree = self.tree if tree == () else tree
+        if tree is None:
+            return None
+        if len(tree) == 2:
+            kind, parts = tree
+            found = [self.get(numbers, whole, part) for part in parts]
+            return kind(*found) if hasattr(kind, "_fields") else tuple(found)
+        _, table, at, kind = tree
+        return complex(*numbers[at : at + 2]) if kind is complex else kind((numbers if table == "F" else whole)[at])
+
+
+def remembered(agent: Step, steps: Sequence[Step], before: Sequence[tuple[Any, tuple[float, ...]]]) -> tuple[Any, Any]:
+    """Give what is to be kept of an instance before a tick.
+
+    Parameters
+    ----------
+    agent, steps
+        See `batch_text`.
+    before : sequence of (x, numbers)
+        What each step remembered, and had said last.
+    """
+    states = tuple(() if s is agent else packed(x) for s, (x, _) in zip(steps, before, strict=True))
+    return states, tuple(tuple(map(float, numbers)) for _, numbers in before)
+
+
+def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Form) -> RigText:
+    """Make the text.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        Of one instance, as for `rig_text`; each has answered a tick.
+    agent : Step
+        One of them; no plant.
+    said : sequence of str
+        What it says, number after number, from action row `a`.
+    form : Form
+        Of what `remembered` gives.
+
+    Returns
+    -------
+    RigText
+        ``rig(begin, end, n, c, F, I, R, A, K, *arrays)`` moves instances begin to end - 1, those whose tick K is not
+        negative, on by a period of the agent: their rows of F and I, columns of R (all that was said last, up to the
+        agent's next tick). n[0] is the instance under way; what is raised gives it up. Random numbers have a row an
+        instance.
+
+    Raises
+    ------
+    NotNative
+        What of them native code does not know.
+    """
+    if odd := [link.name for link in links(steps)]:
+        raise NotNative(f"{odd[0]}: what is silent at times, or late, has no form in batches yet")
+    numbers = {id(s): k for k, s in enumerate(steps)}
+    program = Program([s.block for s in steps], Writer, _ages(steps, ()))
+    stride = math.gcd(*(s.schedule.every for s in steps))
+    arrays: set[str] = set()
+    time = steps[0].schedule
+    ns = (time.clock * stride * 10**9).as_integer_ratio()
+    if 2 * ns[0] * (time.ticks or 1) > LARGEST:
+        raise NotNative("times beyond whole numbers of 64 bits")
+    plants: list[str] = []
+    before: list[str] = []
+    body: list[str] = []
+    for k, s in enumerate(steps):
+        if s.plant:
+            value = _asked(program, s, k, "outputs", {}, arrays)
+            plants += _due(s, stride, _answered(program, s, k, value, None, (), stride, True))
+    for k, s in enumerate(steps):
+        if s is agent:
+            before = list(body)
+            body += _due(s, stride, [f"r{k} = ({''.join(f'{x}, ' for x in said)})"])
+        elif not s.plant:
+            inputs = _inputs(s, numbers, (), program, stride, ns)
+            value = _asked(program, s, k, "update", inputs, arrays)
+            body += _due(s, stride, _answered(program, s, k, value, f"x{k}", (), stride, True))
+    for k, s in enumerate(steps):
+        if s.plant:
+            value = _asked(program, s, k, "advance", _inputs(s, numbers, (), program, stride, ns), arrays)
+            if not isinstance(value, Dynamic):
+                raise NotNative(f"{s.name}: its state stays as it is")
+            body += _due(s, stride, [_kept(f"x{k}", value, s, True)])
+    states, last = form.tree[1]
+    handed = sorted(arrays)
+    at = [0, *accumulate(len(s.numbers) for s in steps)]
+    every = agent.schedule.every // stride
+    given = ", ".join(["begin", "end", "n", "c", "F", "I", "R", "A", "K", *(_whole(a, program) for a in handed)])
+    kept = ", ".join(f"({''.join(f'{name}{k}, ' for k, _ in enumerate(steps))})" for name in "xr")
+    text = [
+        f"def rig({given}):",
+        "    for i in range(begin, end):",
+        "        n[0] = i",
+        "        if K[i] < 0:",
+        "            continue",
+        *(f"        {name} = {name}_all[i]" for name in program.draws.values()),
+        *(f"        x{k} = {form.read(program, tree)}" for k, tree in enumerate(states[1])),
+        *(f"        r{k} = {form.read(program, tree)}" for k, tree in enumerate(last[1])),
+        "        a = A[i]",
+        f"        for k in range(K[i], K[i] + {every}):",
+        f"            t = {_time('k', ns)}",
+        *(f"            {line}" for line in (*plants, *body)),
+        f"        z_ = ({kept})",
+        f"        k = K[i] + {every}",
+        f"        t = {_time('k', ns)}",
+        *(f"        {line}" for line in (*plants, *before)),
+        "        K[i] = k",
+        *(f"        R[{at[k] + j}, i] = r{k}[{j}]" for k, s in enumerate(steps) for j, _ in enumerate(s.numbers)),
+        *(f"        {line}" for line in form.write("z_")),
+    ]
+    rig = "\n".join(text)
+    words = [TEXTS[w] for w in sorted(program.words)]
+    whole = "\n\n".join([*words, *_reached(program.functions, rig), rig]) + "\n"
+    return RigText(whole, program, tuple(handed), ())
+
+
+def _whole(name: str, program: Program) -> str:
+    return f"{name}_all" if name in program.draws.values() else name
