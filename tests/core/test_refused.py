@@ -94,4 +94,4 @@ def test_every_observer_can_be_asked_before_its_first_tick():
             if block is not None and issubclass(block, Observer):
                 ByHand(block()).status()
                 asked += 1
-    assert asked == 8
+    assert asked == 3
