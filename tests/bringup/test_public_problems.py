@@ -1,6 +1,7 @@
 """The public falsification problems of the bench: their models by another hand, and what finds them."""
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,10 @@ pytestmark = pytest.mark.long
 def bench():
     sys.path.insert(0, str(ROOT / "scripts"))
     try:
-        from bench.falsification import cars, methods, table, transmission
+        from bench.falsification import cars, f16, methods, steam, table, transmission
     finally:
         sys.path.remove(str(ROOT / "scripts"))
-    return cars, methods, table, transmission
+    return cars, methods, table, f16, steam, transmission
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +68,44 @@ def test_cars_keep_the_distances_of_their_modes(bench):
     y = cars.drive(np.ones(cars.SEGMENTS), np.zeros(cars.SEGMENTS))
     t = np.arange(len(y)) * cars.PERIOD
     assert y[:, 0] == pytest.approx(-(t**2) / 2.0, abs=1e-6)  # full throttle, no brake
+
+
+def test_the_condenser_is_its_block_diagram_by_another_hand(bench):
+    """Balances and network by `solve_ivp` piece by piece, with numpy's interpolation and products of matrices."""
+    from scipy.integrate import solve_ivp
+
+    s = bench[4]
+    steam = np.random.default_rng(46).uniform(3.99, 4.01, s.SEGMENTS)
+
+    def slopes(t, x, fs, wanted):
+        p, T, flow, seen, *lags = x
+        boiling = np.interp(p, s.PRESSURES, s.BOILING)
+        mean = ((boiling - 60) - (boiling - T)) / np.log((boiling - 60) / (boiling - T))
+        heat = mean / (0.0872924756541668 / flow**0.8 + 0.00073786772008033)
+        into = np.interp(seen - wanted, s.IN, (-1, 1))
+        neurons = 2 / (1 + np.exp(-2 * (s.W_IN * into + s.W_BACK @ lags + s.BIAS))) - 1
+        asked = 107.8880952381 + np.interp(s.W_OUT @ neurons + s.BIAS_OUT, (-1, 1), s.OUT)
+        made = heat / np.interp(p, s.PRESSURES, s.EVAPORATION)
+        balances = [0.461526 / 3 * (fs - made) * boiling, (heat / 4.2 + (60 - T) * flow) / 500]
+        return np.array(
+            [*balances, asked - flow, (p - seen) / 0.5, *(np.append(neurons, lags[:3]) - 10 * np.array(lags))]
+        )
+
+    x, ends = np.array([90, 80, 107.8880952381, 90] + [0.0] * 6), sorted([*(1.75 * np.arange(21)), 2.0])
+    for a, b in pairwise(ends):
+        given = (steam[int(a / 1.75 + 1e-9)], 87 if a >= 2 else 90)
+        x = solve_ivp(slopes, (a, b), x, args=given, rtol=1e-10, atol=1e-10).y[:, -1]
+        assert s.condense(steam)[round(b / s.PERIOD)] == pytest.approx(x[3], abs=1e-5)
+
+
+@pytest.mark.parametrize(("start", "altitudes"), [
+    ((np.pi / 4, -2 * np.pi / 5 + np.pi / 40, -np.pi / 4), (1823.2, 1291.29, 816.66, 259.03, 296.66, 586.83)),
+    ((np.pi / 5, -2 * np.pi / 5, -3 * np.pi / 8), (1808.16, 1262.75, 781.82, 203.55, 228.64, 519.51)),
+])  # fmt: skip
+def test_the_aircraft_flies_as_in_the_public_python_version(bench, start, altitudes):
+    """Altitudes after 1 to 15 s of that version (its modes each 10 ms, too), run outside."""
+    found = bench[3].fly(*start)
+    assert [found[20 * t] for t in (1, 2, 3, 5, 8, 15)] == pytest.approx(altitudes, abs=0.1)
 
 
 @pytest.mark.parametrize("name", ["AT1", "AT2", "CC1", "CC2", "CC3"])

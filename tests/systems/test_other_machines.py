@@ -203,6 +203,21 @@ def test_three_units_of_the_textbook_are_dispatched_as_there():
     assert lossy["fleet_output"] - 850 == pytest.approx((B * best.x**2).sum(), abs=0.01)
 
 
+def test_the_generators_of_the_30_bus_system_are_dispatched_at_equal_slopes():
+    found = simulate("economic_dispatch_ieee30").figures
+    a = np.array([0.00375, 0.0175, 0.0625, 0.00834, 0.025, 0.025])
+    b = np.array([2.0, 1.75, 1.0, 3.25, 3.0, 3.0])
+    least, most = np.array([[50, 20, 15, 10, 10, 12], [200, 80, 50, 35, 30, 40]])
+
+    def dispatch(price):
+        return np.clip((price - b) / (2 * a), least, most)
+
+    P = dispatch(brentq(lambda price: dispatch(price).sum() - 283.4, 1.0, 10.0, xtol=1e-13))
+    assert found["cost"] == pytest.approx((a * P**2 + b * P).sum(), abs=1e-3)
+    assert 0.0 <= found["gap"] + 1e-9 <= 1e-3
+    assert [found[f"{k}_unit"] for k in ("first", "second", "third")] == pytest.approx(P[:3], abs=0.3)
+
+
 def long_line(r, x, b, length):
     """Two-port admittance (2, 2) of a line with distributed constants per km."""
     z, y = complex(r, x), 1j * b

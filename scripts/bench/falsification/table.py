@@ -11,7 +11,7 @@ from softrig_core.judge.formula import read
 from softrig_core.judge.robustness import Record
 from softrig_core.timebase import SECOND
 
-from . import cars, transmission
+from . import cars, f16, steam, transmission
 from .linear import worst_linear_loop
 from .methods import METHODS, Problem, runs_to_violation
 
@@ -22,7 +22,7 @@ SCALE = {"rpm": 100.0}  # rpm, beside mph, so that margins can be compared
 def problems() -> list[Problem]:
     """Give all problems, from the own linear loop to the public ones."""
     found = [worst_linear_loop()]
-    for model in (transmission, cars):
+    for model in (transmission, cars, steam, f16):
         low, high = (np.concatenate([np.full(i[3], i[k]) for i in model.INPUTS]) for k in (1, 2))
         groups = tuple(i[3] for i in model.INPUTS)
         names = model.signals(low)
