@@ -214,7 +214,7 @@ def _statistic(unit: str) -> Callable[[Callable[[Array], float]], Function]:
 @_statistic("{signal}")
 def rms(e: Array) -> float:
     """Root of the mean square of signal - reference."""
-    return np.sqrt(np.mean(e**2))
+    return float(np.sqrt(np.mean(e**2)))
 
 
 @_statistic("{signal}")
@@ -226,7 +226,7 @@ def peak(e: Array) -> float:
 @_statistic("{signal}^2")
 def mean_square(e: Array) -> float:
     """Mean of the squares of signal - reference (MSE of an error)."""
-    return np.mean(e**2)
+    return float(np.mean(e**2))
 
 
 @_statistic("{signal}")
