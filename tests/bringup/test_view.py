@@ -191,6 +191,16 @@ def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_r
     assert run.recording.before(80_000_000).topics == left.topics
 
 
+def test_what_a_browser_asks_for_is_done_in_the_thread_of_the_ticks():
+    asked = []
+    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, asked.append)
+    source.session.go(0.05)
+    source.control.go_back("me", 0.02)  # in a thread of Bokeh's
+    assert source.session.t == 0.05
+    asked.pop()()
+    assert source.session.t == 0.02
+
+
 @pytest.mark.parametrize("at", ["0.0.0.0:0", "127.0.0.1:0"])
 def test_only_who_says_the_token_is_let_in(tmp_path, at):
     assert main(["run", "dc_motor_smc", "--mode", "inprocess", "--duration", "0.05", "--no-plots", "--out",

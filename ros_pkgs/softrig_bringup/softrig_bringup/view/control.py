@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from softrig_core import Rig, RunError, ScenarioError
+from softrig_core import Rig, ScenarioError
 from softrig_core.block.change import changeable
 from softrig_core.block.params import LARGEST, declarations, flatten
 from softrig_core.rig.members import Member
@@ -112,11 +112,11 @@ class Control:
     said : deque of Said
     lines : int
         How many there have been.
-    back : callable or None
-        Takes the run back to a time (s), where it can be; gives what to say, raises an error with the reason.
+    goes_back : bool
+        Whether the run can be taken back to a time.
     """
 
-    back: Callable[[float], str] | None = None
+    goes_back = False
 
     def __init__(self, rig: Rig, ask: Ask | None, now: Callable[[], float], over: Callable[[], str],
                  held: bool | None = None, pace: float = 0.0) -> None:  # fmt: skip
@@ -168,11 +168,12 @@ class Control:
 
     def go_back(self, who: str, t: float) -> None:
         """Take the run back to a time, s, also when it is over."""
-        assert self.back is not None
-        try:
-            self.say(who, self.back(t))
-        except (ScenarioError, RunError) as error:
-            self.say(who, f"back to {t:g} s refused: {error}", True)
+
+        def answered(done: bool, reason: str) -> None:
+            self.say(who, reason if done else f"back to {t:g} s refused: {reason}", not done)
+
+        assert self._ask is not None
+        self._ask({"node": self.clock, "back": t}, answered)
 
     def go_at(self, who: str, pace: float) -> None:
         """Have the run go at a pace, simulated by wall-clock time; 0: as fast as it goes."""

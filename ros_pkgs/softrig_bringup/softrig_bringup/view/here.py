@@ -43,6 +43,8 @@ class Here(Growing):
         From the start.
     pace : float
         Simulated by wall-clock time; 0: as fast as it goes.
+    call : callable
+        Gets a function to be called in the thread of the ticks: Bokeh hears browsers in threads of its own.
 
     Attributes
     ----------
@@ -52,9 +54,11 @@ class Here(Growing):
         tuned it there, its scenario.
     """
 
-    def __init__(self, session: Session, held: bool, pace: float) -> None:
+    def __init__(
+        self, session: Session, held: bool, pace: float, call: Callable[[Callable[[], None]], object] = lambda do: do()
+    ) -> None:
         super().__init__(session.rig)
-        self.session = session
+        self.session, self._call = session, call
         self._pace = pace
         self._mark: tuple[float, float] | None = None  # s of the wall and of the run, which the pace counts from
         self._seen: Counter[str] = Counter()  # messages by topic
@@ -62,19 +66,24 @@ class Here(Growing):
         self._folder = ""  # of the newest run that has ended
         self.control = Control(session.rig, self._ask, lambda: self.end, lambda: self.outcome, held, pace)
         self.control.buttons.clear()  # a press is a message from outside, for which a session has no place
-        self.control.back = self.back
+        self.control.goes_back = True
         session.step()
         self.look()
 
     # what the page asks for ----------------------------------------------------------------------------------------
 
     def _ask(self, request: Mapping[str, Any], answered: Answer) -> None:
-        try:
-            answered(True, self._do(**request))
-        except ScenarioError as error:
-            answered(False, str(error))
+        def do() -> None:
+            try:
+                answered(True, self._do(**request))
+            except (ScenarioError, RunError) as error:
+                answered(False, str(error))
 
-    def _do(self, node: str, set: Mapping[str, Any] | None = None, call: str = "") -> str:
+        self._call(do)
+
+    def _do(self, node: str, set: Mapping[str, Any] | None = None, call: str = "", back: float | None = None) -> str:
+        if back is not None:
+            return self._back(back)
         if set is not None and "run.pace" in set:
             self._pace, self._mark = set["run.pace"], None
         elif set is not None:
@@ -87,7 +96,7 @@ class Here(Growing):
         self._mark = None
         return {"pause": "paused", "resume": "goes on"}.get(call, "")
 
-    def back(self, t: float) -> str:
+    def _back(self, t: float) -> str:
         """Go back to a time (s) and stay there, the knobs as they are turned."""
         session, before = self.session, self.session.t
         changes = branched(session.rig, session.recording, self.end, {})
@@ -102,6 +111,7 @@ class Here(Growing):
         self.outcome, self.results, self.control.held = "", [], True
         self._tracks, self._newest = {topic: type(track)() for topic, track in self._tracks.items()}, {}
         self._seen.clear()
+        self.version += 1
         self.look()
         for knob in self.control.knobs.values():
             known = flatten(session.steps[knob.node].params)[knob.name]
@@ -187,8 +197,8 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
     from tornado.ioloop import IOLoop, PeriodicCallback
 
     started = time.perf_counter()
-    source = Here(Session(rig), placement.paused, placement.pace)
-    session, loop = source.session, IOLoop.current()
+    loop = IOLoop.current()
+    source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback)
     pages = Pages(source, source.control, str(placement), address, new_token(), loop)
     say(f"the page is {pages.url}")
     status, ended = 0, False

@@ -97,7 +97,7 @@ class Page:
         top = [self._head, row(*self._bar(), sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})]
         if not source.live:
             top.append(self._recorded())
-        if control.back is not None:
+        if control.goes_back:
             top.append(self._backwards())
         found = [f for p in self._pictures for f in p.figures]
         groups = self._groups()
@@ -170,11 +170,13 @@ class Page:
         about: dict[str, Any] = {"stylesheets": [self._sheet], "align": "end"}
         end = self._source.length
         self._to = TextInput(title="t, s", value="0", width=90, name="back to", **about)
-        slider = Slider(start=0.0, end=end, value=0.0, step=end / 1000, show_value=False, name="back to slider",
-                        sizing_mode="stretch_width", **about)  # fmt: skip
-        slider.on_change("value", lambda attr, old, new: self._to.update(value=f"{new:.6g}"))
+        self._along = Slider(start=0.0, end=end, value=0.0, step=end / 1000, show_value=False, name="back to slider",
+                             sizing_mode="stretch_width", **about)  # fmt: skip
+        self._along.on_change("value", lambda attr, old, new: self._calm or self._to.update(value=f"{new:.6g}"))
         self._to.on_change("value", lambda attr, old, new: self._aim())
-        return row(self._to, self._button("go back", self._go_back), slider, sizing_mode="stretch_width")
+        button = self._button("go back", self._go_back)
+        button.align = "end"
+        return row(self._to, button, self._along, sizing_mode="stretch_width")
 
     def _below(self) -> list[Any]:
         if not self._source.live:
@@ -236,10 +238,14 @@ class Page:
     def _aim(self) -> float:
         """Give the time to go back to, s; NaN if what is typed is none."""
         try:
-            self._cursor.location = float(self._to.value)
+            t = float(self._to.value)
         except ValueError:
-            self._cursor.location = math.nan
-        return float(self._cursor.location)
+            t = math.nan
+        self._cursor.location, self._calm = t, True
+        if self._along.start <= t <= self._along.end:
+            self._along.value = t
+        self._calm = False
+        return t
 
     def _go_back(self) -> None:
         self._control.go_back(self._who, self._aim())

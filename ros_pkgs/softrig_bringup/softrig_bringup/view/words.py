@@ -25,7 +25,7 @@ def head(source: Source, how: str, control: Control) -> str:
     scenario = source.rig.scenario
     state, look = f"{source.end:.6g} s, {source.outcome}", "soft"
     if source.outcome and source.live:
-        after = "its knobs act no more" if control.back is None else "go back and turn a knob"
+        after = "its knobs act no more" if not control.goes_back else "go back and turn a knob"
         state, look = f"the run is over: {state}; {after}", "over"
     elif not source.outcome:
         state = f"{source.end:.6g} of {scenario.duration:g} s, {_going(source, control)}"
