@@ -10,7 +10,7 @@ from conftest import differences, in_process, until
 from launching import launch, nodes_of
 from softrig_bags.read import read_bag
 from softrig_bringup.cli import main
-from softrig_bringup.run.run import _status, tripped
+from softrig_bringup.run.run import status_of, tripped
 from softrig_bringup.verbs.launched import strange
 from softrig_core import ScenarioError, load_scenario, rig_of, run_inprocess
 from softrig_core.node.container import split
@@ -146,7 +146,7 @@ def test_a_rig_that_trips_ends_its_launch_with_a_status_unless_the_scenario_expe
     for scenario, found in (("surprise.yaml", ["lsrm_plant"]), ("lsrm_fuzzy_b5_trip", [])):
         rig = rig_of(scenario)
         held = run_inprocess(rig, 0)
-        assert list(tripped(rig, {name: _status(h) for name, h in held.items()})) == found
+        assert list(tripped(rig, {name: status_of(h) for name, h in held.items()})) == found
     with pytest.raises(ScenarioError, match="trips: no node 'motor'"):
         rig_of("surprise.yaml").scenario.having(trips=["motor"])
 

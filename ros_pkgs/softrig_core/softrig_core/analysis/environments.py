@@ -186,8 +186,9 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         if self.now.rows.shape[1] != self.num_envs:
             sizes = [p.size for s in env._steps.values() for p in s.outputs]
             topics = [p.topic for s in env._steps.values() for p in s.outputs]
-            self.now.first = dict(zip(topics, [0, *accumulate(sizes)], strict=False))
-            self.now.rows = np.full((sum(sizes), self.num_envs), np.nan)
+            ends = [0, *accumulate(sizes)]
+            self.now.first = dict(zip(topics, ends, strict=False))
+            self.now.rows = np.full((ends[-1], self.num_envs), np.nan)
         self.now.rows[:, j] = np.nan
         env._over = lambda: self._after(j)
         self._told(j)
