@@ -67,8 +67,9 @@ def metadata(name: str, config: ConfigParser) -> Tree:
     about = config["metadata"].get("description", name)
     said = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\nSummary: {about}\n"
     points = "\n".join(f"[{group}]\n{lines.strip()}\n" for group, lines in groups)
-    return {f"{name}-{version}.egg-info/{file}": text for file, text in
-            (("PKG-INFO", said), ("entry_points.txt", points))}  # fmt: skip
+    return {
+        f"{name}-{version}.egg-info/{file}": text for file, text in (("PKG-INFO", said), ("entry_points.txt", points))
+    }
 
 
 def library() -> str:

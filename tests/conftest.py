@@ -139,9 +139,17 @@ class Bench:
         self.nodes = {}
 
     def start(self, name, executable, *arguments, package="faultrig"):
-        command = [str(find_executable(package, executable)), "--ros-args", "-r", f"__node:={name}",
-                   "-p", f"run.status:={self.directory / name}.status",
-                   "-p", f"run.shard:={self.directory / name}.shard", *arguments]  # fmt: skip
+        command = [
+            str(find_executable(package, executable)),
+            "--ros-args",
+            "-r",
+            f"__node:={name}",
+            "-p",
+            f"run.status:={self.directory / name}.status",
+            "-p",
+            f"run.shard:={self.directory / name}.shard",
+            *arguments,
+        ]
         self.nodes[name] = start_node(package, executable, command, self.environment, 2)
         return self.nodes[name]
 

@@ -72,8 +72,11 @@ class World:
         for reader, accepts in readers:
             key = (writer, reader)  # one writer's messages never overtake each other
             when = max(self.now + self.latency(writer.topic, writer.node.name, reader.node.name), accepts)
-            if self.prompt is not None and reader.node.hears_now(self.last.get(key, 0), accepts) \
-                    and self.prompt.random() < 0.5:  # fmt: skip
+            if (
+                self.prompt is not None
+                and reader.node.hears_now(self.last.get(key, 0), accepts)
+                and self.prompt.random() < 0.5
+            ):
                 self.last[key] = self.now
                 reader.node.deliver(reader, data)
                 continue

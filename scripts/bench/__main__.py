@@ -46,9 +46,12 @@ def about(part: str) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the named parts, all when none is named."""
     lines = "\n".join(f"  {part:17}{about(part)}" for part in PARTS)
-    parser = argparse.ArgumentParser(prog="scripts/softrig bench", description=(__doc__ or "").splitlines()[0],
-                                     epilog=f"parts:\n{lines}",
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser = argparse.ArgumentParser(
+        prog="scripts/softrig bench",
+        description=(__doc__ or "").splitlines()[0],
+        epilog=f"parts:\n{lines}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("parts", nargs="*", metavar="PART", help="which of those below (default: all)")
     parts = parser.parse_args(arguments).parts
     unknown = [part for part in parts if part not in PARTS]

@@ -35,8 +35,13 @@ def rates(seconds: float = SECONDS) -> dict[str, float]:
         for action in actions[:-1]:  # the law says nothing at the end time
             environment.step(action)
 
-    many = RigVectorEnv(rig, "dtc_controller", act=dict.fromkeys(legs, (0.0, 1.0)), num_envs=MANY,
-                        reward=lambda now: -abs(now["joint_states/shaft/velocity"]))  # fmt: skip
+    many = RigVectorEnv(
+        rig,
+        "dtc_controller",
+        act=dict.fromkeys(legs, (0.0, 1.0)),
+        num_envs=MANY,
+        reward=lambda now: -abs(now["joint_states/shaft/velocity"]),
+    )
     many.reset(seed=1)
     begin = iter([np.broadcast_to(action, (MANY, 3)) for action in actions])
     moves = len(actions) // 6 - 1

@@ -19,8 +19,10 @@ def print_table() -> None:
         line = FaultedLine(rig)
         steps = (rig.samples - 1) * rig.decimation
         seconds = least(lambda line=line, n=rig.samples: line.run(n))  # type: ignore[misc]
-        print(f"line, {steps} steps of 1 us, {RATES[profile]:>7} samples/s  {seconds:7.4f} s  "
-              f"{1e6 * seconds / steps:5.2f} us a step")  # fmt: skip
+        print(
+            f"line, {steps} steps of 1 us, {RATES[profile]:>7} samples/s  {seconds:7.4f} s  "
+            f"{1e6 * seconds / steps:5.2f} us a step"
+        )
     record = simulate(p)
     for algorithm in ("brent", "woa", "gwo", "integer_grid", "phasor"):
         settings = LocatorParams(algorithm=algorithm)  # type: ignore[arg-type]

@@ -51,9 +51,13 @@ def peer(name: str, vectors: list[int], python: str = sys.executable) -> Mapping
     """
     clean = {k: v for k, v in os.environ.items() if k not in _OURS}
     done = subprocess.run(
-        [python, str(Path(__file__).with_name("induction_peers.py")), name], input=json.dumps(vectors), text=True,
-        capture_output=True, env=clean, check=False,
-    )  # fmt: skip
+        [python, str(Path(__file__).with_name("induction_peers.py")), name],
+        input=json.dumps(vectors),
+        text=True,
+        capture_output=True,
+        env=clean,
+        check=False,
+    )
     if done.returncode and "ModuleNotFoundError" in done.stderr:
         return None
     if done.returncode:

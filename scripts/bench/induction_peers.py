@@ -54,8 +54,13 @@ def motulator(vectors: Sequence[int], rtol: float = 1e-3) -> dict[str, float]:
     simulation.simulate(t_stop=len(vectors) * T_S - 1.5 * T_S)
     found = time.process_time() - start
     psi = machine.state.psi_s_ab
-    return {"cpu_s": found, "periods": round(drive.t0 / T_S), "psi_alpha": psi.real, "psi_beta": psi.imag,
-            "speed": mechanics.state.w_M.real}  # fmt: skip
+    return {
+        "cpu_s": found,
+        "periods": round(drive.t0 / T_S),
+        "psi_alpha": psi.real,
+        "psi_beta": psi.imag,
+        "speed": mechanics.state.w_M.real,
+    }
 
 
 def motulator_own(vectors: Sequence[int]) -> dict[str, float]:

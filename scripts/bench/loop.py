@@ -45,8 +45,9 @@ def ping_pong(kind: str, loops: int = LOOPS) -> dict[str, float]:
         command = [sys.executable, "-P", "-m", "bench.ping_pong", kind]
         pong = subprocess.Popen([*command, "pong", str(loops)], env=variables)
         try:
-            ping = subprocess.run([*command, "ping", str(loops)], env=variables, capture_output=True, text=True,
-                                  check=True, timeout=120)  # fmt: skip
+            ping = subprocess.run(
+                [*command, "ping", str(loops)], env=variables, capture_output=True, text=True, check=True, timeout=120
+            )
         finally:
             pong.kill()
             pong.wait()
@@ -60,8 +61,11 @@ def lockstep(controllers: int = 1, *, record: bool = False) -> dict[str, float]:
     if outcome.error:
         raise ScenarioError(outcome.error)
     status = outcome.status["dc_motor_plant"]
-    return {"loops_s": LOOPS / status["running_s"], "p50_us": status["tick_p50_ms"] * 1e3,
-            "p99_us": status["tick_p99_ms"] * 1e3}  # fmt: skip
+    return {
+        "loops_s": LOOPS / status["running_s"],
+        "p50_us": status["tick_p50_ms"] * 1e3,
+        "p99_us": status["tick_p99_ms"] * 1e3,
+    }
 
 
 def _in_turn(cases: dict[str, Callable[[], dict[str, float]]]) -> dict[str, dict[str, float]]:
@@ -117,11 +121,15 @@ def tick() -> None:
             "plant": _time(lambda: (plant.outputs(0), plant.advance(0, command=(1.0,)))),
             "law": _time(lambda: law.update(0, **inputs)),
             "codec": _time(
-                lambda: (state.encode(0, out["state"]), sensors.encode(0, out["sensors"]), command.encode(0, (1.0,)),
-                         [d(b) for d, b in zip(decoders, data, strict=True)])
+                lambda: (
+                    state.encode(0, out["state"]),
+                    sensors.encode(0, out["sensors"]),
+                    command.encode(0, (1.0,)),
+                    [d(b) for d, b in zip(decoders, data, strict=True)],
+                )
             ),
             "recording": _time(lambda: record(shard)),
-        }  # fmt: skip
+        }
     whole = statistics.median(lockstep(1, record=True)["p50_us"] for _ in range(ROUNDS))
     costs["middleware and the rest"] = whole - sum(costs.values())
     table = Table("part", "us", "share", box=None, pad_edge=False)
@@ -154,8 +162,10 @@ def recording() -> None:
 
     found = _in_turn({"without": lambda: whole(False), "with": lambda: whole(True)})
     with_bag, without = found["with"]["s"], found["without"]["s"]
-    console.print(f"{4 * LOOPS} ticks without {without:.2f} s, with {with_bag:.2f} s: recording takes "
-                  f"{1 - without / with_bag:.0%} of the run")  # fmt: skip
+    console.print(
+        f"{4 * LOOPS} ticks without {without:.2f} s, with {with_bag:.2f} s: recording takes "
+        f"{1 - without / with_bag:.0%} of the run"
+    )
 
 
 def processes() -> None:

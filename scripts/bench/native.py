@@ -20,17 +20,35 @@ from softrig_drives.induction_dtc.switching import VECTORS
 from .console import console
 from .timing import least
 
-RIGS = ("dc_motor_smc", "dc_motor_fsfb", "induction_dtc", "lsrm_fuzzy", "tcp_aqm_smc", "rehab_impedance",
-        "manipulator_adsmc")  # fmt: skip
+RIGS = (
+    "dc_motor_smc",
+    "dc_motor_fsfb",
+    "induction_dtc",
+    "lsrm_fuzzy",
+    "tcp_aqm_smc",
+    "rehab_impedance",
+    "manipulator_adsmc",
+)
 # by hand: seconds simulated, and topics of its tables: of each tick, and of each 20th
 LOOPS: dict[str, tuple[float, list[tuple[str, ...]]]] = {
     "dc_motor_smc": (60.0, [("motor/state", "motor/sensors", "motor/command")]),
-    "induction_dtc": (20.0, [
-        ("joint_states", "currents_true", "currents_meas", "flux_true", "dc_link", "switches", "flux_estimate",
-         "torque_estimate"),
-        ("speed_ref", "torque_ref", "load_torque"),
-    ]),
-}  # fmt: skip
+    "induction_dtc": (
+        20.0,
+        [
+            (
+                "joint_states",
+                "currents_true",
+                "currents_meas",
+                "flux_true",
+                "dc_link",
+                "switches",
+                "flux_estimate",
+                "torque_estimate",
+            ),
+            ("speed_ref", "torque_ref", "load_torque"),
+        ],
+    ),
+}
 
 
 def rates(name: str, seconds: float = 0.0) -> dict[str, float]:
@@ -69,8 +87,9 @@ def rates(name: str, seconds: float = 0.0) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "loop.so"
         code = Path(__file__).with_name(f"{name}.c")
-        subprocess.run(["gcc", "-O2", "-ffp-contract=off", "-shared", "-fPIC", str(code), "-o", str(library), "-lm"],
-                       check=True)  # fmt: skip
+        subprocess.run(
+            ["gcc", "-O2", "-ffp-contract=off", "-shared", "-fPIC", str(code), "-o", str(library), "-lm"], check=True
+        )
         loop: Any = ctypes.CDLL(str(library)).loop
     loop.restype = ctypes.c_double
     constants = np.array(_motor(blocks) if name == "dc_motor_smc" else _drive(blocks))
@@ -90,8 +109,9 @@ def rates(name: str, seconds: float = 0.0) -> dict[str, float]:
             raise ScenarioError(f"{name}: C by hand gives other bits")
     return {
         f"{how}{', recorded' if recorded else ''}": least(lambda f=f, r=recorded: f(r)) / rig.ticks * 1e9  # type: ignore[misc]
-        for recorded in (False, True) for how, f in (("C by hand", by_hand), ("native", native))
-    }  # fmt: skip
+        for recorded in (False, True)
+        for how, f in (("C by hand", by_hand), ("native", native))
+    }
 
 
 def _motor(blocks: dict[str, Any]) -> list[float]:

@@ -132,8 +132,11 @@ def _ping(node: Node, send: Any, loops: int, done: Future[None], publisher: Any,
         stamps.append(time.perf_counter_ns())
         if len(stamps) > loops:
             times = sorted(b - a for a, b in itertools.pairwise(stamps))
-            result = {"loops_s": loops / (stamps[-1] - stamps[0]) * 1e9, "p50_us": times[loops // 2] / 1e3,
-                      "p99_us": times[loops * 99 // 100] / 1e3}  # fmt: skip
+            result = {
+                "loops_s": loops / (stamps[-1] - stamps[0]) * 1e9,
+                "p50_us": times[loops // 2] / 1e3,
+                "p99_us": times[loops * 99 // 100] / 1e3,
+            }
             print(json.dumps(result), flush=True)
             done.set_result(None)
         else:

@@ -35,18 +35,37 @@ rclpy.spin(node)
 
 def realtime() -> None:
     """Deadlines missed by the induction motor's drive in one container, with a reader of a topic in another process."""
-    table = Table("Hz", "s", "read outside", "missed", "lateness us p50", "p99", "round trip us p50", "p99", "recorded",
-                  box=None, pad_edge=False)  # fmt: skip
+    table = Table(
+        "Hz",
+        "s",
+        "read outside",
+        "missed",
+        "lateness us p50",
+        "p99",
+        "round trip us p50",
+        "p99",
+        "recorded",
+        box=None,
+        pad_edge=False,
+    )
     for rate, duration in [*((rate, DURATION) for rate in RATES), (RATES[-1], LONG)]:
         for topic in READERS:
             outcome = drive(rate, topic, duration)
             plant = outcome.status["im_plant"]
             due = plant["ticks"] + plant["missed_deadlines"]
             recorded = len(outcome.recording.topics["joint_states"].data)
-            times = [f"{plant[f'{name}_ms'] * 1e3:.0f}" for name in
-                     ("lateness_p50", "lateness_p99", "round_trip_p50", "round_trip_p99")]  # fmt: skip
-            table.add_row(f"{rate:,}", f"{duration:.0f}", topic or "nothing", f"{plant['missed_deadlines'] / due:.2%}",
-                          *times, f"{recorded / plant['ticks']:.2%}")  # fmt: skip
+            times = [
+                f"{plant[f'{name}_ms'] * 1e3:.0f}"
+                for name in ("lateness_p50", "lateness_p99", "round_trip_p50", "round_trip_p99")
+            ]
+            table.add_row(
+                f"{rate:,}",
+                f"{duration:.0f}",
+                topic or "nothing",
+                f"{plant['missed_deadlines'] / due:.2%}",
+                *times,
+                f"{recorded / plant['ticks']:.2%}",
+            )
     console.print(table)
 
 

@@ -73,8 +73,12 @@ def _measure(channels: int, rates: Sequence[int], listen: Listener) -> Rate:
         try:
             publisher = subprocess.run(
                 [sys.executable, "-P", "-m", "bench.recorder", "publish", str(channels), *map(str, rates)],
-                env=variables, capture_output=True, text=True, check=True, timeout=120,
-            )  # fmt: skip
+                env=variables,
+                capture_output=True,
+                text=True,
+                check=True,
+                timeout=120,
+            )
             listener.send_signal(signal.SIGINT)
             output = listener.communicate(timeout=60)[0]
         finally:
@@ -102,8 +106,15 @@ def _record(
     from softrig_bags.reader import BagReader
 
     bag = folder / "bag"
-    command = [sys.executable, "-c", "import sys; from softrig_bags.cli import main_record; sys.exit(main_record())",
-               f"/{TOPIC}", "--output", str(bag), *options]  # fmt: skip
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; from softrig_bags.cli import main_record; sys.exit(main_record())",
+        f"/{TOPIC}",
+        "--output",
+        str(bag),
+        *options,
+    ]
     process = subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
 
     def counts(output: str) -> Counter[int]:

@@ -57,9 +57,18 @@ def rigs() -> None:
         slower = cpu(lambda rig=rig: _one_by_one(rig))  # type: ignore[misc]
         ticks, simulated = rig.ticks, rig.end / 1e9
         plant, laws = (spent[key] / ticks / 1e3 for key in ("plant", "laws"))
-        table.add_row(name, f"{simulated:g}", f"{cold:.2f}", f"{warm:.2f}", f"{simulated / cold:.1f}",
-                      f"{simulated / warm:.1f}", f"{ticks / warm:,.0f}", f"{plant:.1f}",
-                      f"{laws:.1f}", f"{slower / ticks * 1e6 - plant - laws:.1f}")  # fmt: skip
+        table.add_row(
+            name,
+            f"{simulated:g}",
+            f"{cold:.2f}",
+            f"{warm:.2f}",
+            f"{simulated / cold:.1f}",
+            f"{simulated / warm:.1f}",
+            f"{ticks / warm:,.0f}",
+            f"{plant:.1f}",
+            f"{laws:.1f}",
+            f"{slower / ticks * 1e6 - plant - laws:.1f}",
+        )
     console.print(table)
 
 
@@ -69,13 +78,27 @@ RIGS = ("dc_motor_smc", "dc_motor_smc_b1", "dc_motor_fsfb", "induction_dtc", "ma
 
 def containers() -> None:
     """Lockstep ticks a second of every system, recorded: through processes, in one container, and in memory."""
-    table = Table("scenario", "nodes", "processes", "container", "in memory", "x processes", "of in memory",
-                  box=None, pad_edge=False)  # fmt: skip
+    table = Table(
+        "scenario",
+        "nodes",
+        "processes",
+        "container",
+        "in memory",
+        "x processes",
+        "of in memory",
+        box=None,
+        pad_edge=False,
+    )
     for name in sorted({scenario_of(n) for n in list_scenarios()}):
         found = ticks_a_second(name)
         row = [f"{found[k]:,.0f}" for k in ("processes", "container", "inprocess")]
-        table.add_row(name, f"{found['nodes']:.0f}", *row, f"{found['container'] / found['processes']:.1f}",
-                      f"{found['container'] / found['inprocess']:.2f}")  # fmt: skip
+        table.add_row(
+            name,
+            f"{found['nodes']:.0f}",
+            *row,
+            f"{found['container'] / found['processes']:.1f}",
+            f"{found['container'] / found['inprocess']:.2f}",
+        )
     console.print(table)
 
 

@@ -21,8 +21,14 @@ def main() -> int:
     """Build the site; warnings are errors."""
     parser = argparse.ArgumentParser(prog="scripts/softrig docs", description=main.__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "docs", metavar="DIR", help="where (runs/docs)")
-    parser.add_argument("--serve", nargs="?", type=int, const=8000, metavar="PORT",
-                        help="show it at http://127.0.0.1:PORT (8000; 0: any that is free) until Ctrl-C")  # fmt: skip
+    parser.add_argument(
+        "--serve",
+        nargs="?",
+        type=int,
+        const=8000,
+        metavar="PORT",
+        help="show it at http://127.0.0.1:PORT (8000; 0: any that is free) until Ctrl-C",
+    )
     parser.add_argument(
         "--sources", action="store_true", help="only write what Sphinx reads, and check all links to files"
     )
@@ -62,8 +68,10 @@ def build(out: Path, sources_only: bool = False) -> int:
     status = sphinx([*options, str(source), str(out / "html")])
     for page in (out / "html").rglob("*.html"):
         page.write_text(accessible(page.read_text(encoding="utf-8")), encoding="utf-8")
-    print("there are warnings: see above" if status else f"wrote {out / 'html' / 'index.html'}",
-          file=sys.stderr if status else sys.stdout)  # fmt: skip
+    print(
+        "there are warnings: see above" if status else f"wrote {out / 'html' / 'index.html'}",
+        file=sys.stderr if status else sys.stdout,
+    )
     return 1 if status else 0
 
 

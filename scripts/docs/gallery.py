@@ -68,9 +68,15 @@ def write(site: Path) -> None:
         raise ValueError(f"README.md: its table of systems has no row of {', '.join(missing)}")
     fields = dict.fromkeys(s.field for s in SYSTEMS.values())
     methods = sorted({m for s in SYSTEMS.values() for m in s.methods})
-    text = ["# Gallery", "", "Each system was rebuilt from its paper, whose errors are corrected in the model; its",
-            "page holds what was published beside what is measured here.", "",
-            "```{raw} html", '<div class="filter">']  # fmt: skip
+    text = [
+        "# Gallery",
+        "",
+        "Each system was rebuilt from its paper, whose errors are corrected in the model; its",
+        "page holds what was published beside what is measured here.",
+        "",
+        "```{raw} html",
+        '<div class="filter">',
+    ]
     for label, names in (("Field", fields), ("Method", methods)):
         buttons = "".join(f'<button type="button" data-only="{slug(n)}">{n}</button>' for n in names)
         text.append(f'<p><span>{label}</span><button type="button" data-only="" class="on">all</button>{buttons}</p>')

@@ -42,9 +42,12 @@ async def _all(paths: list[Path]) -> None:
 async def _one(path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)  # type: ignore[no-untyped-call]
     client = NotebookClient(
-        notebook, kernel_manager_class=_Local, timeout=PATIENCE, startup_timeout=PATIENCE,
+        notebook,
+        kernel_manager_class=_Local,
+        timeout=PATIENCE,
+        startup_timeout=PATIENCE,
         resources={"metadata": {"path": str(path.parent)}},
-    )  # fmt: skip
+    )
     try:
         await client.async_execute()
     except (CellExecutionError, CellTimeoutError) as error:

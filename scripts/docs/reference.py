@@ -92,8 +92,12 @@ def _verb(name: str, parser: argparse.ArgumentParser, text: str, mark: str) -> l
     for action in parser._actions:
         if action.help == argparse.SUPPRESS or isinstance(action, argparse._HelpAction | argparse._SubParsersAction):
             continue
-        value = "" if action.nargs == 0 else action.metavar or (
-            "{" + ",".join(map(str, action.choices)) + "}" if action.choices else action.dest.upper())  # fmt: skip
+        value = (
+            ""
+            if action.nargs == 0
+            else action.metavar
+            or ("{" + ",".join(map(str, action.choices)) + "}" if action.choices else action.dest.upper())
+        )
         value = " ".join(value) if isinstance(value, tuple) else value
         shown = " ".join(filter(None, (", ".join(action.option_strings), value)))
         rows.append(f"| `{_cell(shown)}` | {_cell((action.help or '') % _defaults(action, parser))} |")
@@ -112,9 +116,13 @@ def _defaults(action: argparse.Action, parser: argparse.ArgumentParser) -> dict[
 
 def all_nodes() -> dict[str, str]:
     """Every executable with its topics and parameters, from their declarations: a page each, and their list."""
-    parts = ["# Nodes", "", "Every executable of the packages: what it reads and publishes, its parameters with unit",
-             "and bounds. `scripts/softrig node PACKAGE EXECUTABLE` starts one with the values given here.",
-             ""]  # fmt: skip
+    parts = [
+        "# Nodes",
+        "",
+        "Every executable of the packages: what it reads and publishes, its parameters with unit",
+        "and bounds. `scripts/softrig node PACKAGE EXECUTABLE` starts one with the values given here.",
+        "",
+    ]
     pages: dict[str, str] = {}
     for package in PACKAGES:
         found = sorted(distribution(package).entry_points.select(group="console_scripts").names)
@@ -141,31 +149,59 @@ def all_nodes() -> dict[str, str]:
 
 def figures() -> str:
     """Every figure function, from its signature and docstring."""
-    parts = ["# Figures", "", "What a scenario can measure: functions that its `figures` name.",
-             "`scripts/softrig list --figures NAME` prints the same.", ""]  # fmt: skip
+    parts = [
+        "# Figures",
+        "",
+        "What a scenario can measure: functions that its `figures` name.",
+        "`scripts/softrig list --figures NAME` prints the same.",
+        "",
+    ]
     for name in registered():
         function = find(name)
-        parts += [f"## {name}", "", f"Unit: {getattr(function, 'unit', None) or 'as the scenario says'}.", "",
-                  "```{eval-rst}", f".. autofunction:: {function.__module__}.{function.__qualname__}", "   :no-index:",
-                  "```", ""]  # fmt: skip
+        parts += [
+            f"## {name}",
+            "",
+            f"Unit: {getattr(function, 'unit', None) or 'as the scenario says'}.",
+            "",
+            "```{eval-rst}",
+            f".. autofunction:: {function.__module__}.{function.__qualname__}",
+            "   :no-index:",
+            "```",
+            "",
+        ]
     return "\n".join(parts)
 
 
 def faults() -> str:
     """What a fault can do, from its declaration."""
     doc = inspect.cleandoc((Fault.__doc__ or "").partition("Notes\n")[0])
-    parts = ["# Faults", "", doc, "", "Kinds: " + ", ".join(f"`{kind}`" for kind in get_args(Kind)) + ".", "",
-             "What each does and how a scenario names them: [the test bench](../tutorials/test_bench.md#a-fault). All "
-             "parameters of the node `softrig_control fault`:", "",
-             *parameters(FaultParams), ""]  # fmt: skip
+    parts = [
+        "# Faults",
+        "",
+        doc,
+        "",
+        "Kinds: " + ", ".join(f"`{kind}`" for kind in get_args(Kind)) + ".",
+        "",
+        "What each does and how a scenario names them: [the test bench](../tutorials/test_bench.md#a-fault). All "
+        "parameters of the node `softrig_control fault`:",
+        "",
+        *parameters(FaultParams),
+        "",
+    ]
     return "\n".join(parts)
 
 
 def messages() -> str:
     """Every message type that the suite knows, from its codec."""
-    parts = ["# Messages", "", "The message types that ports use, with what each carries on the wire, in order. All "
-             "come from common_interfaces; every message in a loop carries its tick in `header.stamp`.", "",
-             "| type | on the wire |", "|---|---|"]  # fmt: skip
+    parts = [
+        "# Messages",
+        "",
+        "The message types that ports use, with what each carries on the wire, in order. All "
+        "come from common_interfaces; every message in a loop carries its tick in `header.stamp`.",
+        "",
+        "| type | on the wire |",
+        "|---|---|",
+    ]
     for name, kind in TYPES.items():
         items = (f"{i.name or i.kind}" + (f" ({i.size})" if i.size else "") for i in kind.schema)
         parts.append(f"| `{name.replace('/msg/', '/')}` | {', '.join(items)} |")
@@ -175,8 +211,10 @@ def messages() -> str:
 def front_door() -> dict[str, str]:
     """What `softrig_core` names, from docstrings: a page a module, and their list."""
     homes = vars(softrig_core)["_HOMES"]
-    modules = {f"softrig_core.{home}": sorted(homes[home].split(), key=lambda name: name != "simulate")
-               for home in sorted(homes, key=lambda home: (home != "run.simulate", home))}  # fmt: skip
+    modules = {
+        f"softrig_core.{home}": sorted(homes[home].split(), key=lambda name: name != "simulate")
+        for home in sorted(homes, key=lambda home: (home != "run.simulate", home))
+    }
     head = "What a user needs is named by the package itself: `from softrig_core import simulate`."
     return _modules("softrig_core", head, modules, named_by="softrig_core")
 
@@ -210,8 +248,19 @@ def _modules(package: str, head: str, modules: dict[str, list[str]], named_by: s
     for dotted, names in modules.items():
         short = dotted.removeprefix(f"{package}.")
         about = " ".join((inspect.getdoc(importlib.import_module(dotted)) or "").partition("\n\n")[0].split())
-        parts = ["---", "orphan: true", "---", "", f"# {short}", "", about, "",
-                 f"A module of [{package}](../{package}.md).", "", "```{eval-rst}"]  # fmt: skip
+        parts = [
+            "---",
+            "orphan: true",
+            "---",
+            "",
+            f"# {short}",
+            "",
+            about,
+            "",
+            f"A module of [{package}](../{package}.md).",
+            "",
+            "```{eval-rst}",
+        ]
         for name in names:
             value = getattr(importlib.import_module(named_by or dotted), name)
             kind = "autoclass" if inspect.isclass(value) else "autofunction" if callable(value) else "autodata"

@@ -60,12 +60,16 @@ def generate(page: str, runs: bool = False) -> str:
             return found[0]
         first, *words = found[3].split()
         made: dict[str, Callable[[], str]] = {
-            "nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words], None if runs else found[0]),
-            "scenarios": lambda: scenarios([first, *words]), "sources": lambda: sources([first, *words]),
-            "picture": lambda: picture(first, int(words[0])), "animation": lambda: animation(first),
-            "measured": lambda: measured(found[3]), "rooms": lambda: house(first),
+            "nodes": lambda: nodes(first, words),
+            "claims": lambda: claims([first, *words], None if runs else found[0]),
+            "scenarios": lambda: scenarios([first, *words]),
+            "sources": lambda: sources([first, *words]),
+            "picture": lambda: picture(first, int(words[0])),
+            "animation": lambda: animation(first),
+            "measured": lambda: measured(found[3]),
+            "rooms": lambda: house(first),
             "licences": lambda: licences(found[3]),
-        }  # fmt: skip
+        }
         return f"{found[1]}\n{made[found[2]]()}\n\n{found[4]}"
 
     return _VERDICTS.sub(lambda found: f"{found[1]}{verdicts(found[2])}{found[3]}", _PART.sub(part, page))

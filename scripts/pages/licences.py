@@ -30,11 +30,17 @@ TEXTS = (
 
 
 USUAL = {  # as metadata without an SPDX expression say it
-    "OSI Approved": "", "BSD License": "BSD", "MIT License": "MIT", "Apache Software License": "Apache-2.0",
-    "Apache License 2.0": "Apache-2.0", "Apache License, Version 2.0": "Apache-2.0", "Apache 2.0": "Apache-2.0",
-    "Python Software Foundation License": "PSF-2.0", "zlib License": "Zlib",
+    "OSI Approved": "",
+    "BSD License": "BSD",
+    "MIT License": "MIT",
+    "Apache Software License": "Apache-2.0",
+    "Apache License 2.0": "Apache-2.0",
+    "Apache License, Version 2.0": "Apache-2.0",
+    "Apache 2.0": "Apache-2.0",
+    "Python Software Foundation License": "PSF-2.0",
+    "zlib License": "Zlib",
     "GNU Lesser General Public License v3 or later (LGPLv3+)": "LGPL-3.0-or-later",
-}  # fmt: skip
+}
 
 
 def names(lock: str) -> list[str]:

@@ -117,9 +117,16 @@ def test_equal_recordings_give_equal_bytes(tmp_path, storage, compression):
 
 # What rosbag2's metadata parser of version 9 reads without a default, and the type it reads it as.
 QOS_FIELDS = {
-    "history": str, "depth": int, "reliability": str, "durability": str, "deadline": dict, "lifespan": dict,
-    "liveliness": str, "liveliness_lease_duration": dict, "avoid_ros_namespace_conventions": bool,
-}  # fmt: skip
+    "history": str,
+    "depth": int,
+    "reliability": str,
+    "durability": str,
+    "deadline": dict,
+    "lifespan": dict,
+    "liveliness": str,
+    "liveliness_lease_duration": dict,
+    "avoid_ros_namespace_conventions": bool,
+}
 POLICIES = {
     "history": {"keep_last", "keep_all", "system_default", "unknown"},
     "reliability": {"reliable", "best_effort", "system_default", "unknown"},
@@ -286,10 +293,16 @@ def humble_metadata(directory: Path, storage: str, source: Recording) -> None:
     times = {"starting_time": {"nanoseconds_since_epoch": 0}, "duration": {"nanoseconds": messages[-1][0]}}
     file = f"bag_0.{'db3' if storage == 'sqlite3' else storage}"
     info = {
-        "version": 5, "storage_identifier": storage, **times, "message_count": len(messages),
-        "topics_with_message_count": topics, "compression_format": "", "compression_mode": "",
-        "relative_file_paths": [file], "files": [{"path": file, **times, "message_count": len(messages)}],
-    }  # fmt: skip
+        "version": 5,
+        "storage_identifier": storage,
+        **times,
+        "message_count": len(messages),
+        "topics_with_message_count": topics,
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file],
+        "files": [{"path": file, **times, "message_count": len(messages)}],
+    }
     with (directory / "metadata.yaml").open("w") as out:
         YAML().dump({"rosbag2_bagfile_information": info}, out)
 
@@ -358,14 +371,25 @@ def foreign_bag(directory: Path, start: int = 0) -> None:
     types = store.types
     time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
     vector, turn = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    found = Recording([("imu", "sensor_msgs/msg/Imu"), ("note", "std_msgs/msg/String"),
-                       ("list", "std_msgs/msg/Float64MultiArray"), ("odd", "odd_msgs/msg/Odd")])  # fmt: skip
+    found = Recording(
+        [
+            ("imu", "sensor_msgs/msg/Imu"),
+            ("note", "std_msgs/msg/String"),
+            ("list", "std_msgs/msg/Float64MultiArray"),
+            ("odd", "odd_msgs/msg/Odd"),
+        ]
+    )
     for k in range(3):
         stamp = start + k * 500_000_000
         imu = types["sensor_msgs/msg/Imu"](
-            header(time(stamp // 10**9, stamp % 10**9), "imu"), turn(0.0, 0.0, 0.0, 1.0), np.arange(9.0),
-            vector(0.0, 0.0, k * 0.25), np.zeros(9), vector(0.0, 0.0, 9.81), np.zeros(9),
-        )  # fmt: skip
+            header(time(stamp // 10**9, stamp % 10**9), "imu"),
+            turn(0.0, 0.0, 0.0, 1.0),
+            np.arange(9.0),
+            vector(0.0, 0.0, k * 0.25),
+            np.zeros(9),
+            vector(0.0, 0.0, 9.81),
+            np.zeros(9),
+        )
         layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
         numbers = types["std_msgs/msg/Float64MultiArray"](layout, np.arange(k + 1.0))
         messages = [imu, types["std_msgs/msg/String"]("x"), numbers]
@@ -899,12 +923,15 @@ def test_a_definition_that_cannot_be_read_is_named(tmp_path):
         signals(tmp_path / "bag")
 
 
-@pytest.mark.parametrize("change", [
-    lambda about: about["topics_with_message_count"][0]["topic_metadata"].update(name={"a": 1}),
-    lambda about: about["topics_with_message_count"][0].update(message_count=[]),
-    lambda about: about["starting_time"].update(nanoseconds_since_epoch=1 << 70),
-    lambda about: about.update(custom_data="text"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda about: about["topics_with_message_count"][0]["topic_metadata"].update(name={"a": 1}),
+        lambda about: about["topics_with_message_count"][0].update(message_count=[]),
+        lambda about: about["starting_time"].update(nanoseconds_since_epoch=1 << 70),
+        lambda about: about.update(custom_data="text"),
+    ],
+)
 def test_metadata_of_other_kinds_is_told_in_one_line(change, tmp_path, capsys):
     write_bag(tmp_path / "bag", recording())
     file, yaml = tmp_path / "bag" / "metadata.yaml", YAML(typ="safe")

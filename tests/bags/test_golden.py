@@ -26,8 +26,17 @@ from softrig_core.processes.spawning import node_parameters
 
 BAGS = Path(__file__).parents[2] / "bags"
 GOLDEN = sorted(p.parent.name for p in BAGS.glob("*/golden.yaml"))
-THROUGH_PROCESSES = ("dc_motor_smc_b1", *(pytest.param(n, marks=pytest.mark.long) for n in (  # as their systems' tests
-    "dc_motor_smc_b4", "dc_motor_fsfb", "pv_mppt")))  # fmt: skip
+THROUGH_PROCESSES = (
+    "dc_motor_smc_b1",
+    *(
+        pytest.param(n, marks=pytest.mark.long)
+        for n in (  # as their systems' tests
+            "dc_motor_smc_b4",
+            "dc_motor_fsfb",
+            "pv_mppt",
+        )
+    ),
+)
 
 
 @pytest.fixture(autouse=True)
@@ -69,10 +78,17 @@ def test_each_node_answers_the_golden_inputs_as_before(name, node):
 
 
 @pytest.mark.parametrize(
-    "name", ["dc_motor_smc_b1", "dc_motor_fsfb_stretch_jitter", "induction_dtc_short", *(
-        pytest.param(n, marks=pytest.mark.long)
-        for n in ("dc_motor_fsfb_s2", "pv_mppt", "manipulator_adsmc_s5", "rehab_impedance_r2"))]
-)  # fmt: skip
+    "name",
+    [
+        "dc_motor_smc_b1",
+        "dc_motor_fsfb_stretch_jitter",
+        "induction_dtc_short",
+        *(
+            pytest.param(n, marks=pytest.mark.long)
+            for n in ("dc_motor_fsfb_s2", "pv_mppt", "manipulator_adsmc_s5", "rehab_impedance_r2")
+        ),
+    ],
+)
 def test_another_build_agrees_within_what_the_bag_says_of_it(name):
     """Parameters of the plants changed by a few units in the last place stand for another C library."""
     golden = load(BAGS / name)
@@ -177,8 +193,14 @@ def digests(names, kernels):
     return json.loads(done.stdout)
 
 
-DIFFERED = ["fault_location_m4k", "gupfc_s2_short", "optimal_control_mvim", "pv_mppt_certified_transients",
-            "pwa_delay_p3", "dc_motor_fsfb_s7"]  # fmt: skip
+DIFFERED = [
+    "fault_location_m4k",
+    "gupfc_s2_short",
+    "optimal_control_mvim",
+    "pv_mppt_certified_transients",
+    "pwa_delay_p3",
+    "dc_motor_fsfb_s7",
+]
 
 
 @cache
@@ -300,8 +322,12 @@ def test_a_check_writes_what_it_found_for_continuous_integration(tmp_path):
     assert row == agrees
     assert seconds > 0.0
     assert ET.parse(files["junit"]).find("testsuite").attrib == {
-        "name": "dc_motor_smc_b2", "tests": "1", "failures": "0", "errors": "0", "time": f"{seconds:.3f}"
-    }  # fmt: skip
+        "name": "dc_motor_smc_b2",
+        "tests": "1",
+        "failures": "0",
+        "errors": "0",
+        "time": f"{seconds:.3f}",
+    }
     recipe = golden.folder / "golden.yaml"
     recipe.write_text(recipe.read_text().replace("scenario: dc_motor_smc_b2", "scenario: dc_motor_smc_b2_delta2"))
     assert remade([], tmp_path, check=True, **files) == 1

@@ -22,8 +22,14 @@ WORDS = st.one_of(
 @example("\U0001f3fb", "2020-01-01")
 @example("a\nb", "a\n\nb\n")
 def test_metadata_is_what_ruamel_writes(name, value):
-    content = {"version": 9, "topics": [{"name": name, "offered": qos_dicts([qos(), qos(depth=1)])}], "none": [],
-               "custom_data": {"k": value, name: "x"}, "last": 0.5, "flag": False}  # fmt: skip
+    content = {
+        "version": 9,
+        "topics": [{"name": name, "offered": qos_dicts([qos(), qos(depth=1)])}],
+        "none": [],
+        "custom_data": {"k": value, name: "x"},
+        "last": 0.5,
+        "flag": False,
+    }
     assert to_yaml(content) == _by_ruamel(content)
 
 

@@ -276,11 +276,14 @@ def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):
         assert re.fullmatch(r"[0-9a-f]{40}\+?", versions["commit"])
 
 
-@pytest.mark.parametrize(("mode", "where"), [
-    ("inprocess", "softrig_bringup.verbs.run_verb.summary"),
-    pytest.param("container", "softrig_core.processes.processes.stop", marks=pytest.mark.processes),
-    pytest.param("container", "softrig_core.processes.processes.gathered", marks=pytest.mark.processes),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("mode", "where"),
+    [
+        ("inprocess", "softrig_bringup.verbs.run_verb.summary"),
+        pytest.param("container", "softrig_core.processes.processes.stop", marks=pytest.mark.processes),
+        pytest.param("container", "softrig_core.processes.processes.gathered", marks=pytest.mark.processes),
+    ],
+)
 def test_a_signal_after_the_last_tick_loses_nothing(mode, where, tmp_path, monkeypatch, undrawn):
     module, _, name = where.rpartition(".")
     real = getattr(importlib.import_module(module), name)
@@ -390,16 +393,23 @@ def test_a_gap_is_found(folder):
 def test_the_node_verb_is_the_executable(folder):
     done = subprocess.run(
         [sys.executable, "-m", "softrig_bringup", "node", "faultrig", "plant", "--ros-args", "-p", "gain:=0.0"],
-        capture_output=True, text=True, timeout=PATIENCE, env=os.environ | {"ROS_LOG_DIR": str(folder)},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        env=os.environ | {"ROS_LOG_DIR": str(folder)},
+    )
     assert done.returncode == 2
     assert done.stderr.strip() == "plant: parameter gain = 0.0: input should be greater than 0"
     assert main(["node", "faultrig", "plnt"]) == 2
 
 
 def test_a_node_explains_itself():
-    done = subprocess.run([sys.executable, "-m", "softrig_bringup", "node", "softrig_drives", "dc_motor_smc", "--help"],
-                          capture_output=True, text=True, timeout=PATIENCE)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "softrig_bringup", "node", "softrig_drives", "dc_motor_smc", "--help"],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
     assert done.returncode == 0
     assert "reads motor/state" in done.stdout
     assert "delta = 0.0 rad/s^2: softening" in done.stdout
@@ -437,10 +447,15 @@ def bare(tmp_path):
 
 def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(bare, tmp_path):
     calls = [
-        subprocess.Popen([tmp_path / "scripts" / "softrig", "env"], env=bare | {"SETUP_S": "1"}, stdout=subprocess.PIPE,
-                         stderr=subprocess.PIPE, text=True)
+        subprocess.Popen(
+            [tmp_path / "scripts" / "softrig", "env"],
+            env=bare | {"SETUP_S": "1"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         for _ in range(2)
-    ]  # fmt: skip
+    ]
     (first, said), (second, also) = (call.communicate(timeout=PATIENCE) for call in calls)
     assert [call.returncode for call in calls] == [0, 0], said + also
     assert sorted(("ready after" in said, "ready after" in also)) == [False, True]  # one set up, one waited
@@ -454,8 +469,14 @@ def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(bare, tmp
 
 def test_pip_does_it_where_uv_cannot_be_had_and_a_shared_environment_is_not_installed_twice(bare, tmp_path):
     def softrig(*arguments, **variables):
-        return subprocess.run([tmp_path / "scripts" / "softrig", *arguments], env=bare | variables, timeout=60,
-                              stdin=subprocess.DEVNULL, capture_output=True, text=True)  # fmt: skip
+        return subprocess.run(
+            [tmp_path / "scripts" / "softrig", *arguments],
+            env=bare | variables,
+            timeout=60,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+        )
 
     assert softrig("setup", NO_UV="1", SOFTRIG_WHEELS="bin").returncode == 0
     installs = [c for c in (tmp_path / "calls").read_text().splitlines() if " install " in c]
@@ -618,8 +639,14 @@ def test_a_terminal_that_goes_while_a_table_is_printed(folder):
     assert (found.returncode, found.stderr) == (141, "")
 
 
-@pytest.mark.parametrize("error", ["MemoryError()", "ImportError('x.so: failed to map segment from shared object')",
-                                   "OSError(12, 'Cannot allocate memory')"])  # fmt: skip
+@pytest.mark.parametrize(
+    "error",
+    [
+        "MemoryError()",
+        "ImportError('x.so: failed to map segment from shared object')",
+        "OSError(12, 'Cannot allocate memory')",
+    ],
+)
 def test_too_little_memory_is_no_bad_input(error, folder, monkeypatch, capsys):
     (folder / "greedy.py").write_text(f"raise {error}\n")
     (folder / "greedy-1.0.dist-info").mkdir()

@@ -55,8 +55,14 @@ def test_each_place_of_a_command_is_completed(tmp_path):
         "bag play --": {"--remap"},
     }
     lines = [f"softrig {line}" for line in [*exactly, *among]]
-    subprocess.run([sys.executable, "-c", ASK, str(tmp_path)], input=json.dumps(lines), text=True, timeout=PATIENCE,
-                   capture_output=True, check=True)  # fmt: skip
+    subprocess.run(
+        [sys.executable, "-c", ASK, str(tmp_path)],
+        input=json.dumps(lines),
+        text=True,
+        timeout=PATIENCE,
+        capture_output=True,
+        check=True,
+    )
     said = [{word.rstrip() for word in (tmp_path / str(k)).read_text().split("\v") if word} for k in range(len(lines))]
     assert dict(zip(exactly, said, strict=False)) == exactly
     for line, expected, found in zip(among, among.values(), said[len(exactly) :], strict=True):
@@ -69,8 +75,13 @@ def test_bash_uses_it_for_the_scenarios_of_an_own_package_too(tmp_path):
         for COMP_LINE in 'softrig run dc_motor_smc_b5_p' 'softrig run heate'; do
             COMP_POINT=${{#COMP_LINE}}; _python_argcomplete '{SOFTRIG}'; echo "${{COMPREPLY[@]}}"
         done"""
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=PATIENCE,
-                          env=os.environ | {"SOFTRIG_WORKSPACE": str(tmp_path / "heater")})  # fmt: skip
+    done = subprocess.run(
+        ["bash", "-c", script],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        env=os.environ | {"SOFTRIG_WORKSPACE": str(tmp_path / "heater")},
+    )
     assert done.stdout.split() == ["dc_motor_smc_b5_pid", "heater"], done.stderr
 
 

@@ -62,8 +62,11 @@ def test_the_devcontainer_builds_from_the_checkout():
 
 def all_commands():
     of_docker = [rest for word, rest in instructions() if word == "RUN" and not rest.startswith(OF_THE_IMAGE)]
-    return [c.removeprefix("softrig/") for c in of_docker] + [DEVCONTAINER["postCreateCommand"]] + [
-        c for job in WORKFLOW["jobs"] for c in commands(job)]  # fmt: skip
+    return (
+        [c.removeprefix("softrig/") for c in of_docker]
+        + [DEVCONTAINER["postCreateCommand"]]
+        + [c for job in WORKFLOW["jobs"] for c in commands(job)]
+    )
 
 
 @pytest.mark.parametrize("command", all_commands())

@@ -22,9 +22,13 @@ FROM_PIP = {re.match(r"[\w.-]+", word).group() for word in LINE.replace("'", "")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 OWN = yaml.safe_load((ROOT / "config/rosdep.yaml").read_text())  # keys that rosdistro has not
 SOURCES = {  # modules that another name brings
-    "ruamel": "ruamel.yaml", "typing_extensions": "typing-extensions", "PIL": "pil", "llvmlite": "numba",
-    "backports": "backports.zstd", "compression": "backports.zstd",
-}  # fmt: skip
+    "ruamel": "ruamel.yaml",
+    "typing_extensions": "typing-extensions",
+    "PIL": "pil",
+    "llvmlite": "numba",
+    "backports": "backports.zstd",
+    "compression": "backports.zstd",
+}
 COMMON = configparser.ConfigParser()
 COMMON.read(ROOT / "ros_pkgs/softrig_core/setup.cfg")
 STYLE = (ROOT / "ros_pkgs/softrig_core/test/test_style.py").read_text()

@@ -92,8 +92,12 @@ def test_the_motor_turns_as_its_shaft_and_the_flux_points_as_it_does():
     ]
     assert tips == [(298.0, 180.0), (190.0, 72.0)]
     # a quarter turn of the picture with one pair of poles is an eighth of the shaft's, which has two
-    marks = [next(s for s in drawing.frame({"joint_states/shaft/position": q}) if as_dict(s).get("fill") == s.role
-                  == "muted").points[0] for q in (0.0, math.pi / 4)]  # fmt: skip
+    marks = [
+        next(
+            s for s in drawing.frame({"joint_states/shaft/position": q}) if as_dict(s).get("fill") == s.role == "muted"
+        ).points[0]
+        for q in (0.0, math.pi / 4)
+    ]
     assert marks == [(278.0, 180.0), (190.0, 92.0)]
 
 

@@ -22,18 +22,35 @@ def loop(torques, times=None):
     """The ideal motor under PID, linear, with a load torque in steps."""
     times = times or [0.1 * k for k in range(len(torques))]
     nodes = {
-        "plant": {"package": "softrig_drives", "executable": "dc_motor_plant",
-                  "parameters": {"period": PERIOD, "load_times": times, "load_torques": torques}},
-        "reference": {"package": "softrig_control", "executable": "reference_source",
-                      "parameters": {"period": 0.1, "velocities": [0.0]}, "remap": {"reference": "motor/reference"}},
-        "pid": {"package": "softrig_drives", "executable": "dc_motor_pid",
-                "parameters": {"period": PERIOD, "kp": 1.0, "ki": 10.0, "kd": 0.0}},
-    }  # fmt: skip
-    return Scenario.model_validate({
-        "name": "loop", "title": "loop", "system": "dc_motor", "source": "", "duration": 1.5, "nodes": nodes,
-        "shared": {"speed": "motor/state/shaft/velocity", "voltage": "motor/command/armature/effort"},
-        "requirements": {"deviation": "always abs(speed) <= 1"},
-    })  # fmt: skip
+        "plant": {
+            "package": "softrig_drives",
+            "executable": "dc_motor_plant",
+            "parameters": {"period": PERIOD, "load_times": times, "load_torques": torques},
+        },
+        "reference": {
+            "package": "softrig_control",
+            "executable": "reference_source",
+            "parameters": {"period": 0.1, "velocities": [0.0]},
+            "remap": {"reference": "motor/reference"},
+        },
+        "pid": {
+            "package": "softrig_drives",
+            "executable": "dc_motor_pid",
+            "parameters": {"period": PERIOD, "kp": 1.0, "ki": 10.0, "kd": 0.0},
+        },
+    }
+    return Scenario.model_validate(
+        {
+            "name": "loop",
+            "title": "loop",
+            "system": "dc_motor",
+            "source": "",
+            "duration": 1.5,
+            "nodes": nodes,
+            "shared": {"speed": "motor/state/shaft/velocity", "voltage": "motor/command/armature/effort"},
+            "requirements": {"deviation": "always abs(speed) <= 1"},
+        }
+    )
 
 
 def measure_of(space, name):

@@ -85,8 +85,15 @@ class User:
 
     def __call__(self, command, status=0, timeout=PATIENCE):
         """Type a command; gives what it printed, and what it complained of."""
-        done = subprocess.run([*self.become, "bash", "-c", command], cwd=self.folder, env=self.environment,
-                              stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout)  # fmt: skip
+        done = subprocess.run(
+            [*self.become, "bash", "-c", command],
+            cwd=self.folder,
+            env=self.environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+        )
         assert done.returncode == status, done.stdout + done.stderr
         return done.stdout, done.stderr
 

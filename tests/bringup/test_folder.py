@@ -99,11 +99,14 @@ def test_a_changed_gain_is_no_failure(tmp_path, capsys):
     assert json.loads((tmp_path / "metrics.json").read_text())["changed"] == ["dc_motor_smc.delta=20.0"]
 
 
-@pytest.mark.parametrize(("old", "new", "message"), [
-    ("  dc_motor_plant:", "  ../../evil:", "nodes.../../evil"),
-    ("executable: dc_motor_plant", "executable: ../../../bin/sh", "executable"),
-    ("{reference: motor/reference}", "{reference: ../x}", "remap"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("  dc_motor_plant:", "  ../../evil:", "nodes.../../evil"),
+        ("executable: dc_motor_plant", "executable: ../../../bin/sh", "executable"),
+        ("{reference: motor/reference}", "{reference: ../x}", "remap"),
+    ],
+)
 def test_names_that_are_no_ros_names_are_refused(tmp_path, capsys, monkeypatch, old, new, message):
     from softrig_core import list_scenarios
 

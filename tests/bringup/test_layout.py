@@ -50,8 +50,12 @@ def test_the_layout_has_every_package_and_starts_its_nodes(tmp_path):
     said = subprocess.run(["sh", "-c", source], env={"AMENT_PREFIX_PATH": "/under"}, capture_output=True, text=True)
     library, index = said.stdout.splitlines()
     assert index == f"{tmp_path}/my prefix:/under"
-    shown = subprocess.run([tmp_path / "my prefix/lib/softrig_drives/dc_motor_plant", "--help"], capture_output=True,
-                           text=True, env=os.environ | {"PYTHONPATH": library})  # fmt: skip
+    shown = subprocess.run(
+        [tmp_path / "my prefix/lib/softrig_drives/dc_motor_plant", "--help"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": library},
+    )
     assert "publishes motor/state" in shown.stdout, shown.stderr
 
 
@@ -99,8 +103,14 @@ def test_a_set_up_without_a_network(tmp_path):
     cut_off = user | {k: v for name in nowhere for k, v in ((name, nowhere[name]), (name.lower(), nowhere[name]))}
 
     def softrig(*arguments, **variables):
-        return subprocess.run([there / "scripts" / "softrig", *arguments], cwd=tmp_path, env=cut_off | variables,
-                              capture_output=True, text=True, stdin=subprocess.DEVNULL)  # fmt: skip
+        return subprocess.run(
+            [there / "scripts" / "softrig", *arguments],
+            cwd=tmp_path,
+            env=cut_off | variables,
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+        )
 
     done = softrig("run", "dc_motor_smc_b2", "--mode", "inprocess", SOFTRIG_WHEELS=str(tmp_path / "wheels"))
     assert done.returncode == 0, done.stderr

@@ -102,8 +102,11 @@ def test_the_only_field_of_a_channel_may_be_left_out(run):
     assert full_name("a/b", ["a/b/x", "a/b/y"]) == "a/b"
     scenario = load_scenario("dc_motor_smc_b2")
     plots = (scenario.plots[0].model_copy(update={"signals": {SHORT: "volts"}}),)
-    figures = {"mean": scenario.figures["rise_time"].model_copy(
-        update={"function": "mean", "unit": None, "arguments": {"signal": SHORT}})}  # fmt: skip
+    figures = {
+        "mean": scenario.figures["rise_time"].model_copy(
+            update={"function": "mean", "unit": None, "arguments": {"signal": SHORT}}
+        )
+    }
     short = scenario.model_copy(update={"plots": plots, "figures": figures, "expect": {}, "claims": {}})
     rig = rig_of(short.changed(duration=0.5))
     assert list(rig.scenario.plots[0].signals) == [WHOLE]

@@ -77,8 +77,11 @@ def test_pictures_are_plot_entries_drawn_from_a_run(tmp_path, undrawn):
         pages.generate("<!-- picture: dc_motor_smc_b2 9 -->\n<!-- end -->")
 
 
-ANIMATIONS = {found[0]: (p, float(found[1]), float(found[2])) for p in PAGES
-              for found in pages.ANIMATION.findall((ROOT / p).read_text())}  # fmt: skip
+ANIMATIONS = {
+    found[0]: (p, float(found[1]), float(found[2]))
+    for p in PAGES
+    for found in pages.ANIMATION.findall((ROOT / p).read_text())
+}
 
 
 # each daily one moves other things; a change in the code that draws shows in all of them, in a run in the golden bags
@@ -177,9 +180,13 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
 <!-- end -->
 """
     ties = {
-        "0.607": "dc_motor_smc.rise_time", "1,153": "test_here.py::test_one", "1.005e-4": "paper Table 1",
-        "347": "1 * rectifier_mpc.v_min", "3.927": "= 5*pi/4", "42.1": "bench gupfc",
-    }  # fmt: skip
+        "0.607": "dc_motor_smc.rise_time",
+        "1,153": "test_here.py::test_one",
+        "1.005e-4": "paper Table 1",
+        "347": "1 * rectifier_mpc.v_min",
+        "3.927": "= 5*pi/4",
+        "42.1": "bench gupfc",
+    }
 
     def told(extra="", run=None, **changed):
         lines = (f"{n}: {s}" for n, s in (ties | changed).items() if s)
@@ -236,8 +243,12 @@ def test_a_stale_page_is_told_and_mended(tmp_path, capsys):
 
 def test_every_package_of_a_set_up_stands_under_its_licence():
     rows = (ROOT / "ros_pkgs/softrig_bringup/doc/licences.md").read_text().partition("<!-- end -->")[0]
-    told = {name: row.split("|")[1].strip() for row in rows.splitlines() if row.startswith("| ")
-            for name in row.split("|")[2].strip().split(", ")}  # fmt: skip
+    told = {
+        name: row.split("|")[1].strip()
+        for row in rows.splitlines()
+        if row.startswith("| ")
+        for name in row.split("|")[2].strip().split(", ")
+    }
     lock = (ROOT / "scripts/locks/run.lock").read_text()
     assert set(re.findall(r"^([\w.-]+)==\S+ \\$", lock, re.M)) <= told.keys()  # those that every machine gets
     assert told["casadi"] == "LGPL-3.0-or-later"

@@ -48,14 +48,21 @@ def scenario(**keys):
             "mean": {"arguments": {"signal": X, "start": 0.5, "end": 1.0}},
             "peak": {"arguments": {"signal": "lag/command/u/effort"}},
         },
-        "expect": {"settling_time": "0.9 +- 0.1", "last": "0.45 +- 0.05", "overshoot": "at most 0",
-                   "mean": "0.3 +- 0.05"},
-        "claims": {"last": {"published": 0.4, "where": "Table I", "verdict": "reproduced", "tolerance": "20 %"},
-                   "settling_time": {"published": 0.8, "where": "Table I", "verdict": "refuted",
-                                     "reason": "it is not"}},
-        "plots": [{"title": "Position", "signals": {X: "position"}},
-                  {"title": "Command", "signals": {"lag/command/u/effort": "command"}}],
-    }  # fmt: skip
+        "expect": {
+            "settling_time": "0.9 +- 0.1",
+            "last": "0.45 +- 0.05",
+            "overshoot": "at most 0",
+            "mean": "0.3 +- 0.05",
+        },
+        "claims": {
+            "last": {"published": 0.4, "where": "Table I", "verdict": "reproduced", "tolerance": "20 %"},
+            "settling_time": {"published": 0.8, "where": "Table I", "verdict": "refuted", "reason": "it is not"},
+        },
+        "plots": [
+            {"title": "Position", "signals": {X: "position"}},
+            {"title": "Command", "signals": {"lag/command/u/effort": "command"}},
+        ],
+    }
     return make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, **{**about, **keys})
 
 
@@ -83,8 +90,11 @@ def coloured(ax, colour):
     from matplotlib.colors import same_color
 
     bands = [c.get_paths()[0].get_extents() for c in ax.collections if same_color(c.get_facecolor()[0][:3], colour)]
-    spans = [p.get_extents().transformed(ax.transData.inverted()) for p in ax.patches
-             if same_color(p.get_facecolor()[:3], colour)]  # fmt: skip
+    spans = [
+        p.get_extents().transformed(ax.transData.inverted())
+        for p in ax.patches
+        if same_color(p.get_facecolor()[:3], colour)
+    ]
     lines = [line.get_path().get_extents() for line in ax.lines if same_color(line.get_color(), colour)]
     return [tuple(b.extents) for b in (*bands, *spans, *lines)]
 
@@ -126,8 +136,9 @@ def test_marks_follow_the_unit_of_the_figure_and_the_side_of_the_peak():
 
 @pytest.mark.parametrize("final", [{"final": 0.75}, {}])
 def test_a_rise_is_marked_from_where_it_began(final):
-    given = scenario(figures={"rise_time": {"arguments": {"signal": X} | final}},
-                     expect={"rise_time": "0.5 +- 0.1"}, claims={})  # fmt: skip
+    given = scenario(
+        figures={"rise_time": {"arguments": {"signal": X} | final}}, expect={"rise_time": "0.5 +- 0.1"}, claims={}
+    )
     run = simulate(rig_of(given))
     (mark,) = marks_of(run.rig, run.signals)[X]
     t, x = run.signals[X]
@@ -195,7 +206,10 @@ def test_a_loop_is_drawn_from_left_to_right(lag_rig):
     wiring = wiring_of(lag_rig)
     assert columns(wiring) == [["source"], ["gain"], ["plant"]]
     assert {(w.source, w.readers) for w in wiring.wires if w.readers} == {
-        ("source", ("gain",)), ("gain", ("plant",)), ("plant", ("gain",))}  # fmt: skip
+        ("source", ("gain",)),
+        ("gain", ("plant",)),
+        ("plant", ("gain",)),
+    }
 
 
 def test_who_only_looks_on_stands_behind_the_plant():
@@ -330,10 +344,15 @@ def test_runs_are_named_by_folder_or_label(folders, labels, given, found):
         ([{"seed": 0}, {"seed": 1}, {"seed": 2, "stopped": "stopped by SIGINT"}], False),
         ([{"seed": s, "duration_s": 1.0 + s} for s in range(3)], False),
         ([{"seed": s, "code": {}} for s in range(3)], False),  # of before the code was noted
-        ([{"seed": s, "wiring": {"nodes": {"gain": {"executable": "a/b", "period": 1.0, "outside": True}}}}
-          for s in range(3)], False),
+        (
+            [
+                {"seed": s, "wiring": {"nodes": {"gain": {"executable": "a/b", "period": 1.0, "outside": True}}}}
+                for s in range(3)
+            ],
+            False,
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_band_is_of_seeds_of_the_same_code_and_parameters_that_ended(changes, banded):
     named = ["lag-seed_0", "lag-seed_1", "lag-seed_2", "other"]
     runs = [run_of(**change) for change in changes] + [run_of(scenario="other")]
@@ -364,15 +383,24 @@ def test_what_a_person_changed_comes_first_and_what_follows_is_folded_without_es
     assert differing(by_name)[0] == {"gain.k": ["1.0", "2.0"]}
 
 
-@pytest.mark.parametrize(("command", "said"), [
-    ("/home/me/softrig/scripts/softrig --workspace /home/me/ws run pump --mode inprocess --out /home/me/x",
-     "softrig run pump --mode inprocess"),
-    ("softrig run /home/me/softrig/config/scenarios/dc_motor_smc_b2.yaml --set a.b=/x",
-     "softrig run dc_motor_smc_b2 --set a.b=/x"),
-    ("softrig run '/home/me/my rigs/pump.yaml' --params-file /home/me/p.yaml",
-     "softrig run pump.yaml --params-file p.yaml"),
-    ("softrig run 'unbalanced", "softrig run 'unbalanced"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (
+            "/home/me/softrig/scripts/softrig --workspace /home/me/ws run pump --mode inprocess --out /home/me/x",
+            "softrig run pump --mode inprocess",
+        ),
+        (
+            "softrig run /home/me/softrig/config/scenarios/dc_motor_smc_b2.yaml --set a.b=/x",
+            "softrig run dc_motor_smc_b2 --set a.b=/x",
+        ),
+        (
+            "softrig run '/home/me/my rigs/pump.yaml' --params-file /home/me/p.yaml",
+            "softrig run pump.yaml --params-file p.yaml",
+        ),
+        ("softrig run 'unbalanced", "softrig run 'unbalanced"),
+    ],
+)
 def test_a_command_for_others_names_no_folder_of_its_maker(command, said):
     assert for_reader(command) == said
 

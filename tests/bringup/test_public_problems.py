@@ -98,10 +98,13 @@ def test_the_condenser_is_its_block_diagram_by_another_hand(bench):
         assert s.condense(steam)[round(b / s.PERIOD)] == pytest.approx(x[3], abs=1e-5)
 
 
-@pytest.mark.parametrize(("start", "altitudes"), [
-    ((np.pi / 4, -2 * np.pi / 5 + np.pi / 40, -np.pi / 4), (1823.2, 1291.29, 816.66, 259.03, 296.66, 586.83)),
-    ((np.pi / 5, -2 * np.pi / 5, -3 * np.pi / 8), (1808.16, 1262.75, 781.82, 203.55, 228.64, 519.51)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("start", "altitudes"),
+    [
+        ((np.pi / 4, -2 * np.pi / 5 + np.pi / 40, -np.pi / 4), (1823.2, 1291.29, 816.66, 259.03, 296.66, 586.83)),
+        ((np.pi / 5, -2 * np.pi / 5, -3 * np.pi / 8), (1808.16, 1262.75, 781.82, 203.55, 228.64, 519.51)),
+    ],
+)
 def test_the_aircraft_flies_as_in_the_public_python_version(bench, start, altitudes):
     """Altitudes after 1 to 15 s of that version (its modes each 10 ms, too), run outside."""
     found = bench[3].fly(*start)

@@ -103,14 +103,21 @@ class Steps(Block):
 
 
 PLOTS = [
-    {"title": "Speed follows its steps", "signals": {"drive/state/shaft/velocity": "measured",
-                                                    "drive/reference/shaft/velocity": "reference"}},
+    {
+        "title": "Speed follows its steps",
+        "signals": {"drive/state/shaft/velocity": "measured", "drive/reference/shaft/velocity": "reference"},
+    },
     {"title": "Command, held 10 ms", "signals": {"drive/command/phase/effort": "phase voltage"}, "window": [0.9, 1.2]},
-    {"title": "Speed and command", "signals": {"drive/state/shaft/velocity": "speed",
-                                               "drive/reference/shaft/velocity": "reference",
-                                               "drive/command/phase/effort": "command"}},
+    {
+        "title": "Speed and command",
+        "signals": {
+            "drive/state/shaft/velocity": "speed",
+            "drive/reference/shaft/velocity": "reference",
+            "drive/command/phase/effort": "command",
+        },
+    },
     {"title": "Flux circle", "signals": {"drive/flux/y": "machine", "law/flux/y": "estimate"}, "x": "x"},
-]  # fmt: skip
+]
 BLOCKS = {"drive": Drive, "law": Law, "steps": Steps}
 
 
@@ -293,9 +300,12 @@ def test_run_that_broke_early_still_gives_pictures(make_rig, draw, recorder):
 
 @pytest.mark.parametrize(
     "entry",
-    [{"signals": {"drive/state/shaft/speed": ""}}, {"signals": {"drive/flux/y": ""}, "x": "alpha"},
-     {"signals": {"nowhere/y": ""}}],
-)  # fmt: skip
+    [
+        {"signals": {"drive/state/shaft/speed": ""}},
+        {"signals": {"drive/flux/y": ""}, "x": "alpha"},
+        {"signals": {"nowhere/y": ""}},
+    ],
+)
 def test_plot_of_an_unknown_signal_is_refused(make_rig, tmp_path, entry):
     rig = make_rig(plots=[{"title": "Wrong", **entry}], duration=0.01)
     with pytest.raises(ScenarioError, match=r"plot 'Wrong': no signal '(drive|nowhere)/.*drive/state/shaft/velocity"):
@@ -352,14 +362,20 @@ class Page(HTMLParser):
 
 
 METRICS = [
-    {"name": "rise_time", "unit": "s", "published": 0.607, "expected": 0.607,
-     "tolerance": 0.001, "value": 0.60695, "pass": True},
+    {
+        "name": "rise_time",
+        "unit": "s",
+        "published": 0.607,
+        "expected": 0.607,
+        "tolerance": 0.001,
+        "value": 0.60695,
+        "pass": True,
+    },
     {"name": "final_error", "unit": "rad/s^2", "at_most": 0.5, "value": -1.25, "pass": True},
-    {"name": "cost", "published": 15459.0012, "expected": 15459.0, "tolerance": 0.01,
-     "value": 15459.5, "pass": False},
+    {"name": "cost", "published": 15459.0012, "expected": 15459.0, "tolerance": 0.01, "value": 15459.5, "pass": False},
     {"name": "ripple", "value": 0.25, "pass": True},
     {"name": "settling", "at_most": 1.0, "value": None, "pass": False, "error": "never <settles>"},
-]  # fmt: skip
+]
 
 
 @pytest.fixture

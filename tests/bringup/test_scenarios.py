@@ -322,8 +322,18 @@ def test_units_of_figures_follow_from_the_signals():
 
 def test_yaml_is_read_as_1_2():
     found = read_yaml("{a: 1e-5, b: 1.0e+6, c: on, d: 010, e: 12:30, f: ~, g: .inf, h: 0x10, i: -.5, j: 'x'}", "t")
-    assert found == {"a": 1e-5, "b": 1e6, "c": "on", "d": 10, "e": "12:30", "f": None, "g": math.inf, "h": 16,
-                     "i": -0.5, "j": "x"}  # fmt: skip
+    assert found == {
+        "a": 1e-5,
+        "b": 1e6,
+        "c": "on",
+        "d": 10,
+        "e": "12:30",
+        "f": None,
+        "g": math.inf,
+        "h": 16,
+        "i": -0.5,
+        "j": "x",
+    }
 
 
 @pytest.mark.parametrize(

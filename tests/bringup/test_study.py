@@ -73,8 +73,12 @@ def rows_of(study, out, **keys):
 
 
 def test_runs_are_cases_times_grid_times_draws_times_seeds():
-    demo = study(cases={"a": {}, "b": {"plant.gain": 2.0}}, grid={"gain.k": [1, 2, 3]}, seeds=2,
-                 draws={"count": 4, "parameters": {"plant.limit": {"uniform": [1, 2]}}})  # fmt: skip
+    demo = study(
+        cases={"a": {}, "b": {"plant.gain": 2.0}},
+        grid={"gain.k": [1, 2, 3]},
+        seeds=2,
+        draws={"count": 4, "parameters": {"plant.limit": {"uniform": [1, 2]}}},
+    )
     found = list(cases(demo))
     assert count(demo) == len(found) == 2 * 3 * 4 * 2
     assert [c.number for c in found] == list(range(48))
@@ -87,9 +91,13 @@ def test_runs_are_cases_times_grid_times_draws_times_seeds():
 @pytest.mark.parametrize("method", ["random", "latin_hypercube"])
 def test_draws_follow_their_distributions(method):
     parameters = {
-        "u": {"uniform": [2.0, 4.0]}, "l": {"log_uniform": [0.01, 100.0]}, "n": {"normal": [5.0, 0.5]},
-        "i": {"integers": [1, 3]}, "c": {"choice": ["x", "y"]}, "v": {"uniform": [[0.0, 10.0], [1.0, 20.0]]},
-    }  # fmt: skip
+        "u": {"uniform": [2.0, 4.0]},
+        "l": {"log_uniform": [0.01, 100.0]},
+        "n": {"normal": [5.0, 0.5]},
+        "i": {"integers": [1, 3]},
+        "c": {"choice": ["x", "y"]},
+        "v": {"uniform": [[0.0, 10.0], [1.0, 20.0]]},
+    }
     draws = study(draws={"count": 2000, "seed": 3, "method": method, "parameters": parameters}).draws
     points = draw(draws)
     assert draw(draws) == points
@@ -261,8 +269,18 @@ def damaged(lines):
     }
 
 
-@pytest.mark.parametrize("kind", ["cut off", "without its last newline", "damaged in the middle", "lacks a key",
-                                  "of another run", "doubled", "of no run"])  # fmt: skip
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "cut off",
+        "without its last newline",
+        "damaged in the middle",
+        "lacks a key",
+        "of another run",
+        "doubled",
+        "of no run",
+    ],
+)
 def test_rows_are_read_as_far_as_they_are_right_and_nothing_of_them_is_lost(kind, folder, capsys):
     demo = study(grid={"gain.k": [1.0, 2.0, 3.0]})
     whole = rows_of(demo, folder / "out")
@@ -388,8 +406,16 @@ claims: {largest: {published: 0.1, where: Table I, verdict: refuted, reason: lar
 
 
 def a_row(number, k, value, seed=0, never=()):
-    return {"number": number, "scenario": "lag", "case": "", "seed": seed, "overrides": {"gain.k": k}, "error": "",
-            "figures": {"settling": value}, "never": list(never)}  # fmt: skip
+    return {
+        "number": number,
+        "scenario": "lag",
+        "case": "",
+        "seed": seed,
+        "overrides": {"gain.k": k},
+        "error": "",
+        "figures": {"settling": value},
+        "never": list(never),
+    }
 
 
 def test_runs_without_a_value_are_marked_counted_and_make_the_median_no_better():
@@ -422,9 +448,15 @@ def test_a_study_says_never_where_a_figure_never_comes(folder, capsys, undrawn):
 
 @pytest.mark.parametrize(
     ("text", "found"),
-    [("1:5:1", [1, 2, 3, 4, 5]), ("0:0.3:0.1", [0.0, 0.1, 0.2, 0.3]), ("0.5,1:2", [0.5, 1, 2]), ("3:1:-1", [3, 2, 1]),
-     ("a,b", ["a", "b"]), ("[1, 2],[3, 4]", [[1, 2], [3, 4]])],
-)  # fmt: skip
+    [
+        ("1:5:1", [1, 2, 3, 4, 5]),
+        ("0:0.3:0.1", [0.0, 0.1, 0.2, 0.3]),
+        ("0.5,1:2", [0.5, 1, 2]),
+        ("3:1:-1", [3, 2, 1]),
+        ("a,b", ["a", "b"]),
+        ("[1, 2],[3, 4]", [[1, 2], [3, 4]]),
+    ],
+)
 def test_ranges_have_both_ends(text, found):
     assert values("gain.k", text) == found
 
@@ -472,16 +504,22 @@ def test_a_search_finds_the_best_gain_whatever_the_workers_and_goes_on(folder):
 @pytest.mark.parametrize(
     ("keys", "pictures"),
     [
-        ({"grid": {"gain.k": [1, 2, 3]}, "seeds": 3, "signals": ["lag/state/x/position"]},
-         ["figures_over_gain_k", "distribution", "signal_lag_state_x"]),
-        ({"grid": {"gain.k": [1, 2], "plant.gain": [1, 2]}},
-         ["figures_over_gain_k", "figures_over_plant", "map_of_last"]),
+        (
+            {"grid": {"gain.k": [1, 2, 3]}, "seeds": 3, "signals": ["lag/state/x/position"]},
+            ["figures_over_gain_k", "distribution", "signal_lag_state_x"],
+        ),
+        (
+            {"grid": {"gain.k": [1, 2], "plant.gain": [1, 2]}},
+            ["figures_over_gain_k", "figures_over_plant", "map_of_last"],
+        ),
         ({"seeds": 6, "signals": ["lag/command/u"]}, ["distribution", "signal_lag_command_u"]),
         ({"draws": {"count": 6, "parameters": {"gain.k": {"uniform": [1, 2]}}}}, ["figures_over_gain_k"]),
-        ({"search": {"figure": "last", "count": 4, "parameters": {"gain.k": {"uniform": [1, 2]}}}},
-         ["search_last", "search_parallel"]),
+        (
+            {"search": {"figure": "last", "count": 4, "parameters": {"gain.k": {"uniform": [1, 2]}}}},
+            ["search_last", "search_parallel"],
+        ),
     ],
-)  # fmt: skip
+)
 def test_pictures_follow_from_the_form(folder, request, keys, pictures):
     if len(pictures) != 2:  # one of seeds and one of a search are drawn, of the others the files count
         request.getfixturevalue("undrawn")

@@ -9,9 +9,14 @@ from softrig_core import list_scenarios
 from softrig_core.run.expand import rig_of
 
 ORDER = [
-    "Try it", "The model", "Corrections of the paper", "Published and measured", "What you can change and see",
-    "Speed", "References",
-]  # fmt: skip
+    "Try it",
+    "The model",
+    "Corrections of the paper",
+    "Published and measured",
+    "What you can change and see",
+    "Speed",
+    "References",
+]
 LONG = 25  # rows of a table, from which on it folds
 _FENCED = re.compile(r"^```.*?^```$", re.S | re.M)
 _COMMENT = re.compile(r"<!--.*?-->", re.S)

@@ -43,9 +43,12 @@ def test_a_title_is_shown_as_it_stands_whatever_it_holds(title, folder, capsys):
     (folder / "scenarios" / "lag.yaml").write_text(LAG.replace("TITLE", title))
     (folder / "studies" / "lags.yaml").write_text(STUDY.replace("TITLE", title))
     calls = [
-        (["list"], 0), (["run", "lag", "--mode", "inprocess", "--no-record"], 1),
-        (["study", "lags", "--workers", "1"], 1), (["results", "--workers", "1"], 1), (["report", "runs/lag"], 0),
-    ]  # fmt: skip
+        (["list"], 0),
+        (["run", "lag", "--mode", "inprocess", "--no-record"], 1),
+        (["study", "lags", "--workers", "1"], 1),
+        (["results", "--workers", "1"], 1),
+        (["report", "runs/lag"], 0),
+    ]
     for arguments, status in calls:
         assert main(arguments) == status, capsys.readouterr().err
         said = " ".join("".join(capsys.readouterr()).split())  # as it stood before it was wrapped

@@ -95,8 +95,14 @@ def test_a_tutorial_does_what_it_says(name, tmp_path):
         "COLUMNS": "300",  # the pages show lines that are not wrapped, however many digits a time has
     }
     environment.pop("SOFTRIG_WORKSPACE", None)
-    done = subprocess.Popen(["bash", "-c", text], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                            text=True, start_new_session=True)  # fmt: skip
+    done = subprocess.Popen(
+        ["bash", "-c", text],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
     try:
         printed = done.communicate(timeout=800)[0]
     finally:

@@ -34,8 +34,12 @@ from softrig_core.processes.placement import Placement
 @contextmanager
 def running(*words):
     """A command of ours; gives its process and the lines that it has printed so far."""
-    process = subprocess.Popen([sys.executable, "-m", "softrig_bringup", *map(str, words)], text=True,
-                               stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)  # fmt: skip
+    process = subprocess.Popen(
+        [sys.executable, "-m", "softrig_bringup", *map(str, words)],
+        text=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
     try:
         yield process
     finally:
@@ -296,11 +300,19 @@ def test_a_slider_turns_the_knob_of_its_number_and_follows_it():
     assert len(asked) == 3
 
 
-@pytest.mark.parametrize(("bounds", "value", "ends"), [
-    ((0.0, 1.0), 0.0, (0.0, 1.0)), ((0.0, 1e4), 0.0, None), ((0.0, math.inf), 1.0, None), ((-10.0, 10.0), 2, (-10, 10)),
-    ((0.0, 1e7), 5.0, (0.0, 20.0)), ((-1e7, 1e7), -5.0, (-20.0, 10.0)), ((0.0, 1.0), None, None),
-    ((0.0, 1.0), 0.01, (0.0, 1.0)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("bounds", "value", "ends"),
+    [
+        ((0.0, 1.0), 0.0, (0.0, 1.0)),
+        ((0.0, 1e4), 0.0, None),
+        ((0.0, math.inf), 1.0, None),
+        ((-10.0, 10.0), 2, (-10, 10)),
+        ((0.0, 1e7), 5.0, (0.0, 20.0)),
+        ((-1e7, 1e7), -5.0, (-20.0, 10.0)),
+        ((0.0, 1.0), None, None),
+        ((0.0, 1.0), 0.01, (0.0, 1.0)),
+    ],
+)
 def test_a_slider_spans_what_is_near_its_value(bounds, value, ends):
     assert reach(Knob("node", "name", "", "", value, float, bounds)) == ends
 

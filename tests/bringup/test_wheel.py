@@ -92,8 +92,15 @@ def use(prefix, folder, variables):
     """Use what is installed in a prefix: the command, a run through processes, a node by itself."""
 
     def call(*command, timeout=240):
-        done = subprocess.run([prefix / command[0], *command[1:]], cwd=folder, env=variables, capture_output=True,
-                              text=True, timeout=timeout, stdin=subprocess.DEVNULL)  # fmt: skip
+        done = subprocess.run(
+            [prefix / command[0], *command[1:]],
+            cwd=folder,
+            env=variables,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            stdin=subprocess.DEVNULL,
+        )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
@@ -144,7 +151,17 @@ def test_pip_brings_all_that_it_needs(wheel, tmp_path):
     wheels = os.environ.get("SOFTRIG_WHEELS")
     prefix = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", prefix], check=True)
-    subprocess.run([prefix / "bin" / "python", "-m", "pip", "install", "-q", wheel,
-                    *(("--no-index", "--find-links", wheels) if wheels else ())],
-                   check=True, env=environment(tmp_path))  # fmt: skip
+    subprocess.run(
+        [
+            prefix / "bin" / "python",
+            "-m",
+            "pip",
+            "install",
+            "-q",
+            wheel,
+            *(("--no-index", "--find-links", wheels) if wheels else ()),
+        ],
+        check=True,
+        env=environment(tmp_path),
+    )
     use(prefix, tmp_path, environment(tmp_path))

@@ -68,8 +68,11 @@ def retyped(victim: Path, chance: random.Random) -> None:
         places = [(content, key) for key in content]
         for holder, key in places:  # grows
             inner = holder[key]
-            places += [(inner, k) for k in (inner if isinstance(inner, dict) else range(len(inner)))] if isinstance(
-                inner, dict | list) else []  # fmt: skip
+            places += (
+                [(inner, k) for k in (inner if isinstance(inner, dict) else range(len(inner)))]
+                if isinstance(inner, dict | list)
+                else []
+            )
         holder, key = chance.choice(places)
         holder[key] = chance.choice(other)
         victim.write_text(yaml.safe_dump(content))
@@ -93,8 +96,12 @@ def attack(seed: int, directory: Path) -> None:
         victim.write_bytes(damaged(victim.read_bytes(), chance))
     copy = directory / "copy"
     shutil.copytree(bag, copy)
-    statuses = [main_bag(["info", str(bag)]), main_compare([str(source), str(bag)]), main_compare([str(bag), str(bag)]),
-                main_bag(["export", str(bag), "--format", "csv", "--out", str(directory / "tables")])]  # fmt: skip
+    statuses = [
+        main_bag(["info", str(bag)]),
+        main_compare([str(source), str(bag)]),
+        main_compare([str(bag), str(bag)]),
+        main_bag(["export", str(bag), "--format", "csv", "--out", str(directory / "tables")]),
+    ]
     assert set(statuses) <= {0, 1, 2, 3}, statuses
     status = main_bag(["repair", str(copy)])
     assert status in (0, 1, 2, 3), status

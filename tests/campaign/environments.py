@@ -65,19 +65,34 @@ def commands(chance: random.Random) -> list[str]:
     """Draw a command."""
     runs = [[*SCENARIO, "--mode", mode, "--out", "out"] for mode in ("inprocess", "processes", "container")]
     runs.append([*runs[0], "--no-plots"])
-    others = [["list"], ["list", "smc"], ["--help"], ["bag", "info", str(sound() / "bag")], ["completion"],
-              ["compare", str(sound() / "bag"), str(sound() / "bag")], ["report", str(sound())],
-              ["bag", "export", str(sound() / "bag"), "--out", "tables"], ["run", "no_such"],
-              ["node", "softrig_drives", "dc_motor_plant", "--help"], ["node", "softrig_drives", "dc_motor_plant"],
-              ["bag", "record", "--output", "out"]]  # fmt: skip
+    others = [
+        ["list"],
+        ["list", "smc"],
+        ["--help"],
+        ["bag", "info", str(sound() / "bag")],
+        ["completion"],
+        ["compare", str(sound() / "bag"), str(sound() / "bag")],
+        ["report", str(sound())],
+        ["bag", "export", str(sound() / "bag"), "--out", "tables"],
+        ["run", "no_such"],
+        ["node", "softrig_drives", "dc_motor_plant", "--help"],
+        ["node", "softrig_drives", "dc_motor_plant"],
+        ["bag", "record", "--output", "out"],
+    ]
     return chance.choice(runs if chance.random() < 0.5 else others)
 
 
 def encodings(case: Case) -> None:
     """An output that lacks most characters."""
-    case.variables |= case.chance.choice(({"PYTHONIOENCODING": "ascii"}, {"PYTHONIOENCODING": "latin-1"},
-                                          {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-                                          {"LC_ALL": "xx_YY.nothing"}, {"PYTHONIOENCODING": "utf-16"}))  # fmt: skip
+    case.variables |= case.chance.choice(
+        (
+            {"PYTHONIOENCODING": "ascii"},
+            {"PYTHONIOENCODING": "latin-1"},
+            {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+            {"LC_ALL": "xx_YY.nothing"},
+            {"PYTHONIOENCODING": "utf-16"},
+        )
+    )
 
 
 def closed(case: Case) -> None:
@@ -293,10 +308,15 @@ def run(case: Case, command: list[str]) -> tuple[int, str]:
 
     with (case.directory / "stdout").open("w+b") as out, (case.directory / "stderr").open("w+b") as err:
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=out if case.stdout is None else case.stdout,
-            stderr=err if case.stderr is None else case.stderr, cwd=case.work, env=case.variables,
-            preexec_fn=before, start_new_session=True,
-        )  # fmt: skip
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=out if case.stdout is None else case.stdout,
+            stderr=err if case.stderr is None else case.stderr,
+            cwd=case.work,
+            env=case.variables,
+            preexec_fn=before,
+            start_new_session=True,
+        )
         for number in {case.stdout, case.stderr} - {None}:
             os.close(number)
         endless = case.command[0] == "node" or case.command[:2] == ["bag", "record"]

@@ -38,8 +38,15 @@ MEMORY = 2000  # MB
 class Attacker:
     """Publishes on the inputs of one node, good and bad, and checks what it answers."""
 
-    def __init__(self, node: Node, executor: SingleThreadedExecutor, inputs: list[Port], outputs: list[Port],
-                 chance: random.Random, live: bool) -> None:  # fmt: skip
+    def __init__(
+        self,
+        node: Node,
+        executor: SingleThreadedExecutor,
+        inputs: list[Port],
+        outputs: list[Port],
+        chance: random.Random,
+        live: bool,
+    ) -> None:
         self.node, self.executor, self.chance, self.live = node, executor, chance, live
         self.ports = inputs
         layouts = [p.layout() for p in inputs]

@@ -39,11 +39,14 @@ class Law(Judge):
         return {"cart/mass": params.mass, "cart/colour": "red"}
 
 
-@pytest.mark.parametrize(("change", "text"), [
-    ({"mass": 3.0}, "rig: one and other must agree on cart/mass, but one has 2 and other has 3"),
-    ({"loads": (1.0, 2.5)}, "must agree on cart/loads, but one has .1.0, 2.0. and other has .1.0, 2.5."),
-    ({"loads": (1.0,)}, "must agree on cart/loads"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"mass": 3.0}, "rig: one and other must agree on cart/mass, but one has 2 and other has 3"),
+        ({"loads": (1.0, 2.5)}, "must agree on cart/loads, but one has .1.0, 2.0. and other has .1.0, 2.5."),
+        ({"loads": (1.0,)}, "must agree on cart/loads"),
+    ],
+)
 def test_those_who_speak_of_one_quantity_must_agree(change, text):
     Rig.from_blocks({"one": Judge(), "other": Judge(), "law": Law(**change)}, 1.0)
     with pytest.raises(ScenarioError, match=text):
@@ -74,9 +77,18 @@ def test_an_argument_of_a_figure_is_what_a_node_says():
         agreeing({}, {}, agreed)
 
 
-@pytest.mark.parametrize(("value", "fits"), [
-    (0.0, True), (100.0, True), (100.0 + 1e-8, True), (100.1, False), (-0.1, False), (209.9, False), (math.nan, True),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("value", "fits"),
+    [
+        (0.0, True),
+        (100.0, True),
+        (100.0 + 1e-8, True),
+        (100.1, False),
+        (-0.1, False),
+        (209.9, False),
+        (math.nan, True),
+    ],
+)
 def test_what_cannot_be_is_no_result(value, fits):
     @figure("%", possible=(0.0, 100.0))
     def share(signals):

@@ -80,10 +80,13 @@ def test_numpy_before_softrig_is_said_once():
 
 @pytest.mark.parametrize(
     ("core", "level", "given", "said"),
-    [("SkylakeX", "X86_V2 X86_V3 X86_V4", {}, ("OpenBLAS SkylakeX", "numpy X86_V2 X86_V3 X86_V4")),
-     ("Haswell", "X86_V2 X86_V3", {}, ()), ("", "X86_V2 X86_V3 X86_V4", {}, ("(numpy X86_V2 X86_V3 X86_V4)",)),
-     ("SkylakeX", "X86_V2 X86_V3", {bits.CORE: "SkylakeX"}, ())],
-)  # fmt: skip
+    [
+        ("SkylakeX", "X86_V2 X86_V3 X86_V4", {}, ("OpenBLAS SkylakeX", "numpy X86_V2 X86_V3 X86_V4")),
+        ("Haswell", "X86_V2 X86_V3", {}, ()),
+        ("", "X86_V2 X86_V3 X86_V4", {}, ("(numpy X86_V2 X86_V3 X86_V4)",)),
+        ("SkylakeX", "X86_V2 X86_V3", {bits.CORE: "SkylakeX"}, ()),
+    ],
+)
 def test_what_was_chosen_before_is_compared(monkeypatch, core, level, given, said):
     monkeypatch.setattr(bits, "blas_core", lambda: core)
     monkeypatch.setattr(bits, "simd_level", lambda: level)

@@ -83,8 +83,11 @@ def test_channels_have_other_names_for_outside_nodes_all_or_none():
 @given(stamp=STAMPS, names=NAMES, frame=st.text(max_size=9).filter(lambda s: "\0" not in s), data=st.data())
 def test_joint_state_bytes_are_those_of_rosbags(stamp, names, frame, data):
     n = len(names)
-    fields = {f: tuple(data.draw(FLOATS) for _ in range(n)) for f in ("position", "velocity", "effort")
-              if data.draw(st.booleans())}  # fmt: skip
+    fields = {
+        f: tuple(data.draw(FLOATS) for _ in range(n))
+        for f in ("position", "velocity", "effort")
+        if data.draw(st.booleans())
+    }
     layout = Layout("sensor_msgs/msg/JointState", frame, names, dict.fromkeys(fields, n))
     flat = [x for values in fields.values() for x in values]
     expected = joint_message(stamp, names, frame=frame, **fields)
@@ -97,23 +100,31 @@ def test_joint_state_bytes_are_those_of_rosbags(stamp, names, frame, data):
 def test_other_types_are_those_of_rosbags():
     vector, pair = TYPES["geometry_msgs/msg/Vector3"], TYPES["geometry_msgs/msg/Wrench"]
     cases = {
-        "geometry_msgs/msg/Vector3Stamped": (vector3("a", "t", "dq", "A"), (1.0, 2.0, 3.0),
-                                             lambda: (header(5, "dq"), vector(1.0, 2.0, 3.0))),
+        "geometry_msgs/msg/Vector3Stamped": (
+            vector3("a", "t", "dq", "A"),
+            (1.0, 2.0, 3.0),
+            lambda: (header(5, "dq"), vector(1.0, 2.0, 3.0)),
+        ),
         "geometry_msgs/msg/WrenchStamped": (
-            wrench("a", "t", "foot"), (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
-            lambda: (header(5, "foot"), pair(vector(1.0, 2.0, 3.0), vector(4.0, 5.0, 6.0)))),
+            wrench("a", "t", "foot"),
+            (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+            lambda: (header(5, "foot"), pair(vector(1.0, 2.0, 3.0), vector(4.0, 5.0, 6.0))),
+        ),
         "std_msgs/msg/Float64": (number("a", "t", "V"), (2.5,), lambda: (2.5,)),
         "std_msgs/msg/Bool": (button("a", "t"), (1.0,), lambda: (True,)),
-    }  # fmt: skip
+    }
     for name, (port, values, arguments) in cases.items():
         assert port.layout().encode(5, values) == bytes(STORE.serialize_cdr(TYPES[name](*arguments()), name)), name
 
 
 def test_trajectory_point_bytes_are_those_of_rosbags():
     point = TYPES["trajectory_msgs/msg/JointTrajectoryPoint"](
-        np.array([1.0, 2.0]), np.array([]), np.array([3.0, 4.0]), np.array([]),
+        np.array([1.0, 2.0]),
+        np.array([]),
+        np.array([3.0, 4.0]),
+        np.array([]),
         TYPES["builtin_interfaces/msg/Duration"](0, 0),
-    )  # fmt: skip
+    )
     message = TYPES["trajectory_msgs/msg/JointTrajectory"](header(7_000_000_001, "world"), ["x", "y"], [point])
     expected = bytes(STORE.serialize_cdr(message, "trajectory_msgs/msg/JointTrajectory"))
     port = reference("a", "t", ["x", "y"], position="m", acceleration="m/s^2")

@@ -40,8 +40,12 @@ def killed(kind, seed, kills=1):
     wrong = [f"{m.name} has not come" for m in rig.members if m.name not in states]
     wrong += [f"{n}: {a.state} at {a.t}: {a.error}" for n, a in run.adapters.items() if a.state != "done"]
     wrong += differences(expected, run.recording)
-    wrong += [f"{n} refused {i.port.topic}: {i.last_refusal}" for n, a in run.adapters.items()
-              for i in (*a.inputs, *a.paces) if i.refused]  # fmt: skip
+    wrong += [
+        f"{n} refused {i.port.topic}: {i.last_refusal}"
+        for n, a in run.adapters.items()
+        for i in (*a.inputs, *a.paces)
+        if i.refused
+    ]
     return wrong, victims
 
 
@@ -82,9 +86,16 @@ def watched(tmp_path):
     """The nodes of a rig as children that write their status when they are told to (below 0: busy), and the watch."""
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "watcher": "watcher", "gain": "gain"}))
     children = [
-        Child(m, Process(), os.open(os.devnull, os.O_RDONLY), tmp_path / "log", tmp_path / f"{m.name}.status",
-              tmp_path / f"{m.name}.shard") for m in rig.members
-    ]  # fmt: skip
+        Child(
+            m,
+            Process(),
+            os.open(os.devnull, os.O_RDONLY),
+            tmp_path / "log",
+            tmp_path / f"{m.name}.status",
+            tmp_path / f"{m.name}.shard",
+        )
+        for m in rig.members
+    ]
     again, said = [], []
 
     def start(k):

@@ -184,16 +184,25 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
         ({"plant": "plant", "source": "source"}, "nobody publishes lag/command, which plant needs"),
         (BASIC | {"second": "gain"}, "gain and second both publish lag/command"),
         (BASIC | {"gain": node("gain", {"lag/sate": "x"})}, "node gain: remap of 'lag/sate', but its topics are"),
-        (BASIC | {"gain": node("gain", period=0.015)},
-         "node gain: period 0.015 s is not a multiple of the 0.01 s of the clock, plant"),
+        (
+            BASIC | {"gain": node("gain", period=0.015)},
+            "node gain: period 0.015 s is not a multiple of the 0.01 s of the clock, plant",
+        ),
         (BASIC | {"gain": "gian"}, "package faultrig has no executable 'gian'"),
-        (BASIC | {"link": "link", "gain": node("gain", {"lag/state": "lag/late_state"})},
-         "lag/late_state from link does not fit gain: its stamps are acquisition times"),
-        (BASIC | {"one": node("outer", {"lag/reference": "lag/b", "lag/inner_reference": "lag/a"}),
-                  "two": node("outer", {"lag/reference": "lag/a", "lag/inner_reference": "lag/b"})},
-         "cycle without a plant in it: one -> two -> one"),
+        (
+            BASIC | {"link": "link", "gain": node("gain", {"lag/state": "lag/late_state"})},
+            "lag/late_state from link does not fit gain: its stamps are acquisition times",
+        ),
+        (
+            BASIC
+            | {
+                "one": node("outer", {"lag/reference": "lag/b", "lag/inner_reference": "lag/a"}),
+                "two": node("outer", {"lag/reference": "lag/a", "lag/inner_reference": "lag/b"}),
+            },
+            "cycle without a plant in it: one -> two -> one",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_rig_that_cannot_work_is_refused_before_the_start(nodes, text):
     with pytest.raises(ScenarioError) as error:
         rig_of(make_scenario(nodes))
@@ -208,8 +217,12 @@ def test_loading_a_package_that_is_not_there_or_a_tool():
 def test_in_process_gives_one_message_a_tick_and_repeats_itself(lag_rig):
     first, second = in_process(lag_rig, 3), in_process(lag_rig, 3)
     assert {n: len(t.times) for n, t in first.topics.items() if t.times} == {
-        "/clock": 101, "lag/state": 101, "lag/applied": 101, "lag/reference": 100, "lag/command": 100,
-    }  # fmt: skip
+        "/clock": 101,
+        "lag/state": 101,
+        "lag/applied": 101,
+        "lag/reference": 100,
+        "lag/command": 100,
+    }
     assert all(first.topics[n].data == second.topics[n].data for n in first.topics)
 
 

@@ -55,9 +55,15 @@ def test_solve_solves(n, columns, kinds):
 
 
 @pytest.mark.parametrize(
-    "a", [[[1.0, 2.0], [2.0, 4.0]], [[0.0, 0.0], [0.0, 1.0]], [[math.nan, 1.0], [1.0, 1.0]],
-          [[math.inf, 1.0], [1.0, 1.0]], [[1j, 1.0], [-1.0, 1j]]]
-)  # fmt: skip
+    "a",
+    [
+        [[1.0, 2.0], [2.0, 4.0]],
+        [[0.0, 0.0], [0.0, 1.0]],
+        [[math.nan, 1.0], [1.0, 1.0]],
+        [[math.inf, 1.0], [1.0, 1.0]],
+        [[1j, 1.0], [-1.0, 1j]],
+    ],
+)
 def test_a_singular_matrix_is_refused(a):
     with pytest.raises(np.linalg.LinAlgError, match=r"of shape \(2, 2\) is singular or not finite"):
         dense.solve(a, [1.0, 2.0])
@@ -65,11 +71,15 @@ def test_a_singular_matrix_is_refused(a):
 
 @pytest.mark.parametrize(
     ("function", "a", "b", "message"),
-    [(dense.product, (2, 3), (2, 3), r"product of shapes \(2, 3\) and \(2, 3\)"),
-     (dense.product, (2, 3), (2,), r"\(2, 3\) and \(2,\)"), (dense.product, (2, 2, 2), (2, 2), r"\(2, 2, 2\)"),
-     (dense.solve, (2, 3), (2,), r"solve with shapes \(2, 3\)"), (dense.solve, (2, 2), (3,), r"\(2, 2\) and \(3,\)"),
-     (dense.solve, (4,), (4,), r"solve with shapes \(4,\)")],
-)  # fmt: skip
+    [
+        (dense.product, (2, 3), (2, 3), r"product of shapes \(2, 3\) and \(2, 3\)"),
+        (dense.product, (2, 3), (2,), r"\(2, 3\) and \(2,\)"),
+        (dense.product, (2, 2, 2), (2, 2), r"\(2, 2, 2\)"),
+        (dense.solve, (2, 3), (2,), r"solve with shapes \(2, 3\)"),
+        (dense.solve, (2, 2), (3,), r"\(2, 2\) and \(3,\)"),
+        (dense.solve, (4,), (4,), r"solve with shapes \(4,\)"),
+    ],
+)
 def test_shapes_that_do_not_fit_are_named(function, a, b, message):
     with pytest.raises(ValueError, match=message):
         function(np.ones(a), np.ones(b))
@@ -100,8 +110,13 @@ print(digest.hexdigest(), "numba" in sys.modules)
 
 def test_native_plain_and_every_kernel_give_the_same_bits():
     def said(before="", **variables):
-        done = subprocess.run([sys.executable, "-c", before + CODE], capture_output=True, text=True, check=True,
-                              env=os.environ | variables)  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-c", before + CODE],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | variables,
+        )
         return done.stdout.split()
 
     native, compiled = said("import numba\n")

@@ -93,8 +93,12 @@ def start(kind, seed, outside=(), stalls=0):
     wrong += [f"{n}: {a.state} at {a.t}: {a.error}" for n, a in run.adapters.items() if a.state != "done"]
     said = {p.topic for m in rig.members if not m.external for p in m.outputs}
     wrong += [t for t in differences(expected, run.recording) if t in said]
-    wrong += [f"{n} refused {i.port.topic}: {i.last_refusal}" for n, a in run.adapters.items()
-              for i in (*a.inputs, *a.paces) if i.refused]  # fmt: skip
+    wrong += [
+        f"{n} refused {i.port.topic}: {i.last_refusal}"
+        for n, a in run.adapters.items()
+        for i in (*a.inputs, *a.paces)
+        if i.refused
+    ]
     return wrong
 
 
@@ -148,8 +152,13 @@ def test_a_recorder_in_the_domain_of_a_rig_has_all_of_it(asks, seeds):
         Discovery(world, rng)
         skipped = "/third/state" if asks else "/nobody"
         recorder = SimulatedRecorder(world, asks, skipped, rng)
-        run = SimulatedRig(rig, world, "lockstep", after=lambda name, rng=rng: rng.randrange(300 * MS),
-                           recorders=() if asks else ["recorder"])  # fmt: skip
+        run = SimulatedRig(
+            rig,
+            world,
+            "lockstep",
+            after=lambda name, rng=rng: rng.randrange(300 * MS),
+            recorders=() if asks else ["recorder"],
+        )
         assert set(run.run(100.0).values()) == {"done"}
         world.run(world.now + 100 * MS)
         for name, topic in expected.topics.items():
@@ -256,15 +265,35 @@ def real_time(kind, seed, outside=(), stalls=0):
     longest = rng.choice((1, 5, 20)) * MS
     world = World(lambda *_: rng.randrange(1_000, longest))
     Discovery(world, rng)
-    run = SimulatedRig(rig, world, "realtime", departs=True, after=lambda name: rng.randrange(300 * MS),
-                       start_timeout=0.0, groups=some(rig, rng))  # fmt: skip
+    run = SimulatedRig(
+        rig,
+        world,
+        "realtime",
+        departs=True,
+        after=lambda name: rng.randrange(300 * MS),
+        start_timeout=0.0,
+        groups=some(rig, rng),
+    )
     for member in (m for m in ours.members if m.name in outside):
         links = {p: member.links[p.name] for p in member.inputs if p.name in member.links}
-        reads = [p for p, k in links.items() if k.source.name not in outside and k.port.stamped
-                 and not k.port.sporadic and not k.port.delayed]  # fmt: skip
-        world.at(world.now + rng.randrange(1_000 * MS), partial(
-            SimulatedOutside, ours, member, expected, world, reads, lambda: rng.randrange(100 * MS), realtime=True,
-        ))  # fmt: skip
+        reads = [
+            p
+            for p, k in links.items()
+            if k.source.name not in outside and k.port.stamped and not k.port.sporadic and not k.port.delayed
+        ]
+        world.at(
+            world.now + rng.randrange(1_000 * MS),
+            partial(
+                SimulatedOutside,
+                ours,
+                member,
+                expected,
+                world,
+                reads,
+                lambda: rng.randrange(100 * MS),
+                realtime=True,
+            ),
+        )
 
     def strike():
         begun = max((a.epoch for a in run.adapters.values()), default=0)
@@ -278,8 +307,12 @@ def real_time(kind, seed, outside=(), stalls=0):
     states = run.run(60.0)
     wrong = [f"{m.name} has not come" for m in rig.members if not m.external and m.name not in states]
     wrong += [f"{n}: {a.state} at {a.t}: {a.error}" for n, a in run.adapters.items() if a.state != "done"]
-    wrong += [f"{n} refused {i.port.topic}: {i.last_refusal}" for n, a in run.adapters.items()
-              for i in a.inputs if i.refused and not i.last_refusal.startswith("stamp is -")]  # fmt: skip
+    wrong += [
+        f"{n} refused {i.port.topic}: {i.last_refusal}"
+        for n, a in run.adapters.items()
+        for i in a.inputs
+        if i.refused and not i.last_refusal.startswith("stamp is -")
+    ]
     epochs = {a.epoch for a in run.adapters.values()}
     if len(epochs) != 1:
         return [*wrong, f"t = 0 at {epochs}"]

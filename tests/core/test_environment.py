@@ -55,9 +55,13 @@ def messages(recording):
 
 @pytest.mark.parametrize(
     ("name", "law", "duration"),
-    [("induction_dtc", "dtc_controller", 0.02), ("induction_dtc", "speed_controller", 0.02),
-     ("dc_motor_fsfb_s1", "fsfb_controller", 0.5), ("rectifier_mpc", "gpc_controller", 0.01)],
-)  # fmt: skip
+    [
+        ("induction_dtc", "dtc_controller", 0.02),
+        ("induction_dtc", "speed_controller", 0.02),
+        ("dc_motor_fsfb_s1", "fsfb_controller", 0.5),
+        ("rectifier_mpc", "gpc_controller", 0.01),
+    ],
+)
 def test_with_its_own_law_as_agent_it_is_the_rig_bit_for_bit(name, law, duration):
     rig = rig_of(load_scenario(name).changed(duration=duration))
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())

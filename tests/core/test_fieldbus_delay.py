@@ -151,8 +151,11 @@ def with_link(name, receiver, port_topic, duration, **parameters):
     base = load_scenario(name)
     nodes = {n: e.model_dump() for n, e in base.nodes.items()}
     late = f"{port_topic}_late"
-    nodes["link"] = {"package": "softrig_control", "executable": "fieldbus_delay",
-                     "parameters": {"topic_in": port_topic, "topic_out": late} | parameters}  # fmt: skip
+    nodes["link"] = {
+        "package": "softrig_control",
+        "executable": "fieldbus_delay",
+        "parameters": {"topic_in": port_topic, "topic_out": late} | parameters,
+    }
     nodes[receiver]["remap"] = nodes[receiver]["remap"] | {port_topic: late}
     return Scenario.model_validate(base.model_dump() | {"nodes": nodes, "duration": duration})
 

@@ -234,10 +234,15 @@ def test_bits_without_numba():
     here = os.path.dirname(__file__)
     path = os.pathsep.join((here, os.path.dirname(here), os.environ.get("PYTHONPATH", "")))
     plain, native = (
-        subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": path, "SOFTRIG_JIT": jit},
-                       check=True, capture_output=True, timeout=PATIENCE).stdout
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "PYTHONPATH": path, "SOFTRIG_JIT": jit},
+            check=True,
+            capture_output=True,
+            timeout=PATIENCE,
+        ).stdout
         for jit in "01"
-    )  # fmt: skip
+    )
     assert len(plain) == 8 * 300
     assert native == plain
 

@@ -28,9 +28,12 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     hold = adapter.hold
     assert not run.adapters["dc_motor_smc"].hold.go_at(1.0)  # not the node of the clock
     for moment, call in (
-        (0.22, partial(hold.go_at, 0.1)), (2.22, partial(hold.ask, "pause")), (9.0, partial(hold.ask, "step")),
-        (20.0, partial(hold.ask, "resume")), (21.0, partial(hold.go_at, 0.0)),
-    ):  # fmt: skip
+        (0.22, partial(hold.go_at, 0.1)),
+        (2.22, partial(hold.ask, "pause")),
+        (9.0, partial(hold.ask, "step")),
+        (20.0, partial(hold.ask, "resume")),
+        (21.0, partial(hold.go_at, 0.0)),
+    ):
         world.at(start + round(moment * 1e9), lambda call=call: (seen.append(adapter.t / 1e9), call()))
     assert set(run.run(60.0).values()) == {"done"}
     full, slow, held, stepped, again = seen

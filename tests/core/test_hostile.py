@@ -246,10 +246,13 @@ def test_damage_is_refused_or_does_not_matter(attack, tmp_path):
         attack(seed, tmp_path / f"{seed}")
 
 
-@pytest.mark.parametrize(("areas", "number"), [
-    (("parameters", "scenarios"), 3),  # may ask for all memory: in processes of their own
-    pytest.param(("bags", "messages", "parameters", "scenarios"), 12, marks=pytest.mark.long),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("areas", "number"),
+    [
+        (("parameters", "scenarios"), 3),  # may ask for all memory: in processes of their own
+        pytest.param(("bags", "messages", "parameters", "scenarios"), 12, marks=pytest.mark.long),
+    ],
+)
 def test_a_short_campaign(areas, number):
     table = driver.campaign(dict.fromkeys(areas, number), 1, PATIENCE, None, 2)
     assert sum(row[0] for row in table.values()) == number * len(areas)

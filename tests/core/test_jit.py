@@ -154,9 +154,17 @@ def hidden(x):
 
 @pytest.mark.parametrize(
     ("function", "word"),
-    [(cube, r"\*\*"), (grow, r"\*\*"), (total, "sum"), (builtin_total, "sum"), (product, "@"), (length, "hypot"),
-     (numpy_exponential, "numpy.exp"), (hidden, "pow")],
-)  # fmt: skip
+    [
+        (cube, r"\*\*"),
+        (grow, r"\*\*"),
+        (total, "sum"),
+        (builtin_total, "sum"),
+        (product, "@"),
+        (length, "hypot"),
+        (numpy_exponential, "numpy.exp"),
+        (hidden, "pow"),
+    ],
+)
 def test_what_native_code_computes_differently_is_refused(function, word):
     with pytest.raises(ValueError, match=rf"{function.__name__} uses {word}, which native code"):
         jit(function)

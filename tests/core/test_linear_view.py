@@ -223,8 +223,14 @@ def test_the_delay_margin_of_the_rectifier_is_the_true_one():
         (int(view.margins.delay / view.period) + 1, True),
     ):
         late = {"link": "v_drop/command", "kind": "delay", "delay": n * view.period}
-        changes = {"duration": 1.5, "faults": {"late": late}, "figures": {}, "expect": {}, "claims": {},
-                   "requirements": {}}  # fmt: skip
+        changes = {
+            "duration": 1.5,
+            "faults": {"late": late},
+            "figures": {},
+            "expect": {},
+            "claims": {},
+            "requirements": {},
+        }
         run = simulate(Scenario.model_validate(scenario.model_dump() | changes))
         assert grows(run, "dc_link/voltage/position", 0.5) == swings, n
 
@@ -247,13 +253,19 @@ def test_a_loop_that_cannot_be_seen_is_told():
     motor = {"overrides": {"period": T}, "at": 1.0}
     with pytest.raises(RunError, match=r"motor_reference hears nothing of what motor/reference/.* does: no loop"):
         linear_view("dc_motor_smc", "motor/reference/shaft", **motor)
-    with pytest.raises(RunError, match=r"effort by 0\.0312 comes back there at 0\.1 s, within 10 periods, a smaller "
-                                       "one does not: .* in steps"):  # fmt: skip
+    with pytest.raises(
+        RunError,
+        match=r"effort by 0\.0312 comes back there at 0\.1 s, within 10 periods, a smaller "
+        "one does not: .* in steps",
+    ):
         linear_view("dc_motor_smc_b2", at=0.1)
     with pytest.raises(ScenarioError, match="no signal 'volt'"):
         linear_view("dc_motor_smc", "volt", **motor)
-    with pytest.raises(ScenarioError, match=r"said every 0.0001 s, the rig repeats itself every 0.001 s only; open the "
-                                            r"loop where it is slow: .*force_cmd"):  # fmt: skip
+    with pytest.raises(
+        ScenarioError,
+        match=r"said every 0.0001 s, the rig repeats itself every 0.001 s only; open the "
+        r"loop where it is slow: .*force_cmd",
+    ):
         linear_view("lsrm_fuzzy_pi_fast", "phase_voltage/a", at=0.1, overrides={"current_period": 1e-4})
     with pytest.raises(ScenarioError, match=r"due together every .* choose periods that divide each other with --set"):
         linear_view("dc_motor_smc", overrides={"dc_motor_smc.period": 0.0123457, "dc_motor_plant.period": 1e-7}, at=0.0)

@@ -35,10 +35,17 @@ from softrig_power.pv.shading import ShadingSource
 
 # one for each kind of block that native code knows, as short as its ticks allow
 KNOWN = {
-    "dc_motor_smc": 0.02, "dc_motor_smc_b2": 2.0, "dc_motor_smc_b6_pid": 1.0, "dc_motor_smc_stretch_b": 0.5,
-    "induction_dtc": 0.03, "lsrm_fuzzy": 0.01, "lsrm_fuzzy_mrac": 0.01, "lsrm_fuzzy_b5": 0.01,
-    "manipulator_adsmc": 0.2, "manipulator_adsmc_s3": 0.1,
-}  # fmt: skip
+    "dc_motor_smc": 0.02,
+    "dc_motor_smc_b2": 2.0,
+    "dc_motor_smc_b6_pid": 1.0,
+    "dc_motor_smc_stretch_b": 0.5,
+    "induction_dtc": 0.03,
+    "lsrm_fuzzy": 0.01,
+    "lsrm_fuzzy_mrac": 0.01,
+    "lsrm_fuzzy_b5": 0.01,
+    "manipulator_adsmc": 0.2,
+    "manipulator_adsmc_s3": 0.1,
+}
 
 
 def ran(rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None) -> tuple[Recording, Any, str, Native]:
@@ -71,7 +78,11 @@ def the_same(rig: Any, monkeypatch: pytest.MonkeyPatch, make: Any = plain) -> Na
         other = others[name]
         assert repr(other.x) == repr(step.x)
         assert (other.reports, other.t, repr(other.values), repr(other.said)) == (
-            step.reports, step.t, repr(step.values), repr(step.said))  # fmt: skip
+            step.reports,
+            step.t,
+            repr(step.values),
+            repr(step.said),
+        )
     return native
 
 
@@ -255,12 +266,17 @@ class AtOnce(Watcher):
         return (x[0] + int((messages["signal"].values[:, 0] > 0.0).sum()),)
 
 
-@pytest.mark.parametrize("faults", [
-    {"noisy": ("motor/state", {"kind": "noise", "value": [0.01]}),
-     "lost": ("motor/command", {"kind": "loss", "probability": 0.3}),
-     "late": ("motor/reference", {"kind": "delay", "delay": 0.03, "jitter": 0.02})},
-    {"spoilt": ("motor/state", {"kind": "invalid", "probability": 0.02})},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "faults",
+    [
+        {
+            "noisy": ("motor/state", {"kind": "noise", "value": [0.01]}),
+            "lost": ("motor/command", {"kind": "loss", "probability": 0.3}),
+            "late": ("motor/reference", {"kind": "delay", "delay": 0.03, "jitter": 0.02}),
+        },
+        {"spoilt": ("motor/state", {"kind": "invalid", "probability": 0.02})},
+    ],
+)
 def test_links_that_are_silent_late_or_spoilt(faults, monkeypatch):
     found = {name: {"link": link, "from": 0.2, "to": 1.5, **how} for name, (link, how) in faults.items()}
     case = load_scenario("dc_motor_smc_b2").having(duration=2.0, faults=found)
@@ -375,12 +391,15 @@ def test_scenarios_by_numba(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     the_same(lambda: rig_of(name, duration=KNOWN[name]), monkeypatch, engine.compiled)
 
 
-@pytest.mark.parametrize(("window", "period", "asked"), [
-    (0.15, 1e-4, 2),  # forgets, message after message
-    (0.15, 5e-4, 2),  # does not see all
-    (0.02, 1e-4, 3001),  # forgets all of the reference between two of its messages: tick after tick
-    (60.0, 1e-4, 2),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("window", "period", "asked"),
+    [
+        (0.15, 1e-4, 2),  # forgets, message after message
+        (0.15, 5e-4, 2),  # does not see all
+        (0.02, 1e-4, 3001),  # forgets all of the reference between two of its messages: tick after tick
+        (60.0, 1e-4, 2),
+    ],
+)
 def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked, monkeypatch):
     calls: list[int] = []
 

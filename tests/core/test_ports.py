@@ -27,9 +27,17 @@ from softrig_core.block.schedule import Schedule
 from softrig_core.wire.cdr import Layout
 from typing_extensions import TypeVar
 
-DELAY = {"package": "softrig_control", "executable": "unit_delay", "parameters": {
-    "topic_in": "loop/sum", "topic_out": "loop/back", "channels": ["y"], "fields": ["position"],
-    "initial": [4.0]}}  # fmt: skip
+DELAY = {
+    "package": "softrig_control",
+    "executable": "unit_delay",
+    "parameters": {
+        "topic_in": "loop/sum",
+        "topic_out": "loop/back",
+        "channels": ["y"],
+        "fields": ["position"],
+        "initial": [4.0],
+    },
+}
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 RIGS = {
     "events": ({"plant": "plant", "burst": "burst", "gain": "burst_gain"}, 0.3, {}),
@@ -37,17 +45,21 @@ RIGS = {
     "record": (BASIC | {"record": "record", "analyst": "analyst"}, 0.1, {}),
     "end": (
         {
-            **BASIC, "watcher": "watcher",
+            **BASIC,
+            "watcher": "watcher",
             "record": {"executable": "record", "parameters": {"period": 0.03}},
-            "second": {"executable": "plant", "parameters": {"period": 0.05},
-                       "remap": {"lag/state": "second/state", "lag/applied": "second/applied"}},
+            "second": {
+                "executable": "plant",
+                "parameters": {"period": 0.05},
+                "remap": {"lag/state": "second/state", "lag/applied": "second/applied"},
+            },
         },
         0.2,
         {},
     ),
     "algebraic loop": ({"accumulator": "accumulator", "delay": DELAY}, 0.2, {}),
     "no plant": ({"source": "source"}, 0.2, {"clock": "1/300"}),
-}  # fmt: skip
+}
 RIGS["no plant"][0]["source"] = {"executable": "source", "parameters": {"period": "1/100"}}
 
 
@@ -201,13 +213,16 @@ def test_a_base_leaves_its_parameters_open():
     assert Base(gain=3.0).p.gain == 3.0
 
 
-@pytest.mark.parametrize("make", [
-    lambda: command("duty", "duty", ["switch"], ""),
-    lambda: joint_state("state", "state", ["x"]),
-    lambda: joint_state("state", "state", [], position="m"),
-    lambda: reference("r", "r", ["x"]),
-    lambda: scalars("s", "s", {}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: command("duty", "duty", ["switch"], ""),
+        lambda: joint_state("state", "state", ["x"]),
+        lambda: joint_state("state", "state", [], position="m"),
+        lambda: reference("r", "r", ["x"]),
+        lambda: scalars("s", "s", {}),
+    ],
+)
 def test_a_port_without_values_is_refused_when_it_is_made(make):
     with pytest.raises(ValueError, match=r"port \w+: \w+ has no values; expected .* '1' for a pure number"):
         make()

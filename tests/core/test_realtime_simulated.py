@@ -55,9 +55,13 @@ def test_a_law_uses_the_inputs_of_its_tick(name, seed, shared):
 
 
 FAULTS = {
-    "offset": {"value": [0.25]}, "loss": {"probability": 0.3}, "silence": {"every": 0.05, "lasts": 0.02},
-    "delay": {"delay": 0.02, "jitter": 0.03}, "repeat": {"probability": 0.5}, "invalid": {"probability": 0.3},
-}  # fmt: skip
+    "offset": {"value": [0.25]},
+    "loss": {"probability": 0.3},
+    "silence": {"every": 0.05, "lasts": 0.02},
+    "delay": {"delay": 0.02, "jitter": 0.03},
+    "repeat": {"probability": 0.5},
+    "invalid": {"probability": 0.3},
+}
 
 
 @pytest.mark.parametrize("places", ["alone", "some together", "all together"])
@@ -186,10 +190,13 @@ def test_a_refused_measurement_is_answered_at_its_tick_by_what_was_said_before()
     assert list(u) == pytest.approx([2.0 * (0.01 * k - k) for k in (0, 1, 2, 3, 4, 5, 5, 7, 8, 9)])
 
 
-@pytest.mark.parametrize(("x", "told"), [
-    (1e300, "x/position is 1e+300 m, expected at most 1e+09 in magnitude"),
-    (1e4, "OverflowError: math range error"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("x", "told"),
+    [
+        (1e300, "x/position is 1e+300 m, expected at most 1e+09 in magnitude"),
+        (1e4, "OverflowError: math range error"),
+    ],
+)
 def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_safe_output(x, told):
     """The law takes the exponential of what it gets: plausible values overflow, too."""
 

@@ -24,8 +24,12 @@ def figure_of(rig, signals):
     return next(r for r in evaluate(rig, signals) if r.name == "it")
 
 
-LIVE = {"state": "lag/state/x/position", "command": "lag/command/u/effort", "speed": "lag/state/x/velocity",
-        "gain": "$gain.k"}  # fmt: skip
+LIVE = {
+    "state": "lag/state/x/position",
+    "command": "lag/command/u/effort",
+    "speed": "lag/state/x/velocity",
+    "gain": "$gain.k",
+}
 
 
 def wired(formula, **about):
@@ -192,11 +196,16 @@ def test_a_run_that_was_cut_short_is_judged_to_the_last_message_of_the_fastest()
     """Two plants are to speak at 1 s. At 0.64 s, where the run breaks, the slow one has spoken last at 0.5 s."""
     other = {"lag/state": "slow/state", "lag/command": "slow/command"}
     nodes = {
-        "slow_plant": {"executable": "plant", "parameters": {"period": 0.5},
-                       "remap": {**other, "lag/applied": "slow/applied"}},
+        "slow_plant": {
+            "executable": "plant",
+            "parameters": {"period": 0.5},
+            "remap": {**other, "lag/applied": "slow/applied"},
+        },
         "slow_gain": {"executable": "gain", "parameters": {"period": 0.5}, "remap": other},
-        "plant": "plant", "source": "source", "gain": "gain",
-    }  # fmt: skip
+        "plant": "plant",
+        "source": "source",
+        "gain": "gain",
+    }
     for order in (nodes, dict(reversed(nodes.items()))):
         rig = rig_of(make_scenario(order, shared=LIVE, requirements={"it": "always[0, 0.64] state <= 100"}))
         run = simulate(rig)

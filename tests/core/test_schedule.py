@@ -70,8 +70,11 @@ def test_the_duration_floors_to_the_last_tick(period, every, duration, at_end):
 
 
 def two_plants(period, second, duration, **options):
-    slow = {"executable": "plant", "parameters": {"period": second},
-            "remap": {"lag/state": "second/state", "lag/applied": "second/applied"}}  # fmt: skip
+    slow = {
+        "executable": "plant",
+        "parameters": {"period": second},
+        "remap": {"lag/state": "second/state", "lag/applied": "second/applied"},
+    }
     fast = {"executable": "plant", "parameters": {"period": period}}
     others = {n: {"executable": n, "parameters": {"period": period}} for n in ("source", "gain", "watcher")}
     return rig_of(make_scenario({"plant": fast, **others, "second": slow}, duration, **options))

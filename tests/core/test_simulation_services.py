@@ -11,8 +11,13 @@ from softrig_core.node.face import simulation
 from softrig_core.node.face.simulation import FEATURES, Simulation, turned
 from softrig_core.node.seam.monitor import Monitor
 
-RESULTS = {"RESULT_FEATURE_UNSUPPORTED": 0, "RESULT_OK": 1, "RESULT_NOT_FOUND": 2, "RESULT_INCORRECT_STATE": 3,
-               "RESULT_OPERATION_FAILED": 4}  # fmt: skip
+RESULTS = {
+    "RESULT_FEATURE_UNSUPPORTED": 0,
+    "RESULT_OK": 1,
+    "RESULT_NOT_FOUND": 2,
+    "RESULT_INCORRECT_STATE": 3,
+    "RESULT_OPERATION_FAILED": 4,
+}
 STOPPED, PLAYING, PAUSED, QUITTING = range(4)
 STATES = {"STATE_STOPPED": STOPPED, "STATE_PLAYING": PLAYING, "STATE_PAUSED": PAUSED, "STATE_QUITTING": QUITTING}
 KINDS = {"Result": SimpleNamespace(**RESULTS), "SimulationState": SimpleNamespace(**STATES)}
@@ -162,8 +167,12 @@ def test_a_small_turn_is_about_its_axis_in_the_parents_frame(axis):
 
     def times(p, q):
         (a, b, c, d), (x, y, z, w) = p, q
-        return (d * x + a * w + b * z - c * y, d * y - a * z + b * w + c * x, d * z + a * y - b * x + c * w,
-                d * w - a * x - b * y - c * z)  # fmt: skip
+        return (
+            d * x + a * w + b * z - c * y,
+            d * y - a * z + b * w + c * x,
+            d * z + a * y - b * x + c * w,
+            d * w - a * x - b * y - c * z,
+        )
 
     before = times(quaternion(0, 0.7), quaternion(2, -1.1))
     after = times(quaternion(axis, 1e-5), before)

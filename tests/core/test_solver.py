@@ -106,10 +106,13 @@ def test_a_limit_gives_the_best_so_far_and_says_that_it_does_not_repeat():
     assert (text, count) == ("best answer so far after 1 s: this result does not repeat", 1)
 
 
-@pytest.mark.parametrize(("fault", "reason"), [
-    ("raise", r"request of t = 0.1 s failed: ArithmeticError: deliberate \(faultrig.py:\d+\)"),
-    ("kill", "request of t = 0.1 s failed: the process that works was killed by SIGKILL"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("raise", r"request of t = 0.1 s failed: ArithmeticError: deliberate \(faultrig.py:\d+\)"),
+        ("kill", "request of t = 0.1 s failed: the process that works was killed by SIGKILL"),
+    ],
+)
 def test_failed_work_ends_a_run_and_is_reported_against_the_wall_clock(fault, reason):
     block = ByHand(Planner(fault=fault))
     with pytest.raises(RunError, match=reason):

@@ -19,11 +19,17 @@ from softrig_core.run.inprocess import wired
 def overdriven(values, period=0.01):
     """A stable plant under a command; the unit of both is the volt, which no number beyond 1e7 can mean."""
     nodes = {
-        "linear_plant": {"package": "softrig_control", "executable": "linear_plant", "parameters": {
-            "period": period, "num": [1.0], "den": [1.0, 1.0], "command": "command/u/effort"}},
-        "command_source": {"package": "softrig_control", "executable": "command_source", "parameters": {
-            "period": period, "channels": ["u"], "values": [values]}},
-    }  # fmt: skip
+        "linear_plant": {
+            "package": "softrig_control",
+            "executable": "linear_plant",
+            "parameters": {"period": period, "num": [1.0], "den": [1.0, 1.0], "command": "command/u/effort"},
+        },
+        "command_source": {
+            "package": "softrig_control",
+            "executable": "command_source",
+            "parameters": {"period": period, "channels": ["u"], "values": [values]},
+        },
+    }
     return rig_of(make_scenario(nodes, 1.0))
 
 
@@ -56,11 +62,17 @@ def test_what_is_almost_a_row_of_floats_becomes_one(said):
     assert step.numbers == (0.5, 2.0)
 
 
-@pytest.mark.parametrize(("said", "reason"), [
-    ((0.5,), "out has 1 values, expected 2"), ((0.5, math.nan), "out b/position became nan"),
-    ((0.5, -1e9), "out b/position became -1e"), (("x", 0.0), "out is no row of numbers"), (None, "gave no out"),
-    ((math.inf, -math.inf), "out a/position became inf"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("said", "reason"),
+    [
+        ((0.5,), "out has 1 values, expected 2"),
+        ((0.5, math.nan), "out b/position became nan"),
+        ((0.5, -1e9), "out b/position became -1e"),
+        (("x", 0.0), "out is no row of numbers"),
+        (None, "gave no out"),
+        ((math.inf, -math.inf), "out a/position became inf"),
+    ],
+)
 def test_what_may_not_leave_a_block_is_told(said, reason):
     step, rows = _alone({"out": said} if said else {})
     with pytest.raises(RunError, match=reason) as error:

@@ -44,12 +44,15 @@ def law(voltage="V", current="A", duty="1", topic="buck/state"):
     ("units", "message"),
     [
         ({"voltage": "mV"}, r"voltage/position is in 'V', expected 'mV': the same quantity, 1 V = 1000 mV; declare"),
-        ({"current": "rad"}, r"buck/state from plant does not fit law: current/position is in 'A', expected 'rad', "
-                             r"which is another quantity"),
+        (
+            {"current": "rad"},
+            r"buck/state from plant does not fit law: current/position is in 'A', expected 'rad', "
+            r"which is another quantity",
+        ),
         ({"duty": "percent"}, r"buck/duty from law .* plant: d/effort is in 'percent', expected '1': .* = 0.01;"),
         ({"duty": "V"}, r"d/effort is in 'V', expected '1', which is another quantity"),
     ],
-)  # fmt: skip
+)
 def test_units_that_do_not_fit_are_refused_where_the_rig_is_wired(units, message):
     with pytest.raises(ScenarioError, match=message):
         Rig.from_blocks({"plant": buck(), "law": law(**units)}, 0.01)
@@ -62,8 +65,12 @@ def test_units_that_say_the_same_and_those_not_stated_fit(units):
 
 
 def test_a_link_hands_on_the_units_of_what_it_carries():
-    link = {"topic_in": "buck/state", "topic_out": "late/state", "channels": ["voltage", "current"],
-            "fields": ["position"]}  # fmt: skip
+    link = {
+        "topic_in": "buck/state",
+        "topic_out": "late/state",
+        "channels": ["voltage", "current"],
+        "fields": ["position"],
+    }
     blocks = {"plant": buck(), "link": UnitDelay(**link), "law": law(topic="late/state")}
     assert signal_units(Rig.from_blocks(blocks, 0.01))["late/state/current/position"] == "A"
     with pytest.raises(ScenarioError, match="late/state from link does not fit law: voltage/position is in 'V'"):
@@ -72,9 +79,19 @@ def test_a_link_hands_on_the_units_of_what_it_carries():
 
 @pytest.mark.parametrize(
     ("given", "wanted", "number"),
-    [("s", "ms", 1e3), ("rad", "deg", math.degrees(1.0)), ("rpm", "rad/s", math.pi / 30.0), ("m/s^2", "mm/s^2", 1e3),
-     ("N m", "J", 1.0), ("km", "m", 1e3), ("kg", "g", 1e3), ("V", "A", None), ("packet", "1", None), ("1", "%", 1e2)],
-)  # fmt: skip
+    [
+        ("s", "ms", 1e3),
+        ("rad", "deg", math.degrees(1.0)),
+        ("rpm", "rad/s", math.pi / 30.0),
+        ("m/s^2", "mm/s^2", 1e3),
+        ("N m", "J", 1.0),
+        ("km", "m", 1e3),
+        ("kg", "g", 1e3),
+        ("V", "A", None),
+        ("packet", "1", None),
+        ("1", "%", 1e2),
+    ],
+)
 def test_units_are_converted_where_they_measure_the_same(given, wanted, number):
     found = factor(given, wanted)
     assert found == (None if number is None else pytest.approx(number))

@@ -89,10 +89,13 @@ def test_a_room_knows_those_below_it(package):
     assert [m for m in found if m != package and layer(m) is None] == []  # every module has its room
     breaches = [
         f"{module} imports {target}"
-        for module, targets in found.items() for target in sorted(targets)
-        if within(target, package) and layer(module) is not None and layer(target) is not None
+        for module, targets in found.items()
+        for target in sorted(targets)
+        if within(target, package)
+        and layer(module) is not None
+        and layer(target) is not None
         and layer(target) > layer(module)
-    ]  # fmt: skip
+    ]
     assert breaches == []
 
 

@@ -140,9 +140,17 @@ def test_bad_settings_are_named(call, text):
 
 @pytest.mark.parametrize(
     ("algorithm", "close"),
-    [(SalpSwarm, 0.05), (ImprovedSalpSwarm, 0.05), (ParticleSwarm, 1e-6), (DifferentialEvolution, 1e-6),
-     (Firefly, 0.05), (GreyWolf, 0.02), (Whale, 0.03), (Genetic, 1e-3)],
-)  # fmt: skip
+    [
+        (SalpSwarm, 0.05),
+        (ImprovedSalpSwarm, 0.05),
+        (ParticleSwarm, 1e-6),
+        (DifferentialEvolution, 1e-6),
+        (Firefly, 0.05),
+        (GreyWolf, 0.02),
+        (Whale, 0.03),
+        (Genetic, 1e-3),
+    ],
+)
 def test_finds_a_known_optimum(algorithm, close):
     """With enough evaluations every one comes to the bottom of a bowl, each as close as its last steps are small."""
     worst = 0.0
@@ -217,9 +225,19 @@ def test_differential_evolution_against_scipy(variant):
         search = Started(*box, seed, n_pop=n_pop, n_iter=n_iter, variant=variant, cr=0.7)
         ours.append(run(search, rastrigin).value)
         found = differential_evolution(
-            rastrigin, list(zip(*box, strict=True)), strategy=f"{variant}bin", maxiter=n_iter, init=search.spread(),
-            mutation=(0.2, 0.8), recombination=0.7, tol=0.0, atol=0.0, polish=False, rng=seed, updating="immediate",
-        )  # fmt: skip
+            rastrigin,
+            list(zip(*box, strict=True)),
+            strategy=f"{variant}bin",
+            maxiter=n_iter,
+            init=search.spread(),
+            mutation=(0.2, 0.8),
+            recombination=0.7,
+            tol=0.0,
+            atol=0.0,
+            polish=False,
+            rng=seed,
+            updating="immediate",
+        )
         theirs.append(found.fun)
         assert found.nfev == search.evaluations
     assert stats.ks_2samp(ours, theirs).pvalue > 0.1
@@ -629,12 +647,15 @@ def test_sweep_hands_on_the_failure():
 TRAPS = ("queue", "pickle", "socket", "runpy", "struct", "random", "tempfile", "numpy", "softrig_core", "softrig_optim")
 
 
-@pytest.mark.parametrize("code", [
-    "import os; from softrig_optim.sweep import sweep; assert sweep(abs, [-1, -2], workers=2) == [1, 2]; "
-    "assert 'PYTHONSAFEPATH' not in os.environ",
-    "import faultrig; from softrig_core.solver.worker import Worker; worker = Worker(faultrig.Planner.solve); "
-    "worker.submit((1, 0.0, 1.0, 0.0, '')); assert worker.wait(60.0) and worker.state == 'done', worker.error",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import os; from softrig_optim.sweep import sweep; assert sweep(abs, [-1, -2], workers=2) == [1, 2]; "
+        "assert 'PYTHONSAFEPATH' not in os.environ",
+        "import faultrig; from softrig_core.solver.worker import Worker; worker = Worker(faultrig.Planner.solve); "
+        "worker.submit((1, 0.0, 1.0, 0.0, '')); assert worker.wait(60.0) and worker.state == 'done', worker.error",
+    ],
+)
 def test_nothing_is_imported_from_the_current_directory(code, tmp_path):
     for name in TRAPS:
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'sprung')!r}, 'a').write({name!r})\n")
@@ -672,8 +693,12 @@ def test_an_idle_process_serves_the_next_worker_of_its_function(monkeypatch):
 def test_a_run_that_is_over_leaves_its_process_to_the_next():
     while _Process.idle:  # of other tests
         _Process.idle.pop().kill()
-    nodes = {"plant": "plant", "source": {"executable": "source", "parameters": {"period": 0.1}}, "planner": "planner",
-             "gain": {"executable": "gain", "remap": {"lag/reference": "lag/inner_reference"}}}  # fmt: skip
+    nodes = {
+        "plant": "plant",
+        "source": {"executable": "source", "parameters": {"period": 0.1}},
+        "planner": "planner",
+        "gain": {"executable": "gain", "remap": {"lag/reference": "lag/inner_reference"}},
+    }
     rig = rig_of(make_scenario(nodes, 0.3))
     first = run_inprocess(rig, 0)["planner"]
     (left,) = _Process.idle

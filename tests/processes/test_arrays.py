@@ -256,9 +256,14 @@ def test_a_lost_array_is_waited_for_by_name(loop, topic, sender):
 
 def test_a_lost_array_of_who_runs_ahead_is_named_by_the_next_one():
     """Nobody who is waited for needs it to go on, as of a fast sender with a slow reader."""
-    nodes = {"plant": "plant", "spread": "spread", "gain": "gain", "source": "source",
-             "watch": {"executable": "weigh", "remap": {"lag/command": "watch/command"}, "parameters": {"period": 0.1}},
-             "peaks": "peaks"}  # fmt: skip
+    nodes = {
+        "plant": "plant",
+        "spread": "spread",
+        "gain": "gain",
+        "source": "source",
+        "watch": {"executable": "weigh", "remap": {"lag/command": "watch/command"}, "parameters": {"period": 0.1}},
+        "peaks": "peaks",
+    }
     run = SimulatedRig(rig_of(make_scenario(nodes, 0.5)), Meddler("lag/matrix", lost), "lockstep")
     assert set(run.run().values()) == {"failed"}
     assert str(run.adapters["watch"].error) == "lag/matrix: number 6 from spread, expected 5 (1 lost)"

@@ -86,10 +86,17 @@ class Contained:
             topic = member.remap.get(topic, topic).replace("~", f"/{member.name}")
             return topic if topic.startswith("/") else f"/{topic}"
 
-        node = SimpleNamespace(get_name=lambda: member.name, get_fully_qualified_name=lambda: f"/{member.name}",
-                               resolve_topic_name=resolve, monitor=Monitor(lambda: None))  # fmt: skip
-        given = {k.removeprefix("run."): v for k, v in node_parameters(rig, member, seed, "realtime").items()
-                 if k.startswith("run.")} | {"epoch": self.epoch}  # fmt: skip
+        node = SimpleNamespace(
+            get_name=lambda: member.name,
+            get_fully_qualified_name=lambda: f"/{member.name}",
+            resolve_topic_name=resolve,
+            monitor=Monitor(lambda: None),
+        )
+        given = {
+            k.removeprefix("run."): v
+            for k, v in node_parameters(rig, member, seed, "realtime").items()
+            if k.startswith("run.")
+        } | {"epoch": self.epoch}
         sink = _Sink.__new__(_Sink)
         adapter = Adapter(ContainedMiddleware(node, self.exchange), member.block(seed), RunOptions(**given), sink)
         sink.__init__(self.recording, adapter.recorded)
@@ -109,9 +116,15 @@ def shortened(name, duration):
     return rig_of(load_scenario(name).changed(duration=duration))
 
 
-@pytest.mark.parametrize(("name", "duration"), [
-    ("induction_dtc", 0.03), ("dc_motor_smc_b2", 0.3), ("rehab_impedance", 0.1), ("lsrm_fuzzy", 0.02),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "duration"),
+    [
+        ("induction_dtc", 0.03),
+        ("dc_motor_smc_b2", 0.3),
+        ("rehab_impedance", 0.1),
+        ("lsrm_fuzzy", 0.02),
+    ],
+)
 def test_what_a_node_says_together_gives_the_numbers_of_lockstep(name, duration, monkeypatch):
     rig = shortened(name, duration)
     expected = Signals(in_process(rig))

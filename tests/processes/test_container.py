@@ -27,9 +27,19 @@ from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 pytestmark = pytest.mark.processes
 
 HEADLINES = [
-    "dc_motor_smc", "dc_motor_fsfb", "economic_dispatch", "fault_location", "gupfc", "induction_dtc", "lsrm_fuzzy",
-    "manipulator_adsmc", "pv_mppt", "rectifier_mpc", "rehab_impedance", "tcp_aqm_smc",
-]  # fmt: skip
+    "dc_motor_smc",
+    "dc_motor_fsfb",
+    "economic_dispatch",
+    "fault_location",
+    "gupfc",
+    "induction_dtc",
+    "lsrm_fuzzy",
+    "manipulator_adsmc",
+    "pv_mppt",
+    "rectifier_mpc",
+    "rehab_impedance",
+    "tcp_aqm_smc",
+]
 # those whose systems do not run through processes daily; a link, a solver, arrays
 DAILY = ("dc_motor_fsfb", "economic_dispatch", "fault_location", "induction_dtc", "pv_mppt", "rectifier_mpc")
 
@@ -136,15 +146,25 @@ def test_each_node_is_on_the_graph_for_everybody_and_the_run_stays_as_it_is(tmp_
 
         def progress(t):
             if t and not people:
-                people.append(subprocess.Popen([sys.executable, "-c", PERSON], env=environment(domain, tmp_path),
-                                               stdout=subprocess.PIPE, text=True))  # fmt: skip
+                people.append(
+                    subprocess.Popen(
+                        [sys.executable, "-c", PERSON],
+                        env=environment(domain, tmp_path),
+                        stdout=subprocess.PIPE,
+                        text=True,
+                    )
+                )
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 
         stopped(lambda: run(wired, tmp_path, domain=domain, listener=Listener(progress)))
     seen = json.loads(people[0].stdout.read())
-    assert seen == {"nodes": ["gain", "person", "plant", "source"], "noise": 0.0, "readers": ["gain", "person"],
-                    "health": ["/gain", "/plant", "/source"]}  # fmt: skip
+    assert seen == {
+        "nodes": ["gain", "person", "plant", "source"],
+        "noise": 0.0,
+        "readers": ["gain", "person"],
+        "health": ["/gain", "/plant", "/source"],
+    }
     recording = Recording((t, p.msgtype) for t, p in wired.topics.items())
     recording.read_shard(tmp_path / "plant.shard")
     states = recording.topics["lag/state"]
@@ -278,8 +298,16 @@ def test_realtime_in_a_container(tmp_path):
 def test_a_container_that_is_stopped_leaves_what_it_has(tmp_path):
     command = [str(find_executable("softrig_core", "container"))]
     for name in BASIC:
-        command += ["faultrig", name, "--ros-args", "-p", f"run.shard:={tmp_path / name}.shard",
-                    "-p", f"run.status:={tmp_path / name}.status", "--"]  # fmt: skip
+        command += [
+            "faultrig",
+            name,
+            "--ros-args",
+            "-p",
+            f"run.shard:={tmp_path / name}.shard",
+            "-p",
+            f"run.status:={tmp_path / name}.status",
+            "--",
+        ]
     with free_domain() as domain:
         process = start_node("softrig_core", "container", command, environment(domain, tmp_path), 2)
         until(lambda: all(status(tmp_path, name)["ticks"] for name in ("plant", "gain")))

@@ -295,14 +295,30 @@ def test_a_node_that_is_held_for_less_than_the_timeout_is_waited_for(held, secon
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(("number", "status"), [
-    (signal.SIGINT, 130), *(pytest.param(*row, marks=pytest.mark.long) for row in (
-        (signal.SIGHUP, 129), (signal.SIGQUIT, 131), (signal.SIGTERM, 143))),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [
+        (signal.SIGINT, 130),
+        *(
+            pytest.param(*row, marks=pytest.mark.long)
+            for row in ((signal.SIGHUP, 129), (signal.SIGQUIT, 131), (signal.SIGTERM, 143))
+        ),
+    ],
+)
 def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_path):
     out = tmp_path / "run"
-    command = [sys.executable, "-m", "softrig_bringup", "run", "dc_motor_smc", "--duration", "500", "--out", str(out),
-               "--no-plots"]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "softrig_bringup",
+        "run",
+        "dc_motor_smc",
+        "--duration",
+        "500",
+        "--out",
+        str(out),
+        "--no-plots",
+    ]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
 
     def runs():
@@ -329,10 +345,19 @@ def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
     with free_domain() as domain:
         running = []
         for member in rig.members:
-            file = parameter_file(member, node_parameters(rig, member, 0, mode) | {
-                "run.status": str(tmp_path / f"{member.name}.status")}, tmp_path)  # fmt: skip
-            command = [str(find_executable(member.package, member.executable)), "--ros-args", "-r",
-                       f"__node:={member.name}", "--params-file", str(file)]  # fmt: skip
+            file = parameter_file(
+                member,
+                node_parameters(rig, member, 0, mode) | {"run.status": str(tmp_path / f"{member.name}.status")},
+                tmp_path,
+            )
+            command = [
+                str(find_executable(member.package, member.executable)),
+                "--ros-args",
+                "-r",
+                f"__node:={member.name}",
+                "--params-file",
+                str(file),
+            ]
             with (tmp_path / f"{member.name}.log").open("wb") as log:
                 running.append(
                     start_node(member.package, member.executable, command, environment(domain, tmp_path), log.fileno())

@@ -17,18 +17,28 @@ SYSTEMS = [
 KINDS = FaultParams.model_fields["kind"].annotation.__args__
 SMALL = 1e-6  # so that the laws go on
 NUMBERS = {
-    "scale": {"value": [1.0 + SMALL]}, "saturate": {"value": [1e6]}, "delay": {"overtaking": False},
-    "add": {"points": [0.0, SMALL], "linear": True}, "replace": {"points": [0.5], "probability": 0.0},
-    "loss": {"probability": 0.1}, "repeat": {"probability": 0.1}, "spike": {"probability": 0.1, "value": [SMALL]},
+    "scale": {"value": [1.0 + SMALL]},
+    "saturate": {"value": [1e6]},
+    "delay": {"overtaking": False},
+    "add": {"points": [0.0, SMALL], "linear": True},
+    "replace": {"points": [0.5], "probability": 0.0},
+    "loss": {"probability": 0.1},
+    "repeat": {"probability": 0.1},
+    "spike": {"probability": 0.1, "value": [SMALL]},
     "invalid": {"probability": 0.05},
-}  # fmt: skip
+}
 
 
 def faulty(name, shift):
     """A system with a fault on every link, the k-th of the (k + shift)-th kind."""
     rig = short(name, 200)
-    links = [(m, p, reader) for m in rig.members for p in m.outputs for reader, _ in rig.readers(m, p)
-             if reader.executable != "figures"]  # fmt: skip
+    links = [
+        (m, p, reader)
+        for m in rig.members
+        for p in m.outputs
+        for reader, _ in rig.readers(m, p)
+        if reader.executable != "figures"
+    ]
     faults = {}
     for k, (source, port, reader) in enumerate(links):
         kind = KINDS[(k + shift) % len(KINDS)]

@@ -63,15 +63,20 @@ def test_bytes_and_hash_are_those_of_the_message_type():
         return kinds[name](**fields)
 
     transforms = [
-        made("geometry_msgs/msg/TransformStamped",
-             header=made("std_msgs/msg/Header", stamp=made("builtin_interfaces/msg/Time", sec=3, nanosec=7),
-                         frame_id=p.parent),
-             child_frame_id=p.child,
-             transform=made("geometry_msgs/msg/Transform",
-                            translation=made("geometry_msgs/msg/Vector3", **dict(zip("xyz", p.position))),
-                            rotation=made("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", p.rotation)))))
+        made(
+            "geometry_msgs/msg/TransformStamped",
+            header=made(
+                "std_msgs/msg/Header", stamp=made("builtin_interfaces/msg/Time", sec=3, nanosec=7), frame_id=p.parent
+            ),
+            child_frame_id=p.child,
+            transform=made(
+                "geometry_msgs/msg/Transform",
+                translation=made("geometry_msgs/msg/Vector3", **dict(zip("xyz", p.position))),
+                rotation=made("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", p.rotation))),
+            ),
+        )
         for p in POSES
-    ]  # fmt: skip
+    ]
     assert encode(3_000_000_007, POSES) == bytes(STORE.serialize_cdr(made(TF, transforms=transforms), TF))
     assert STORE.hash_rihs01(TF) == f"RIHS01_{HASH}"
     assert SOURCE.decode().split()[0].replace("/", "/msg/").removesuffix("[]") == ELEMENT.decode()
@@ -84,8 +89,14 @@ def test_the_frames_of_a_robot_are_forward_kinematics_of_what_it_says(tmp_path):
         command = [str(find_executable("softrig_robots", "manipulator_plant")), "--ros-args", "-r", "__node:=plant"]
         plant = start_node("softrig_robots", "manipulator_plant", command, variables, 2)
         try:
-            done = subprocess.run([sys.executable, "-c", LISTEN], env=variables, stdout=subprocess.PIPE, text=True,
-                                  check=True, timeout=PATIENCE)  # fmt: skip
+            done = subprocess.run(
+                [sys.executable, "-c", LISTEN],
+                env=variables,
+                stdout=subprocess.PIPE,
+                text=True,
+                check=True,
+                timeout=PATIENCE,
+            )
         finally:
             plant.kill()
             plant.wait()

@@ -203,8 +203,11 @@ def test_a_launched_rig_waits_for_a_recorder_that_asks_for_it(topics, lag, tmp_p
         variables = environment(domain, tmp_path)
         recorder = subprocess.Popen(
             [find_executable("softrig_bags", "recorder"), *topics, "--use-sim-time", "-o", tmp_path / "bag"],
-            env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
+            env=variables,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
         try:
             until((tmp_path / "bag").exists)
             status, said = launch({"scenario": "lag", "mode": "lockstep"}, variables)

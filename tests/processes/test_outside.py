@@ -50,13 +50,18 @@ def relay(rig, member, expected, reads, names, realtime=False):
         "ticks": [schedule.time(k) for k in range(schedule.count())],
         "by_order": calls is not None and (calls.delayed or not calls.stamped),
         "outputs": [
-            {"topic": p.topic, "type": p.msgtype, "stamped": p.stamped, "times": expected.topics[p.topic].times,
-             "readers": sum(m.name not in names for m, _ in rig.readers(member, p)),
-             "data": [bytes(d).hex() for d in expected.topics[p.topic].data]}
+            {
+                "topic": p.topic,
+                "type": p.msgtype,
+                "stamped": p.stamped,
+                "times": expected.topics[p.topic].times,
+                "readers": sum(m.name not in names for m, _ in rig.readers(member, p)),
+                "data": [bytes(d).hex() for d in expected.topics[p.topic].data],
+            }
             for p in member.outputs
         ],
         "reads": topics,
-    }  # fmt: skip
+    }
 
 
 def with_outside(rig, names, directory, seed=0, realtime=False):
@@ -182,11 +187,18 @@ def unaccounted(rig, outcome):
 
 IN_REAL_TIME = [
     pytest.param("dc_motor_smc", "dc_motor_smc"),
-    *(pytest.param(system, name, marks=pytest.mark.long) for system, name in (
-        ("dc_motor_fsfb", "fsfb_controller"), ("gupfc", "shunt_controller"), ("manipulator_adsmc", "vcs_controller"),
-        ("pv_mppt", "mppt_optimizer"), ("rehab_impedance", "voltage_controller"), ("tcp_aqm_smc", "aqm_controller"),
-    )),
-]  # fmt: skip
+    *(
+        pytest.param(system, name, marks=pytest.mark.long)
+        for system, name in (
+            ("dc_motor_fsfb", "fsfb_controller"),
+            ("gupfc", "shunt_controller"),
+            ("manipulator_adsmc", "vcs_controller"),
+            ("pv_mppt", "mppt_optimizer"),
+            ("rehab_impedance", "voltage_controller"),
+            ("tcp_aqm_smc", "aqm_controller"),
+        )
+    ),
+]
 
 
 @pytest.mark.parametrize(("system", "name"), IN_REAL_TIME)

@@ -186,8 +186,13 @@ def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_
 
 def test_an_unwritable_status_file_is_one_line(tmp_path):
     executable = str(find_executable("faultrig", "plant"))
-    done = subprocess.run([executable, "--ros-args", "-p", f"run.status:={tmp_path}/nowhere/s"], capture_output=True,
-                          text=True, env=environment(1, tmp_path), timeout=PATIENCE)  # fmt: skip
+    done = subprocess.run(
+        [executable, "--ros-args", "-p", f"run.status:={tmp_path}/nowhere/s"],
+        capture_output=True,
+        text=True,
+        env=environment(1, tmp_path),
+        timeout=PATIENCE,
+    )
     assert done.returncode == 3
     assert "No such file or directory" in done.stderr.splitlines()[-1]
 
@@ -374,12 +379,16 @@ def test_real_time_begins_when_the_outside_controller_has_come(tmp_path):
     ("extra", "reason"),
     [  # each refusal of a message's content is held against the codec, too
         ("command.effort = [float('nan')]", "u/effort is nan, expected a finite number"),
-        *(pytest.param(*row, marks=pytest.mark.long) for row in (
-            ("command.header.stamp.sec += 1", "stamp 1 s from gain, expected 0 s"),
-            ("command.name = ['w']", "names ['w'], expected ['u']"),
-            ("command.effort = [1.0, 2.0]", "effort has 2 values, expected 1 (u)"))),
+        *(
+            pytest.param(*row, marks=pytest.mark.long)
+            for row in (
+                ("command.header.stamp.sec += 1", "stamp 1 s from gain, expected 0 s"),
+                ("command.name = ['w']", "names ['w'], expected ['u']"),
+                ("command.effort = [1.0, 2.0]", "effort has 2 values, expected 1 (u)"),
+            )
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_bad_outside_command_never_reaches_the_plant(extra, reason, tmp_path):
     _, outcome = with_outside_controller(extra, tmp_path, start=script)
     assert "plant: nothing stamped t = 0 s within" in outcome.error

@@ -73,7 +73,11 @@ def test_a_run_of_the_command_line_says_that_a_node_came_back(killer, tmp_path, 
         return run(rig, seed, directory, placement, Listener(kill, listener.announce, listener.opened))
 
     monkeypatch.setattr("softrig_bringup.run.run.run_processes", killing)
-    assert main(["run", "dc_motor_smc", "--duration", "1.5", "--restart", "1", "--no-plots", "--out",
-                 str(tmp_path / "run")]) == 0  # fmt: skip
+    assert (
+        main(
+            ["run", "dc_motor_smc", "--duration", "1.5", "--restart", "1", "--no-plots", "--out", str(tmp_path / "run")]
+        )
+        == 0
+    )
     assert "node dc_motor_smc was killed by SIGKILL" in capsys.readouterr().err
     assert not differences(simulate("dc_motor_smc", duration=1.5).recording, read_bag(tmp_path / "run" / "bag"))

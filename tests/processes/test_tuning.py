@@ -82,8 +82,13 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
             assert second.returncode == 1
             assert "law refuses delta, c: " in second.stderr
             for number in ("99999999999999999999999", "[99999999999999999999999]"):  # of which no message can be made
-                third = subprocess.run([*command[:-2], "law.delta", number], env=bench.environment, timeout=60,
-                                       capture_output=True, text=True)  # fmt: skip
+                third = subprocess.run(
+                    [*command[:-2], "law.delta", number],
+                    env=bench.environment,
+                    timeout=60,
+                    capture_output=True,
+                    text=True,
+                )
                 assert third.returncode == 1, third.stderr
                 assert "law refuses delta: " in third.stderr
         finally:
@@ -199,15 +204,39 @@ def test_a_replay_into_one_node_sets_what_the_bag_has_changed(tmp_path):
     recording = in_process(rig)
     write_bag(tmp_path / "bag", recording)
     law = next(m for m in rig.members if m.name == "dc_motor_smc")
-    (tmp_path / "law.yaml").write_text(yaml.safe_dump({"dc_motor_smc": {"ros__parameters": {
-        name: value for name, value in flatten(law.params).items() if value is not None}}}))  # fmt: skip
+    (tmp_path / "law.yaml").write_text(
+        yaml.safe_dump(
+            {
+                "dc_motor_smc": {
+                    "ros__parameters": {name: value for name, value in flatten(law.params).items() if value is not None}
+                }
+            }
+        )
+    )
     with free_domain() as domain:
         bench = Bench(tmp_path, domain)
         try:
-            bench.start("dc_motor_smc", "dc_motor_smc", "--params-file", str(tmp_path / "law.yaml"), "-p",
-                        "run.mode:=lockstep", "-p", "run.paired:=[reference]", package="softrig_drives")  # fmt: skip
-            command = [find_executable("softrig_bags", "player"), "bag", "--lockstep", "motor/command",
-                       "--exclude", "motor/surface", "--answers", "answers"]  # fmt: skip
+            bench.start(
+                "dc_motor_smc",
+                "dc_motor_smc",
+                "--params-file",
+                str(tmp_path / "law.yaml"),
+                "-p",
+                "run.mode:=lockstep",
+                "-p",
+                "run.paired:=[reference]",
+                package="softrig_drives",
+            )
+            command = [
+                find_executable("softrig_bags", "player"),
+                "bag",
+                "--lockstep",
+                "motor/command",
+                "--exclude",
+                "motor/surface",
+                "--answers",
+                "answers",
+            ]
             with ExitStack() as stack:
                 played = fork(stack, "softrig_bags", "player", command, bench.environment, tmp_path)
                 said = played.communicate(PATIENCE)[0]

@@ -179,8 +179,12 @@ def test_who_comes_from_another_host_finds_nobody(how, tmp_path):
         here["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(how)
         if how == "by hand":
             del here["FASTRTPS_DEFAULT_PROFILES_FILE"], here["ROS_AUTOMATIC_DISCOVERY_RANGE"]
-        there = here | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": "10.213.7.1",
-                        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}  # fmt: skip
+        there = here | {
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+            "ROS_STATIC_PEERS": "10.213.7.1",
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": "",
+        }
         enter = ["ip", "netns", "exec"]
         plant = subprocess.Popen(
             [*enter, a, find_executable("faultrig", "plant"), "--ros-args", "-r", "__node:=plant"], env=here
@@ -191,8 +195,13 @@ def test_who_comes_from_another_host_finds_nobody(how, tmp_path):
                 [*enter, b, sys.executable, "-c", code], env=there, capture_output=True, text=True, timeout=PATIENCE
             )
             neighbour = here | {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}
-            near = subprocess.run([*enter, a, sys.executable, "-c", INTRUDER.replace("PATIENCE", "60")], env=neighbour,
-                                  capture_output=True, text=True, timeout=PATIENCE)  # fmt: skip
+            near = subprocess.run(
+                [*enter, a, sys.executable, "-c", INTRUDER.replace("PATIENCE", "60")],
+                env=neighbour,
+                capture_output=True,
+                text=True,
+                timeout=PATIENCE,
+            )
         finally:
             plant.kill()
             plant.wait()

@@ -299,8 +299,13 @@ def dual_mode_holds(a, b, gain, terminal, q, r):
     fallen = times([list(c) for c in zip(*closed, strict=True)], times(p, closed))
     kk = times([list(c) for c in zip(*k, strict=True)], k)
     slack = Fraction(1, 10**8) * max(1, *(abs(v) for row in p for v in row))
-    left = [[p[i][j] - fallen[i][j] - (q[i][j] + q[j][i]) / 2 - Fraction(r) * kk[i][j] + (slack if i == j else 0)
-             for j in range(n)] for i in range(n)]  # fmt: skip
+    left = [
+        [
+            p[i][j] - fallen[i][j] - (q[i][j] + q[j][i]) / 2 - Fraction(r) * kk[i][j] + (slack if i == j else 0)
+            for j in range(n)
+        ]
+        for i in range(n)
+    ]
     return schur(closed) and positive(p) and positive(left)
 
 

@@ -65,8 +65,12 @@ def test_induction_machine_twice_the_inertia_half_the_acceleration():
 
 
 def test_lsrm_twice_the_mass_half_the_acceleration():
-    ways = [moved(LsrmPlant(M=M, C=0.0, k_p=0.0, x_0=0.01), 40, phase_voltage=(60.0, 0.0, 0.0, 0.0), load=None)
-            ["joint_states"] for M in (50.0, 100.0)]  # fmt: skip
+    ways = [
+        moved(LsrmPlant(M=M, C=0.0, k_p=0.0, x_0=0.01), 40, phase_voltage=(60.0, 0.0, 0.0, 0.0), load=None)[
+            "joint_states"
+        ]
+        for M in (50.0, 100.0)
+    ]
     assert abs(ways[0][1]) > 1e-4
     assert ways[1][1] == pytest.approx(0.5 * ways[0][1], rel=1e-3)
 
@@ -114,8 +118,11 @@ def test_rehab_robot_of_twice_the_stiffness_gives_way_half_as_far():
     """Active exercise under a constant force of the patient: K_d e = J' F at rest."""
     ways = []
     for stiffness in (100.0, 200.0):
-        run = simulate("rehab_impedance_r5", duration=9.0, overrides={
-            "impedance.stiffness": [stiffness], "impedance.inertia": [0.1], "impedance.damping": [10.0]})  # fmt: skip
+        run = simulate(
+            "rehab_impedance_r5",
+            duration=9.0,
+            overrides={"impedance.stiffness": [stiffness], "impedance.inertia": [0.1], "impedance.damping": [10.0]},
+        )
         t, regenerated = run.signals["regenerated/hip/position"]
         wanted = np.interp(t, *run.signals["reference/hip/position"])
         ways.append(np.abs(regenerated - wanted).max())
@@ -155,8 +162,11 @@ def test_spacecraft_with_twice_the_time_needs_half_the_cost_with_twice_the_inert
 
 
 def test_gupfc_circuits_carry_what_is_asked():
-    run = simulate("gupfc", duration=0.5, overrides={
-        "references_1.values": [1.15, -0.2] * 3, "references_2.values": [0.9, -0.35] * 3})  # fmt: skip
+    run = simulate(
+        "gupfc",
+        duration=0.5,
+        overrides={"references_1.values": [1.15, -0.2] * 3, "references_2.values": [0.9, -0.35] * 3},
+    )
     measured = [run.signals[f"gupfc/status/{name}/position"] for name in ("p1", "q1", "p2", "q2")]
     assert [s.x[s.t > 0.4].mean() for s in measured] == pytest.approx([1.15, -0.2, 0.9, -0.35], abs=0.01)
 

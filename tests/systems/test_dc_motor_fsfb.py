@@ -152,8 +152,11 @@ def test_7_at_rest_within_about_one_count(name):
 
 def test_8_a_second_integrator_and_a_second_implementation_agree():
     """The whole loop written again in mm, with RK4 at 0.1 ms instead of the exact step."""
-    for name, compensation in (("dc_motor_fsfb", "predictor"), ("dc_motor_fsfb_s1_none", "none"),
-                               ("dc_motor_fsfb_s1_velocity", "velocity")):  # fmt: skip
+    for name, compensation in (
+        ("dc_motor_fsfb", "predictor"),
+        ("dc_motor_fsfb_s1_none", "none"),
+        ("dc_motor_fsfb_s1_velocity", "velocity"),
+    ):
         y = second_implementation(10.0, compensation)
         assert np.abs(run(name)[Y].x - y).max() < 1e-6
 
@@ -268,8 +271,12 @@ def test_how_firm_the_overshoot_without_compensation_is(ratio):
     kv, kp, ki = design([-p, -ratio * p, -ratio * p])
     for (dt, window), expected in FIRMNESS[ratio].items():
         overrides = tuple((f"{node}.period", dt / 1000) for node in NODES)
-        overrides += (("fsfb_controller.kv", kv), ("fsfb_controller.kp", kp), ("fsfb_controller.ki", ki),
-                      ("dc_axis_plant.velocity_window", window))  # fmt: skip
+        overrides += (
+            ("fsfb_controller.kv", kv),
+            ("fsfb_controller.kp", kp),
+            ("fsfb_controller.ki", ki),
+            ("dc_axis_plant.velocity_window", window),
+        )
         none = run("dc_motor_fsfb_s1_none", overrides)
         assert unsettled(none, 10.0) == (expected > 5.0)
         # below one count (0.25 %) the last digit of a pole decides at which end of the count the axis rests
@@ -281,9 +288,16 @@ def test_how_firm_the_overshoot_without_compensation_is(ratio):
 
 @pytest.mark.parametrize(
     ("limit", "forty", "sixty"),
-    [(100, 4.4, 30.9), (110, 0.5, 24.8), (120, 0.07, 19.0), (130, 0.07, 13.5), (150, 0.06, 4.3), (160, 0.06, 1.35),
-     (180, 0.07, 0.04)],
-)  # fmt: skip
+    [
+        (100, 4.4, 30.9),
+        (110, 0.5, 24.8),
+        (120, 0.07, 19.0),
+        (130, 0.07, 13.5),
+        (150, 0.06, 4.3),
+        (160, 0.06, 1.35),
+        (180, 0.07, 0.04),
+    ],
+)
 def test_actuator_limit_that_fits_the_papers_pair(limit, forty, sixty):
     volts = {"plant__u_limit_v": limit / MM, "controller__u_limit_v": limit / MM}
     for step, expected in ((40.0, forty), (60.0, sixty)):
@@ -465,9 +479,18 @@ def test_newest_of_reference_and_button_wins():
 
 def test_reference_topic_moves_the_axis():
     base = load_scenario("dc_motor_fsfb")
-    source = {"package": "softrig_control", "executable": "reference_source", "remap": {"reference": "axis/reference"},
-              "parameters": {"channels": ["axis"], "unit": "mm", "velocities": [], "positions": [0.0, 10.0],
-                             "times": [0.0, 1.0]}}  # fmt: skip
+    source = {
+        "package": "softrig_control",
+        "executable": "reference_source",
+        "remap": {"reference": "axis/reference"},
+        "parameters": {
+            "channels": ["axis"],
+            "unit": "mm",
+            "velocities": [],
+            "positions": [0.0, 10.0],
+            "times": [0.0, 1.0],
+        },
+    }
     nodes = {n: e.model_dump() for n, e in base.nodes.items() if n != "step_buttons"} | {"source": source}
     scenario = type(base).model_validate(base.model_dump() | {"nodes": nodes, "duration": 9.0})
     signals = Signals(in_process(rig_of(scenario)))

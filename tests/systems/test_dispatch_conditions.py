@@ -106,13 +106,16 @@ def test_thirteen_units_with_losses_are_proven():
     assert (found.reason == "proven") == (found.gap <= 2.0)
 
 
-@pytest.mark.parametrize(("conditions", "why"), [
-    (Conditions.of(THREE, Losses(B, np.zeros(3)), 0.0, np.array([600.0, 200.0, 400.0])), ""),
-    (Conditions.of(CASES["ramps"][0], None, 0.0, np.array([300.0, 350.0, 300.0])), "unit 2 is so far outside its"),
-    (Conditions.of(CASES["ramps"][0]), "within limits and ramps, less losses, the units give"),
-    (Conditions.of(THREE, None, 2000.0), "reserve 2000 MW, but the units have"),
-    (Conditions.of(THREE, Losses(100.0 * B, np.zeros(3))), "an incremental loss of 1 or more"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("conditions", "why"),
+    [
+        (Conditions.of(THREE, Losses(B, np.zeros(3)), 0.0, np.array([600.0, 200.0, 400.0])), ""),
+        (Conditions.of(CASES["ramps"][0], None, 0.0, np.array([300.0, 350.0, 300.0])), "unit 2 is so far outside its"),
+        (Conditions.of(CASES["ramps"][0]), "within limits and ramps, less losses, the units give"),
+        (Conditions.of(THREE, None, 2000.0), "reserve 2000 MW, but the units have"),
+        (Conditions.of(THREE, Losses(100.0 * B, np.zeros(3))), "an incremental loss of 1 or more"),
+    ],
+)
 def test_what_cannot_be_is_said(conditions, why):
     if not why:
         assert conditions.infeasible(THREE, 850.0) == ""

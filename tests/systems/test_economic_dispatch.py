@@ -216,9 +216,17 @@ def test_the_bound_holds_for_random_units():
     chance = np.random.default_rng(1)
     for _ in range(20):
         p_min = chance.uniform(0, 50, 3)
-        table = np.column_stack([p_min, p_min + chance.uniform(20, 300, 3), chance.uniform(0, 0.02, 3),
-                                 chance.uniform(2, 10, 3), chance.uniform(0, 500, 3), chance.uniform(0, 300, 3),
-                                 chance.uniform(0.0, 0.1, 3)])  # fmt: skip
+        table = np.column_stack(
+            [
+                p_min,
+                p_min + chance.uniform(20, 300, 3),
+                chance.uniform(0, 0.02, 3),
+                chance.uniform(2, 10, 3),
+                chance.uniform(0, 500, 3),
+                chance.uniform(0, 300, 3),
+                chance.uniform(0.0, 0.1, 3),
+            ]
+        )
         units = Units(("a", "b", "c"), table)
         demand = float(units.p_min.sum() + chance.uniform(0.1, 0.9) * (units.p_max - units.p_min).sum())
         found = Optimiser(units).certified(demand)

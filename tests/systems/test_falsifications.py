@@ -25,10 +25,14 @@ def test_every_shipped_falsification_fits_its_rig(name):
 def test_outcome(name, tmp_path):
     # least margins of the worst run, and what the small case changes
     known = {
-        "dc_motor_insensitive": ({"settles": -2.0828},
-                                 {"dc_motor_plant.Kt": 0.0149055, "dc_motor_plant.J": 0.000397656}),
-        "dc_motor_fsfb_late": ({"no_overshoot": -0.02531},
-                               {"fieldbus_delay.delay": 0.1000045, "fieldbus_delay.jitter": 0.0200057}),
+        "dc_motor_insensitive": (
+            {"settles": -2.0828},
+            {"dc_motor_plant.Kt": 0.0149055, "dc_motor_plant.J": 0.000397656},
+        ),
+        "dc_motor_fsfb_late": (
+            {"no_overshoot": -0.02531},
+            {"fieldbus_delay.delay": 0.1000045, "fieldbus_delay.jitter": 0.0200057},
+        ),
         "lsrm_fuzzy_load": ({"overshoot_within": -0.025948, "arrives": -0.029151}, {"lsrm_plant.C": 6.16821}),
         "rehab_impedance_gain": ({"tracks": -0.0038937}, {"voltage_controller.emvc.alpha_hat": [5.93869]}),
         "pwa_delay_tank": ({"never_dry": -0.0005}, {"tank_plant.delay": 6.52030}),
@@ -38,7 +42,7 @@ def test_outcome(name, tmp_path):
         "pwa_delay_growth": ({"growth": -0.00494562}, {"switched_delay_plant.delay": 0.02000596}),
         "pwa_delay_growth_pendulum": ({"growth": -0.0648226}, {"switched_delay_plant.delay": 0.4192676}),
         "induction_dtc_resistance": ({"flux_band": -36.3648, "current": -17.8988}, {"im_plant.R_s": 3.68682}),
-    }  # fmt: skip
+    }
     status = main(["falsify", name, "--out", str(tmp_path), "--workers", "2"])
     found = json.loads((tmp_path / "outcome.json").read_text())
     assert (status, bool(found["violated"])) == (1, True)

@@ -164,8 +164,13 @@ def test_published_table_agrees_with_itself():
     for case, row in PUBLISHED.items():
         assert 100.0 * (row.woa_km - case.x_km) / 120.0 == pytest.approx(row.woa_error, abs=5.1e-5)
         assert 100.0 * (row.gwo_km - case.x_km) / 120.0 == pytest.approx(row.gwo_error, abs=5.1e-5)
-    means = [[np.mean([abs(getattr(row, key)) for case, row in PUBLISHED.items() if case.rf_ohm == rf])
-              for rf in RESISTANCES] for key in ("woa_error", "gwo_error")]  # fmt: skip
+    means = [
+        [
+            np.mean([abs(getattr(row, key)) for case, row in PUBLISHED.items() if case.rf_ohm == rf])
+            for rf in RESISTANCES
+        ]
+        for key in ("woa_error", "gwo_error")
+    ]
     np.testing.assert_allclose(means, [[0.128, 0.301, 0.250], [0.377, 0.443, 0.436]], atol=5e-4)
     every = [[abs(getattr(row, key)) for row in PUBLISHED.values()] for key in ("woa_error", "gwo_error")]
     np.testing.assert_allclose(
@@ -179,9 +184,14 @@ def test_published_table_agrees_with_itself():
 
 @pytest.mark.parametrize(
     ("profile", "largest", "mean"),
-    [("m20k", 11.11, 3.834), *(pytest.param(*row, marks=pytest.mark.long) for row in (
-        ("m100k", 2.259, 0.580), ("m10k", 69.47, 8.676), ("m4k", 46.84, 12.60)))],
-)  # fmt: skip
+    [
+        ("m20k", 11.11, 3.834),
+        *(
+            pytest.param(*row, marks=pytest.mark.long)
+            for row in (("m100k", 2.259, 0.580), ("m10k", 69.47, 8.676), ("m4k", 46.84, 12.60))
+        ),
+    ],
+)
 def test_48_cases(profile, largest, mean):
     """At most 11.1, 2.3, 69 and 80 m; acceptance 36 m and 15 m, stretch 12 m and 4.8 m at m20k."""
     rows = study.run(study.published_jobs(["brent"], profile), processes=1)
@@ -194,9 +204,19 @@ def test_48_cases(profile, largest, mean):
         assert errors.max() <= stretch
 
 
-@pytest.mark.parametrize("case", [Case("BG", 50.0, 0.0), Case("CG", 50.0, 0.0), Case("BC", 20.0, 5.0),
-                                  Case("CA", 80.0, 15.0), Case("BCG", 50.0, 5.0), Case("CAG", 10.0, 1.0),
-                                  Case("ABC", 100.0, 10.0), Case("AG", 115.0, 100.0)])  # fmt: skip
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case("BG", 50.0, 0.0),
+        Case("CG", 50.0, 0.0),
+        Case("BC", 20.0, 5.0),
+        Case("CA", 80.0, 15.0),
+        Case("BCG", 50.0, 5.0),
+        Case("CAG", 10.0, 1.0),
+        Case("ABC", 100.0, 10.0),
+        Case("AG", 115.0, 100.0),
+    ],
+)
 def test_other_types(case):
     found = located(simulated(case))
     assert found.status == Status.OK
@@ -275,9 +295,15 @@ def test_integer_grid_at_a_microsecond():
     assert abs(found.x_km - 50.0) < 1.2 * 0.277
 
 
-@pytest.mark.parametrize(("case", "error"), [(AG, 679.0), (Case("AG", 115.0, 15.0), 3782.0),
-                                             (Case("ABCG", 5.0, 15.0), -1264.0),
-                                             (Case("AB", 100.0, 5.0), 3031.0)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("case", "error"),
+    [
+        (AG, 679.0),
+        (Case("AG", 115.0, 15.0), 3782.0),
+        (Case("ABCG", 5.0, 15.0), -1264.0),
+        (Case("AB", 100.0, 5.0), 3031.0),
+    ],
+)
 def test_phasor(case, error):
     """One cycle with a decaying DC: 160 m to 5.0 km."""
     found = located(simulated(case), algorithm="phasor")
@@ -322,11 +348,17 @@ def test_equations_as_printed():
     assert with_resistance.x_km == 0.0
 
 
-@pytest.mark.parametrize(("equations", "case", "error"), [
-    ("printed_coefficient", Case("AG", 115.0, 15.0), 0.693), ("printed_coefficient", AG, 0.091),
-    ("printed_coefficient", Case("AG", 100.0, 0.0), 0.186), ("printed_speed", AG, -1.77),
-    ("printed_speed", Case("AG", 115.0, 15.0), 3.26), ("printed_resistance", AG, -0.0085),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("equations", "case", "error"),
+    [
+        ("printed_coefficient", Case("AG", 115.0, 15.0), 0.693),
+        ("printed_coefficient", AG, 0.091),
+        ("printed_coefficient", Case("AG", 100.0, 0.0), 0.186),
+        ("printed_speed", AG, -1.77),
+        ("printed_speed", Case("AG", 115.0, 15.0), 3.26),
+        ("printed_resistance", AG, -0.0085),
+    ],
+)
 def test_misprints_one_by_one(equations, case, error):
     found = located(simulated(case), equations=equations, mode="1")
     assert 100.0 * (found.x_km - case.x_km) / 120.0 == pytest.approx(error, rel=0.03)
@@ -435,10 +467,13 @@ def test_ends_that_sample_between_each_other(case, late):
 
 @pytest.mark.parametrize(
     ("slow", "fast", "within", "swapped"),
-    [("m10k", "m20k", 0.7, True), ("m4k", "m20k", 1.1, False),
-     pytest.param("m10k", "m20k", 0.7, False, marks=pytest.mark.long),
-     pytest.param("m4k", "m20k", 1.1, True, marks=pytest.mark.long)],
-)  # fmt: skip
+    [
+        ("m10k", "m20k", 0.7, True),
+        ("m4k", "m20k", 1.1, False),
+        pytest.param("m10k", "m20k", 0.7, False, marks=pytest.mark.long),
+        pytest.param("m4k", "m20k", 1.1, True, marks=pytest.mark.long),
+    ],
+)
 def test_ends_of_other_rates(slow, fast, within, swapped):
     """Each behind its own filter, whose delay (2.6131 / (2 pi cutoff)) is taken out."""
     for case in (AG, Case("AG", 115.0, 15.0), Case("AB", 100.0, 5.0)):
@@ -463,19 +498,30 @@ def test_resampled_sines():
 
 
 WIRED = {  # what is wrong at an end, and what the locator says about it
-    "i_s reversed": lambda s: s[:, 3:6].__imul__(-1.0), "i_r reversed": lambda s: s[:, 9:12].__imul__(-1.0),
+    "i_s reversed": lambda s: s[:, 3:6].__imul__(-1.0),
+    "i_r reversed": lambda s: s[:, 9:12].__imul__(-1.0),
     "i_s and i_r reversed": lambda s: (s[:, 3:6].__imul__(-1.0), s[:, 9:12].__imul__(-1.0)),
-    "u_r reversed": lambda s: s[:, 6:9].__imul__(-1.0), "phase b of i_r reversed": lambda s: s[:, 10].__imul__(-1.0),
-    "phases a and b of u_r and i_r exchanged": lambda s: s.__setitem__((slice(None), slice(6, 12)),
-                                                                       s[:, [7, 6, 8, 10, 9, 11]]),
+    "u_r reversed": lambda s: s[:, 6:9].__imul__(-1.0),
+    "phase b of i_r reversed": lambda s: s[:, 10].__imul__(-1.0),
+    "phases a and b of u_r and i_r exchanged": lambda s: s.__setitem__(
+        (slice(None), slice(6, 12)), s[:, [7, 6, 8, 10, 9, 11]]
+    ),
     "phases b and c of i_r exchanged": lambda s: s.__setitem__((slice(None), slice(9, 12)), s[:, [9, 11, 10]]),
     "phases a and c of u_r exchanged": lambda s: s.__setitem__((slice(None), slice(6, 9)), s[:, [8, 7, 6]]),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", WIRED)
-@pytest.mark.parametrize("case", [AG, *(pytest.param(c, marks=pytest.mark.long) for c in (
-    Case("ABCG", 113.3, 15.0), Case("BC", 96.7, 5.0), Case("AG", 12.1, 0.0)))])  # fmt: skip
+@pytest.mark.parametrize(
+    "case",
+    [
+        AG,
+        *(
+            pytest.param(c, marks=pytest.mark.long)
+            for c in (Case("ABCG", 113.3, 15.0), Case("BC", 96.7, 5.0), Case("AG", 12.1, 0.0))
+        ),
+    ],
+)
 def test_ends_that_contradict_each_other(name, case):
     """Reversed transformers and exchanged phases gave no_fault, or with status ok a place up to 60 km away."""
     record = simulated(case)
@@ -503,11 +549,21 @@ def test_a_healthy_line_of_a_reversed_transformer(record):
     assert located(noisy, disagreement=0.005).status == Status.CONTRADICTORY
 
 
-@pytest.mark.parametrize("settings", [
-    {"measurement__noise_snr_db": 30.0}, {"line__l1": 1.05e-3}, *(pytest.param(s, marks=pytest.mark.long) for s in (
-        {"measurement__shift_us_r": 10.0}, {"line__r1": 0.055},
-        {"measurement__ratio_err__u_s": 0.01, "measurement__ratio_err__i_r": -0.01})),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"measurement__noise_snr_db": 30.0},
+        {"line__l1": 1.05e-3},
+        *(
+            pytest.param(s, marks=pytest.mark.long)
+            for s in (
+                {"measurement__shift_us_r": 10.0},
+                {"line__r1": 0.055},
+                {"measurement__ratio_err__u_s": 0.01, "measurement__ratio_err__i_r": -0.01},
+            )
+        ),
+    ],
+)
 def test_usual_errors_are_no_contradiction(settings):
     for case in (AG, Case("ABCG", 113.3, 15.0), Case("BC", 96.7, 5.0), Case("BG", 61.0, 50.0)):
         assert located(simulated(case, **settings)).status == Status.OK
@@ -877,10 +933,13 @@ def test_comtrade_that_cannot_be_used(record, tmp_path):
         read_comtrade([tmp_path / "s.cfg", tmp_path / "r.cfg"])
 
 
-@pytest.mark.parametrize(("line", "old", "new", "why"), [
-    (-7, ",1200", ",4000000", "tells of 4000000 samples, but its data are"),
-    (1, "12,12A,0D", "4000012,12A,4000000D", "tells of 4000012 channels in"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("line", "old", "new", "why"),
+    [
+        (-7, ",1200", ",4000000", "tells of 4000000 samples, but its data are"),
+        (1, "12,12A,0D", "4000012,12A,4000000D", "tells of 4000012 channels in"),
+    ],
+)
 @pytest.mark.parametrize("single", [False, True])
 def test_comtrade_that_tells_of_more_than_it_has_is_refused_before_there_is_room_for_it(
     record, tmp_path, line, old, new, why, single
@@ -992,9 +1051,13 @@ def test_a_bag_stamped_by_a_wall_clock(record, tmp_path, capsys):
 
 
 PERCENT = {  # of the line: mean and largest error over the 48 cases
-    "brent": (0.0032, 0.0093), "woa": (0.0032, 0.0093), "gwo": (0.0033, 0.0093), "integer_grid": (4.35, 8.99),
-    "phasor": (1.56, 3.79), "travelling_wave": (0.019, 0.024),
-}  # fmt: skip
+    "brent": (0.0032, 0.0093),
+    "woa": (0.0032, 0.0093),
+    "gwo": (0.0033, 0.0093),
+    "integer_grid": (4.35, 8.99),
+    "phasor": (1.56, 3.79),
+    "travelling_wave": (0.019, 0.024),
+}
 
 
 @pytest.mark.long

@@ -113,16 +113,25 @@ def exact(case, profile):
     return Record(0.0, float(RATES[profile]), np.ascontiguousarray(waves[:: round(1.0 / STEP / RATES[profile])]))
 
 
-@pytest.mark.parametrize(("case", "metres"), [
-    (Case("AG", 50.0, 0.0), (-6.64, -0.26)), (Case("AG", 115.0, 15.0), (3.33, 1.39)),
-    (Case("ABCG", 5.0, 15.0), (-1.56, 0.62)), (Case("AB", 100.0, 5.0), (1.88, -0.13)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("case", "metres"),
+    [
+        (Case("AG", 50.0, 0.0), (-6.64, -0.26)),
+        (Case("AG", 115.0, 15.0), (3.33, 1.39)),
+        (Case("ABCG", 5.0, 15.0), (-1.56, 0.62)),
+        (Case("AB", 100.0, 5.0), (1.88, -0.13)),
+    ],
+)
 def test_line_and_locator(case, metres):
     """Voltages to 2.1 % and currents to 0.3 % rms; located to 6.6 m and, at 100 kHz, 1.4 m."""
     for profile, error in zip(("m20k", "m100k"), metres, strict=True):
         record = exact(case, profile)
-        rig = RigParams.model_validate({"fault": {"type": case.type, "x_km": case.x_km, "rf_ohm": case.rf_ohm},
-                                        "measurement": {"profile": profile}})  # fmt: skip
+        rig = RigParams.model_validate(
+            {
+                "fault": {"type": case.type, "x_km": case.x_km, "rf_ohm": case.rf_ohm},
+                "measurement": {"profile": profile},
+            }
+        )
         window = slice(round(0.015 * record.rate), round(0.040 * record.rate))
         ours, theirs = simulate(rig).samples[window], record.samples[window]
         apart = np.sqrt(np.mean((ours - theirs) ** 2, axis=0)).reshape(4, 3).max(axis=1)

@@ -11,17 +11,31 @@ from softrig_core.wire import types
 
 # how long each runs here, s: some ticks of its laws, and at least one message of what seldom speaks
 SYSTEMS = {
-    "dc_motor_smc": 0.003, "dc_motor_fsfb": 0.3, "induction_dtc": 0.003, "lsrm_fuzzy": 0.003, "pv_mppt": 0.02,
-    "rectifier_mpc": 0.01, "fault_location": 0.001, "gupfc": 0.004, "economic_dispatch": 2.0,
-    "manipulator_adsmc": 0.01, "rehab_impedance": 0.01, "pwa_delay": 0.003, "tcp_aqm_smc": 0.02,
+    "dc_motor_smc": 0.003,
+    "dc_motor_fsfb": 0.3,
+    "induction_dtc": 0.003,
+    "lsrm_fuzzy": 0.003,
+    "pv_mppt": 0.02,
+    "rectifier_mpc": 0.01,
+    "fault_location": 0.001,
+    "gupfc": 0.004,
+    "economic_dispatch": 2.0,
+    "manipulator_adsmc": 0.01,
+    "rehab_impedance": 0.01,
+    "pwa_delay": 0.003,
+    "tcp_aqm_smc": 0.02,
     "optimal_control_mvim": 8.0,
-}  # fmt: skip
+}
 LATER = {"fault_location": {"verdict", "location", "objective"}, "pwa_delay": {"lyapunov"}}  # not spoken until then
 KINDS = FaultParams.model_fields["kind"].annotation.__args__
 NUMBERS = {
-    "scale": {"value": [-2.0]}, "drift": {"value": [3.0]}, "quantise": {"value": [0.25]},
-    "add": {"points": [0.5]}, "replace": {"points": [0.75]}, "invalid": {"probability": 1.0},
-}  # fmt: skip
+    "scale": {"value": [-2.0]},
+    "drift": {"value": [3.0]},
+    "quantise": {"value": [0.25]},
+    "add": {"points": [0.5]},
+    "replace": {"points": [0.75]},
+    "invalid": {"probability": 1.0},
+}
 
 
 class TapParams(BlockParams):

@@ -84,8 +84,14 @@ def own_numbers(name):
                 yield f"{name}: {figure}: {argument} = {given} is given to nodes, too"
             if argument in NAMED or (argument in SIGNALS and value != 0.0):
                 yield f"{name}: {figure}: {argument} = {value}"
-            times = {t for n in nodes.values() for k, v in (n.get("parameters") or {}).items() if "times" in k
-                     and isinstance(v, list) for t in (followed(x, shared)[0] for x in v) if t}  # fmt: skip
+            times = {
+                t
+                for n in nodes.values()
+                for k, v in (n.get("parameters") or {}).items()
+                if "times" in k and isinstance(v, list)
+                for t in (followed(x, shared)[0] for x in v)
+                if t
+            }
             if argument in ("start", "end") and value in times and value < what["duration"]:
                 yield f"{name}: {figure}: {argument} = {value} is when a node acts"
     for requirement, entry in (what.get("requirements") or {}).items():
@@ -240,14 +246,23 @@ def first_unit(signals, nodes, a):
 
 
 COMPUTED = {  # what figures take from the rig, once more
-    "dtc_converter_error": converter_error, "aqm_mean_square_window": window_square, "aqm_utilisation": utilisation,
-    "fault_location_error": place, "fault_location_error_percent": place_percent, "gupfc_drift": drift,
-    "gupfc_distortion": distortion, "lsrm_mean_force": lambda *x: pitches(*x).mean(),
-    "lsrm_force_ripple": lambda *x: pitches(*x).std(), "pv_efficiency": efficiency, "pv_tracking_time": tracking_time,
-    "pv_gmpp": lambda s, n, a: string(s, n, a["at"]).gmpp.p, "pv_in_global_basin": at_end,
+    "dtc_converter_error": converter_error,
+    "aqm_mean_square_window": window_square,
+    "aqm_utilisation": utilisation,
+    "fault_location_error": place,
+    "fault_location_error_percent": place_percent,
+    "gupfc_drift": drift,
+    "gupfc_distortion": distortion,
+    "lsrm_mean_force": lambda *x: pitches(*x).mean(),
+    "lsrm_force_ripple": lambda *x: pitches(*x).std(),
+    "pv_efficiency": efficiency,
+    "pv_tracking_time": tracking_time,
+    "pv_gmpp": lambda s, n, a: string(s, n, a["at"]).gmpp.p,
+    "pv_in_global_basin": at_end,
     "pv_local_maximum": lambda s, n, a: sorted(p.p for p in string(s, n, a["at"]).peaks)[-2],
-    "pwa_level_covered": covered, "dispatch_setpoint": first_unit,
-}  # fmt: skip
+    "pwa_level_covered": covered,
+    "dispatch_setpoint": first_unit,
+}
 
 
 def test_what_a_function_takes_from_the_rig_is_computed_here():
@@ -356,9 +371,15 @@ MOVES = {  # some that must have moved: scenario to figure and parameter
     "gupfc": {"p1_drift by network.frequency", "gupfc_plant.network.frequency"},
     "lsrm_fuzzy": {"mean_force by lsrm_plant.tau", "overshoot by profile_generator.v_d"},
     "rectifier_mpc": {"error by gpc_controller.set_point"},
-    "pwa_delay_p2": set(), "economic_dispatch_case1": set(), "dc_motor_fsfb": set(), "dc_motor_smc_b2": set(),
-    "manipulator_adsmc": set(), "rehab_impedance": set(), "optimal_control_mvim": set(), "pwa_delay": set(),
-}  # fmt: skip
+    "pwa_delay_p2": set(),
+    "economic_dispatch_case1": set(),
+    "dc_motor_fsfb": set(),
+    "dc_motor_smc_b2": set(),
+    "manipulator_adsmc": set(),
+    "rehab_impedance": set(),
+    "optimal_control_mvim": set(),
+    "pwa_delay": set(),
+}
 
 
 @pytest.mark.parametrize(
@@ -411,8 +432,17 @@ KC200GT = {"V_oc": 32.9, "I_sc": 8.21, "N_s": 54, "K_I": 3.18e-3, "K_V": -0.123,
 
 def most(light, celsius, module):
     """Largest power (W) of modules in series, each with a bypass diode: the diode equation on a grid of voltages."""
-    p = {"V_oc": 21.1, "I_sc": 3.8, "N_s": 36, "K_I": 2.47e-3, "K_V": -0.080, "a": 1.3, "R_s": 0.235, "R_p": 643.0,
-         "V_f": 0.8} | module  # fmt: skip
+    p = {
+        "V_oc": 21.1,
+        "I_sc": 3.8,
+        "N_s": 36,
+        "K_I": 2.47e-3,
+        "K_V": -0.080,
+        "a": 1.3,
+        "R_s": 0.235,
+        "R_p": 643.0,
+        "V_f": 0.8,
+    } | module
     kelvin, off = celsius + 273.15, celsius - 25.0
     thermal = p["a"] * p["N_s"] * 1.380649e-23 * kelvin / 1.602176634e-19
     short = p["I_sc"] + p["K_I"] * off
@@ -427,10 +457,13 @@ def most(light, celsius, module):
     return float((total * currents).max())
 
 
-@pytest.mark.parametrize(("light", "celsius", "module", "wanted"), [
-    ((1000.0, 800.0, 600.0, 400.0), 25.0, {"I_sc": 8.21}, 244.50),
-    ((1000.0, 1000.0, 500.0, 300.0), 45.0, KC200GT | {"V_f": 0.7}, 350.48),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("light", "celsius", "module", "wanted"),
+    [
+        ((1000.0, 800.0, 600.0, 400.0), 25.0, {"I_sc": 8.21}, 244.50),
+        ((1000.0, 1000.0, 500.0, 300.0), 45.0, KC200GT | {"V_f": 0.7}, 350.48),
+    ],
+)
 def test_another_module_has_its_own_maximum(light, celsius, module, wanted):
     """It was judged against the module of the paper: 116.46 W and 209.9 %, pass; 102.9 W and 340 %."""
     changes = {f"pv_plant.module.{k}": v for k, v in module.items()}

@@ -37,9 +37,14 @@ from softrig_control.fmu.mapping import Place
 from softrig_control.fmu.nodes import FmuLaw, FmuPlant
 
 PAGE = Path(__file__).parents[2] / "ros_pkgs" / "softrig_control" / "doc" / "fmu.md"
-PORTS = {"inputs": ("motor/command/armature/effort = voltage",), "outputs": (
-    "motor/state/shaft/position = theta",
-    "motor/state/shaft/velocity = w", "motor/state/shaft/effort = torque")}  # fmt: skip
+PORTS = {
+    "inputs": ("motor/command/armature/effort = voltage",),
+    "outputs": (
+        "motor/state/shaft/position = theta",
+        "motor/state/shaft/velocity = w",
+        "motor/state/shaft/effort = torque",
+    ),
+}
 BALL = ("ball/state/ball/position = height", "ball/state/ball/velocity = v", "ball/bounces/count/position = bounces")
 
 
@@ -190,8 +195,12 @@ def test_units_with_an_offset_and_names_that_say_nothing():
 
     celsius = _unit(Given("degC", BaseUnit(K=1, offset=273.15)))
     assert celsius == Unit("degC", 1.0, 273.15, (("K", 1),))
-    place = Place(Variable("T", 0, "Real", "output", None, None, None, celsius), 0, 0, *conversion(
-        Variable("T", 0, "Real", "output", None, None, None, celsius), "K"))  # fmt: skip
+    place = Place(
+        Variable("T", 0, "Real", "output", None, None, None, celsius),
+        0,
+        0,
+        *conversion(Variable("T", 0, "Real", "output", None, None, None, celsius), "K"),
+    )
     assert place.out(20.0) == 293.15
     assert place.into(293.15) == 20.0
     assert _unit(Given("N.m/rad2", None)).name == "N m/rad^2"
@@ -203,11 +212,21 @@ def test_units_with_an_offset_and_names_that_say_nothing():
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_law_answers_the_tick_with_its_inputs(fmus, version):
-    law = ByHand(FmuLaw(fmu=str(fmus / f"law{version}.fmu"), period=0.1, values=("kp = 3", "ki = 2"), inputs=(
-        "r/shaft/velocity [rad/s] = setpoint", "y/shaft/velocity = speed", "on/switch/position = enabled"),
-        outputs=("u/motor/effort = command",), trajectories=("r",)))  # fmt: skip
+    law = ByHand(
+        FmuLaw(
+            fmu=str(fmus / f"law{version}.fmu"),
+            period=0.1,
+            values=("kp = 3", "ki = 2"),
+            inputs=("r/shaft/velocity [rad/s] = setpoint", "y/shaft/velocity = speed", "on/switch/position = enabled"),
+            outputs=("u/motor/effort = command",),
+            trajectories=("r",),
+        )
+    )
     assert [(p.msgtype.split("/")[-1], p.units) for p in FmuLaw.ports(law.block.p)[0]] == [
-        ("JointTrajectory", ("rad/s",)), ("JointState", ("rpm",)), ("JointState", ("1",))]  # fmt: skip
+        ("JointTrajectory", ("rad/s",)),
+        ("JointState", ("rpm",)),
+        ("JointState", ("1",)),
+    ]
     rpm = 30.0 / math.pi
     for n in range(3):  # error of 1 rpm
         (u,) = law.update(0, r=(2.0 / rpm,), y=(1.0,), on=(1.0,))["to_u"]
@@ -216,24 +235,29 @@ def test_a_law_answers_the_tick_with_its_inputs(fmus, version):
     assert law.update(0, r=(900.0 / rpm,), y=(1.0,), on=(1.0,))["to_u"] == (12.0,)
 
 
-@pytest.mark.parametrize(("given", "says"), [
-    ({"values": ("falt = 1",)}, r"motor2.fmu has no variable 'falt' \(did you mean 'fault'\?\); it has theta, w"),
-    ({"values": ("R = much",)}, "R = much: expected a number"),
-    ({"values": ("R = nan",)}, "R = nan: expected -inf to inf, a finite number"),
-    ({"values": ("R",)}, "'R': expected VARIABLE = VALUE"),
-    ({"inputs": ("a/b/effort [A] = voltage",)}, "voltage is in 'V', expected 'A', which is another quantity"),
-    ({"inputs": ("a/b/effort = w",)}, "w is output of motor2.fmu, expected an input; it has voltage"),
-    ({"outputs": ("a/b/effort = voltage",)}, "voltage is an input of motor2.fmu; its outputs are theta"),
-    ({"outputs": ("a/b = w",)}, "'a/b = w': expected TOPIC/CHANNEL/FIELD"),
-    ({"outputs": ("a/b/effort = w", "a/b/effort = i")}, "this place has a variable already"),
-    ({"outputs": ("a/b/effort = w", "a/c/velocity = i")}, "the message carries a/c/effort, a/b/velocity as well|"
-     "the message carries a/b/velocity, a/c/effort as well"),
-    ({"outputs": ("a/b/acceleration = w",)}, "no field acceleration in its messages"),
-    ({"outputs": ("motor/command/b/effort = w",)}, "motor/command is both read and said"),
-    ({"fmu": "nowhere.fmu"}, "no FMU 'nowhere.fmu'"),
-    ({"fmu": __file__}, "cannot be read as an FMU: BadZipFile"),
-    ({"fmu": ""}, "parameter fmu = '': expected the file of an FMU"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"values": ("falt = 1",)}, r"motor2.fmu has no variable 'falt' \(did you mean 'fault'\?\); it has theta, w"),
+        ({"values": ("R = much",)}, "R = much: expected a number"),
+        ({"values": ("R = nan",)}, "R = nan: expected -inf to inf, a finite number"),
+        ({"values": ("R",)}, "'R': expected VARIABLE = VALUE"),
+        ({"inputs": ("a/b/effort [A] = voltage",)}, "voltage is in 'V', expected 'A', which is another quantity"),
+        ({"inputs": ("a/b/effort = w",)}, "w is output of motor2.fmu, expected an input; it has voltage"),
+        ({"outputs": ("a/b/effort = voltage",)}, "voltage is an input of motor2.fmu; its outputs are theta"),
+        ({"outputs": ("a/b = w",)}, "'a/b = w': expected TOPIC/CHANNEL/FIELD"),
+        ({"outputs": ("a/b/effort = w", "a/b/effort = i")}, "this place has a variable already"),
+        (
+            {"outputs": ("a/b/effort = w", "a/c/velocity = i")},
+            "the message carries a/c/effort, a/b/velocity as well|the message carries a/b/velocity, a/c/effort as well",
+        ),
+        ({"outputs": ("a/b/acceleration = w",)}, "no field acceleration in its messages"),
+        ({"outputs": ("motor/command/b/effort = w",)}, "motor/command is both read and said"),
+        ({"fmu": "nowhere.fmu"}, "no FMU 'nowhere.fmu'"),
+        ({"fmu": __file__}, "cannot be read as an FMU: BadZipFile"),
+        ({"fmu": ""}, "parameter fmu = '': expected the file of an FMU"),
+    ],
+)
 def test_bad_input_is_told_by_name(fmus, given, says):
     with pytest.raises(ParameterError, match=says):
         motor(fmus, **given)
@@ -250,9 +274,12 @@ def test_an_fmu_for_another_machine_or_without_the_interface_is_told(tmp_path):
 
 
 def strict(fmus, version=2, **given):
-    about = {"fmu": str(fmus / f"strict{version}.fmu"), "period": 0.25,
-             "inputs": ("u/a/position = u", "n/a/position = n"),
-             "outputs": ("y/a/position = y", "tol/a/position = tolerance", "pid/a/position = pid")}  # fmt: skip
+    about = {
+        "fmu": str(fmus / f"strict{version}.fmu"),
+        "period": 0.25,
+        "inputs": ("u/a/position = u", "n/a/position = n"),
+        "outputs": ("y/a/position = y", "tol/a/position = tolerance", "pid/a/position = pid"),
+    }
     return ByHand(FmuPlant(name="strict", **about | given))
 
 
@@ -266,11 +293,14 @@ def test_the_tolerance_of_its_experiment_is_passed_and_discrete_inputs_jump_at_e
             assert plant.outputs(0)["to_y"] == (0.5 + k,)
 
 
-@pytest.mark.parametrize(("version", "fault", "says"), [
-    (2, 6, r"fmi2DoStep: asks to end the simulation at 0\.25 s"),
-    (3, 6, r"fmi3DoStep: asks to end the simulation at 0\.25 s"),
-    (2, 7, "crashed: its process closed the pipe by which it is asked"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("version", "fault", "says"),
+    [
+        (2, 6, r"fmi2DoStep: asks to end the simulation at 0\.25 s"),
+        (3, 6, r"fmi3DoStep: asks to end the simulation at 0\.25 s"),
+        (2, 7, "crashed: its process closed the pipe by which it is asked"),
+    ],
+)
 def test_one_that_asks_to_end_or_closes_descriptors_is_told(fmus, version, fault, says, capfd):
     with pytest.raises(RunError, match=says):
         strict(fmus, version, values=(f"fault = {fault}",)).advance(0, u=(0.0,), n=(0.0,))
@@ -339,13 +369,16 @@ def test_what_no_interface_of_ours_can_run_is_refused_by_its_name(fmus, tmp_path
         motor(fmus, **described(clocks))
 
 
-@pytest.mark.parametrize(("version", "fault", "says"), [
-    (2, 1, "crashed: its process was killed by SIGSEGV"),
-    (3, 2, "fmi3DoStep: discarded it; it says: the step is too hard for me"),
-    (2, 3, r"w = nan at 0\.6 s of its time, expected a finite number"),
-    (3, 4, "gave no answer within 0.1 s"),
-    (2, 5, "fmi2DoStep: error; it says: the step is too hard for me"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("version", "fault", "says"),
+    [
+        (2, 1, "crashed: its process was killed by SIGSEGV"),
+        (3, 2, "fmi3DoStep: discarded it; it says: the step is too hard for me"),
+        (2, 3, r"w = nan at 0\.6 s of its time, expected a finite number"),
+        (3, 4, "gave no answer within 0.1 s"),
+        (2, 5, "fmi2DoStep: error; it says: the step is too hard for me"),
+    ],
+)
 def test_what_goes_wrong_inside_ends_by_name_and_a_reset_begins_anew(fmus, version, fault, says):
     outputs = ("motor/state/shaft/velocity = w",)
     plant = motor(fmus, version, period=0.1, timeout=0.1, values=(f"fault = {fault}",), outputs=outputs)
@@ -364,8 +397,11 @@ def test_the_plant_of_the_page_is_controlled_as_ours(page):
     scenario = load_scenario(str(page / "plant.yaml"))
     run = simulate(scenario)
     nodes = scenario.model_dump(mode="json", exclude_unset=True)["nodes"]
-    nodes["motor_plant"] |= {"package": "softrig_drives", "executable": "dc_motor_plant",
-                             "parameters": {"period": 0.001, "R": 0.5, "vmax": 100.0}}  # fmt: skip
+    nodes["motor_plant"] |= {
+        "package": "softrig_drives",
+        "executable": "dc_motor_plant",
+        "parameters": {"period": 0.001, "R": 0.5, "vmax": 100.0},
+    }
     expected = simulate(make_scenario(nodes, duration=2.0)).signals["motor/state/shaft/velocity"]
     found = run.signals["motor/state/shaft/velocity"]
     assert found.t.tolist() == expected.t.tolist()
@@ -403,8 +439,12 @@ def test_arrays_by_their_elements(fmus, isolated):
     for values in (("gain[2,3] = 61", "u[2] = 10", "bias = 5"), ("bias = 5",)):
         with pytest.raises(ParameterError, match="values: that part of it may not change while running"):
             permit(FmuLaw, law.block.p, {"values": values})
-    for name, says in (("u", r"expected u\[1..3\]"), ("u[4]", r"u is an array of 3 values, expected u\[1..3\]"),
-                       ("gain[1]", r"expected gain\[1..2,1..3\]"), ("bias[1]", "bias")):  # fmt: skip
+    for name, says in (
+        ("u", r"expected u\[1..3\]"),
+        ("u[4]", r"u is an array of 3 values, expected u\[1..3\]"),
+        ("gain[1]", r"expected gain\[1..2,1..3\]"),
+        ("bias[1]", "bias"),
+    ):
         with pytest.raises(ParameterError, match=says):
             mix(inputs=(f"mix/in/a/effort = {name}",), values=())
 

@@ -70,8 +70,12 @@ def through_fmus(scenario, nodes, folder):
     rig = rig_of(scenario)
     entries = {}
     for member in (m for m in rig.members if m.name in nodes):
-        given = {"period": member.params.period, "fmu": str(export(rig, member.name, folder)), "vectors": [],
-                 "trajectories": []}  # fmt: skip
+        given = {
+            "period": member.params.period,
+            "fmu": str(export(rig, member.name, folder)),
+            "vectors": [],
+            "trajectories": [],
+        }
         for side, ports in (("inputs", member.inputs), ("outputs", member.outputs)):
             given[side] = []
             for port in ports:
@@ -93,10 +97,13 @@ def through_fmus(scenario, nodes, folder):
     return load_scenario(str(path))
 
 
-@pytest.mark.parametrize(("name", "nodes", "overrides"), [
-    ("dc_motor_smc_b2", ["dc_motor_plant", "dc_motor_smc"], {"dc_motor_plant.current_noise": 0.01}),
-    pytest.param("induction_dtc", ["im_plant"], {}, marks=pytest.mark.long),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "nodes", "overrides"),
+    [
+        ("dc_motor_smc_b2", ["dc_motor_plant", "dc_motor_smc"], {"dc_motor_plant.current_noise": 0.01}),
+        pytest.param("induction_dtc", ["im_plant"], {}, marks=pytest.mark.long),
+    ],
+)
 def test_a_rig_with_exports_in_it_has_the_same_numbers(name, nodes, overrides, tmp_path):
     scenario = load_scenario(name, overrides)
     expected = simulate(scenario, duration=0.05)
@@ -122,8 +129,11 @@ def test_inputs_that_nobody_feeds_begin_as_in_the_scenario(tmp_path):
     names = ["dc_link/voltage/position", "dc_link/current/position"]
     measured = list(zip(*(run.signals[n].x.tolist() for n in names), strict=True))
     export(rig, "gpc_controller", tmp_path)
-    given = {"fmu": str(tmp_path / "gpc_controller.fmu"), "period": rig.clock.params.period,
-             "outputs": ("u/v/effort = v_drop.command.v_drop.effort",)}  # fmt: skip
+    given = {
+        "fmu": str(tmp_path / "gpc_controller.fmu"),
+        "period": rig.clock.params.period,
+        "outputs": ("u/v/effort = v_drop.command.v_drop.effort",),
+    }
     inputs = tuple(f"y/{name.split('/')[1]}/position = {name.replace('/', '.')}" for name in names)
     law = ByHand(FmuLaw(name="law", inputs=inputs, **given))
     found = [law.update(0, y=row)["to_u"][0] for row in measured[: len(commands)]]

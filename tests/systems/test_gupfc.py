@@ -41,8 +41,15 @@ def test_power_flow_table(pq):
     """Acceptance: 2e-5 pu and 0.002 deg; Newton from a flat start in at most 7 steps to 1e-10."""
     found = PowerFlow(NETWORK).solve(references(pq))
     v2, v3, v4, v12, v34, p12, p34, s_sh, v_sh, a1 = TABLE[pq]
-    for value, (size, angle) in ((found.bus["2"], v2), (found.bus["3"], v3), (found.bus["4"], v4), (found.v12, v12),
-                                 (found.v34, v34), (found.v_sh, v_sh), (found.bus["1"], (1.0, a1))):  # fmt: skip
+    for value, (size, angle) in (
+        (found.bus["2"], v2),
+        (found.bus["3"], v3),
+        (found.bus["4"], v4),
+        (found.v12, v12),
+        (found.v34, v34),
+        (found.v_sh, v_sh),
+        (found.bus["1"], (1.0, a1)),
+    ):
         assert abs(value) == pytest.approx(size, abs=2e-5)
         assert math.degrees(cmath.phase(value)) == pytest.approx(angle, abs=2e-3)
     assert (found.p12, found.p34) == pytest.approx((p12, p34), abs=2e-5)

@@ -51,9 +51,16 @@ def status(found, name):
 
 
 @pytest.mark.parametrize(
-    "name", ["gupfc", "gupfc_s2", "gupfc_s5", "gupfc_s5_sweep", "gupfc_stretch",
-             *(pytest.param(n, marks=pytest.mark.long) for n in ("gupfc_s3", "gupfc_s4"))]
-)  # fmt: skip
+    "name",
+    [
+        "gupfc",
+        "gupfc_s2",
+        "gupfc_s5",
+        "gupfc_s5_sweep",
+        "gupfc_stretch",
+        *(pytest.param(n, marks=pytest.mark.long) for n in ("gupfc_s3", "gupfc_s4")),
+    ],
+)
 def test_scenario(name):
     """Every figure as expected, every verdict of a claim borne out by the measurement."""
     found = run(name)
@@ -65,11 +72,15 @@ def test_scenario(name):
 
 
 TRACE = {  # t: V1, v_dc, P1, P2
-    0.51: (0.9961, 0.9793, 1.0656, 0.9384), 0.52: (0.9951, 0.9791, 1.0873, 0.9114),
-    0.55: (1.0009, 0.9867, 1.0991, 0.9023), 1.01: (0.9964, 0.9799, 1.1393, 1.0593),
-    1.02: (0.9929, 0.9757, 1.1375, 1.1313), 1.03: (0.9940, 0.9782, 1.1713, 1.1844),
-    1.05: (0.9989, 0.9855, 1.1984, 1.1865), 1.10: (1.0035, 0.9890, 1.2024, 1.1994),
-}  # fmt: skip
+    0.51: (0.9961, 0.9793, 1.0656, 0.9384),
+    0.52: (0.9951, 0.9791, 1.0873, 0.9114),
+    0.55: (1.0009, 0.9867, 1.0991, 0.9023),
+    1.01: (0.9964, 0.9799, 1.1393, 1.0593),
+    1.02: (0.9929, 0.9757, 1.1375, 1.1313),
+    1.03: (0.9940, 0.9782, 1.1713, 1.1844),
+    1.05: (0.9989, 0.9855, 1.1984, 1.1865),
+    1.10: (1.0035, 0.9890, 1.2024, 1.1994),
+}
 
 
 def test_trace_of_s1():
@@ -162,8 +173,13 @@ class Ladder:
                     capacitance[end] = capacitance.get(end, 0.0) + 0.5 * C
                 left = right
         self.branch = {}
-        device = (("sA", (None, 0), r_s, l_s), ("sB", (None, 5), r_s, l_s), ("12", (1, 2), NETWORK.r_se, l_se),
-                  ("34", (3, 4), NETWORK.r_se, l_se), ("sh", (None, 1), NETWORK.r_sh, l_sh))  # fmt: skip
+        device = (
+            ("sA", (None, 0), r_s, l_s),
+            ("sB", (None, 5), r_s, l_s),
+            ("12", (1, 2), NETWORK.r_se, l_se),
+            ("34", (3, 4), NETWORK.r_se, l_se),
+            ("sh", (None, 1), NETWORK.r_sh, l_sh),
+        )
         for name, ends, r, l in device:  # noqa: E741
             self.branch[name] = len(branches)
             branches.append((*ends, r, l))
@@ -291,9 +307,17 @@ def test_power_flow_against_pandapower():
     S[1] = flow.s_sh - flow.bus["1"] * norton[1]
     S[2], S[3], S[4] = flow.bus["2"] * norton[1], -flow.bus["3"] * norton[3], flow.bus["4"] * norton[3]
     ours = np.array([*(flow.bus[name] for name in BUSES), *NETWORK.sources])
-    none = {name: np.zeros((0, max(v for k, v in vars(index).items() if k.endswith("_cols"))))
-            for name, index in (("bus_dc", idx_bus_dc), ("branch_dc", idx_brch_dc), ("tcsc", idx_tcsc),
-                                ("svc", idx_svc), ("ssc", idx_ssc), ("vsc", idx_vsc))}  # fmt: skip
+    none = {
+        name: np.zeros((0, max(v for k, v in vars(index).items() if k.endswith("_cols"))))
+        for name, index in (
+            ("bus_dc", idx_bus_dc),
+            ("branch_dc", idx_brch_dc),
+            ("tcsc", idx_tcsc),
+            ("svc", idx_svc),
+            ("ssc", idx_ssc),
+            ("vsc", idx_vsc),
+        )
+    }
     case = none | {
         "internal": {},
         "baseMVA": 100.0,
@@ -378,9 +402,14 @@ def commands(plant, t=0):
 
 @pytest.mark.parametrize(
     ("which", "bad"),
-    [(0, (math.radians(181.0), 0.0, 377.0)), (0, (-0.1, 0.0, 377.0)),
-     (1, (1.3, 0.0, 377.0)), (2, (0.1, 0.0, 0.0)), (2, (-0.1, 0.0, 377.0))],
-)  # fmt: skip
+    [
+        (0, (math.radians(181.0), 0.0, 377.0)),
+        (0, (-0.1, 0.0, 377.0)),
+        (1, (1.3, 0.0, 377.0)),
+        (2, (0.1, 0.0, 0.0)),
+        (2, (-0.1, 0.0, 377.0)),
+    ],
+)
 def test_bad_command_is_held_then_blocks_the_converter(which, bad):
     """One period on the last good command, then the series converter is bypassed or the shunt follows bus 1."""
     plant = ByHand(GupfcPlant())
@@ -513,10 +542,17 @@ def test_power_flow_node():
     expected = PowerFlow(NETWORK).solve(References())
     bus = np.reshape(first["bus"], (6, 4))
     assert bus[:, 0] * np.exp(1j * bus[:, 1]) == pytest.approx(np.array([expected.bus[b] for b in BUSES]))
-    assert bus[1:5, 2].sum() == pytest.approx((NETWORK.r_se / abs(NETWORK.z_se) ** 2) * -sum(
-        abs(v) ** 2 + 2.0 * ((a - b) * v.conjugate()).real for v, a, b in
-        ((expected.v12, expected.bus["1"], expected.bus["2"]), (expected.v34, expected.bus["3"], expected.bus["4"]))),
-        abs=1e-9)  # fmt: skip
+    assert bus[1:5, 2].sum() == pytest.approx(
+        (NETWORK.r_se / abs(NETWORK.z_se) ** 2)
+        * -sum(
+            abs(v) ** 2 + 2.0 * ((a - b) * v.conjugate()).real
+            for v, a, b in (
+                (expected.v12, expected.bus["1"], expected.bus["2"]),
+                (expected.v34, expected.bus["3"], expected.bus["4"]),
+            )
+        ),
+        abs=1e-9,
+    )
     device = dict(zip(DEVICE, first["device"], strict=True))
     assert (device["p12"], device["q_sh"]) == pytest.approx((-0.04174, -0.31516), abs=2e-5)
     assert first["result"][:2] == (1.0, float(expected.iterations))

@@ -17,18 +17,32 @@ from softrig_core.block.params import flatten
 from softrig_core.block.step import Step
 
 CASES = {  # scenario: duration, time of the change; what is there to change must have begun
-    "dc_motor_smc_b5_pid": (0.3, 0.1), "dc_motor_smc_stretch_b_delta2": (0.3, 0.1), "dc_motor_smc_faults": (0.3, 0.1),
-    "dc_motor_fsfb_s1": (1.2, 1.0), "induction_dtc_e1": (0.012, 0.01), "lsrm_fuzzy_n2_mrac": (0.03, 0.02),
-    "lsrm_fuzzy_n2": (0.03, 0.02), "lsrm_fuzzy_n3_pi": (0.03, 0.02), "rectifier_mpc_n1_qp1": (0.03, 0.02),
-    "rectifier_mpc_l2": (0.03, 0.02), "pv_mppt_de": (0.3, 0.2), "gupfc_s2_short": (0.012, 0.008),
-    "rehab_impedance_r6": (0.1, 0.05), "manipulator_adsmc_s2": (0.1, 0.05), "tcp_aqm_smc_pi": (0.1, 0.05),
+    "dc_motor_smc_b5_pid": (0.3, 0.1),
+    "dc_motor_smc_stretch_b_delta2": (0.3, 0.1),
+    "dc_motor_smc_faults": (0.3, 0.1),
+    "dc_motor_fsfb_s1": (1.2, 1.0),
+    "induction_dtc_e1": (0.012, 0.01),
+    "lsrm_fuzzy_n2_mrac": (0.03, 0.02),
+    "lsrm_fuzzy_n2": (0.03, 0.02),
+    "lsrm_fuzzy_n3_pi": (0.03, 0.02),
+    "rectifier_mpc_n1_qp1": (0.03, 0.02),
+    "rectifier_mpc_l2": (0.03, 0.02),
+    "pv_mppt_de": (0.3, 0.2),
+    "gupfc_s2_short": (0.012, 0.008),
+    "rehab_impedance_r6": (0.1, 0.05),
+    "manipulator_adsmc_s2": (0.1, 0.05),
+    "tcp_aqm_smc_pi": (0.1, 0.05),
     "optimal_control_mvim_a4": (5.0, 3.0),
-}  # fmt: skip
+}
 MORE = {  # with blocks that those above have as well, or seconds of work each
-    "dc_motor_smc_c1": (0.3, 0.1), "dc_motor_smc_b2": (0.3, 0.1), "rectifier_mpc_decoupled": (0.03, 0.02),
-    "rehab_impedance_r2": (0.1, 0.05), "tcp_aqm_smc_s3": (0.1, 0.05), "economic_dispatch_case1": (3.0, 2.0),
+    "dc_motor_smc_c1": (0.3, 0.1),
+    "dc_motor_smc_b2": (0.3, 0.1),
+    "rectifier_mpc_decoupled": (0.03, 0.02),
+    "rehab_impedance_r2": (0.1, 0.05),
+    "tcp_aqm_smc_s3": (0.1, 0.05),
+    "economic_dispatch_case1": (3.0, 2.0),
     "optimal_control_mvim_n4": (5.0, 3.0),
-}  # fmt: skip
+}
 TIMES = CASES | MORE
 EVERY = [*CASES, *(pytest.param(name, marks=pytest.mark.long) for name in MORE)]
 
@@ -134,8 +148,12 @@ def test_every_live_parameter_may_change_in_some_rig():
 def test_a_change_to_the_same_values_changes_no_byte(name):
     """What a block remembers is kept: its `change` makes nothing anew that holds state."""
     rig, recording = run_of(name)
-    same = {f"{m.name}.{k}": v for m in rig.members for k, v in flatten(m.params).items()
-            if k in changeable(m.block_class.Params)}  # fmt: skip
+    same = {
+        f"{m.name}.{k}": v
+        for m in rig.members
+        for k, v in flatten(m.params).items()
+        if k in changeable(m.block_class.Params)
+    }
     scenario = rig.scenario
     entries = [{"at": part * scenario.duration, "set": same} for part in (0.31, 0.7)]
     again = rig_of(type(scenario).model_validate({**dict(scenario), "changes": entries}))
@@ -170,8 +188,12 @@ def test_many_changes_at_once_give_the_same_bytes_in_every_placement(name):
 BUMPLESS = [  # scenario, member, what changes, overrides
     ("dc_motor_smc_b5_pid", "dc_motor_pid", {"ki": 40.0}, {"dc_motor_pid.anti_windup": False}),
     ("dc_motor_fsfb_s1", "fsfb_controller", {"ki": 60.0}, {}),
-    ("induction_dtc_e1", "speed_controller", {"ki": 90.0},
-     {"speed_source.times": [0.0], "speed_source.velocities": [20.0]}),
+    (
+        "induction_dtc_e1",
+        "speed_controller",
+        {"ki": 90.0},
+        {"speed_source.times": [0.0], "speed_source.velocities": [20.0]},
+    ),
     ("lsrm_fuzzy_n3_pi", "speed_controller", {"K_i": 30.0}, {}),
     ("lsrm_fuzzy_n3_pi", "current_controller", {"K_ic": 900.0}, {}),
     ("gupfc_s2_short", "series_controller_1", {"ki": 16.0, "pll.ki": 300.0}, {}),
@@ -179,11 +201,14 @@ BUMPLESS = [  # scenario, member, what changes, overrides
     ("tcp_aqm_smc_pi", "aqm_controller", {"ki": 9e-5}, {"aqm_controller.bias": 0.05}),
     ("manipulator_adsmc_s2", "vcs_controller", {"adsmc.gamma": [3300.0], "adsmc.b1": [20.5]}, {}),
     ("manipulator_adsmc_s2", "vcs_controller", {"dsmc.b2": [601.0]}, {"vcs_controller.law": "dsmc"}),
-    ("rehab_impedance_r2", "voltage_controller", {"tsarc.gamma_a": [90.0], "tsarc.gamma_b": [9.0]},
-     {"voltage_controller.law": "tsarc"}),
-    ("rehab_impedance_r2", "voltage_controller", {"arsc.gamma1": [4.0]},
-     {"voltage_controller.law": "arsc"}),
-]  # fmt: skip
+    (
+        "rehab_impedance_r2",
+        "voltage_controller",
+        {"tsarc.gamma_a": [90.0], "tsarc.gamma_b": [9.0]},
+        {"voltage_controller.law": "tsarc"},
+    ),
+    ("rehab_impedance_r2", "voltage_controller", {"arsc.gamma1": [4.0]}, {"voltage_controller.law": "arsc"}),
+]
 
 
 @pytest.mark.parametrize(("name", "node", "values", "overrides"), BUMPLESS)

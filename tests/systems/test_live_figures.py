@@ -26,12 +26,19 @@ def live(run):
 @pytest.mark.parametrize(
     ("name", "duration", "least"),
     [
-        ("dc_motor_smc_b1", 4.0, 7), ("dc_motor_smc_faults", 4.0, 6), ("rehab_impedance", 4.0, 18),
-        ("dc_motor_fsfb_s1_none", 8.0, 7), ("dc_motor_fsfb_s2", 8.0, 9),
-        ("manipulator_adsmc_s2", 4.0, 12), ("induction_dtc_s2", 2.0, 12), ("lsrm_fuzzy_n2", 2.0, 4),
-               ("pv_mppt", 3.0, 8), ("rectifier_mpc", 0.6, 5), ("gupfc_stretch", 1.5, 40),
+        ("dc_motor_smc_b1", 4.0, 7),
+        ("dc_motor_smc_faults", 4.0, 6),
+        ("rehab_impedance", 4.0, 18),
+        ("dc_motor_fsfb_s1_none", 8.0, 7),
+        ("dc_motor_fsfb_s2", 8.0, 9),
+        ("manipulator_adsmc_s2", 4.0, 12),
+        ("induction_dtc_s2", 2.0, 12),
+        ("lsrm_fuzzy_n2", 2.0, 4),
+        ("pv_mppt", 3.0, 8),
+        ("rectifier_mpc", 0.6, 5),
+        ("gupfc_stretch", 1.5, 40),
     ],
-)  # fmt: skip
+)
 def test_figures_while_running_equal_those_of_the_recording(name, duration, least):
     run = simulate(with_figures(name, duration))
     measured = {r.name: (r.value, r.unit) for r in run.results if r.value is not None}

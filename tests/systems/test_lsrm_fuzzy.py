@@ -236,8 +236,13 @@ def test_quintic_is_the_solution_of_its_six_conditions():
 
 @given(*(st.floats(-2, 2) for _ in range(4)), st.floats(0.1, 2))
 def test_quintic_agrees_with_a_linear_solve(v_0, a_0, v_d, D, T):
-    rows = [[n * T ** (n - 1) for n in range(1, 6)], [n * (n - 1) * T ** (n - 2) for n in range(1, 6)],
-            [T**n for n in range(1, 6)], [1, 0, 0, 0, 0], [0, 2, 0, 0, 0]]  # fmt: skip
+    rows = [
+        [n * T ** (n - 1) for n in range(1, 6)],
+        [n * (n - 1) * T ** (n - 2) for n in range(1, 6)],
+        [T**n for n in range(1, 6)],
+        [1, 0, 0, 0, 0],
+        [0, 2, 0, 0, 0],
+    ]
     alpha = np.linalg.solve(rows, [v_d, 0.0, D, v_0, a_0])
     found = Quintic.between(v_0, a_0, v_d, T, D)
     for t in (0.3 * T, 0.8 * T):
@@ -361,8 +366,11 @@ def test_surface_of_any_size():
     surface = TakagiSugeno(((0.0, 1.0), (0.0, 1.0, 3.0)), [[0.0, 1.0, 2.0], [10.0, 11.0, 12.0]])
     assert surface(0.5, 2.0) == pytest.approx(6.5)
     assert surface(-5.0, 99.0) == 2.0
-    for peaks, rules in ((((0.0,), (0.0, 1.0)), [[0.0, 1.0]]), (((0.0, 1.0), (1.0, 0.0)), [[0, 0], [0, 0]]),
-                         (((0.0, 1.0), (0.0, 1.0)), [[0.0, 1.0]])):  # fmt: skip
+    for peaks, rules in (
+        (((0.0,), (0.0, 1.0)), [[0.0, 1.0]]),
+        (((0.0, 1.0), (1.0, 0.0)), [[0, 0], [0, 0]]),
+        (((0.0, 1.0), (0.0, 1.0)), [[0.0, 1.0]]),
+    ):
         with pytest.raises(ValueError, match="expected"):
             TakagiSugeno(peaks, rules)
 

@@ -76,8 +76,12 @@ def lagrangian():
 
 def random_states(n, seed=0, joints=3):
     rng = np.random.default_rng(seed)
-    return zip(rng.uniform(-math.pi, math.pi, (n, joints)), rng.uniform(-3, 3, (n, joints)),
-               rng.uniform(-100, 100, (n, joints)), strict=True)  # fmt: skip
+    return zip(
+        rng.uniform(-math.pi, math.pi, (n, joints)),
+        rng.uniform(-3, 3, (n, joints)),
+        rng.uniform(-100, 100, (n, joints)),
+        strict=True,
+    )
 
 
 def answer(block, q, v, tau, acceleration=None):
@@ -237,8 +241,11 @@ def test_free_swing_meets_its_numbers_and_keeps_its_energy():
 
 
 def test_plant_agrees_with_an_independent_integrator():
-    plant = ByHand(ManipulatorPlant(position=[0.2, -0.4, 0.6], velocity=[0.5, 0.1, -0.3], disturbance={"time": 0.05},
-                                    payload=1.5, substeps=8))  # fmt: skip
+    plant = ByHand(
+        ManipulatorPlant(
+            position=[0.2, -0.4, 0.6], velocity=[0.5, 0.1, -0.3], disturbance={"time": 0.05}, payload=1.5, substeps=8
+        )
+    )
     model = load_model(manipulator_urdf())
     model.inertias[3] += pin.SE3(np.eye(3), np.array([0.93, 0, 0])).act(pin.Inertia(1.5, np.zeros(3), np.zeros((3, 3))))
     model.armature = np.full(3, 2.0)

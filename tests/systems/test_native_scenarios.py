@@ -62,7 +62,11 @@ def held(scenario: Any, make: Make = plain) -> Native:
         if not isinstance(step.block, Solver):  # which remembers how long it took
             assert repr(other.x) == repr(step.x) or other.x == step.x, name
         assert (other.reports, other.t, repr(other.values), repr(other.said)) == (
-            step.reports, step.t, repr(step.values), repr(step.said)), name  # fmt: skip
+            step.reports,
+            step.t,
+            repr(step.values),
+            repr(step.said),
+        ), name
     return native
 
 
@@ -140,17 +144,34 @@ def test_every_scenario_is_what_it_is_in_python() -> None:
 
 
 # one of each kind, and what may change while it runs
-SOME = ("dc_motor_smc_b2", "dc_motor_fsfb_s1", "rehab_impedance_r5", "tcp_aqm_smc_pid", "rectifier_mpc_l1",
-        "manipulator_adsmc", "induction_dtc", "lsrm_fuzzy")  # fmt: skip
+SOME = (
+    "dc_motor_smc_b2",
+    "dc_motor_fsfb_s1",
+    "rehab_impedance_r5",
+    "tcp_aqm_smc_pid",
+    "rectifier_mpc_l1",
+    "manipulator_adsmc",
+    "induction_dtc",
+    "lsrm_fuzzy",
+)
 
 FAULTS: tuple[dict[str, Any], ...] = (
-    {"kind": "offset", "value": [0.1]}, {"kind": "scale", "value": [0.9]}, {"kind": "noise", "value": [0.01]},
-    {"kind": "drift", "value": [0.1]}, {"kind": "quantise", "value": [0.1]}, {"kind": "saturate", "value": [1.0]},
-    {"kind": "stuck"}, {"kind": "spike", "value": [1.0], "probability": 0.2}, {"kind": "delay", "delay": 0.03},
-    {"kind": "loss", "probability": 0.3}, {"kind": "loss", "burst_begins": 0.1, "burst_ends": 0.3},
-    {"kind": "repeat", "probability": 0.3}, {"kind": "silence"}, {"kind": "invalid", "probability": 0.02},
+    {"kind": "offset", "value": [0.1]},
+    {"kind": "scale", "value": [0.9]},
+    {"kind": "noise", "value": [0.01]},
+    {"kind": "drift", "value": [0.1]},
+    {"kind": "quantise", "value": [0.1]},
+    {"kind": "saturate", "value": [1.0]},
+    {"kind": "stuck"},
+    {"kind": "spike", "value": [1.0], "probability": 0.2},
+    {"kind": "delay", "delay": 0.03},
+    {"kind": "loss", "probability": 0.3},
+    {"kind": "loss", "burst_begins": 0.1, "burst_ends": 0.3},
+    {"kind": "repeat", "probability": 0.3},
+    {"kind": "silence"},
+    {"kind": "invalid", "probability": 0.02},
     {"kind": "add", "points": [0.0, 0.1, 0.2], "span": 0.5},
-)  # fmt: skip
+)
 
 
 @st.composite
@@ -158,8 +179,12 @@ def changed(draw: st.DrawFn, names: tuple[str, ...]) -> Scenario:
     """Draw a scenario with parameters that change while it runs, and with a fault on a link."""
     name = draw(st.sampled_from(names))
     rig, changes = rig_of(name), []
-    live = {f"{m.name}.{p}": v for m in rig.members for p in changeable(type(m.params))
-            if isinstance(v := flatten(m.params).get(p), (bool, float))}  # fmt: skip
+    live = {
+        f"{m.name}.{p}": v
+        for m in rig.members
+        for p in changeable(type(m.params))
+        if isinstance(v := flatten(m.params).get(p), (bool, float))
+    }
     duration = short(rig)
     for key in draw(st.lists(st.sampled_from(sorted(live)), max_size=3, unique=True)) if live else ():
         value = live[key]
@@ -171,8 +196,16 @@ def changed(draw: st.DrawFn, names: tuple[str, ...]) -> Scenario:
         changes.append({"at": draw(st.floats(0.01, 0.99)) * duration, "set": {key: to}})
     faults: dict[str, Any] = {}
     if draw(st.booleans()):
-        topic = draw(st.sampled_from(sorted(p.topic for m in rig.members for p in m.outputs if any(
-            link.port.topic == p.topic for other in rig.members for link in other.links.values()))))  # fmt: skip
+        topic = draw(
+            st.sampled_from(
+                sorted(
+                    p.topic
+                    for m in rig.members
+                    for p in m.outputs
+                    if any(link.port.topic == p.topic for other in rig.members for link in other.links.values())
+                )
+            )
+        )
         faults["fault"] = {"link": topic, "from": duration / 3, **draw(st.sampled_from(FAULTS))}
     try:
         found = scenario(name, changes=sorted(changes, key=lambda c: c["at"]), faults=faults)

@@ -75,9 +75,12 @@ def test_a_series_without_constant_term_divides_nothing():
 def everything(x):
     """Each operation that has a series."""
     return ca.vertcat(
-        x[0] * x[1] - 2.0 / (x[0] + 3.0), ca.sin(x[0]) + ca.cos(x[1]) * 2, ca.exp(-x[1]) + ca.log(2.0 + x[0]),
-        ca.sqrt(2.0 + x[1]) + x[0] ** 3 + (2.0 + x[1]) ** 1.5 + x[0] ** 2 - 1 / (4.0 + x[1]), -x[0] + (x[0] + x[0]),
-    )  # fmt: skip
+        x[0] * x[1] - 2.0 / (x[0] + 3.0),
+        ca.sin(x[0]) + ca.cos(x[1]) * 2,
+        ca.exp(-x[1]) + ca.log(2.0 + x[0]),
+        ca.sqrt(2.0 + x[1]) + x[0] ** 3 + (2.0 + x[1]) ** 1.5 + x[0] ** 2 - 1 / (4.0 + x[1]),
+        -x[0] + (x[0] + x[0]),
+    )
 
 
 @given(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9))
@@ -141,8 +144,17 @@ def test_example_1_polynomials():
     assert u == pytest.approx(-lam / 2)
 
 
-OWN = {1: 0.00468912900, 2: 0.00467836610, 3: 0.00469251885, 4: 0.00468699624, 5: 0.00468761434, 6: 0.00468781643,
-       8: 0.00468779497, 10: 0.00468779536, 12: 0.0046877953529}  # fmt: skip
+OWN = {
+    1: 0.00468912900,
+    2: 0.00467836610,
+    3: 0.00469251885,
+    4: 0.00468699624,
+    5: 0.00468761434,
+    6: 0.00468781643,
+    8: 0.00468779497,
+    10: 0.00468779536,
+    12: 0.0046877953529,
+}
 
 
 def test_example_2():
@@ -176,8 +188,18 @@ def test_the_closed_form_of_the_spacecraft_holds_for_every_inertia_and_horizon(i
         assert np.linalg.norm(moments * found(t)[:3]) == pytest.approx(h0 * (1.0 - t / horizon), abs=1e-9 * h0)
 
 
-TWO_STATE_J = {1: 0.853333, 2: 0.4102739, 3: 0.4303945, 4: 0.4372652, 6: 0.4411141, 8: 0.4425915, 10: 0.4430709,
-               15: 0.4432739, 20: 0.4432853, 30: 0.44328597}  # fmt: skip
+TWO_STATE_J = {
+    1: 0.853333,
+    2: 0.4102739,
+    3: 0.4303945,
+    4: 0.4372652,
+    6: 0.4411141,
+    8: 0.4425915,
+    10: 0.4430709,
+    15: 0.4432739,
+    20: 0.4432853,
+    30: 0.44328597,
+}
 
 
 def test_example_3():
@@ -199,11 +221,16 @@ def test_example_3_tables_are_of_a_frozen_alpha():
     assert found.J[3] == pytest.approx(0.4346129, abs=1e-6)  # printed 0.431156
 
 
-@pytest.mark.parametrize(("x0", "T", "J", "roots"), [
-    ((-0.5, 0.2), 1.0, 0.240822, 3), ((-0.509, 0.537), 0.712, 0.46404, 3),
-    ((-0.158, 0.33), 0.956, 0.17986, 3), ((-0.988, -0.475), 0.921, 0.47667, 2),
-    ((-0.8, 0.0), 1.0, 0.41027, 3),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("x0", "T", "J", "roots"),
+    [
+        ((-0.5, 0.2), 1.0, 0.240822, 3),
+        ((-0.509, 0.537), 0.712, 0.46404, 3),
+        ((-0.158, 0.33), 0.956, 0.17986, 3),
+        ((-0.988, -0.475), 0.921, 0.47667, 2),
+        ((-0.8, 0.0), 1.0, 0.41027, 3),
+    ],
+)
 def test_of_several_roots_the_one_that_the_plant_pays_least_for(x0, T, J, roots):
     """The nearest root gave 1.172, 1.41, 0.61 and 0.59 in the first four, up to 90 times as much in the plant."""
     problem = TWO_STATE.changed(x0=x0, horizon=T)
@@ -254,10 +281,13 @@ def test_the_boundary_value_solver_agrees_with_the_exact_answers(problem):
 
 @pytest.mark.parametrize(
     ("problem", "off"),
-    [(SCALAR, 1e-9), pytest.param(SPACECRAFT, 1e-9, marks=pytest.mark.long),
-     pytest.param(TWO_STATE, 2e-10, marks=pytest.mark.long)],
+    [
+        (SCALAR, 1e-9),
+        pytest.param(SPACECRAFT, 1e-9, marks=pytest.mark.long),
+        pytest.param(TWO_STATE, 2e-10, marks=pytest.mark.long),
+    ],
     ids=["scalar", "spacecraft", "two_state"],
-)  # fmt: skip
+)
 def test_collocation(problem, off):
     found = collocation.solve(problem)
     least = exact.tpbvp(problem).cost if problem is TWO_STATE else exact.least_cost(problem)
@@ -301,8 +331,15 @@ def true_end_error(times, order, stages):
     found = solve(problem, order, stages=stages)
     x, u, dx, _ = problem.expressions()
     f = ca.Function("f", [x, u], [dx])
-    end = solve_ivp(lambda t, w: np.array(f(w, found(t)[6:])).ravel(), (0.0, 100.0), problem.x0, rtol=1e-12,
-                    atol=1e-16, method="DOP853", max_step=100.0 / stages).y[:, -1]  # fmt: skip
+    end = solve_ivp(
+        lambda t, w: np.array(f(w, found(t)[6:])).ravel(),
+        (0.0, 100.0),
+        problem.x0,
+        rtol=1e-12,
+        atol=1e-16,
+        method="DOP853",
+        max_step=100.0 / stages,
+    ).y[:, -1]
     return np.linalg.norm(end) / np.linalg.norm(problem.x0)
 
 
@@ -337,19 +374,30 @@ def test_one_stage_is_beyond_the_reactors_radius_of_convergence():
 
 def test_a_problem_of_ones_own_needs_dynamics_and_cost_alone():
     """A double integrator moved by 1 in 2 s: u = 1.5 (1 - t), J = 1/2 int u^2 = 6/T^3 = 0.75."""
-    own = Problem("integrator", {"q": "m", "v": "m/s"}, {"u": "m/s^2"}, lambda x, u: [x[1], u[0]],
-                  lambda x, u: u[0] ** 2 / 2, x0=(0.0, 0.0), horizon=2.0, x_end=(1.0, 0.0))  # fmt: skip
+    own = Problem(
+        "integrator",
+        {"q": "m", "v": "m/s"},
+        {"u": "m/s^2"},
+        lambda x, u: [x[1], u[0]],
+        lambda x, u: u[0] ** 2 / 2,
+        x0=(0.0, 0.0),
+        horizon=2.0,
+        x_end=(1.0, 0.0),
+    )
     for J in (solve(own, 4).J[-1], collocation.solve(own).J, exact.least_cost(own)):
         assert abs(J - 0.75) < 1e-9
     assert solve(own, 4).coefficients[0, 4] == pytest.approx([1.5, -3.0, 0.0, 0.0, 0.0], abs=1e-12)
 
 
-@pytest.mark.parametrize(("ode", "cost", "why"), [
-    (lambda x, u: [u[0] ** 2], lambda x, u: u[0] ** 2, "linearly"),
-    (lambda x, u: [u[0]], lambda x, u: x[0] ** 2, "R: the cost"),
-    (lambda x, u: [u[0]], lambda x, u: -(u[0] ** 2), "R: the cost"),
-    (lambda x, u: [u[0], u[0]], lambda x, u: u[0] ** 2, "ode: expected 1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("ode", "cost", "why"),
+    [
+        (lambda x, u: [u[0] ** 2], lambda x, u: u[0] ** 2, "linearly"),
+        (lambda x, u: [u[0]], lambda x, u: x[0] ** 2, "R: the cost"),
+        (lambda x, u: [u[0]], lambda x, u: -(u[0] ** 2), "R: the cost"),
+        (lambda x, u: [u[0], u[0]], lambda x, u: u[0] ** 2, "ode: expected 1"),
+    ],
+)
 def test_problems_that_cannot_be_stated_are_refused(ode, cost, why):
     with pytest.raises(ProblemError, match=why):
         _ = Problem("bad", {"x": ""}, {"u": ""}, ode, cost, x0=(0.0,), horizon=1.0).extremal

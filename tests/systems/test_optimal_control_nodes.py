@@ -196,13 +196,16 @@ def register(folder, *points):
     (folder / "own-1.0.dist-info" / "entry_points.txt").write_text("\n".join(["[softrig_problems]", *points]) + "\n")
 
 
-@pytest.mark.parametrize(("name", "why"), [
-    ("trap:SLED", "expected one of scalar, spacecraft, two_state, reactor, broken, number; a package registers"),
-    ("trap", "expected one of scalar"),
-    ("", "expected one of scalar"),
-    ("broken", r"\(nowhere:SLED\) cannot be loaded: No module named 'nowhere'"),
-    ("number", "math:pi is a float, expected a Problem"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("trap:SLED", "expected one of scalar, spacecraft, two_state, reactor, broken, number; a package registers"),
+        ("trap", "expected one of scalar"),
+        ("", "expected one of scalar"),
+        ("broken", r"\(nowhere:SLED\) cannot be loaded: No module named 'nowhere'"),
+        ("number", "math:pi is a float, expected a Problem"),
+    ],
+)
 def test_only_problems_that_are_registered_are_imported(name, why, tmp_path, monkeypatch):
     (tmp_path / "trap.py").write_text(f"open({str(tmp_path / 'sprung')!r}, 'w').close()\n{SLED}")
     register(tmp_path, "broken = nowhere:SLED", "number = math:pi")
@@ -222,11 +225,14 @@ def test_a_problem_of_ones_own_gets_plant_planner_and_evaluator(tmp_path, monkey
     def flown(stages):
         nodes = {
             name: entry.model_copy(
-                update={"parameters": entry.parameters | {"problem": "sled"} | (
-                    {"order": 16, "stages": stages} if name != "plant" else {})}
+                update={
+                    "parameters": entry.parameters
+                    | {"problem": "sled"}
+                    | ({"order": 16, "stages": stages} if name != "plant" else {})
+                }
             )
             for name, entry in scenario.nodes.items()
-        }  # fmt: skip
+        }
         changes = {"nodes": nodes, "duration": 2.0, "plots": (), "expect": {}, "claims": {}}
         return simulate(scenario.model_copy(update=changes)).figures
 
@@ -325,11 +331,17 @@ def evaluated(problem, order, **mode):
     return dict(zip(FIGURES, answer["evaluation"], strict=True)), evaluator
 
 
-@pytest.mark.parametrize(("problem", "order", "mode", "flag"), [
-    ("spacecraft", 4, {"alpha_mode": "frozen", "frozen_alpha": (0.7436866718, 0.3617355350, 0.1206193519)}, 1.0),
-    ("two_state", 2, {}, 1.0), ("scalar", 5, {}, 1.0), ("spacecraft", 8, {}, 0.0), ("two_state", 30, {}, 0.0),
-    ("scalar", 20, {}, 0.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("problem", "order", "mode", "flag"),
+    [
+        ("spacecraft", 4, {"alpha_mode": "frozen", "frozen_alpha": (0.7436866718, 0.3617355350, 0.1206193519)}, 1.0),
+        ("two_state", 2, {}, 1.0),
+        ("scalar", 5, {}, 1.0),
+        ("spacecraft", 8, {}, 0.0),
+        ("two_state", 30, {}, 0.0),
+        ("scalar", 20, {}, 0.0),
+    ],
+)
 def test_impossible_optima_are_flagged(problem, order, mode, flag):
     found, evaluator = evaluated(problem, order, **mode)
     assert found["infeasible"] == flag

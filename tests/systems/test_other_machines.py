@@ -197,8 +197,13 @@ def test_three_units_of_the_textbook_are_dispatched_as_there():
     assert [found[f"{k}_unit"] for k in ("first", "second", "third")] == pytest.approx(P, abs=0.05)
     lossy = simulate("economic_dispatch_wood_losses").figures
     B = np.array([3e-5, 9e-5, 12e-5])
-    best = minimize(lambda P: (a * P**2 + b * P + c).sum(), P, method="SLSQP", options={"ftol": 1e-12, "maxiter": 500},
-                    constraints={"type": "eq", "fun": lambda P: P.sum() - 850 - (B * P**2).sum()})  # fmt: skip
+    best = minimize(
+        lambda P: (a * P**2 + b * P + c).sum(),
+        P,
+        method="SLSQP",
+        options={"ftol": 1e-12, "maxiter": 500},
+        constraints={"type": "eq", "fun": lambda P: P.sum() - 850 - (B * P**2).sum()},
+    )
     assert lossy["fleet_cost"] == pytest.approx(best.fun, abs=2e-3)
     assert lossy["fleet_output"] - 850 == pytest.approx((B * best.x**2).sum(), abs=0.01)
 
@@ -281,8 +286,11 @@ def test_another_rectifier_answers_its_commands_as_its_equations():
     def rate(t, x, u, load):
         i_d, i_q, v = x
         r_d, r_q = V - u * np.cos(phi), -u * np.sin(phi)
-        return [(V - R * i_d - r_d) / L + w * i_q, (-R * i_q - r_q) / L - w * i_d,
-                (1.5 * (r_d * i_d + r_q * i_q) / v - v / load) / C]  # fmt: skip
+        return [
+            (V - R * i_d - r_d) / L + w * i_q,
+            (-R * i_q - r_q) / L - w * i_d,
+            (1.5 * (r_d * i_d + r_q * i_q) / v - v / load) / C,
+        ]
 
     x, seen = np.array([i0, 0.0, 650.0]), [650.0]
     step_at = load_scenario("rectifier_mpc_10kva").nodes["event_source"].parameters["times"][1]

@@ -364,9 +364,12 @@ def test_scenario_meets_its_metrics(name):
 
 @pytest.mark.parametrize(
     ("name", "power", "tolerance"),
-    [("pv_mppt_perturb_observe", 107.6, 0.4), ("pv_mppt_perturb_observe_from_0_5", 116.2, 0.3),
-     ("pv_mppt_perturb_observe_from_0_8", 51.4, 0.3)],
-)  # fmt: skip
+    [
+        ("pv_mppt_perturb_observe", 107.6, 0.4),
+        ("pv_mppt_perturb_observe_from_0_5", 116.2, 0.3),
+        ("pv_mppt_perturb_observe_from_0_8", 51.4, 0.3),
+    ],
+)
 def test_perturb_and_observe(name, power, tolerance):
     """Acceptance 5."""
     signals, _ = result(name)
@@ -410,8 +413,17 @@ def test_hidden_change():
 
 DAILY = ["issa"]
 OTHERS = [  # a sweep sees each voltage once
-    "certified", "pso", "ssa", "de_rand1", "de_best1", "fa", "fa_all_pairs", "gwo", "woa", "ga",
-]  # fmt: skip
+    "certified",
+    "pso",
+    "ssa",
+    "de_rand1",
+    "de_best1",
+    "fa",
+    "fa_all_pairs",
+    "gwo",
+    "woa",
+    "ga",
+]
 
 
 @pytest.mark.parametrize("algorithm", [*DAILY, *(pytest.param(a, marks=pytest.mark.long) for a in OTHERS)])
@@ -637,10 +649,15 @@ def test_plant_waits_for_a_slow_tracker(gap, stale):
 
 @pytest.mark.parametrize(
     ("change", "text"),
-    [((-1.0, *PATTERN1[1:], *ROOM), "module 1 is -1 W/m"), ((*PATTERN1[:3], 1501.0, *ROOM), "module 4 is 1501 W/m"),
-     ((*PATTERN1, 25.0, 101.0, 25.0, 25.0), "module 2 is 101"), ((*PATTERN1, -41.0, *ROOM[1:]), "module 1 is -41"),
-     ((*PATTERN1, -300.0, *ROOM[1:]), "module 1 is -300"), ((math.nan, *PATTERN1[1:], *ROOM), "is nan")],
-)  # fmt: skip
+    [
+        ((-1.0, *PATTERN1[1:], *ROOM), "module 1 is -1 W/m"),
+        ((*PATTERN1[:3], 1501.0, *ROOM), "module 4 is 1501 W/m"),
+        ((*PATTERN1, 25.0, 101.0, 25.0, 25.0), "module 2 is 101"),
+        ((*PATTERN1, -41.0, *ROOM[1:]), "module 1 is -41"),
+        ((*PATTERN1, -300.0, *ROOM[1:]), "module 1 is -300"),
+        ((math.nan, *PATTERN1[1:], *ROOM), "is nan"),
+    ],
+)
 def test_impossible_conditions_are_refused(change, text):
     """The whole message is refused, the conditions before it hold."""
     plant, twin = ByHand(PvPlant()), ByHand(PvPlant())

@@ -63,8 +63,13 @@ EXACT = 6.17258  # margin of the linear benchmark
 
 @functools.cache
 def margin(name, low, high, mu=0.0, cell_terms=False, order=0, width=1e-4):
-    system = {"switched": switched, "pendulum": pendulum, "tank": continuous_tank,
-              "benchmark": lambda: linear(*BENCHMARK), "scalar": lambda: linear(0.0, -1.0)}[name]()  # fmt: skip
+    system = {
+        "switched": switched,
+        "pendulum": pendulum,
+        "tank": continuous_tank,
+        "benchmark": lambda: linear(*BENCHMARK),
+        "scalar": lambda: linear(0.0, -1.0),
+    }[name]()
     criterion = Criterion("constant" if order else "theorem1", mu, order or 2, cell_terms)
     found = certified_margin(system, criterion, low=low, high=high, width=width)
     assert found.valid
@@ -131,15 +136,18 @@ def test_theorem_1_on_the_pendulum_with_cell_terms():
 
 @pytest.mark.parametrize(
     ("name", "order", "cell_terms", "low", "high", "least", "most"),
-    [pytest.param("switched", 2, False, 0.0193, 0.0196, 0.01940, 0.020005, marks=pytest.mark.long),
-     pytest.param("pendulum", 2, True, 0.26, 0.27, 0.2655, 0.4192, marks=pytest.mark.long),
-     pytest.param("switched", 1, False, 0.019, 0.020, 0.01936, 0.01938, marks=pytest.mark.long),
-     pytest.param("switched", 3, False, 0.019, 0.020, 0.01942, 0.01944, marks=pytest.mark.long),
-     pytest.param("pendulum", 1, True, 0.26, 0.27, 0.2655, 0.2660, marks=pytest.mark.long),
-     pytest.param("pendulum", 3, True, 0.26, 0.27, 0.2657, 0.26617, marks=pytest.mark.long),
-     ("tank", 2, False, 7.5, 8.2, 7.82, 7.90),
-     ("benchmark", 1, False, 6.0, 6.1, 6.0583, 6.0593), ("benchmark", 2, False, 6.1, 6.2, 6.1677, 6.1697)],
-)  # fmt: skip
+    [
+        pytest.param("switched", 2, False, 0.0193, 0.0196, 0.01940, 0.020005, marks=pytest.mark.long),
+        pytest.param("pendulum", 2, True, 0.26, 0.27, 0.2655, 0.4192, marks=pytest.mark.long),
+        pytest.param("switched", 1, False, 0.019, 0.020, 0.01936, 0.01938, marks=pytest.mark.long),
+        pytest.param("switched", 3, False, 0.019, 0.020, 0.01942, 0.01944, marks=pytest.mark.long),
+        pytest.param("pendulum", 1, True, 0.26, 0.27, 0.2655, 0.2660, marks=pytest.mark.long),
+        pytest.param("pendulum", 3, True, 0.26, 0.27, 0.2657, 0.26617, marks=pytest.mark.long),
+        ("tank", 2, False, 7.5, 8.2, 7.82, 7.90),
+        ("benchmark", 1, False, 6.0, 6.1, 6.0583, 6.0593),
+        ("benchmark", 2, False, 6.1, 6.2, 6.1677, 6.1697),
+    ],
+)
 def test_constant_delay_criterion(name, order, cell_terms, low, high, least, most):
     assert least <= margin(name, low, high, 0.0, cell_terms, order) <= most
 
@@ -286,17 +294,33 @@ def test_no_delay_empties_the_tank_below_its_certified_level(seed):
 
 # Which parameter of the tank and its law to change, and to what; all others are in FREE_OF_THE_LEVEL.
 TANKS = {
-    "tank_controller.switch": 0.7, "tank_controller.k_low": 0.1, "tank_controller.k_high": 0.15, "tank_plant.c": 0.02,
-    "tank_controller.A": 20.0, "tank_controller.phi": 500.0, "tank_plant.x0": 1.5,
-}  # fmt: skip
+    "tank_controller.switch": 0.7,
+    "tank_controller.k_low": 0.1,
+    "tank_controller.k_high": 0.15,
+    "tank_plant.c": 0.02,
+    "tank_controller.A": 20.0,
+    "tank_controller.phi": 500.0,
+    "tank_plant.x0": 1.5,
+}
 REFUSED_OF_THE_LEVEL = {
-    "tank_plant.model": "pwa", "tank_plant.A": 20.0, "tank_plant.phi": 500.0, "tank_plant.switch": 0.7,
-    "tank_plant.k_low": 0.1, "tank_plant.k_high": 0.15,
-}  # fmt: skip
+    "tank_plant.model": "pwa",
+    "tank_plant.A": 20.0,
+    "tank_plant.phi": 500.0,
+    "tank_plant.switch": 0.7,
+    "tank_plant.k_low": 0.1,
+    "tank_plant.k_high": 0.15,
+}
 FREE_OF_THE_LEVEL = {  # it holds for any delay up to h; the rest is how a run is computed
-    "tank_plant.delay", "tank_plant.max_delay", "tank_plant.profile", "tank_plant.mu", "tank_plant.seed",
-    "tank_plant.horizon", "tank_plant.period", "tank_plant.step", "tank_controller.period",
-}  # fmt: skip
+    "tank_plant.delay",
+    "tank_plant.max_delay",
+    "tank_plant.profile",
+    "tank_plant.mu",
+    "tank_plant.seed",
+    "tank_plant.horizon",
+    "tank_plant.period",
+    "tank_plant.step",
+    "tank_controller.period",
+}
 
 
 def test_every_parameter_of_the_tank_is_held_against_its_certificate():
@@ -370,8 +394,11 @@ def test_certificate_of_the_pendulum_is_of_its_gains():
     assert growth_rate(simulate_pwa(pendulum(), profile("constant", 0.45), (1.0, 0.0), 200.0)) > 0.0
     nodes = {"pendulum_plant": PendulumPlant(model="nonlinear"), "certificate": CertificateNode(system="pendulum")}
     with pytest.raises(ScenarioError, match="must agree on pendulum/model"):
-        Rig.from_blocks({**nodes, "pendulum_controller": PendulumController()}, 1.0,
-                        remap={"pendulum_controller": {"pendulum/delayed_state": "pendulum/state"}})  # fmt: skip
+        Rig.from_blocks(
+            {**nodes, "pendulum_controller": PendulumController()},
+            1.0,
+            remap={"pendulum_controller": {"pendulum/delayed_state": "pendulum/state"}},
+        )
 
 
 # C6: simulated margins
@@ -510,8 +537,11 @@ def test_figures_of_the_scenarios(name):
 )
 def test_plants_fall_at_the_certified_delay_and_grow_beyond_their_margin(system, x0, stable, unstable, mu, seconds):
     def sizes(delay, kind):
-        plant = ByHand(SwitchedDelayPlant(system=system, x0=x0, delay=delay, period=delay / 2.0, step=delay / 50.0,
-                                          profile=kind, mu=mu))  # fmt: skip
+        plant = ByHand(
+            SwitchedDelayPlant(
+                system=system, x0=x0, delay=delay, period=delay / 2.0, step=delay / 50.0, profile=kind, mu=mu
+            )
+        )
         found = []
         for k in range(round(seconds / plant.params.period)):
             plant.advance(k)
@@ -562,8 +592,16 @@ def test_sliding_is_found_and_crossing_is_not():
 
 
 def test_an_offset_that_a_shift_removes_is_no_obstacle():
-    shifted = PwaSystem((np.array([[-2.0]]),), (np.array([[-1.0]]),), (np.array([3.0]),), (np.zeros((0, 2)),),
-                        (np.zeros(0),), (np.eye(2),), np.zeros((0, 1)), np.zeros((0, 1)))  # fmt: skip
+    shifted = PwaSystem(
+        (np.array([[-2.0]]),),
+        (np.array([[-1.0]]),),
+        (np.array([3.0]),),
+        (np.zeros((0, 2)),),
+        (np.zeros(0),),
+        (np.eye(2),),
+        np.zeros((0, 1)),
+        np.zeros((0, 1)),
+    )
     assert certify(shifted, 1.0).valid
 
 
@@ -607,11 +645,16 @@ def cells(**changes):
         ({"Ad": (*switched().Ad[:3], np.eye(3))}, r"Ad of cell 3 has the shape \(3, 3\), expected \(2, 2\)"),
         ({"A": (*switched().A[:3], np.full((2, 2), np.nan))}, "A of cell 3 is not finite"),
         ({"E": (switched().E[1], *switched().E[1:])}, "cells 0 and 1 overlap at"),
-        ({"E": (*switched().E[:3], np.vstack([switched().E[3], [1.0, 0.0, -1.0, 0.0]])),
-          "e": (*switched().e[:3], np.zeros(3))}, "the cells leave a gap"),
+        (
+            {
+                "E": (*switched().E[:3], np.vstack([switched().E[3], [1.0, 0.0, -1.0, 0.0]])),
+                "e": (*switched().e[:3], np.zeros(3)),
+            },
+            "the cells leave a gap",
+        ),
         ({"F": (2.0 * switched().F[0], *switched().F[1:])}, r"features of cells 0 and \d differ by .* on their face"),
     ],
-)  # fmt: skip
+)
 def test_bad_systems_are_refused(changes, reason):
     with pytest.raises(BadSystem, match=reason):
         cells(**changes)

@@ -737,12 +737,16 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 
 @pytest.mark.parametrize(
     ("port", "names", "field", "values", "reason"),
-    [(V_DROP, ("v_drop",), "effort", (math.nan,), "nan"), (V_DROP, ("v_drop",), "effort", (math.inf,), "inf"),
-     (V_DROP, ("i_ref",), "effort", (20.0,), "names"), (V_DROP, ("v_drop",), "effort", (), "0 values"),
-     (DC_LINK, ("voltage", "current"), "position", (math.nan, 1.0), "nan"),
-     (DC_LINK, ("voltage",), "position", (400.0,), "names"),
-     (events(16.0, 180.0), ("load",), "position", (8.0,), "load")],
-)  # fmt: skip
+    [
+        (V_DROP, ("v_drop",), "effort", (math.nan,), "nan"),
+        (V_DROP, ("v_drop",), "effort", (math.inf,), "inf"),
+        (V_DROP, ("i_ref",), "effort", (20.0,), "names"),
+        (V_DROP, ("v_drop",), "effort", (), "0 values"),
+        (DC_LINK, ("voltage", "current"), "position", (math.nan, 1.0), "nan"),
+        (DC_LINK, ("voltage",), "position", (400.0,), "names"),
+        (events(16.0, 180.0), ("load",), "position", (8.0,), "load"),
+    ],
+)
 def test_bad_messages_are_refused_with_the_reason(port, names, field, values, reason):
     data = Layout(JOINT_STATE, "", names, {field: len(values)}).encode(0, values)
     with pytest.raises(Refused, match=reason):

@@ -129,8 +129,16 @@ def test_free_fall_meets_its_numbers_and_keeps_its_energy():
 
 
 def test_plant_agrees_with_an_independent_integrator():
-    plant = ByHand(RehabPlant(position=[0.4, -0.9], velocity=[0.3, -0.2], payload=2.0, substeps=8, startup=10.0,
-                              disturbance={"torque": [2.0, 1.0], "begin": 0.05, "end": 0.1}))  # fmt: skip
+    plant = ByHand(
+        RehabPlant(
+            position=[0.4, -0.9],
+            velocity=[0.3, -0.2],
+            payload=2.0,
+            substeps=8,
+            startup=10.0,
+            disturbance={"torque": [2.0, 1.0], "begin": 0.05, "end": 0.1},
+        )
+    )
     force = np.array([10.0, -6.0])
 
     def derivative(t, x, volts, disturbance):
@@ -151,8 +159,15 @@ def test_plant_agrees_with_an_independent_integrator():
 
     x = np.array([0.4, -0.9, 0.3, -0.2, 0.0, 0.0])
     for begin, end, d in ((0.0, 0.05, 0.0), (0.05, 0.1, 1.0), (0.1, 0.15, 0.0)):
-        x = solve_ivp(derivative, (begin, end), x, args=(np.array([3.0, -1.0]), d * np.array([2.0, 1.0])),
-                      method="DOP853", rtol=1e-9, atol=1e-11).y[:, -1]  # fmt: skip
+        x = solve_ivp(
+            derivative,
+            (begin, end),
+            x,
+            args=(np.array([3.0, -1.0]), d * np.array([2.0, 1.0])),
+            method="DOP853",
+            rtol=1e-9,
+            atol=1e-11,
+        ).y[:, -1]
     for k in range(150):
         plant.advance(k * 1_000_000, motor_command=(3.0, -1.0), patient_force=(10.0, 0.0, -6.0, 0.0, 0.0, 0.0))
     np.testing.assert_allclose(numbers(plant.x)[:6], x, atol=1e-6)
@@ -394,13 +409,21 @@ def test_stability_limit_is_of_the_robot_in_the_rig(name):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.long] * (n not in ("motors.resistance", "motors.inductance")))
-             for n in ROBOTS if n != "torque_constant_side"],
-)  # fmt: skip
+    "name",
+    [
+        pytest.param(n, marks=[pytest.mark.long] * (n not in ("motors.resistance", "motors.inductance")))
+        for n in ROBOTS
+        if n != "torque_constant_side"
+    ],
+)
 def test_robot_is_quiet_below_its_limit_and_oscillates_above(name):
     value, told = ROBOTS[name]
-    change = {f"rehab_plant.{name}": value, "rehab_plant.rom_speed": 1000.0, "rehab_plant.start_outside": True,
-              "rehab_plant.drift.duration": 1.0}  # fmt: skip
+    change = {
+        f"rehab_plant.{name}": value,
+        "rehab_plant.rom_speed": 1000.0,
+        "rehab_plant.start_outside": True,
+        "rehab_plant.drift.duration": 1.0,
+    }
     limit, _ = limit_in(rig_of(load_scenario("rehab_impedance_b9", change)))
     for share, quiet in ((0.8, True), *((1.3, False),) * told):
         gain = {"voltage_controller.emvc.alpha_hat": share * limit}
@@ -440,10 +463,15 @@ def test_exercise_of_the_tuner_is_the_scenario():
     assert found.variation == pytest.approx(np.mean([measures.total_variation(signals, v) for v in V_SIGNAL]), rel=1e-9)
 
 
-@pytest.mark.parametrize(("alpha_hat", "mse"), [
-    (1.0, 2.7e-4), pytest.param(2.0, 7.3e-5, marks=pytest.mark.long),
-    pytest.param(4.0, 2.1e-5, marks=pytest.mark.long), (6.4, 1.02e-5),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("alpha_hat", "mse"),
+    [
+        (1.0, 2.7e-4),
+        pytest.param(2.0, 7.3e-5, marks=pytest.mark.long),
+        pytest.param(4.0, 2.1e-5, marks=pytest.mark.long),
+        (6.4, 1.02e-5),
+    ],
+)
 def test_cost_falls_up_to_the_edge(alpha_hat, mse):
     assert cost((alpha_hat,), guarded=False) == pytest.approx(mse, rel=0.02)
 
@@ -498,8 +526,11 @@ def impedance_run(force, ticks, block=None, start=0):
     found = []
     for k in range(start, start + ticks):
         wrench = None if force is None else Sample(k * 1_000_000, (*force, 0.0, 0.0, 0.0))
-        found.append(block.update(k * 1_000_000, reference=(0.5, -0.5, 0.0, 0.0, 0.0, 0.0), patient_force=wrench,
-                                  joint_states=(0.5, -0.5))["regenerated"])  # fmt: skip
+        found.append(
+            block.update(
+                k * 1_000_000, reference=(0.5, -0.5, 0.0, 0.0, 0.0, 0.0), patient_force=wrench, joint_states=(0.5, -0.5)
+            )["regenerated"]
+        )
     return block, np.array(found)
 
 
@@ -517,11 +548,19 @@ def test_impedance_is_a_second_order_filter_of_the_force():
 def test_stiffness_changes_without_a_jump():
     block, before = impedance_run((12.0, 0.0, 0.0), 1000)
     force = Sample(1_000_000_000, (12.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    after = np.array([
-        block.update(10**9, reference=(0.5, -0.5, 0.0, 0.0, 0.0, 0.0), patient_force=force, joint_states=(0.5, -0.5),
-                     stiffness=(400.0,), damping=(-1.0,) if k == 2 else (40.0,))["regenerated"]
-        for k in range(2000)
-    ])  # fmt: skip
+    after = np.array(
+        [
+            block.update(
+                10**9,
+                reference=(0.5, -0.5, 0.0, 0.0, 0.0, 0.0),
+                patient_force=force,
+                joint_states=(0.5, -0.5),
+                stiffness=(400.0,),
+                damping=(-1.0,) if k == 2 else (40.0,),
+            )["regenerated"]
+            for k in range(2000)
+        ]
+    )
     steps = np.abs(np.diff(np.vstack([before[-5:], after])[:, :2], axis=0))
     assert steps[:8].max() < 1e-3 * 1.5 * np.abs(after[:, 2:4]).max()
     np.testing.assert_allclose(after[-1][:2] - (0.5, -0.5), (before[-1][:2] - (0.5, -0.5)) / 4, rtol=2e-3)
@@ -531,8 +570,12 @@ def test_stiffness_changes_without_a_jump():
 def test_lost_patient_freezes_the_reference_and_is_taken_up_again():
     block, _ = impedance_run((12.0, 0.0, 0.0), 200)
     last = Sample(199_000_000, (12.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    still = [block.update(k * 1_000_000, reference=(0.5, -0.5, 0.0, 0.0, 0.0, 0.0), patient_force=last,
-                          joint_states=(0.5, -0.5))["regenerated"] for k in range(200, 300)]  # fmt: skip
+    still = [
+        block.update(
+            k * 1_000_000, reference=(0.5, -0.5, 0.0, 0.0, 0.0, 0.0), patient_force=last, joint_states=(0.5, -0.5)
+        )["regenerated"]
+        for k in range(200, 300)
+    ]
     frozen = still[-1]
     assert [s == frozen for s in still].count(True) == 80  # 20 periods of patience
     assert frozen[2:] == (0.0,) * 4
@@ -575,8 +618,12 @@ def test_reference_lost_in_real_time_brings_0_volt_or_stands_still(answer):
 def test_reference_lost_behind_an_impedance_law_stands_still():
     block, _ = impedance_run((0.0, 0.0, 0.0), 200)
     block.block.ages = {"reference": 21_000_000}.get
-    kept = [block.update(k, reference=(0.5, -0.5, 0.3, 0.3, 0.0, 0.0), patient_force=None,
-                         joint_states=(0.5, -0.5))["regenerated"] for k in range(200_000_000, 200_000_003)]  # fmt: skip
+    kept = [
+        block.update(k, reference=(0.5, -0.5, 0.3, 0.3, 0.0, 0.0), patient_force=None, joint_states=(0.5, -0.5))[
+            "regenerated"
+        ]
+        for k in range(200_000_000, 200_000_003)
+    ]
     assert kept[0] == kept[2]
     assert kept[0][2:] == (0.0,) * 4
     assert block.reports["reference"][0] == Level.ERROR
@@ -608,8 +655,13 @@ def test_references_refused_for_good_bring_0_volt_or_stand_still(law):
 def test_lost_states_bring_0_volt_whatever_the_reference(lost):
     block = ByHand(VoltageController(reference_lost="hold"))
     block.block.ages = {lost: 21_000_000}.get
-    found = block.update(0, joint_states=(0.2, -0.5, 0.0, 0.0), motor_states=(0.5, 0.2), applied_voltage=(2.0, 1.0),
-                         reference=(0.21, -0.49, 0.1, 0.1, 0.0, 0.0))  # fmt: skip
+    found = block.update(
+        0,
+        joint_states=(0.2, -0.5, 0.0, 0.0),
+        motor_states=(0.5, 0.2),
+        applied_voltage=(2.0, 1.0),
+        reference=(0.21, -0.49, 0.1, 0.1, 0.0, 0.0),
+    )
     assert found["motor_command"] == (0.0, 0.0)
     assert block.reports["SAFE"][1] == f"SAFE: no new {lost} for more than 20 periods: 0 V"
 
@@ -676,8 +728,13 @@ def test_leg_that_stood_alone_is_taken_over(alone):
         t, found = k * 1_000_000, plant.outputs(k * 1_000_000)
         state = found["joint_states"][:4]
         reference = source.update(t - begin * 1_000_000)["reference"]
-        command = controller.update(t, joint_states=state, motor_states=found["motor_states"], reference=reference,
-                                    applied_voltage=found["applied_voltage"])["motor_command"]  # fmt: skip
+        command = controller.update(
+            t,
+            joint_states=state,
+            motor_states=found["motor_states"],
+            reference=reference,
+            applied_voltage=found["applied_voltage"],
+        )["motor_command"]
         plant.advance(t, motor_command=command)
         fastest = max(fastest, abs(state[2]), abs(state[3]))
     assert not plant.x.safe

@@ -7,10 +7,15 @@ from softrig_core import rig_of, run_processes
 pytestmark = pytest.mark.processes
 
 DAILY = [  # scenario, s (all of it: None), seed; headlines run daily in a container, others have golden bags
-    ("dc_motor_smc_b4", 1.0, 3), ("dc_motor_fsfb_stretch_jitter", None, 3), ("economic_dispatch_e2", 4.0, 0),
-    ("manipulator_adsmc_two_link", 0.3, 0), ("optimal_control_mvim_s4_1s", 20.0, 1), ("pwa_delay_p2_d2", 20.0, 1),
-    ("rehab_impedance_r5", 0.5, 0), ("tcp_aqm_smc_s4", 3.0, 1),
-]  # fmt: skip
+    ("dc_motor_smc_b4", 1.0, 3),
+    ("dc_motor_fsfb_stretch_jitter", None, 3),
+    ("economic_dispatch_e2", 4.0, 0),
+    ("manipulator_adsmc_two_link", 0.3, 0),
+    ("optimal_control_mvim_s4_1s", 20.0, 1),
+    ("pwa_delay_p2_d2", 20.0, 1),
+    ("rehab_impedance_r5", 0.5, 0),
+    ("tcp_aqm_smc_s4", 3.0, 1),
+]
 LONG = [
     ("dc_motor_smc_stretch_b", 1.0, 3), ("dc_motor_fsfb", None, 3), ("dc_motor_fsfb_s1_none", None, 3),
     ("dc_motor_fsfb_s1_velocity", None, 3), ("dc_motor_fsfb_s2", None, 3), ("dc_motor_fsfb_s3", None, 3),

@@ -17,11 +17,15 @@ SHARED = [
     ("optimal_control_mvim_a2", "horizon", 50.0, {"spacecraft_plant", "collocation_planner", "ocp_evaluator"}),
     ("optimal_control_mvim_a4", "horizon", 50.0, {"spacecraft_plant", "momentum_feedback", "ocp_evaluator"}),
     ("optimal_control_mvim", "x0", (0.02, 0.005, 0.001), {"spacecraft_plant", "ocp_evaluator"}),
-    ("gupfc", "network.half_length", 210.0,
-     {"gupfc_plant", "shunt_controller", "series_controller_1", "series_controller_2"}),
+    (
+        "gupfc",
+        "network.half_length",
+        210.0,
+        {"gupfc_plant", "shunt_controller", "series_controller_1", "series_controller_2"},
+    ),
     ("gupfc", "initial.p1", 1.1, {"gupfc_plant", "shunt_controller", "series_controller_1", "series_controller_2"}),
     ("economic_dispatch", "table", "units_3", {"unit_fleet", "dispatch_solver"}),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("scenario", "name", "value", "nodes"), SHARED)
@@ -58,8 +62,11 @@ def test_nodes_that_must_agree_are_refused_by_name(scenario, change, quantity):
 
 
 def test_what_a_law_assumes_of_its_plant_may_be_wrong():
-    for scenario, change in (("tcp_aqm_smc", {"tcp_fluid.N": 54}), ("optimal_control_mvim_s4", {}),
-                             ("tcp_aqm_smc", {"aqm_controller.C": 3000.0})):  # fmt: skip
+    for scenario, change in (
+        ("tcp_aqm_smc", {"tcp_fluid.N": 54}),
+        ("optimal_control_mvim_s4", {}),
+        ("tcp_aqm_smc", {"aqm_controller.C": 3000.0}),
+    ):
         rig = rig_of(load_scenario(scenario, change))
         assert all(rig.parameter(*name.split(".")) == value for name, value in change.items())
 

@@ -342,8 +342,16 @@ def test_events_change_the_network_at_the_plant_step():
     assert plant.outputs(0)["state"] == same.outputs(0)["state"]
 
 
-@pytest.mark.parametrize("events", [(0.0, 3750.0, 0.2, 0.0), (60.0, -1.0, 0.2, 0.0), (60.0, 3750.0, 0.0, 0.0),
-                                    (60.0, 3750.0, 2.0, 0.0), (60.0, 100.0, 0.2, 0.0)])  # fmt: skip
+@pytest.mark.parametrize(
+    "events",
+    [
+        (0.0, 3750.0, 0.2, 0.0),
+        (60.0, -1.0, 0.2, 0.0),
+        (60.0, 3750.0, 0.0, 0.0),
+        (60.0, 3750.0, 2.0, 0.0),
+        (60.0, 100.0, 0.2, 0.0),
+    ],
+)
 def test_impossible_events_are_ignored(events):
     for plant in (ByHand(TcpFluid()), ByHand(TcpPackets())):
         before = plant.x.net[:3]
@@ -502,8 +510,17 @@ for plant, period in ((TcpFluid(input_delay=True, w0=14.0, q0=110.0), 0.001), (T
 
 @pytest.mark.long
 def test_native_and_plain_python_give_the_same_bits():
-    found = [subprocess.run([sys.executable, "-c", PLAIN], env={**os.environ, "SOFTRIG_JIT": jit}, text=True,
-                            capture_output=True, check=True, timeout=PATIENCE).stdout for jit in "01"]  # fmt: skip
+    found = [
+        subprocess.run(
+            [sys.executable, "-c", PLAIN],
+            env={**os.environ, "SOFTRIG_JIT": jit},
+            text=True,
+            capture_output=True,
+            check=True,
+            timeout=PATIENCE,
+        ).stdout
+        for jit in "01"
+    ]
     assert found[0] == found[1]
 
 

@@ -102,8 +102,11 @@ class Alignment:
         lines += [str(d) for d in self.deviations]
         lines += [f"only in A: {name}" for name in self.lacking] + [f"only in B: {name}" for name in self.extra]
         off = sum(not d.agrees for d in self.deviations)
-        lines.append(f"{off} of {len(self.deviations)} signals beyond their tolerance" if off else
-                     "all signals that both have agree within their tolerance")  # fmt: skip
+        lines.append(
+            f"{off} of {len(self.deviations)} signals beyond their tolerance"
+            if off
+            else "all signals that both have agree within their tolerance"
+        )
         return "\n".join(lines)
 
 
@@ -156,9 +159,11 @@ def align(
         raise BagError("the bags have no time in common")
     names_a, names_b = (_names(s, topics, ignore) for s in (a, b))
     return Alignment(
-        sorted(found, key=lambda d: d.signal), (min(s[0] for s in spans), max(s[1] for s in spans)),
-        [n for n in names_a if n not in names_b], [n for n in names_b if n not in names_a],
-    )  # fmt: skip
+        sorted(found, key=lambda d: d.signal),
+        (min(s[0] for s in spans), max(s[1] for s in spans)),
+        [n for n in names_a if n not in names_b],
+        [n for n in names_b if n not in names_a],
+    )
 
 
 def unrelated(a: Signals, b: Signals) -> bool:

@@ -113,9 +113,13 @@ def main_record(argv: list[str]) -> int:
     selection = Selection.of(options.topics, options.regex, options.exclude)
     directory = (options.output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S"))).absolute()
     writer = BagWriter(
-        directory, storage=options.storage, compression=options.compression, reserve=RESERVE,
-        split_bytes=round(options.max_size * 1e6), split_ns=round(options.max_duration * 1e9),
-    )  # fmt: skip
+        directory,
+        storage=options.storage,
+        compression=options.compression,
+        reserve=RESERVE,
+        split_bytes=round(options.max_size * 1e6),
+        split_ns=round(options.max_duration * 1e9),
+    )
     try:
         session = Session("recorder", ros, _parameters(parser, options))
     except BagError:
@@ -151,8 +155,13 @@ def main_play(argv: list[str]) -> int:
     clocked.add_argument("--clock", action="store_true", help="publish bag time on /clock")
     clocked.add_argument("--wait", action="store_true", help="do not start before every topic has a subscriber")
     lockstep = parser.add_argument_group("in lockstep, as fast as the node answers")
-    lockstep.add_argument("--lockstep", nargs="+", default=[], metavar="NODE_TOPIC",
-                          help="topics that the node under test publishes; the next tick waits for them")  # fmt: skip
+    lockstep.add_argument(
+        "--lockstep",
+        nargs="+",
+        default=[],
+        metavar="NODE_TOPIC",
+        help="topics that the node under test publishes; the next tick waits for them",
+    )
     lockstep.add_argument("--answers", type=Path, metavar="DIR", help="write what the node answered as a bag")
     lockstep.add_argument(
         "--timeout", type=Number(float, 0.1, 1e6), default=30.0, metavar="S", help="wall-clock time without an answer"
@@ -183,14 +192,22 @@ def main_compare(argv: list[str]) -> int:
     parser.add_argument("b", type=Path, metavar="B")
     parser.add_argument("--abs", type=Number(float, 0), default=0.0, metavar="TOL", help="|b - a| may be up to this")
     parser.add_argument("--rel", type=Number(float, 0), default=0.0, metavar="TOL", help="or up to this times |a|")
-    parser.add_argument("--field", action="append", default=[], metavar="PATTERN=ABS[,REL]",
-                        help="tolerance of the signals topic/channel/field that fit; the first counts")  # fmt: skip
+    parser.add_argument(
+        "--field",
+        action="append",
+        default=[],
+        metavar="PATTERN=ABS[,REL]",
+        help="tolerance of the signals topic/channel/field that fit; the first counts",
+    )
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these (default: all)")
     parser.add_argument("--ignore", nargs="+", default=[], metavar="PATTERN", help="topics to leave out")
     parser.add_argument("--bitwise", action="store_true", help="demand equal bytes and bag times")
-    parser.add_argument("--align", action="store_true",
-                        help="compare signals over the time since the start: largest and rms deviation, time shift; "
-                        "done by itself when no stamp of A is in B (real time against lockstep)")  # fmt: skip
+    parser.add_argument(
+        "--align",
+        action="store_true",
+        help="compare signals over the time since the start: largest and rms deviation, time shift; "
+        "done by itself when no stamp of A is in B (real time against lockstep)",
+    )
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     options = parser.parse_args(argv)
 

@@ -109,8 +109,11 @@ class Comparison:
 
     def to_json(self) -> str:
         """Give everything as JSON; NaN and infinity as text."""
-        content = {"equal": self.equal, "first": self.first and asdict(self.first),
-                   "topics": [{"equal": t.equal, **asdict(t)} for t in self.topics]}  # fmt: skip
+        content = {
+            "equal": self.equal,
+            "first": self.first and asdict(self.first),
+            "topics": [{"equal": t.equal, **asdict(t)} for t in self.topics],
+        }
         return json.dumps(plain(content), indent=2)
 
     def __str__(self) -> str:
@@ -223,9 +226,14 @@ class _Pairing:
         return result
 
     def _values(
-        self, a: Signals, b: Signals, rows: NDArray[np.intp], default: Tolerance,
-        tolerances: Mapping[str, Tolerance], bitwise: bool,
-    ) -> NDArray[np.bool_]:  # fmt: skip
+        self,
+        a: Signals,
+        b: Signals,
+        rows: NDArray[np.intp],
+        default: Tolerance,
+        tolerances: Mapping[str, Tolerance],
+        bitwise: bool,
+    ) -> NDArray[np.bool_]:
         """Compare the messages whose bytes differ, field by field; give which of them disagree."""
         result = self.result
         bad = np.zeros(len(rows), dtype=bool)

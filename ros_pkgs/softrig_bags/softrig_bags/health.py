@@ -36,8 +36,14 @@ def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[
         return recording
     texts = {topic: text for topic, text in texts.items() if topic not in recording.topics}
     observers = {f"{name}/metrics": s["figures"] for name, s in status.items() if s.get("figures")}
-    found = Recording([*((t.name, t.msgtype) for t in recording.topics.values()), *((topic, STRING) for topic in texts),
-                       ("diagnostics", ARRAY), *((topic, ARRAY) for topic in observers)])  # fmt: skip
+    found = Recording(
+        [
+            *((t.name, t.msgtype) for t in recording.topics.values()),
+            *((topic, STRING) for topic in texts),
+            ("diagnostics", ARRAY),
+            *((topic, ARRAY) for topic in observers),
+        ]
+    )
     for name, old in recording.topics.items():
         found.topics[name].times.extend(old.times)
         found.topics[name].data.extend(old.data)

@@ -160,8 +160,15 @@ class McapFile:
         del self._metadata_index[1:]  # of a close that found no room
         data_end = self._metadata_record(metadata) + _record(DATA_END, pack("<I", 0))
         counts = {n: c for n, c in sorted(self.counts.items()) if c}
-        statistics = pack("<QHIIII", sum(counts.values()), len(self._schemas), len(self._channels), 0,
-                          len(self._metadata_index), len(self._chunk_index))  # fmt: skip
+        statistics = pack(
+            "<QHIIII",
+            sum(counts.values()),
+            len(self._schemas),
+            len(self._channels),
+            0,
+            len(self._metadata_index),
+            len(self._chunk_index),
+        )
         statistics += pack("<QQI", self.first, self.last, 10 * len(counts))
         statistics += b"".join(pack("<HQ", *c) for c in counts.items())
         groups = {

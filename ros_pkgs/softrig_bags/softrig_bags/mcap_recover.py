@@ -179,8 +179,10 @@ def check_sizes(path: Path) -> None:
                     claimed, _, compression, start, stored = found
                     file.seek(following - length + start)
                     if claimed > LIMIT or _larger(file.read(stored), compression, claimed):
-                        raise BagError(f"{path}: a chunk of {stored} bytes claims {claimed} uncompressed, the truth "
-                                       f"and at most {LIMIT}; `softrig bag repair` leaves it out")  # fmt: skip
+                        raise BagError(
+                            f"{path}: a chunk of {stored} bytes claims {claimed} uncompressed, the truth "
+                            f"and at most {LIMIT}; `softrig bag repair` leaves it out"
+                        )
             file.seek(following)
 
 

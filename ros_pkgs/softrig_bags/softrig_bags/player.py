@@ -150,9 +150,17 @@ class Player:
     """
 
     def __init__(
-        self, session: Session, bag: BagReader, sender: Sender, part: Span, *,
-        rate: float = 1.0, loop: bool = False, clock: bool = False, paused: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        session: Session,
+        bag: BagReader,
+        sender: Sender,
+        part: Span,
+        *,
+        rate: float = 1.0,
+        loop: bool = False,
+        clock: bool = False,
+        paused: bool = False,
+    ) -> None:
         self._session, self._bag, self._sender, self._part = session, bag, sender, part
         self._rate, self._loop = rate, loop
         self._pauser = Pauser(session, paused)
@@ -298,9 +306,17 @@ class LockstepPlayer:
     """
 
     def __init__(
-        self, session: Session, bag: BagReader, sender: Sender, answers: Sequence[str], remap: Mapping[str, str],
-        part: Span, *, timeout: float = 10.0, paused: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        session: Session,
+        bag: BagReader,
+        sender: Sender,
+        answers: Sequence[str],
+        remap: Mapping[str, str],
+        part: Span,
+        *,
+        timeout: float = 10.0,
+        paused: bool = False,
+    ) -> None:
         self._session, self._bag, self._sender, self._part = session, bag, sender, part
         self._names, self._remap = answers, remap
         self._timeout = timeout

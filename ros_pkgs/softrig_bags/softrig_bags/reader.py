@@ -47,8 +47,10 @@ class BagReader:
     def __enter__(self) -> BagReader:
         if self.path.is_dir() and not (self.path / "metadata.yaml").exists():
             if any(p.suffix in SUFFIXES for p in map(plain, self.path.iterdir())):
-                raise BagError(f"{self.path} has no metadata.yaml: the recording was cut off; "
-                               f"`softrig bag repair {self.path}` restores it")  # fmt: skip
+                raise BagError(
+                    f"{self.path} has no metadata.yaml: the recording was cut off; "
+                    f"`softrig bag repair {self.path}` restores it"
+                )
             raise BagError(f"{self.path} is not a bag: no metadata.yaml, no .mcap and no .db3 file in it")
         try:
             if self.path.is_dir() and (self.path / "metadata.yaml").stat().st_size > METADATA_LIMIT:

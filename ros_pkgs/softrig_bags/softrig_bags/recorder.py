@@ -39,8 +39,14 @@ class Recorder:
         Notices that this process was held.
     """
 
-    def __init__(self, session: Session, writer: BagWriter, selection: Selection, stamped: bool = False,
-                 holds: Holds | None = None) -> None:  # fmt: skip
+    def __init__(
+        self,
+        session: Session,
+        writer: BagWriter,
+        selection: Selection,
+        stamped: bool = False,
+        holds: Holds | None = None,
+    ) -> None:
         self._session = session
         self._node = session.node
         self._writer = writer
@@ -147,9 +153,13 @@ class Recorder:
             self._lost[name] = event.total_count
 
         subscription = self._subscriptions[name] = self._node.create_subscription(
-            kind, name, self._receiver(topic), subscription_profile([p.qos_profile for p in publishers]), raw=True,
+            kind,
+            name,
+            self._receiver(topic),
+            subscription_profile([p.qos_profile for p in publishers]),
+            raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-        )  # fmt: skip
+        )
         self._events.add(
             subscription,
             {

@@ -130,8 +130,13 @@ def _rewrite(sources: list[Path], directory: Path, name: str) -> list[FileReport
         for topic, t, data in _recover(source, report, directory.parent):
             if writer is None:
                 storage = "mcap" if plain(source).suffix == ".mcap" else "sqlite3"
-                writer = BagWriter(directory, storage=storage, compression=report.compression, name=name,
-                                   custom_data=report.custom_data)  # fmt: skip
+                writer = BagWriter(
+                    directory,
+                    storage=storage,
+                    compression=report.compression,
+                    name=name,
+                    custom_data=report.custom_data,
+                )
             if i and not report.kept:
                 writer.next_file()
             if topic.name not in numbers:

@@ -75,8 +75,10 @@ class Session:
         Session.opened = self
         for given in self.node.get_parameters_by_prefix(""):
             if given not in _OF_ROS and not given.startswith("qos_overrides."):
-                raise BagError(f"parameter {given} cannot be set by ROS arguments; what can be set are the options "
-                               "that --help shows")  # fmt: skip
+                raise BagError(
+                    f"parameter {given} cannot be set by ROS arguments; what can be set are the options "
+                    "that --help shows"
+                )
         for declaration, value in parameters:
             self.node.declare_parameter(declaration.name, value, range_descriptor(declaration))
         self._executor: Any = EventsExecutor()
@@ -156,11 +158,16 @@ def offered(profile: QoSProfile) -> Qos:
         return QosTime(*divmod(duration.nanoseconds, SECOND))
 
     return Qos(
-        QosHistory(profile.history.value), profile.depth, QosReliability(profile.reliability.value),
-        QosDurability(profile.durability.value), time(profile.deadline), time(profile.lifespan),
-        QosLiveliness(profile.liveliness.value), time(profile.liveliness_lease_duration),
+        QosHistory(profile.history.value),
+        profile.depth,
+        QosReliability(profile.reliability.value),
+        QosDurability(profile.durability.value),
+        time(profile.deadline),
+        time(profile.lifespan),
+        QosLiveliness(profile.liveliness.value),
+        time(profile.liveliness_lease_duration),
         profile.avoid_ros_namespace_conventions,
-    )  # fmt: skip
+    )
 
 
 def subscription_profile(publishers: Sequence[QoSProfile]) -> QoSProfile:

@@ -38,8 +38,15 @@ def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording
     topic, scene = next(((t, s) for t, s in scenes.items() if recording.topics[t].times), ("", None))
     if scene is None:
         return recording
-    found = Recording([*((t.name, t.msgtype) for t in recording.topics.values()),
-                       ("robot_description", STRING), ("tf_static", TF), ("tf", TF), ("markers", MARKERS)])  # fmt: skip
+    found = Recording(
+        [
+            *((t.name, t.msgtype) for t in recording.topics.values()),
+            ("robot_description", STRING),
+            ("tf_static", TF),
+            ("tf", TF),
+            ("markers", MARKERS),
+        ]
+    )
     for name, old in recording.topics.items():
         found.topics[name].times.extend(old.times)
         found.topics[name].data.extend(old.data)
@@ -86,8 +93,12 @@ def _vector(kind: str, values: Sequence[float]) -> Any:
 def _transform(t: int, pose: Pose) -> Any:
     place, turn = _vector("Vector3", pose.position), _vector("Quaternion", pose.rotation)
     transform = make("geometry_msgs/msg/Transform", translation=place, rotation=turn)
-    return make("geometry_msgs/msg/TransformStamped", header=header(t, pose.parent), child_frame_id=pose.child,
-                 transform=transform)  # fmt: skip
+    return make(
+        "geometry_msgs/msg/TransformStamped",
+        header=header(t, pose.parent),
+        child_frame_id=pose.child,
+        transform=transform,
+    )
 
 
 def _line(t: int, frame: str, points: Sequence[Point]) -> Any:
@@ -98,13 +109,23 @@ def _line(t: int, frame: str, points: Sequence[Point]) -> Any:
     nothing = np.array([], dtype=np.uint8)
     image = make("sensor_msgs/msg/CompressedImage", header=header(t, frame), format="", data=nothing)
     return kind(
-        header=header(t, frame), ns="path", id=0, type=kind.LINE_STRIP, action=kind.ADD,
+        header=header(t, frame),
+        ns="path",
+        id=0,
+        type=kind.LINE_STRIP,
+        action=kind.ADD,
         pose=make("geometry_msgs/msg/Pose", position=origin, orientation=upright),
         scale=_vector("Vector3", (0.005, 0.0, 0.0)),
         color=make("std_msgs/msg/ColorRGBA", r=0.9, g=0.4, b=0.1, a=1.0),
-        lifetime=make("builtin_interfaces/msg/Duration", sec=0, nanosec=0), frame_locked=False,
-        points=[_vector("Point", p) for p in points], colors=[], texture_resource="", texture=image,
-        uv_coordinates=[], text="",
-        mesh_resource="", mesh_file=make("visualization_msgs/msg/MeshFile", filename="", data=nothing),
+        lifetime=make("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+        frame_locked=False,
+        points=[_vector("Point", p) for p in points],
+        colors=[],
+        texture_resource="",
+        texture=image,
+        uv_coordinates=[],
+        text="",
+        mesh_resource="",
+        mesh_file=make("visualization_msgs/msg/MeshFile", filename="", data=nothing),
         mesh_use_embedded_materials=False,
-    )  # fmt: skip
+    )

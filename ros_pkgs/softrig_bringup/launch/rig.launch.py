@@ -36,8 +36,16 @@ def _nodes(context):
     at_end = {"rig": partial(_ended, launched), "viewer": Shutdown(reason="the viewer is closed")}
     # launch_ros itself has no empty lists, and a container names its nodes in its arguments
     return [
-        Node(package=p.package, executable=p.executable, name=p.name or None, namespace=p.namespace or None,
-             output="screen", on_exit=at_end[p.kind], arguments=p.arguments, parameters=p.parameters,
-             remappings=p.remappings)
+        Node(
+            package=p.package,
+            executable=p.executable,
+            name=p.name or None,
+            namespace=p.namespace or None,
+            output="screen",
+            on_exit=at_end[p.kind],
+            arguments=p.arguments,
+            parameters=p.parameters,
+            remappings=p.remappings,
+        )
         for p in launched.processes
-    ]  # fmt: skip
+    ]

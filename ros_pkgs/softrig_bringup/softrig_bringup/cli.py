@@ -119,8 +119,13 @@ def make_parser() -> argparse.ArgumentParser:
         sub: argparse.ArgumentParser = among.add_parser(name, help=text, description=text)
         sub.set_defaults(verb=partial(_late, function))
         if name != "node":  # whose words are those of the executable
-            sub.add_argument("-q", "--quiet", action="store_true", default=argparse.SUPPRESS,
-                             help="print nothing but what goes wrong; the exit status tells")  # fmt: skip
+            sub.add_argument(
+                "-q",
+                "--quiet",
+                action="store_true",
+                default=argparse.SUPPRESS,
+                help="print nothing but what goes wrong; the exit status tells",
+            )
         return sub
 
     declared.verbs(verb)

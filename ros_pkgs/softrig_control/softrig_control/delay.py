@@ -167,9 +167,15 @@ class LineRow(NamedTuple):
 
 @jit
 def _insert(
-    dues: NDArray[np.int64], stamps: NDArray[np.int64], values: NDArray[np.float64], begin: int, end: int, due: int,
-    stamp: int, message: tuple[float, ...],
-) -> tuple[int, int]:  # fmt: skip
+    dues: NDArray[np.int64],
+    stamps: NDArray[np.int64],
+    values: NDArray[np.float64],
+    begin: int,
+    end: int,
+    due: int,
+    stamp: int,
+    message: tuple[float, ...],
+) -> tuple[int, int]:
     n = len(message)
     if end == len(dues):
         if begin == 0:
@@ -241,9 +247,11 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
             held = Sample(sent.stamp, self.p.initial or sent.data)
             if self._rounded:
                 self.report(
-                    Level.WARN, "delay", f"delay {self.p.delay:g} s and jitter {self.p.jitter:g} s are not whole "
+                    Level.WARN,
+                    "delay",
+                    f"delay {self.p.delay:g} s and jitter {self.p.jitter:g} s are not whole "
                     f"periods of {self.p.period:g} s: rounded up to {self._delay} and {self._jitter} periods",
-                )  # fmt: skip
+                )
         if newest is None or sent.stamp > newest:  # the same stamp again is the same message, held
             newest = sent.stamp
             line, k = self._send(line, k, t, sent)

@@ -23,9 +23,12 @@ class FaultParams(LinkParams):
 
     kind: Kind = param("offset", "what happens to the messages")
     affects: tuple[str, ...] = param((), "channels or single values (``shaft/velocity``) concerned; empty: all")
-    value: tuple[float, ...] = param((1.0,), "offset; factor; drift a second; standard deviation of the noise; step; "
-                                     "upper limit; height of a spike: one, or one for each concerned",
-                                     live=True)  # fmt: skip
+    value: tuple[float, ...] = param(
+        (1.0,),
+        "offset; factor; drift a second; standard deviation of the noise; step; "
+        "upper limit; height of a spike: one, or one for each concerned",
+        live=True,
+    )
     lower: tuple[float, ...] = param((), "lower limit of `saturate`; empty: -value", live=True)
     points: tuple[float, ...] = param(
         (), "of `add` and `replace`: values of a profile over `span`, equally spaced", live=True
@@ -49,14 +52,22 @@ class FaultParams(LinkParams):
     )
     burst_ends: float = param(1.0, "probability that it ends at a message", gt=0.0, le=1.0, live=True)
     delay: float = param(0.0, "of `delay`, rounded up to whole periods", "s", ge=0.0, le=1e4, live=True)
-    jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s",
-                          ge=0.0, le=1e4, live=True)  # fmt: skip
+    jitter: float = param(
+        0.0,
+        "largest additional delay; whole periods from 0 up to it are equally likely",
+        "s",
+        ge=0.0,
+        le=1e4,
+        live=True,
+    )
     overtaking: bool = param(
         True, "whether a message may arrive before one sent earlier, which is then dropped", live=True
     )
     delayed: bool = param(False, "whether the stamps are times of acquisition, as behind a `fieldbus_delay`")
-    holds: bool = param(False, "say the value held again in place of silence, for a reader that cannot be told of it; "
-                        "at first `initial`")  # fmt: skip
+    holds: bool = param(
+        False,
+        "say the value held again in place of silence, for a reader that cannot be told of it; at first `initial`",
+    )
     active: bool = param(True, "whether it is switched on at first; the button `toggle` switches", live=True)
 
     @model_validator(mode="after")
@@ -177,9 +188,14 @@ class Fault(Block[FaultParams]):
         """Give both ends of the link, of the same message type, and the switch."""
         switch = button("toggle", f"{params.topic_out}/toggle", held=True)
         return (params.port("sent", params.topic_in, delayed=params.delayed), switch), (
-            params.port("arrived", params.topic_out, sporadic=not params.holds, delayed=params.delayed,
-                        unchecked=params.kind == "invalid"),
-        )  # fmt: skip
+            params.port(
+                "arrived",
+                params.topic_out,
+                sporadic=not params.holds,
+                delayed=params.delayed,
+                unchecked=params.kind == "invalid",
+            ),
+        )
 
     def setup(self) -> None:
         """Turn times into ns, find the values concerned."""
@@ -192,8 +208,10 @@ class Fault(Block[FaultParams]):
         self._concerned = p.concerned()
         self._values = p.value if len(p.value) > 1 else p.value * len(self._concerned)
         self._pressed = p.message == types.BUTTON.name
-        self._place = [self._concerned.index(i) if i in self._concerned else None
-                       for i, _ in enumerate(p.port("sent", p.topic_in).labels)]  # fmt: skip
+        self._place = [
+            self._concerned.index(i) if i in self._concerned else None
+            for i, _ in enumerate(p.port("sent", p.topic_in).labels)
+        ]
         self._limits = list(zip(*p.range(), strict=True)) if p.kind == "saturate" else []
 
     def first(self) -> State:
@@ -242,8 +260,11 @@ class Fault(Block[FaultParams]):
                 heard, newest, said = True, stamp, sent
             elif not self._lost(burst, draws):
                 heard = True
-                said = before if kind == "repeat" and repeats and draws[0] < p.probability else (
-                    self._faulty(t, sent, data, since, stuck, draws))  # fmt: skip
+                said = (
+                    before
+                    if kind == "repeat" and repeats and draws[0] < p.probability
+                    else (self._faulty(t, sent, data, since, stuck, draws))
+                )
             before = sent
         if kind == "delay":
             last = newest
@@ -268,16 +289,23 @@ class Fault(Block[FaultParams]):
         return kind == "silence" or (kind == "loss" and draws[0] < chance)
 
     def _faulty(
-        self, t: int, message: Message, sent: tuple[float, ...], since: int, stuck: tuple[float, ...],
+        self,
+        t: int,
+        message: Message,
+        sent: tuple[float, ...],
+        since: int,
+        stuck: tuple[float, ...],
         draws: Sequence[float],
-    ) -> Message:  # fmt: skip
+    ) -> Message:
         """What a message becomes that is not lost."""
         kind, p = self.p.kind, self.p
         if kind in ("loss", "repeat") or (kind in ("spike", "invalid") and draws[0] >= p.probability):
             return message
         profile = self._profile(t - self._window[0]) if p.points else 0.0
-        changed = [x if k is None else self._changed(k, x, t, since, held, draws, profile)
-                   for x, k, held in zip(sent, self._place, stuck, strict=True)]  # fmt: skip
+        changed = [
+            x if k is None else self._changed(k, x, t, since, held, draws, profile)
+            for x, k, held in zip(sent, self._place, stuck, strict=True)
+        ]
         if self._pressed:
             changed = [float(x > 0.5) for x in changed]
         return Sample(message.stamp, tuple(changed)) if isinstance(message, Sample) else tuple(changed)
@@ -306,7 +334,7 @@ class Fault(Block[FaultParams]):
 
     def _changed(
         self, k: int, x: float, t: int, since: int, stuck: float, draws: Sequence[float], profile: float
-    ) -> float:  # fmt: skip
+    ) -> float:
         kind = self.p.kind
         if kind in ("add", "replace"):
             return profile if kind == "replace" else x + profile

@@ -60,9 +60,11 @@ class TakagiSugeno:
     """
 
     def __init__(
-        self, peaks: tuple[Sequence[float], Sequence[float]], rules: Sequence[Sequence[float]],
+        self,
+        peaks: tuple[Sequence[float], Sequence[float]],
+        rules: Sequence[Sequence[float]],
         conjunction: And = "product",
-    ) -> None:  # fmt: skip
+    ) -> None:
         for row in peaks:
             if len(row) < 2 or any(b <= a for a, b in pairwise(row)):
                 raise ValueError(f"peaks {list(row)}: expected at least two increasing numbers")

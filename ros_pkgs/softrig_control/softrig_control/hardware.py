@@ -26,8 +26,11 @@ def hardware_tag(
         Fields of the joint states.
     """
     system = {"joint_states_topic": states, "joint_commands_topic": commands, "trigger_joint_command_threshold": "-1"}
-    lines = [f'  <ros2_control name="{name}" type="system">', "    <hardware>",
-             "      <plugin>topic_based_ros2_control/TopicBasedSystem</plugin>"]  # fmt: skip
+    lines = [
+        f'  <ros2_control name="{name}" type="system">',
+        "    <hardware>",
+        "      <plugin>topic_based_ros2_control/TopicBasedSystem</plugin>",
+    ]
     lines += [f'      <param name="{key}">{value}</param>' for key, value in system.items()]
     lines.append("    </hardware>")
     for joint in joints:

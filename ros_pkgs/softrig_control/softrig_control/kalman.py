@@ -58,9 +58,13 @@ class SteadyKalman:
     """
 
     def __init__(
-        self, a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], c: Sequence[Sequence[float]],
-        q: Sequence[float], r: Sequence[float],
-    ) -> None:  # fmt: skip
+        self,
+        a: Sequence[Sequence[float]],
+        b: Sequence[Sequence[float]],
+        c: Sequence[Sequence[float]],
+        q: Sequence[float],
+        r: Sequence[float],
+    ) -> None:
         n = range(len(a))
         gain = steady_kalman_gain(a, c, q, r)
         kc = matmul(gain, c)

@@ -35,8 +35,10 @@ def linear(weights: Sequence[float], observations: int, actions: int) -> Act:
     """
     wide = observations + 1
     if len(weights) != actions * wide:
-        raise ValueError(f"a linear policy of {observations} observations and {actions} actions has {actions * wide} "
-                         f"weights, row by row with the constant last; got {len(weights)}")  # fmt: skip
+        raise ValueError(
+            f"a linear policy of {observations} observations and {actions} actions has {actions * wide} "
+            f"weights, row by row with the constant last; got {len(weights)}"
+        )
     rows = [weights[k * wide : (k + 1) * wide] for k in range(actions)]
 
     def act(observed: Sequence[float]) -> list[float]:
@@ -64,8 +66,10 @@ def find(name: str) -> Callable[[Sequence[float], int, int], Act]:
     points = importlib.metadata.entry_points(group=GROUP)
     if name not in points.names:
         known = ", ".join(["linear", *sorted(points.names)])
-        raise ParameterError(f"policy = {name!r}: expected one of {known}; a package registers its own, "
-                             f"module:callable, in the group {GROUP}")  # fmt: skip
+        raise ParameterError(
+            f"policy = {name!r}: expected one of {known}; a package registers its own, "
+            f"module:callable, in the group {GROUP}"
+        )
     try:
         make: Any = points[name].load()
     except (ImportError, AttributeError) as error:

@@ -24,8 +24,14 @@ def split(signal: str) -> tuple[str, str, str]:
 
 
 def signal_port(
-    name: str, signal: str, unit: str, *, also: Sequence[str] = (), held: bool = False, safe: tuple[float, ...] = (),
-) -> Port:  # fmt: skip
+    name: str,
+    signal: str,
+    unit: str,
+    *,
+    also: Sequence[str] = (),
+    held: bool = False,
+    safe: tuple[float, ...] = (),
+) -> Port:
     """Make a port of one channel of a JointState; it comes first.
 
     Parameters

@@ -80,9 +80,17 @@ class LinkParams(BlockParams):
         vector = self.message in (types.VECTOR.name, types.WRENCH.name)
         names = self.channels if self.type.named else XYZ if vector else ()
         return Port(
-            name, topic, self.message, names, self._fields, self.units or ("",) * len(self._labels), self.frame_id,
-            dims=tuple(zip(self.dims, self.sizes, strict=True)), limits=self.limits, **options,
-        )  # fmt: skip
+            name,
+            topic,
+            self.message,
+            names,
+            self._fields,
+            self.units or ("",) * len(self._labels),
+            self.frame_id,
+            dims=tuple(zip(self.dims, self.sizes, strict=True)),
+            limits=self.limits,
+            **options,
+        )
 
 
 class State(NamedTuple):

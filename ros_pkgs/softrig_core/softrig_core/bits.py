@@ -16,10 +16,19 @@ PINS = {CORE: "Haswell", SIMD: "X86_V4 AVX512_ICL AVX512_SPR"}
 ARGUMENTS = 1000  # of each function in the digest
 # what decides numbers calls these: of `math`, each with its interval; of `cmath`; of two arguments
 FUNCTIONS = {
-    "sin": (-40.0, 40.0), "cos": (-40.0, 40.0), "tan": (-10.0, 10.0), "asin": (-1.0, 1.0), "acos": (-1.0, 1.0),
-    "tanh": (-3.0, 3.0), "exp": (-30.0, 30.0), "expm1": (-2.0, 2.0),
-    "log": (0.0, 3.0), "log2": (0.0, 3.0), "log10": (0.0, 3.0), "log1p": (-0.9, 2.0),
-}  # fmt: skip
+    "sin": (-40.0, 40.0),
+    "cos": (-40.0, 40.0),
+    "tan": (-10.0, 10.0),
+    "asin": (-1.0, 1.0),
+    "acos": (-1.0, 1.0),
+    "tanh": (-3.0, 3.0),
+    "exp": (-30.0, 30.0),
+    "expm1": (-2.0, 2.0),
+    "log": (0.0, 3.0),
+    "log2": (0.0, 3.0),
+    "log10": (0.0, 3.0),
+    "log1p": (-0.9, 2.0),
+}
 COMPLEX = ("exp", "sqrt", "sinh", "cosh", "atanh")
 OF_TWO = ("pow", "atan2", "hypot")
 

@@ -86,8 +86,10 @@ def _full() -> int:
 
 
 def _wrong(error: Exception) -> int:
-    say(f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in "
-        f"{vars(error).get('log') or keep_traceback()}")  # fmt: skip
+    say(
+        f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in "
+        f"{vars(error).get('log') or keep_traceback()}"
+    )
     return 4
 
 

@@ -37,10 +37,17 @@ class DifferentialEvolution(Population):
     SMALLEST = 4
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *,
-        variant: Literal["rand1", "best1"] = "rand1", f_min: float = 0.2, f_max: float = 0.8, cr: float = 0.3,
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: Seed = 0,
+        *,
+        variant: Literal["rand1", "best1"] = "rand1",
+        f_min: float = 0.2,
+        f_max: float = 0.8,
+        cr: float = 0.3,
         **options: Unpack[PopulationOptions],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.variant, self.f_min, self.f_max, self.cr = variant, f_min, f_max, cr
         super().__init__(lower, upper, seed, **options)
 

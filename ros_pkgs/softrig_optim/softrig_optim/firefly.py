@@ -37,9 +37,17 @@ class Firefly(Population):
     N_ITER = 6
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, all_pairs: bool = False,
-        beta0: float = 2.0, alpha: float = 0.6, gamma: float = 1.0, **options: Unpack[PopulationOptions],
-    ) -> None:  # fmt: skip
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: Seed = 0,
+        *,
+        all_pairs: bool = False,
+        beta0: float = 2.0,
+        alpha: float = 0.6,
+        gamma: float = 1.0,
+        **options: Unpack[PopulationOptions],
+    ) -> None:
         self.all_pairs, self.beta0, self.alpha, self.gamma = all_pairs, beta0, alpha, gamma
         super().__init__(lower, upper, seed, **options)
 

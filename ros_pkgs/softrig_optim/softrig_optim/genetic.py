@@ -34,9 +34,17 @@ class Genetic(Population):
     N_POP = 20
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, blend: float = 0.5,
-        mutation: float = 0.1, step: float = 0.1, elite: int = 1, **options: Unpack[PopulationOptions],
-    ) -> None:  # fmt: skip
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: Seed = 0,
+        *,
+        blend: float = 0.5,
+        mutation: float = 0.1,
+        step: float = 0.1,
+        elite: int = 1,
+        **options: Unpack[PopulationOptions],
+    ) -> None:
         n_pop = options.get("n_pop", self.N_POP)
         if not 1 <= elite < n_pop:
             raise ValueError(f"elite is {elite}, expected at least 1 and less than n_pop = {n_pop}")

@@ -43,9 +43,15 @@ class LoadLineSearch(Search):
     """
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: int = 0, *, matching: Matching, corrections: int,
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: int = 0,
+        *,
+        matching: Matching,
+        corrections: int,
         **options: Unpack[Options],
-    ) -> None:  # fmt: skip
+    ) -> None:
         if len(lower) != 1:
             raise ValueError(f"a search along the load line has one command, got bounds of {len(lower)}")
         self.matching, self.corrections = matching, corrections
@@ -118,9 +124,18 @@ class CertifiedSearch(LoadLineSearch):
     """
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: int = 0, *, matching: Matching, eps: float = 0.01,
-        n_iter: int = 60, transients: bool = False, corrections: int = 3, **options: Unpack[Options],
-    ) -> None:  # fmt: skip
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: int = 0,
+        *,
+        matching: Matching,
+        eps: float = 0.01,
+        n_iter: int = 60,
+        transients: bool = False,
+        corrections: int = 3,
+        **options: Unpack[Options],
+    ) -> None:
         self.eps, self.n_iter, self.watches = eps, n_iter, transients
         self._points: list[tuple[float, float]] = []
         self._spanned = False  # both ends of the commands were measured
@@ -189,9 +204,16 @@ class RampScan(LoadLineSearch):
     """
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: int = 0, *, matching: Matching, n_ramp: int = 120,
-        corrections: int = 4, **options: Unpack[Options],
-    ) -> None:  # fmt: skip
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: int = 0,
+        *,
+        matching: Matching,
+        n_ramp: int = 120,
+        corrections: int = 4,
+        **options: Unpack[Options],
+    ) -> None:
         if n_ramp < 2:
             raise ValueError(f"n_ramp is {n_ramp}, expected at least 2")
         self.n_ramp = n_ramp

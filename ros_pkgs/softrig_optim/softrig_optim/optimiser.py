@@ -331,9 +331,14 @@ class CommandSearch(Block[P], ABC):
     def _keep(self, x: State) -> State:
         """Hold what was found."""
         return x._replace(
-            phase=Phase.HOLD, target=x.search.now.result, since=None, next_sample=self._hold, seen=math.inf,
-            deviations=0, lost=False,
-        )  # fmt: skip
+            phase=Phase.HOLD,
+            target=x.search.now.result,
+            since=None,
+            next_sample=self._hold,
+            seen=math.inf,
+            deviations=0,
+            lost=False,
+        )
 
     def _breaks_off(self, x: State, t: int, sample: Point) -> tuple[State, bool]:
         """See in a measurement that the plant changed since the search began; tell whether another one has begun."""
@@ -423,10 +428,17 @@ class CommandSearch(Block[P], ABC):
         """Prepare the state output."""
         search = x.search.now
         best, at = (0.0, x.target) if search.best is None else (search.expected, search.result)
-        return x._replace(state=(
-            float(x.phase), float(search.iteration), float(search.evaluations), float(max(x.restarts, 0)), best,
-            (not x.void and search.bound) or 0.0, *at,
-        ))  # fmt: skip
+        return x._replace(
+            state=(
+                float(x.phase),
+                float(search.iteration),
+                float(search.evaluations),
+                float(max(x.restarts, 0)),
+                best,
+                (not x.void and search.bound) or 0.0,
+                *at,
+            )
+        )
 
 
 def _mean(x: State) -> float:

@@ -28,9 +28,15 @@ class PerturbObserve(Search):
     remembers = False
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, step: float = 0.005,
-        initial: float | None = None, **options: Unpack[Options],
-    ) -> None:  # fmt: skip
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: Seed = 0,
+        *,
+        step: float = 0.005,
+        initial: float | None = None,
+        **options: Unpack[Options],
+    ) -> None:
         if len(lower) != 1:
             raise ValueError(f"perturb and observe has one variable, got bounds of {len(lower)}")
         self.step = step

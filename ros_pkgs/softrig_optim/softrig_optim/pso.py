@@ -33,9 +33,16 @@ class ParticleSwarm(Population):
     """
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, w: float = 0.4, c1: float = 1.2,
-        c2: float = 1.6, **options: Unpack[PopulationOptions],
-    ) -> None:  # fmt: skip
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: Seed = 0,
+        *,
+        w: float = 0.4,
+        c1: float = 1.2,
+        c2: float = 1.6,
+        **options: Unpack[PopulationOptions],
+    ) -> None:
         self.w, self.c1, self.c2 = w, c1, c2
         super().__init__(lower, upper, seed, **options)
 

@@ -41,9 +41,14 @@ class SalpSwarm(Population):
     AMPLITUDE, DECAY = 3.2, 3.5
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, c3_threshold: float = 0.5,
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: Seed = 0,
+        *,
+        c3_threshold: float = 0.5,
         **options: Unpack[PopulationOptions],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.c3_threshold = c3_threshold
         super().__init__(lower, upper, seed, **options)
 

@@ -34,9 +34,15 @@ class Scan(Search):
     """
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, n_grid: int = 20,
-        tolerance: float = 1e-3, **options: Unpack[Options],
-    ) -> None:  # fmt: skip
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: Seed = 0,
+        *,
+        n_grid: int = 20,
+        tolerance: float = 1e-3,
+        **options: Unpack[Options],
+    ) -> None:
         if len(lower) != 1:
             raise ValueError(f"a scan has one variable, got bounds of {len(lower)}")
         if n_grid < 3:

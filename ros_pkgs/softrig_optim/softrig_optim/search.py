@@ -234,9 +234,15 @@ class Population(Search):
     N_POP, N_ITER = 4, 10
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, n_pop: int | None = None,
-        n_iter: int | None = None, **options: Unpack[Options],
-    ) -> None:  # fmt: skip
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: Seed = 0,
+        *,
+        n_pop: int | None = None,
+        n_iter: int | None = None,
+        **options: Unpack[Options],
+    ) -> None:
         n_pop = self.N_POP if n_pop is None else n_pop
         n_iter = self.N_ITER if n_iter is None else n_iter
         if n_pop < self.SMALLEST:
@@ -285,9 +291,11 @@ class Told:
     __slots__ = ("_line", "_n")
 
     def __init__(
-        self, make: Callable[[np.random.Generator], Search], rng: np.random.Generator,
+        self,
+        make: Callable[[np.random.Generator], Search],
+        rng: np.random.Generator,
         said: Sequence[tuple[str, tuple[Any, ...]]] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._line = _Line(make, rng, said)
         self._n = len(said)
 

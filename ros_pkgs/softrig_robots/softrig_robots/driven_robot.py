@@ -242,8 +242,10 @@ class DrivenRobot(Plant[P]):
         limit = self.p.speed_limit
         # written so that NaN fails it, wherever it is in the state
         if not (max(speeds) <= limit and min(speeds) >= -limit and all(math.isfinite(v) for v in flat)):
-            raise RunError(f"joint speeds {[float(f'{v:.6g}') for v in speeds]} rad/s, limit {limit:g}: integration "
-                           f"stopped at t = {to_s(t):.9g} s, last positions {list(x.q)} rad")  # fmt: skip
+            raise RunError(
+                f"joint speeds {[float(f'{v:.6g}') for v in speeds]} rad/s, limit {limit:g}: integration "
+                f"stopped at t = {to_s(t):.9g} s, last positions {list(x.q)} rad"
+            )
         return flat[:n], speeds, flat[2 * n :]
 
     def gear_torques(self, x: Any, t: int, force: Vector, plant: Vector) -> Vector:

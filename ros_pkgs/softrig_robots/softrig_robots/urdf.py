@@ -70,12 +70,20 @@ def check_inertia(mass_name: str, mass: float, inertia_name: str, inertia: Seque
     if not low > 0.0:
         raise ValueError(f"{inertia_name} = {list(inertia)} kg m^2: expected a positive definite inertia")
     if high > (low + middle) * (1.0 + 1e-9):
-        raise ValueError(f"{inertia_name} = {list(inertia)} kg m^2: no body has one moment larger than the sum of "
-                         "the other two (triangle inequality)")  # fmt: skip
+        raise ValueError(
+            f"{inertia_name} = {list(inertia)} kg m^2: no body has one moment larger than the sum of "
+            "the other two (triangle inequality)"
+        )
 
 
-def robot_urdf(name: str, links: Sequence[Link], tip: str, origin: Vector, rotation: Vector = (0.0, 0.0, 0.0),
-               hardware: Sequence[str] = ()) -> str:  # fmt: skip
+def robot_urdf(
+    name: str,
+    links: Sequence[Link],
+    tip: str,
+    origin: Vector,
+    rotation: Vector = (0.0, 0.0, 0.0),
+    hardware: Sequence[str] = (),
+) -> str:
     """Write a serial robot as URDF.
 
     Parameters

@@ -20,15 +20,26 @@ def linear_loop(times: list[float], torques: list[float], bound: float = 0.0) ->
     gains = {"period": 0.01, "kp": 1.0, "ki": 10.0, "kd": 0.0}
     nodes = {
         "plant": {"package": "softrig_drives", "executable": "dc_motor_plant", "parameters": plant},
-        "reference": {"package": "softrig_control", "executable": "reference_source",
-                      "parameters": {"period": 0.1, "velocities": [0.0]}, "remap": {"reference": "motor/reference"}},
+        "reference": {
+            "package": "softrig_control",
+            "executable": "reference_source",
+            "parameters": {"period": 0.1, "velocities": [0.0]},
+            "remap": {"reference": "motor/reference"},
+        },
         "pid": {"package": "softrig_drives", "executable": "dc_motor_pid", "parameters": gains},
-    }  # fmt: skip
-    return Scenario.model_validate({
-        "name": "linear_loop", "title": "", "system": "dc_motor", "source": "", "duration": 0.1 * PIECES,
-        "nodes": nodes, "shared": {"speed": "motor/state/shaft/velocity"},
-        "requirements": {"deviation": f"always abs(speed) <= {bound!r}"},
-    })  # fmt: skip
+    }
+    return Scenario.model_validate(
+        {
+            "name": "linear_loop",
+            "title": "",
+            "system": "dc_motor",
+            "source": "",
+            "duration": 0.1 * PIECES,
+            "nodes": nodes,
+            "shared": {"speed": "motor/state/shaft/velocity"},
+            "requirements": {"deviation": f"always abs(speed) <= {bound!r}"},
+        }
+    )
 
 
 def worst_linear_loop() -> Problem:
@@ -36,8 +47,9 @@ def worst_linear_loop() -> Problem:
     times = [0.1 * k for k in range(PIECES)]
     response = simulate(linear_loop([0.0, 0.1], [LOAD, 0.0])).signals["motor/state/shaft/velocity"].x
     bound = max(float(np.abs(response[k::10]).sum()) for k in range(10))  # of loads that change each 0.1 s
-    space = space_of(linear_loop(times, [0.0] * PIECES, SHARE * bound),
-                     [parse("plant.load_torques", f"{-LOAD}..{LOAD}*{PIECES}")])  # fmt: skip
+    space = space_of(
+        linear_loop(times, [0.0] * PIECES, SHARE * bound), [parse("plant.load_torques", f"{-LOAD}..{LOAD}*{PIECES}")]
+    )
 
     def margin(point: Point) -> float:
         row = run(trial(space.scenario, space.overrides(point), ("deviation",)))

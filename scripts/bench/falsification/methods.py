@@ -75,8 +75,12 @@ def annealing(problem: Problem, margin: Margin, budget: int, seed: int) -> None:
 
 
 METHODS: dict[str, Callable[[Problem, Margin, int, int], None]] = {
-    "softrig": ours, "random": random, "corners": corners, "CMA-ES": cmaes, "annealing": annealing,
-}  # fmt: skip
+    "softrig": ours,
+    "random": random,
+    "corners": corners,
+    "CMA-ES": cmaes,
+    "annealing": annealing,
+}
 
 
 def runs_to_violation(problem: Problem, method: str, budget: int, seed: int) -> float:

@@ -28,8 +28,10 @@ MONO = "font-family:ui-monospace,'DejaVu Sans Mono',Menlo,Consolas,monospace"
 WIDTH, HEIGHT, FILM, LEFT, RIGHT = 960.0, 560.0, 470.0, 536.0, 940.0
 DEGREES = 180.0 / np.pi
 # signal, factor, role, label: what one picture shows, its unit, where it stands, its axis
-HIP = [("reference/hip/position", DEGREES, "reference", "reference"),
-       ("joint_states/hip/position", DEGREES, "accent", "hip of the robot")]  # fmt: skip
+HIP = [
+    ("reference/hip/position", DEGREES, "reference", "reference"),
+    ("joint_states/hip/position", DEGREES, "accent", "hip of the robot"),
+]
 FORCE = [("patient_force/force/x", 1.0, "second", "force of the patient")]
 PLOTS = ((HIP, "deg", 34.0, 206.0, (-50.0, 150.0, 50.0)), (FORCE, "N", 246.0, 300.0, (0.0, 20.0, 10.0)))
 
@@ -44,11 +46,13 @@ def draw(folder: Path) -> None:
     rows = [line for line in ran if line.endswith(("pass", "unit"))][:4]
     assert "number for number" in again[-1], again
     lines = [
-        ("$", f"scripts/softrig run {SCENARIO} --mode container"), *(("", row) for row in rows),
-        ("$", f"scripts/softrig pack runs/{SCENARIO}"), ("", packed[0]),
+        ("$", f"scripts/softrig run {SCENARIO} --mode container"),
+        *(("", row) for row in rows),
+        ("$", f"scripts/softrig pack runs/{SCENARIO}"),
+        ("", packed[0]),
         ("$", f"scripts/softrig run --like {SCENARIO}.softrig.zip --mode container        # on another machine"),
         ("!", again[-1]),
-    ]  # fmt: skip
+    ]
     drawing = drawing_for(rig_of(SCENARIO))
     assert drawing is not None
     text = animated(film(drawing, found, START, END, SPEED)).replace(' xmlns="http://www.w3.org/2000/svg"', "")
@@ -74,12 +78,23 @@ def _typed(*words: str) -> list[str]:
 
 
 def _grow() -> Element:
-    return e("animate", attributeName="width", values=f"0;{number(RIGHT - LEFT)}", dur=f"{SECONDS:g}s",
-             repeatCount="indefinite")  # fmt: skip
+    return e(
+        "animate",
+        attributeName="width",
+        values=f"0;{number(RIGHT - LEFT)}",
+        dur=f"{SECONDS:g}s",
+        repeatCount="indefinite",
+    )
 
 
-def _plot(found: Mapping[str, Signal], curves: list[tuple[str, float, str, str]], label: str, top: float, bottom: float,
-          axis: tuple[float, float, float]) -> list[Element]:  # fmt: skip
+def _plot(
+    found: Mapping[str, Signal],
+    curves: list[tuple[str, float, str, str]],
+    label: str,
+    top: float,
+    bottom: float,
+    axis: tuple[float, float, float],
+) -> list[Element]:
     low, high, step = axis
 
     def place(t: float, value: float) -> tuple[float, float]:
@@ -91,12 +106,28 @@ def _plot(found: Mapping[str, Signal], curves: list[tuple[str, float, str, str]]
     for value in np.arange(low, high + 0.5 * step, step):
         _, y = place(START, value)
         made.append(e("polyline", points=points(((LEFT, y), (RIGHT, y))), class_="s-faint"))
-        made.append(e("text", f"{value:g}".replace("-", "−"), x=number(LEFT - 8), y=number(y + 4), class_="f-muted",
-                      **{"font-size": "12", "text-anchor": "end"}))  # fmt: skip
+        made.append(
+            e(
+                "text",
+                f"{value:g}".replace("-", "−"),
+                x=number(LEFT - 8),
+                y=number(y + 4),
+                class_="f-muted",
+                **{"font-size": "12", "text-anchor": "end"},
+            )
+        )
     for ahead in range(0, round(END - START) + 1, 2) if bottom == PLOTS[-1][3] else ():
         x, _ = place(START + ahead, low)
-        made.append(e("text", f"{START + ahead:g}{' s' * (START + ahead == END)}", x=number(x), y=number(bottom + 16),
-                      class_="f-muted", **{"font-size": "12", "text-anchor": "middle"}))  # fmt: skip
+        made.append(
+            e(
+                "text",
+                f"{START + ahead:g}{' s' * (START + ahead == END)}",
+                x=number(x),
+                y=number(bottom + 16),
+                class_="f-muted",
+                **{"font-size": "12", "text-anchor": "middle"},
+            )
+        )
     beside = RIGHT
     for name, factor, role, text in reversed(curves):
         times, values = found[name]
@@ -105,28 +136,58 @@ def _plot(found: Mapping[str, Signal], curves: list[tuple[str, float, str, str]]
         track = tuple(place(a, b) for a, b in zip(wanted.tolist(), shown.tolist(), strict=True))
         dashed = " d" if role == "reference" else ""
         faint = e("polyline", points=points(track), fill="none", class_=f"s-{role}{dashed}", opacity="0.25")
-        line = e("polyline", points=points(track), fill="none", class_=f"s-{role}{dashed}",
-                 **{"stroke-width": "2", "clip-path": "url(#past)"})  # fmt: skip
+        line = e(
+            "polyline",
+            points=points(track),
+            fill="none",
+            class_=f"s-{role}{dashed}",
+            **{"stroke-width": "2", "clip-path": "url(#past)"},
+        )
         made += [faint, line]
         if not dashed:
             made.append(_dot(track, role))
-        made.append(e("text", text, x=number(beside), y=number(top - 9), class_=f"f-{role}",
-                      **{"font-size": "13", "text-anchor": "end"}))  # fmt: skip
+        made.append(
+            e(
+                "text",
+                text,
+                x=number(beside),
+                y=number(top - 9),
+                class_=f"f-{role}",
+                **{"font-size": "13", "text-anchor": "end"},
+            )
+        )
         beside -= 8.0 * len(text) + 14.0
     return made
 
 
 def _dot(track: tuple[tuple[float, float], ...], role: str) -> Element:
     every = track[:: max(1, round((len(track) - 1) / (SECONDS * FRAMES)))]
-    moves = [e("animate", attributeName=name, values=";".join(number(at[k]) for at in every), dur=f"{SECONDS:g}s",
-               repeatCount="indefinite") for k, name in enumerate(("cx", "cy"))]  # fmt: skip
+    moves = [
+        e(
+            "animate",
+            attributeName=name,
+            values=";".join(number(at[k]) for at in every),
+            dur=f"{SECONDS:g}s",
+            repeatCount="indefinite",
+        )
+        for k, name in enumerate(("cx", "cy"))
+    ]
     return e("circle", *moves, cx=number(track[-1][0]), cy=number(track[-1][1]), r="4.5", class_=f"f-{role}")
 
 
 def _terminal(lines: list[tuple[str, str]], top: float) -> list[Element]:
     """What was typed and printed; a prompt before the one, the answer in its own colour."""
-    made = [e("rect", x="20", y=number(top), width=number(WIDTH - 40), height=number(HEIGHT - top - 16), rx="6",
-              class_="f-faint")]  # fmt: skip
+    made = [
+        e(
+            "rect",
+            x="20",
+            y=number(top),
+            width=number(WIDTH - 40),
+            height=number(HEIGHT - top - 16),
+            rx="6",
+            class_="f-faint",
+        )
+    ]
     for k, (mark, text) in enumerate(lines):
         y = top + 26.0 + 19.5 * k
         role = {"$": "line", "!": "third"}.get(mark, "muted")

@@ -44,8 +44,10 @@ def one_line(axes: Axes, references: References) -> None:
     upper, lower = 6.5, 2.5
     for x, name, low, high in ((2.6, "A", lower, upper), (17.4, "B", lower, upper)):
         _bus(axes, x, low - 0.7, high + 0.7, name, flow)
-    for y, (left, right), n, current, v in ((upper, ("1", "2"), 1, flow.i12, flow.v12),
-                                            (lower, ("3", "4"), 2, flow.i34, flow.v34)):  # fmt: skip
+    for y, (left, right), n, current, v in (
+        (upper, ("1", "2"), 1, flow.i12, flow.v12),
+        (lower, ("3", "4"), 2, flow.i34, flow.v34),
+    ):
         _bus(axes, 8.3, y - 0.6, y + 0.6, left, flow)
         _bus(axes, 11.7, y - 0.6, y + 0.6, right, flow)
         for a, b in ((2.6, 8.3), (11.7, 17.4)):
@@ -92,15 +94,26 @@ def _box(axes: Axes, x: float, y: float, name: str, value: str) -> None:
 
     axes.add_patch(Rectangle((x - 0.6, y - 0.42), 1.2, 0.84, fc="white", ec=RED, lw=1.5, zorder=3))
     axes.text(x, y, name, ha="center", va="center", fontsize=7, zorder=4)
-    axes.text(x, y - 0.5, value, ha="center", va="top", fontsize=7, color=RED, zorder=4,
-              bbox={"fc": "white", "ec": "none", "pad": 0.5})  # fmt: skip
+    axes.text(
+        x,
+        y - 0.5,
+        value,
+        ha="center",
+        va="top",
+        fontsize=7,
+        color=RED,
+        zorder=4,
+        bbox={"fc": "white", "ec": "none", "pad": 0.5},
+    )
 
 
 def response(figure: Figure, run: Run) -> None:
     """Draw flows with their references, voltages, series voltages and power balance over the run."""
     axes = figure.subplots(2, 2, sharex=True)
-    parts = {name: run.signals[f"gupfc/status/{name}/position"] for name in
-             ("p1", "p2", "q1", "q2", "v1", "v_dc", "p_sh", "p12", "p34")}  # fmt: skip
+    parts = {
+        name: run.signals[f"gupfc/status/{name}/position"]
+        for name in ("p1", "p2", "q1", "q2", "v1", "v_dc", "p_sh", "p12", "p34")
+    }
     for ax, quantity, title in ((axes[0, 0], "p", "Active power, pu"), (axes[0, 1], "q", "Reactive power, pu")):
         for n, colour in ((1, BLUE), (2, RED)):
             ax.plot(*parts[f"{quantity}{n}"], color=colour, lw=1.2, label=f"circuit {n}")
@@ -153,8 +166,15 @@ def waveforms(figure: Figure, run: Run) -> None:
     axes[1, 1].legend(frameon=False)
 
 
-STYLE: dict[Any, Any] = {"font.size": 9.0, "axes.spines.top": False, "axes.spines.right": False, "axes.xmargin": 0.0,
-         "axes.grid": True, "grid.color": "#dddddd", "axes.axisbelow": True}  # fmt: skip
+STYLE: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.xmargin": 0.0,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "axes.axisbelow": True,
+}
 
 
 def draw(folder: Path) -> None:
@@ -163,8 +183,11 @@ def draw(folder: Path) -> None:
         figure = Figure(figsize=(10.0, 4.3), layout="constrained")
         one_line(figure.subplots(), References())
         figure.savefig(folder / "gupfc_one_line.png", dpi=100)
-        for name, picture, scenario in (("response", response, "gupfc"), ("faster", response, "gupfc_stretch"),
-                                        ("waveforms", waveforms, "gupfc_s2")):  # fmt: skip
+        for name, picture, scenario in (
+            ("response", response, "gupfc"),
+            ("faster", response, "gupfc_stretch"),
+            ("waveforms", waveforms, "gupfc_s2"),
+        ):
             figure = Figure(figsize=(10.0, 6.5), layout="constrained")
             picture(figure, simulate(scenario))
             figure.savefig(folder / f"gupfc_{name}.png", dpi=90)

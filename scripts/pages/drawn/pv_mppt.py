@@ -10,10 +10,13 @@ from softrig_core import simulate
 POWER = "converter/state/p_in/position"
 # Table III, first pattern: power (W) and tracking time (s) of the published run
 PUBLISHED = {
-    "ISSA": ("pv_mppt", 115.59, 1.22), "SSA": ("pv_mppt_ssa", 115.58, 1.35), "PSO": ("pv_mppt_pso", 115.56, 1.53),
-    "DE": ("pv_mppt_de", 115.45, 1.76), "FA": ("pv_mppt_fa", 115.52, 2.92),
+    "ISSA": ("pv_mppt", 115.59, 1.22),
+    "SSA": ("pv_mppt_ssa", 115.58, 1.35),
+    "PSO": ("pv_mppt_pso", 115.56, 1.53),
+    "DE": ("pv_mppt_de", 115.45, 1.76),
+    "FA": ("pv_mppt_fa", 115.52, 2.92),
     "P&O": ("pv_mppt_perturb_observe", 108.5, 0.76),
-}  # fmt: skip
+}
 
 
 def draw(folder: Path) -> None:

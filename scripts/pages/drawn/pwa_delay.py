@@ -58,8 +58,13 @@ def margins(rows: Sequence[Margins], path: Path) -> None:
     """Draw the margins of each system on one axis, as shares of the simulated one."""
     figure, (axis,) = _figure(1, 2.6)
     styles = {"published": "s", "published_true": "D", "theorem1": "o", "constant": "^", "simulated": "|"}
-    labels = {"published": "published, theorem", "published_true": "published, simulation", "theorem1": "Theorem 1",
-              "constant": "constant delay", "simulated": "simulation"}  # fmt: skip
+    labels = {
+        "published": "published, theorem",
+        "published_true": "published, simulation",
+        "theorem1": "Theorem 1",
+        "constant": "constant delay",
+        "simulated": "simulation",
+    }
     for kind, marker in styles.items():
         points = [(getattr(row, kind) / row.simulated, k) for k, row in enumerate(rows) if getattr(row, kind)]
         axis.plot(*zip(*points, strict=True), marker, ms=12 if marker == "|" else 6, label=labels[kind])

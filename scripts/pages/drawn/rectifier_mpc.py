@@ -18,15 +18,31 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-STEPS = {"rectifier_mpc_n1": "x 1.25", "rectifier_mpc_n1_x1p5": "x 1.5", "rectifier_mpc": "x 2",
-         "rectifier_mpc_n1_x2p5": "x 2.5"}  # fmt: skip
-DECOUPLED = {"rectifier_mpc_decoupled_x1p25": "x 1.25", "rectifier_mpc_decoupled_x1p5": "x 1.5",
-             "rectifier_mpc_decoupled": "x 2", "rectifier_mpc_decoupled_x2p5": "x 2.5"}  # fmt: skip
+STEPS = {
+    "rectifier_mpc_n1": "x 1.25",
+    "rectifier_mpc_n1_x1p5": "x 1.5",
+    "rectifier_mpc": "x 2",
+    "rectifier_mpc_n1_x2p5": "x 2.5",
+}
+DECOUPLED = {
+    "rectifier_mpc_decoupled_x1p25": "x 1.25",
+    "rectifier_mpc_decoupled_x1p5": "x 1.5",
+    "rectifier_mpc_decoupled": "x 2",
+    "rectifier_mpc_decoupled_x2p5": "x 2.5",
+}
 HORIZONS = {f"rectifier_mpc_l3{'' if n == 11 else f'_np{n}'}": f"Np = {n}" for n in (3, 5, 8, 11, 15, 20, 30)}
-PERIODS = {"rectifier_mpc_l2_0p1ms": "0.1 ms", "rectifier_mpc_l2_0p2ms": "0.2 ms", "rectifier_mpc_l2": "0.83 ms",
-           "rectifier_mpc_l2_2ms": "2 ms (lambda 1)"}  # fmt: skip
-MODELS = {"rectifier_mpc_seed19_lam1": "(19), lambda 1", "rectifier_mpc_seed19_lam500": "(19), lambda 500",
-          "rectifier_mpc_seed19": "(19), lambda 5000", "rectifier_mpc_n1": "corrected model, lambda 500"}  # fmt: skip
+PERIODS = {
+    "rectifier_mpc_l2_0p1ms": "0.1 ms",
+    "rectifier_mpc_l2_0p2ms": "0.2 ms",
+    "rectifier_mpc_l2": "0.83 ms",
+    "rectifier_mpc_l2_2ms": "2 ms (lambda 1)",
+}
+MODELS = {
+    "rectifier_mpc_seed19_lam1": "(19), lambda 1",
+    "rectifier_mpc_seed19_lam500": "(19), lambda 500",
+    "rectifier_mpc_seed19": "(19), lambda 5000",
+    "rectifier_mpc_n1": "corrected model, lambda 500",
+}
 
 
 def waveform(scenario: str, substep: float = 2e-6) -> tuple[Array, dict[str, Array]]:
@@ -68,8 +84,9 @@ def family(axes: Axes, runs: Mapping[str, str], signal: str, band: float = 8.0, 
 
 def load_steps(figure: Any) -> None:
     """DC voltage after load steps: the paper's structure and the decoupled one."""
-    for axes, runs, title in zip(figure.subplots(1, 2, sharey=True), (STEPS, DECOUPLED), ("sensorless", "decoupled"),
-                                 strict=True):  # fmt: skip
+    for axes, runs, title in zip(
+        figure.subplots(1, 2, sharey=True), (STEPS, DECOUPLED), ("sensorless", "decoupled"), strict=True
+    ):
         family(axes, runs, "dc_link/voltage/position")
         axes.set(xlim=(0.14, 0.22), title=f"Load step, {title}")
 
@@ -83,17 +100,23 @@ def limit_cycle(figure: Any) -> None:
 
 def studies(figure: Any) -> None:
     """Horizon and sampling time on (19)."""
-    for axes, runs, title in zip(figure.subplots(1, 2), (HORIZONS, PERIODS),
-                                 ("Prediction horizon, lambda 18.6", "Sampling time, lambda 17.873"),
-                                 strict=True):  # fmt: skip
+    for axes, runs, title in zip(
+        figure.subplots(1, 2),
+        (HORIZONS, PERIODS),
+        ("Prediction horizon, lambda 18.6", "Sampling time, lambda 17.873"),
+        strict=True,
+    ):
         family(axes, runs, "output/v_dc/position", scale=1e3)
         axes.set(xlim=(0, 40), ylim=(-50, 700), title=title)
 
 
 def current(figure: Any) -> None:
     """Grid current against grid voltage of phase a, clean and with a fifth harmonic."""
-    names = {"rectifier_mpc_n4": "10 kHz carrier", "rectifier_mpc_n3_switched": "fifth harmonic of 36 V",
-             "rectifier_mpc_n3_instantaneous": "the same, fed forward"}  # fmt: skip
+    names = {
+        "rectifier_mpc_n4": "10 kHz carrier",
+        "rectifier_mpc_n3_switched": "fifth harmonic of 36 V",
+        "rectifier_mpc_n3_instantaneous": "the same, fed forward",
+    }
     for axes, (name, title) in zip(figure.subplots(3, 1, sharex=True), names.items(), strict=True):
         t, x = waveform(name)
         inside = (t > 0.35) & (t < 0.4)
@@ -110,15 +133,24 @@ def harmonics(figure: Any) -> None:
     upper, lower = figure.subplots(2, 1)
     order, amplitude = spectrum(*_phase_a("rectifier_mpc_n4"), 6, f)
     upper.semilogy(order / 1e3, np.maximum(amplitude, 1e-4), linewidth=0.8)
-    named = {f: f"{f:g} Hz", carrier - 2 * f: "fc - 2f", carrier + 2 * f: "fc + 2f",
-             2 * carrier - f: "2fc - f", 2 * carrier + f: "2fc + f", 3 * carrier - 2 * f: "3fc - 2f"}  # fmt: skip
+    named = {
+        f: f"{f:g} Hz",
+        carrier - 2 * f: "fc - 2f",
+        carrier + 2 * f: "fc + 2f",
+        2 * carrier - f: "2fc - f",
+        2 * carrier + f: "2fc + f",
+        3 * carrier - 2 * f: "3fc - 2f",
+    }
     for at, name in named.items():
         y = amplitude[np.argmin(np.abs(order - at))]
-        upper.annotate(name, (at / 1e3, y), textcoords="offset points", xytext=(-30 if "-" in name else 4, 4),
-                       fontsize="small")  # fmt: skip
+        upper.annotate(
+            name, (at / 1e3, y), textcoords="offset points", xytext=(-30 if "-" in name else 4, 4), fontsize="small"
+        )
     upper.set(xlim=(0, 45), ylim=(1e-3, 100), xlabel="kHz", ylabel="A peak", title="Grid current, 10 kHz carrier")
-    for name, label, shift in (("rectifier_mpc_n3_switched", "fundamental only", -0.2),
-                               ("rectifier_mpc_n3_instantaneous", "harmonic fed forward", 0.2)):  # fmt: skip
+    for name, label, shift in (
+        ("rectifier_mpc_n3_switched", "fundamental only", -0.2),
+        ("rectifier_mpc_n3_instantaneous", "harmonic fed forward", 0.2),
+    ):
         order, amplitude = spectrum(*_phase_a(name), 6, f)
         lower.bar(np.arange(2, 20) + shift, amplitude[12:120:6], 0.4, label=label)
     lower.set(xlabel="order", ylabel="A peak", title="Grid current under a fifth harmonic of 36 V", xticks=range(2, 20))
@@ -130,8 +162,13 @@ def _phase_a(scenario: str) -> tuple[Array, Array]:
     return t, x["i_a"]
 
 
-PICTURES = {"load_steps": load_steps, "limit_cycle": limit_cycle, "studies": studies, "current": current,
-            "spectrum": harmonics}  # fmt: skip
+PICTURES = {
+    "load_steps": load_steps,
+    "limit_cycle": limit_cycle,
+    "studies": studies,
+    "current": current,
+    "spectrum": harmonics,
+}
 
 
 def draw(folder: Path) -> None:

@@ -34,7 +34,11 @@ def pytest_runtest_logfinish(nodeid, location):
                 if line.isdigit():
                     ours.setdefault(place, set()).add(int(line))
             file.unlink()
-    test = {"test": nodeid, "seconds": round(seconds, 3), "outcome": lines.outcome,
-            "lines": {file: sorted(numbers) for file, numbers in ours.items()}}  # fmt: skip
+    test = {
+        "test": nodeid,
+        "seconds": round(seconds, 3),
+        "outcome": lines.outcome,
+        "lines": {file: sorted(numbers) for file, numbers in ours.items()},
+    }
     with open(os.environ["SOFTRIG_TRACED_TESTS"], "a") as out:
         out.write(json.dumps(test) + "\n")

@@ -163,12 +163,16 @@ def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
     bounded = [n for n, e in scenario.expect.items() if e.at_most is not None or e.at_least is not None]
     known = list(dict.fromkeys([*scenario.requirements, *bounded]))
     if not scenario.requirements and not wanted:
-        raise ScenarioError(f"{scenario.name} has no requirements; it needs an entry requirements: NAME: FORMULA, or "
-                            "--requirement FIGURE of which a bound is expected")  # fmt: skip
+        raise ScenarioError(
+            f"{scenario.name} has no requirements; it needs an entry requirements: NAME: FORMULA, or "
+            "--requirement FIGURE of which a bound is expected"
+        )
     for name in wanted:
         if name not in known:
-            raise ScenarioError(f"{scenario.name} has no requirement {name!r}{closest(name, known)}; it has "
-                                f"{', '.join(known) or 'none'}")  # fmt: skip
+            raise ScenarioError(
+                f"{scenario.name} has no requirement {name!r}{closest(name, known)}; it has "
+                f"{', '.join(known) or 'none'}"
+            )
     return tuple(wanted) or tuple(scenario.requirements)
 
 

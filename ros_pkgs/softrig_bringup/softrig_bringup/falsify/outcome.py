@@ -133,8 +133,11 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
         content |= {"faults": faults} if faults else {}
         if changed.plots != outcome.space.scenario.plots:  # without what faults that are gone have sent
             content["plots"] = [plot.model_dump(mode="json", exclude_defaults=True) for plot in changed.plots]
-        asked = {n: changed.requirements[n].model_dump(exclude_defaults=True) for n in outcome.names
-                 if n in changed.requirements}  # fmt: skip
+        asked = {
+            n: changed.requirements[n].model_dump(exclude_defaults=True)
+            for n in outcome.names
+            if n in changed.requirements
+        }
         bounds = {n: changed.expect[n].model_dump(exclude_defaults=True) for n in outcome.names if n not in asked}
         content |= ({"requirements": asked} if asked else {}) | ({"expect": bounds} if bounds else {})
     else:
@@ -147,13 +150,24 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
 def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
     """Give the outcome as data."""
     return {
-        "falsification": task.name, "scenario": task.scenario, "seed": task.seed, "sampler": task.sampler,
-        "over": task.over, "requirements": list(outcome.names), "runs": outcome.found.runs,
-        "least": outcome.found.least, "least_at_corners": outcome.found.corners, "violated": outcome.violated,
-        "nominal": outcome.nominal, "worst": outcome.worst, "small": outcome.small_margins,
-        "changes": outcome.case[1] if outcome.case else {}, "small_changes": outcome.small[1] if outcome.small else {},
-        "broken": [{"changes": c, "error": e} for c, e in outcome.broken], "trace": outcome.found.trace,
-    }  # fmt: skip
+        "falsification": task.name,
+        "scenario": task.scenario,
+        "seed": task.seed,
+        "sampler": task.sampler,
+        "over": task.over,
+        "requirements": list(outcome.names),
+        "runs": outcome.found.runs,
+        "least": outcome.found.least,
+        "least_at_corners": outcome.found.corners,
+        "violated": outcome.violated,
+        "nominal": outcome.nominal,
+        "worst": outcome.worst,
+        "small": outcome.small_margins,
+        "changes": outcome.case[1] if outcome.case else {},
+        "small_changes": outcome.small[1] if outcome.small else {},
+        "broken": [{"changes": c, "error": e} for c, e in outcome.broken],
+        "trace": outcome.found.trace,
+    }
 
 
 def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Path]) -> None:

@@ -41,8 +41,13 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
         named = (figure_of.arguments.get(k) for k in SIGNALS)
         signals = {name: name for name in named if isinstance(name, str)}
     units = signal_units(last.rig)
-    held = {f"{t}/{label}" for m in last.rig.members if not m.is_plant for p in m.outputs
-            for t, label in ((p.topic, x) for x in p.labels)}  # fmt: skip
+    held = {
+        f"{t}/{label}"
+        for m in last.rig.members
+        if not m.is_plant
+        for p in m.outputs
+        for t, label in ((p.topic, x) for x in p.labels)
+    }
     rows = {
         name: [Curve(label, units[signal], *run.signals[signal], signal in held) for label, run in runs.items()]
         for name, signal in signals.items()

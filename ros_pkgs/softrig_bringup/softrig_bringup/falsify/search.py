@@ -58,9 +58,14 @@ def needs(sampler: Sampler, size: int) -> str:
 
 
 def search(
-    groups: Sequence[int], measure: Measure, budget: int, *, seed: int = 0, sampler: Sampler = "cmaes",
+    groups: Sequence[int],
+    measure: Measure,
+    budget: int,
+    *,
+    seed: int = 0,
+    sampler: Sampler = "cmaes",
     enough: float = -math.inf,
-) -> Found:  # fmt: skip
+) -> Found:
     """Look for the least margin in the unit cube.
 
     Corners come first, then the sampler; what is left of the budget goes to climbs from corner
@@ -112,9 +117,13 @@ def search(
 
 
 def _sample(
-    sampler: Sampler, size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool],
+    sampler: Sampler,
+    size: int,
+    seed: int,
+    tell: Callable[[Sequence[Point]], list[float]],
+    over: Callable[[], bool],
     found: Found,
-) -> None:  # fmt: skip
+) -> None:
     """Ask for batches until it is over."""
     if sampler == "random":
         rng = np.random.default_rng(seed)
@@ -160,9 +169,12 @@ def _tpe(size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], o
 
 
 def _corners(
-    groups: Sequence[int], rng: np.random.Generator, tell: Callable[[Sequence[Point]], list[float]],
-    over: Callable[[], bool], budget: int,
-) -> None:  # fmt: skip
+    groups: Sequence[int],
+    rng: np.random.Generator,
+    tell: Callable[[Sequence[Point]], list[float]],
+    over: Callable[[], bool],
+    budget: int,
+) -> None:
     """All low, all high, each thing by itself, each coordinate where the budget is enough for all, then drawn ones."""
     size = sum(groups)
 

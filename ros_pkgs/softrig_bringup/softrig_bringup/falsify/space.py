@@ -163,8 +163,10 @@ def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
 def _parameter(params: Mapping[str, Mapping[str, Any]], key: str) -> Any:
     node, _, name = key.partition(".")
     if node not in params or not name:
-        raise ScenarioError(f"{key!r}{closest(node, params)}: expected node.parameter, with node one of "
-                            f"{', '.join(params)}, or a signal topic/channel/field")  # fmt: skip
+        raise ScenarioError(
+            f"{key!r}{closest(node, params)}: expected node.parameter, with node one of "
+            f"{', '.join(params)}, or a signal topic/channel/field"
+        )
     try:
         return pick(params[node], name)
     except KeyError:
@@ -180,5 +182,11 @@ def _profile(rig: Rig, over: Over) -> dict[str, Any]:
         raise ScenarioError(f"no signal {over.key!r}{closest(over.key, known)}; the rig has {', '.join(known)}")
     topic = topic_of(over.key, rig.topics)
     middle = (over.low + over.high) / 2.0
-    return {"link": topic, "kind": "add" if over.adds else "replace", "affects": [over.key[len(topic) + 1 :]],
-            "points": [middle] * over.count, "span": rig.scenario.duration, "linear": over.linear}  # fmt: skip
+    return {
+        "link": topic,
+        "kind": "add" if over.adds else "replace",
+        "affects": [over.key[len(topic) + 1 :]],
+        "points": [middle] * over.count,
+        "span": rig.scenario.duration,
+        "linear": over.linear,
+    }

@@ -44,9 +44,11 @@ def pixels(film: Film, form: str) -> tuple[bytes, str]:
         if len(made) <= LARGEST:
             said = f"reduced to {colours} colours and {len(images[::every])} frames"
             return made, said if (colours, every) != REDUCED[0] else ""
-    raise ScenarioError(f"a GIF of {len(made) / 1e6:.2f} MB with {colours} colours and {len(images[::every])} frames, "
-                        f"expected at most {LARGEST / 1e6:g} MB: take a shorter window (--from, --to), a greater "
-                        "--speed, or SVG")  # fmt: skip
+    raise ScenarioError(
+        f"a GIF of {len(made) / 1e6:.2f} MB with {colours} colours and {len(images[::every])} frames, "
+        f"expected at most {LARGEST / 1e6:g} MB: take a shorter window (--from, --to), a greater "
+        "--speed, or SVG"
+    )
 
 
 def _written(images: Sequence[Image.Image], form: str, every: int) -> bytes:

@@ -31,8 +31,11 @@ def _moving(series: Sequence[Shape], film: Film, clips: list[Element]) -> Elemen
     found = element(first)
     if isinstance(first, Circle):
         circles = [s for s in series if isinstance(s, Circle)]
-        numbers = {"cx": [c.centre[0] for c in circles], "cy": [c.centre[1] for c in circles],
-                   "r": [c.radius for c in circles]}  # fmt: skip
+        numbers = {
+            "cx": [c.centre[0] for c in circles],
+            "cy": [c.centre[1] for c in circles],
+            "r": [c.radius for c in circles],
+        }
         jump = _jumps([(c.centre,) for c in circles])
         for name, values in numbers.items():
             if len(set(values)) > 1:
@@ -72,8 +75,15 @@ def _animate(name: str, values: Sequence[str], film: Film, jump: bool) -> Elemen
 def _shift(shifts: Sequence[Point], film: Film, discrete: bool = False) -> Element:
     stepped = {"calcMode": "discrete"} if discrete or _jumps([(s,) for s in shifts]) else {}
     values = ";".join(f"{number(x)} {number(y)}".removesuffix(" 0") for x, y in shifts)
-    return e("animateTransform", attributeName="transform", type="translate", values=values, dur=_seconds(film),
-             repeatCount="indefinite", **stepped)  # fmt: skip
+    return e(
+        "animateTransform",
+        attributeName="transform",
+        type="translate",
+        values=values,
+        dur=_seconds(film),
+        repeatCount="indefinite",
+        **stepped,
+    )
 
 
 def _text(series: Sequence[Text], film: Film, clips: list[Element]) -> Element:
@@ -93,8 +103,13 @@ def _text(series: Sequence[Text], film: Film, clips: list[Element]) -> Element:
         found.append(_shift([(0.0, -pitch * row) for row in rows], film, discrete=True))
         left, _, width, _ = film.bounds
         name = f"c{len(clips)}"
-        window = e("rect", x=number(left - width), y=number(y - first.size), width=number(3 * width),
-                   height=number(1.4 * first.size))  # fmt: skip
+        window = e(
+            "rect",
+            x=number(left - width),
+            y=number(y - first.size),
+            width=number(3 * width),
+            height=number(1.4 * first.size),
+        )
         clips.append(e("clipPath", window, id=name))
         found = e("g", found, **{"clip-path": f"url(#{name})"})
     if len(set(places)) > 1:

@@ -59,9 +59,18 @@ def root(bounds: tuple[float, float, float, float], title: str, *content: Elemen
     """Give an SVG document with its own ground."""
     x, y, width, height = bounds
     ground = e("rect", x=number(x), y=number(y), width=number(width), height=number(height), class_="f-paper")
-    return e("svg", e("title", title), e("style", sheet(dark)), ground, *content, xmlns="http://www.w3.org/2000/svg",
-             viewBox=f"{x:g} {y:g} {width:g} {height:g}", width=number(width), height=number(height),
-             role="img")  # fmt: skip
+    return e(
+        "svg",
+        e("title", title),
+        e("style", sheet(dark)),
+        ground,
+        *content,
+        xmlns="http://www.w3.org/2000/svg",
+        viewBox=f"{x:g} {y:g} {width:g} {height:g}",
+        width=number(width),
+        height=number(height),
+        role="img",
+    )
 
 
 def points(of: tuple[Point, ...]) -> str:

@@ -33,11 +33,14 @@ MADE_WITH = ("versions", "code", "contents")
 TAPE = "recorded_inputs"  # node that says what came from outside
 #: What a node in real time counts when a tick is not what it would be in lockstep, in words.
 LATE = {
-    "missed_deadlines": "deadlines missed", "incomplete_ticks": "ticks answered without all that was due",
-    "dropped_ticks": "ticks dropped", "skipped_periods": "periods skipped",
-    "overdue_messages": "messages after their tick", "late_messages": "messages out of order",
+    "missed_deadlines": "deadlines missed",
+    "incomplete_ticks": "ticks answered without all that was due",
+    "dropped_ticks": "ticks dropped",
+    "skipped_periods": "periods skipped",
+    "overdue_messages": "messages after their tick",
+    "late_messages": "messages out of order",
     "lost_arrays": "arrays lost",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -117,8 +120,10 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
         options = parse(command[command.index("run") + 1 :])
         recording = read_bag(bag)
     except (BagError, OSError, ValueError, KeyError, TypeError):
-        raise ScenarioError(f"--like {path}: expected the directory of a run, the bag of one that says how it was "
-                            "made, or a file of `softrig pack`") from None  # fmt: skip
+        raise ScenarioError(
+            f"--like {path}: expected the directory of a run, the bag of one that says how it was "
+            "made, or a file of `softrig pack`"
+        ) from None
     need_packages(f"--like {path}", made_with.get("code", ()))
     return Recalled(path, options, bag.absolute(), recording, epoch, late, made_with)
 
@@ -173,8 +178,12 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
 def tape(rig: Rig, run: Recalled, until: float = 0.0) -> dict[str, Any]:
     """Give the node that says what came from outside, up to a time (s; 0: all), if anything has."""
     inputs = from_outside(rig, run.recording)
-    parameters = {"period": str(rig.clock.schedule.period), "bag": str(run.bag), "until": until,
-                  "inputs": [_text(port) for port in inputs]}  # fmt: skip
+    parameters = {
+        "period": str(rig.clock.schedule.period),
+        "bag": str(run.bag),
+        "until": until,
+        "inputs": [_text(port) for port in inputs],
+    }
     return {TAPE: {"package": "softrig_bags", "executable": "tape", "parameters": parameters}} if inputs else {}
 
 

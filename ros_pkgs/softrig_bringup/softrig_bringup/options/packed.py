@@ -202,5 +202,7 @@ def need_packages(where: object, packages: Iterable[str]) -> None:
     missing = [name for name in names if find_spec(name) is None]
     if missing:
         what = "package" if len(missing) == 1 else "packages"
-        raise ScenarioError(f"{where}: it needs {what} {', '.join(missing)}, not installed here; `softrig pack RUN`, "
-                            "where they are, puts the run and them into one file")  # fmt: skip
+        raise ScenarioError(
+            f"{where}: it needs {what} {', '.join(missing)}, not installed here; `softrig pack RUN`, "
+            "where they are, puts the run and them into one file"
+        )

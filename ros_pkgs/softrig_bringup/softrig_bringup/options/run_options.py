@@ -20,39 +20,76 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("scenario", nargs="?", default="", help="name or YAML file")
     kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--like", type=Path, metavar="RUN", help="instead of a scenario: that run (its folder, "
-                        "bag, or file of `pack`) once more, with all that was changed while it ran")  # fmt: skip
-    kind.add_argument("--from", type=_moment, dest="origin", metavar="RUN@T", help="instead of a scenario: that run up "
-                        "to T (s), and on from there with what --set changes")  # fmt: skip
-    parser.add_argument("--mode", choices=("processes", "container", "inprocess"), default="processes", type=_mode,
-                        help="where the nodes live")  # fmt: skip
+    kind.add_argument(
+        "--like",
+        type=Path,
+        metavar="RUN",
+        help="instead of a scenario: that run (its folder, "
+        "bag, or file of `pack`) once more, with all that was changed while it ran",
+    )
+    kind.add_argument(
+        "--from",
+        type=_moment,
+        dest="origin",
+        metavar="RUN@T",
+        help="instead of a scenario: that run up to T (s), and on from there with what --set changes",
+    )
+    parser.add_argument(
+        "--mode",
+        choices=("processes", "container", "inprocess"),
+        default="processes",
+        type=_mode,
+        help="where the nodes live",
+    )
     parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
-                        help="change a parameter (node.parameter) or a shared value")  # fmt: skip
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a parameter (node.parameter) or a shared value",
+    )
     parser.add_argument(
         "--params-file", type=Path, metavar="FILE", help="change parameters, in the form of ros2 param dump"
     )
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this one")
-    parser.add_argument("--only", action="append", default=[], metavar="NODE",
-                        help="start this one here, the others on another machine; needs --domain")  # fmt: skip
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="NODE",
+        help="start this one here, the others on another machine; needs --domain",
+    )
     parser.add_argument("--wait", type=Number(float, 0), metavar="S", help="limit of the wait for them (default: none)")
-    parser.add_argument("--restart", type=Number(int, 0), default=0, metavar="N", help="lockstep, --mode processes: "
-                        "a node that was killed is started again where it was, up to N times")  # fmt: skip
+    parser.add_argument(
+        "--restart",
+        type=Number(int, 0),
+        default=0,
+        metavar="N",
+        help="lockstep, --mode processes: a node that was killed is started again where it was, up to N times",
+    )
     parser.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
     )
     parser.add_argument("--force", action="store_true", help="replace in DIR also a run that cannot be made again")
     parser.add_argument("--strict", action="store_true", help="status 1 also when figures of a changed run differ")
-    parser.add_argument("--max-missed", type=Number(float, 0, 100), metavar="PERCENT",
-                        help="in real time: status 1 when a node misses more of its deadlines")  # fmt: skip
+    parser.add_argument(
+        "--max-missed",
+        type=Number(float, 0, 100),
+        metavar="PERCENT",
+        help="in real time: status 1 when a node misses more of its deadlines",
+    )
     parser.add_argument("--label", default="", metavar="TEXT", help="what reports call this run")
     recorded = parser.add_mutually_exclusive_group()
     recorded.add_argument("--no-record", action="store_true", help="no bag")
-    recorded.add_argument("--record-all", action="store_true",
-                          help="the bag has robot_description, diagnostics and figures of observers, too")  # fmt: skip
+    recorded.add_argument(
+        "--record-all",
+        action="store_true",
+        help="the bag has robot_description, diagnostics and figures of observers, too",
+    )
     parser.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
     parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
@@ -143,8 +180,16 @@ def placement_of(options: argparse.Namespace) -> Placement:
     """Give where the nodes live and what they go by."""
     from softrig_core.processes.placement import Placement
 
-    return Placement(options.mode, "realtime" if options.realtime else "lockstep", options.domain, only=options.only,
-                     wait=options.wait, paused=options.paused, pace=options.pace, restart=options.restart)  # fmt: skip
+    return Placement(
+        options.mode,
+        "realtime" if options.realtime else "lockstep",
+        options.domain,
+        only=options.only,
+        wait=options.wait,
+        paused=options.paused,
+        pace=options.pace,
+        restart=options.restart,
+    )
 
 
 def changed_words(options: argparse.Namespace) -> list[str]:
@@ -194,8 +239,10 @@ def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
 
     for name in changes.get("nodes", {}):
         if name not in scenario.nodes:
-            raise ScenarioError(f"--external {name}: no such node{closest(name, scenario.nodes)}; the nodes are "
-                                f"{', '.join(scenario.nodes)}")  # fmt: skip
+            raise ScenarioError(
+                f"--external {name}: no such node{closest(name, scenario.nodes)}; the nodes are "
+                f"{', '.join(scenario.nodes)}"
+            )
     try:
         return type(scenario).model_validate(merge(scenario.model_dump(exclude_unset=True), changes))
     except ValidationError as error:

@@ -82,10 +82,14 @@ def _entries(path: Path, written: int) -> dict[str, Citation]:
             raise ScenarioError(f"{path}: {entry.key}: no {', '.join(missing)}")
         authors = tuple(_name(n.first, [*n.von, *n.last, *n.jr]) for n in fields["author"])
         found[entry.key] = Citation(
-            key=entry.key, authors=authors, title=_plain(fields["title"]), year=fields["year"],
-            place=_place({k: v for k, v in fields.items() if isinstance(v, str)}), doi=fields.get("doi", ""),
+            key=entry.key,
+            authors=authors,
+            title=_plain(fields["title"]),
+            year=fields["year"],
+            place=_place({k: v for k, v in fields.items() if isinstance(v, str)}),
+            doi=fields.get("doi", ""),
             bibtex=(entry.raw or "").strip(),
-        )  # fmt: skip
+        )
     return found
 
 

@@ -47,8 +47,10 @@ def draw_diagram(wiring: Wiring) -> Element:
     home = {n: k for k, column in enumerate(found) for n in column}
     lanes = [_lanes(wiring.wires, home, k) for k in range(-1, len(found))]  # of the channel left of column k + 1
     # from the column before on top, then from the tracks; the first wire has the lowest track: so few wires cross
-    ins = {n: sorted((w for w in wiring.wires if n in w.readers), key=lambda w: home[w.source] + 1 != home[n])
-           for n in wiring.nodes}  # fmt: skip
+    ins = {
+        n: sorted((w for w in wiring.wires if n in w.readers), key=lambda w: home[w.source] + 1 != home[n])
+        for n in wiring.nodes
+    }
     outs = {n: [w for w in wiring.wires if w.source == n] for n in wiring.nodes}
     heights = {n: HEAD + ROW * max(1, len(ins[n]), len(outs[n])) for n in wiring.nodes}
     tall = max((sum(heights[n] + ROW for n in c) - ROW for c in found), default=0)
@@ -70,8 +72,15 @@ def draw_diagram(wiring: Wiring) -> Element:
     route = _Routes(boxes, channels, lanes, below, ins, outs)
     parts = [*(_wire(w, route) for w in wiring.wires), *(_box(n, wiring, boxes[n]) for n in wiring.nodes)]
     size = f"width: 100%; max-width: {x:.0f}px; min-width: {SMALLEST * x:.0f}px"
-    return e("svg", e("title", "Block diagram of the rig"), *parts, viewBox=f"-1 -1 {x + 2:.0f} {height + 2:.0f}",
-             role="img", class_="diagram", style=size)  # fmt: skip
+    return e(
+        "svg",
+        e("title", "Block diagram of the rig"),
+        *parts,
+        viewBox=f"-1 -1 {x + 2:.0f} {height + 2:.0f}",
+        role="img",
+        class_="diagram",
+        style=size,
+    )
 
 
 def _far(wire: Wire, home: Mapping[str, int]) -> list[int]:

@@ -53,10 +53,15 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Element | str]], number
     kinds = [kind.replace("n", "number").strip() for kind in numbers.ljust(len(header))]
     head = e("tr", *(e("th", text, scope="col", class_=kind) for text, kind in zip(header, kinds, strict=True)))
     body = [
-        e("tr", *(e("td", cell, class_=f"{kind} none".strip() if cell == NONE else kind, **{"data-label": label})
-                  for cell, kind, label in zip(row, kinds, header, strict=True)))
+        e(
+            "tr",
+            *(
+                e("td", cell, class_=f"{kind} none".strip() if cell == NONE else kind, **{"data-label": label})
+                for cell, kind, label in zip(row, kinds, header, strict=True)
+            ),
+        )
         for row in rows
-    ]  # fmt: skip
+    ]
     return e("div", e("table", e("thead", head), e("tbody", *body)), class_="scroll")
 
 

@@ -86,9 +86,11 @@ def write_junit(path: Path, suites: Sequence[Suite]) -> None:
 def _counts(suites: Sequence[Suite]) -> dict[str, str]:
     errors = sum(bool(s.error) for s in suites)
     return {
-        "tests": str(sum(len(s.cases) for s in suites) + errors), "failures": str(sum(len(s.failures) for s in suites)),
-        "errors": str(errors), "time": f"{sum(s.seconds for s in suites):.3f}",
-    }  # fmt: skip
+        "tests": str(sum(len(s.cases) for s in suites) + errors),
+        "failures": str(sum(len(s.failures) for s in suites)),
+        "errors": str(errors),
+        "time": f"{sum(s.seconds for s in suites):.3f}",
+    }
 
 
 def _printable(text: str) -> str:

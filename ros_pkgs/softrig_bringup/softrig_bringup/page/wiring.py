@@ -69,10 +69,15 @@ def wiring_of(rig: Rig) -> Wiring:
         for m in members
     }
     wires = tuple(
-        Wire(topic=p.topic, type=p.msgtype, source=m.name,
-             readers=tuple(dict.fromkeys(r.name for r, _ in rig.readers(m, p))))
-        for m in members for p in m.outputs
-    )  # fmt: skip
+        Wire(
+            topic=p.topic,
+            type=p.msgtype,
+            source=m.name,
+            readers=tuple(dict.fromkeys(r.name for r, _ in rig.readers(m, p))),
+        )
+        for m in members
+        for p in m.outputs
+    )
     return Wiring(nodes=nodes, wires=wires)
 
 

@@ -143,9 +143,20 @@ def _names(ax: Axes, marks: Sequence[Mark], scale: float) -> None:
     if len(places) > NAMED:
         return
     for x, name in places.items():
-        text = ax.annotate(name, (x, 0.04), (3, 0), xycoords=("data", "axes fraction"), textcoords="offset points",
-                    rotation=90, va="bottom", ha="left", fontsize=8, color="#444444", zorder=4,
-                    bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.5})  # fmt: skip
+        text = ax.annotate(
+            name,
+            (x, 0.04),
+            (3, 0),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            rotation=90,
+            va="bottom",
+            ha="left",
+            fontsize=8,
+            color="#444444",
+            zorder=4,
+            bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.5},
+        )
         text.set_in_layout(False)  # a long name must not press the axes flat
 
 
@@ -178,9 +189,13 @@ def styles(curves: Sequence[Curve]) -> list[dict[str, Any]]:
 
 
 def legend(
-    ax: Axes, curves: Sequence[Curve], title: str, width: int, marks: Sequence[tuple[Artist, str]] = (),
+    ax: Axes,
+    curves: Sequence[Curve],
+    title: str,
+    width: int,
+    marks: Sequence[tuple[Artist, str]] = (),
     what: str = "signals",
-) -> None:  # fmt: skip
+) -> None:
     """Put the legend above the axes, where it covers no data.
 
     Parameters

@@ -112,8 +112,10 @@ def _bounds(limits: Expectation | None) -> tuple[float, float]:
         return math.nan, math.nan
     if limits.expected is not None:
         return limits.expected - (limits.tolerance or 0.0), limits.expected + (limits.tolerance or 0.0)
-    return (-math.inf if limits.at_least is None else limits.at_least,
-            math.inf if limits.at_most is None else limits.at_most)  # fmt: skip
+    return (
+        -math.inf if limits.at_least is None else limits.at_least,
+        math.inf if limits.at_most is None else limits.at_most,
+    )
 
 
 def _placed(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:

@@ -153,8 +153,16 @@ def _overlaid(ax: Axes, found: Drawn, references: Sequence[Curve], scale: float)
     for line, curve in zip(ax.lines, curves, strict=True):
         if curve.label in bands:
             t, low, high = bands[curve.label]
-            ax.fill_between(t * scale, low, high, step="post" if curve.held else None, color=line.get_color(),
-                            alpha=0.25, linewidth=0, zorder=1.7)  # fmt: skip
+            ax.fill_between(
+                t * scale,
+                low,
+                high,
+                step="post" if curve.held else None,
+                color=line.get_color(),
+                alpha=0.25,
+                linewidth=0,
+                zorder=1.7,
+            )
     return curves
 
 

@@ -33,9 +33,14 @@ def plot_name(number: int, title: str) -> str:
 
 
 def plot_entry(
-    signals: Signals, rig: Rig, entry: PlotEntry, *, title: bool = True, font: float | None = None,
+    signals: Signals,
+    rig: Rig,
+    entry: PlotEntry,
+    *,
+    title: bool = True,
+    font: float | None = None,
     inches: float | None = None,
-) -> Figure:  # fmt: skip
+) -> Figure:
     """Draw one plot of a run.
 
     Parameters

@@ -92,8 +92,14 @@ def main(options: argparse.Namespace) -> int:
     out.mkdir(parents=True, exist_ok=True)
     source = Source(found, rig)
     for number, entry in enumerate(rig.scenario.plots, 1):
-        figure = plot_entry(found, rig, entry, title=not (options.no_title or names), font=options.font,
-                            inches=options.width and options.width / MM)  # fmt: skip
+        figure = plot_entry(
+            found,
+            rig,
+            entry,
+            title=not (options.no_title or names),
+            font=options.font,
+            inches=options.width and options.width / MM,
+        )
         path = out / Path(plot_name(number, entry.title)).with_suffix(f".{form}")
         try:
             figure.savefig(path, dpi=300, metadata=UNDATED.get(form))

@@ -25,8 +25,10 @@ from .record import RunRecord
 from .redraw import draw_missing
 
 PHONE = 360  # px of a page on a narrow screen
-ELSEWHERE = ("For a machine that lacks the scenario or its packages, softrig pack makes one file of this run's folder; "
-             "softrig run --like FILE repeats it there.")  # fmt: skip
+ELSEWHERE = (
+    "For a machine that lacks the scenario or its packages, softrig pack makes one file of this run's folder; "
+    "softrig run --like FILE repeats it there."
+)
 
 
 def run_section(directory: Path, run: RunRecord, title: str, heading: str, anchor: str) -> Element:
@@ -55,12 +57,19 @@ def run_section(directory: Path, run: RunRecord, title: str, heading: str, ancho
     ]
     return e(
         "section",
-        e("header", e(heading, title), *(e("p", text, class_="what") for text in about),
-           e("p", f"{run.system} · ", e("code", what), class_="what"),
-           e("p", run.source, class_="what"), _facts(run), *broken),
+        e(
+            "header",
+            e(heading, title),
+            *(e("p", text, class_="what") for text in about),
+            e("p", f"{run.system} · ", e("code", what), class_="what"),
+            e("p", run.source, class_="what"),
+            _facts(run),
+            *broken,
+        ),
         *(element for name, content in parts if content for element in (e(below, name), *content)),
-        id=anchor, class_="run",
-    )  # fmt: skip
+        id=anchor,
+        class_="run",
+    )
 
 
 def _facts(run: RunRecord) -> Element:
@@ -69,11 +78,13 @@ def _facts(run: RunRecord) -> Element:
         ("metrics", verdict(run)),
         ("mode", run.mode),
         ("seed", str(run.seed)),
-        ("duration", f"{run.simulated_s:.6g} of {run.duration_s:g} s" if run.stopped or run.error
-         else f"{run.duration_s:g} s"),
+        (
+            "duration",
+            f"{run.simulated_s:.6g} of {run.duration_s:g} s" if run.stopped or run.error else f"{run.duration_s:g} s",
+        ),
         ("ticks", f"{run.ticks:_}".replace("_", "\u202f")),
         ("wall time", f"{run.wall_s:.3g} s"),
-    ]  # fmt: skip
+    ]
     if run.wall_s > 0.0 and run.simulated_s > 0.0 and not run.error:
         facts.append(("speed", f"{run.simulated_s / run.wall_s:.3g} × real time"))
     return e("dl", *(e("div", e("dt", name), e("dd", value)) for name, value in facts), class_="facts")
@@ -108,8 +119,10 @@ def metrics(run: RunRecord) -> Element:
     cells = {head: [cell(m) for m in run.metrics] for head, (_, cell) in columns.items()}
     there = [head for head, column in cells.items() if any(c not in ("", NONE) for c in column)]
     rows = list(zip(*(cells[head] for head in there), strict=True))
-    notes = {"Published": "Published: the number of the source.",
-             "Accepted": "Accepted: what this scenario asks of the run."}  # fmt: skip
+    notes = {
+        "Published": "Published: the number of the source.",
+        "Accepted": "Accepted: what this scenario asks of the run.",
+    }
     note = " ".join(text for head, text in notes.items() if head in there)
     found = table(there, rows, "".join(columns[head][0] or " " for head in there))
     return e("div", found, *([e("p", note, class_="note")] if note else []))
@@ -139,8 +152,12 @@ def _gauge(metric: Result) -> Element | str:
         e("rect", x="14", y="5", width="52", height="4", rx="2", class_="band"),
         e("line", x1="40", x2="40", y1="2", y2="12", class_="centre"),
         e("circle", cx=f"{dot:.1f}", cy="7", r="3.5", class_="pass" if metric.passed else "miss"),
-        width="80", height="14", viewBox="0 0 80 14", role="img", class_="gauge",
-    )  # fmt: skip
+        width="80",
+        height="14",
+        viewBox="0 0 80 14",
+        role="img",
+        class_="gauge",
+    )
 
 
 def _pictures(directory: Path, run: RunRecord) -> Iterator[Element]:
@@ -166,10 +183,16 @@ def _rig(run: RunRecord) -> Iterator[Element]:
         diagram = draw_diagram(wiring)
         least = float(diagram.attrib["viewBox"].split()[2]) * SMALLEST
         yield e("div", diagram, class_="scroll wide" if least > PHONE else "scroll")
-        notes = ["The plant, shaded, owns time.", "Dashed: a node outside, its parameters unknown.",
-                 "A ring ends a topic that no node of the rig reads."]  # fmt: skip
-        there = [any(n.plant for n in wiring.nodes.values()), any(n.outside for n in wiring.nodes.values()),
-                 any(not w.readers for w in wiring.wires)]  # fmt: skip
+        notes = [
+            "The plant, shaded, owns time.",
+            "Dashed: a node outside, its parameters unknown.",
+            "A ring ends a topic that no node of the rig reads.",
+        ]
+        there = [
+            any(n.plant for n in wiring.nodes.values()),
+            any(n.outside for n in wiring.nodes.values()),
+            any(not w.readers for w in wiring.wires),
+        ]
         yield e("p", " ".join(note for note, is_there in zip(notes, there, strict=True) if is_there), class_="note")
 
 
@@ -185,10 +208,14 @@ def _parameters(run: RunRecord) -> Iterator[Element]:
 def _changes(run: RunRecord) -> Iterator[Element]:
     """What was changed while it ran; the parameters above are those of the start."""
     rows: list[list[Element | str]] = [
-        [f"{change.at_s:.9g}", e("code", f"{change.node}.{name}"),
-         _value(value, run.units.get(change.node, {}).get(name, ""))]
-        for change in run.changes for name, value in change.set.items()
-    ]  # fmt: skip
+        [
+            f"{change.at_s:.9g}",
+            e("code", f"{change.node}.{name}"),
+            _value(value, run.units.get(change.node, {}).get(name, "")),
+        ]
+        for change in run.changes
+        for name, value in change.set.items()
+    ]
     if rows:
         yield table(["From t, s", "Parameter", "Value"], rows, "n  ")
 
@@ -227,8 +254,10 @@ def _nodes(run: RunRecord) -> Iterator[Element]:
         yield from (e("p", e("code", node), f": {text}") for text in said)
     native = {node: status["native"] for node, status in run.nodes.items() if "native" in status}
     if any(ticks for ticks, _ in native.values()):
-        parts = [node + (f" {ticks} ticks" if ticks else " none") + (f" ({why})" if why else "")
-                 for node, (ticks, why) in native.items()]  # fmt: skip
+        parts = [
+            node + (f" {ticks} ticks" if ticks else " none") + (f" ({why})" if why else "")
+            for node, (ticks, why) in native.items()
+        ]
         yield e("p", f"Answered by native code: {', '.join(parts)}", class_="note")
 
 

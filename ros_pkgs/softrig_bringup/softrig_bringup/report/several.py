@@ -264,10 +264,12 @@ def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> It
         alone: list[str] = []
         for part in _lengths({k: records[k].simulated_s for k in found}):
             ends = max(records[k].simulated_s for k in part)
-            pictures = list(draw_overlay(
-                [Overlay(named[k], same[k], records[k].plots, records[k].signals, found[k]) for k in part],
-                "" if len(part) == len(found) else f", runs of up to {ends:g} s",
-            ))  # fmt: skip
+            pictures = list(
+                draw_overlay(
+                    [Overlay(named[k], same[k], records[k].plots, records[k].signals, found[k]) for k in part],
+                    "" if len(part) == len(found) else f", runs of up to {ends:g} s",
+                )
+            )
             drawn += pictures
             alone += [] if pictures else [named[k] for k in part]
         if drawn:

@@ -56,6 +56,8 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
         say(f"the run broke: {outcome.error}")
         return 3
     where = os.path.relpath(out / "log")
-    say(f"recorded in {where}; a bag of the whole rig: the .shard files of all parts in one folder, then "
-        "softrig bag repair FOLDER")  # fmt: skip
+    say(
+        f"recorded in {where}; a bag of the whole rig: the .shard files of all parts in one folder, then "
+        "softrig bag repair FOLDER"
+    )
     return 128 + outcome.stopped if outcome.stopped else 0

@@ -88,8 +88,10 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
 
 def status_of(step: Step) -> dict[str, Any]:
     """What a block says of itself at the end of a run in process, as a node's status file does."""
-    status: dict[str, Any] = {"reports": {k: [int(level), text, n] for k, (level, text, n) in step.reports.items()},
-                              "native": step.native}  # fmt: skip
+    status: dict[str, Any] = {
+        "reports": {k: [int(level), text, n] for k, (level, text, n) in step.reports.items()},
+        "native": step.native,
+    }
     if isinstance(step.block, Observer):
         status["figures"] = {k: [v, unit] for k, (v, unit) in step.status().items() if math.isfinite(v)}
     return status
@@ -99,9 +101,11 @@ def tripped(rig: Rig, status: Mapping[str, Mapping[str, Any]]) -> dict[str, str]
     """Give the nodes whose protection has acted though the scenario does not expect it, and what each said."""
     return {
         m.name: text
-        for m in rig.members if m.name not in rig.scenario.trips
-        for key, (_, text, _) in status.get(m.name, {}).get("reports", {}).items() if key in m.block_class.TRIPS
-    }  # fmt: skip
+        for m in rig.members
+        if m.name not in rig.scenario.trips
+        for key, (_, text, _) in status.get(m.name, {}).get("reports", {}).items()
+        if key in m.block_class.TRIPS
+    }
 
 
 def checked(scenario: Scenario) -> Rig:

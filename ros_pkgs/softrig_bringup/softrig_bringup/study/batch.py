@@ -39,8 +39,10 @@ class Batch:
 
     def __enter__(self) -> Batch:
         if self.log.passed_over:
-            say(f"{self.log.path}: {self.log.passed_over} of its lines are no rows of this study (cut off, damaged, "
-                "doubled); they are passed over, and what is missing is run")  # fmt: skip
+            say(
+                f"{self.log.path}: {self.log.passed_over} of its lines are no rows of this study (cut off, damaged, "
+                "doubled); they are passed over, and what is missing is run"
+            )
         self._open.callback(self.log.close)
         self._open.enter_context(self._pool)
         self._advance = self._open.enter_context(self._progress)
@@ -132,8 +134,10 @@ class Log:
         """
         known = self._known.get(case.number)
         if known is not None and known != _content(case._asdict()):
-            raise ScenarioError(f"{self.path}: run {case.number} has other parameters than this search asks for (is it "
-                                "by another version of optuna?); choose another --out, or remove it")  # fmt: skip
+            raise ScenarioError(
+                f"{self.path}: run {case.number} has other parameters than this search asks for (is it "
+                "by another version of optuna?); choose another --out, or remove it"
+            )
         return known is not None
 
     def add(self, row: dict[str, Any]) -> None:
@@ -160,9 +164,18 @@ class Log:
 
 
 _KINDS: dict[str, type | tuple[type, ...]] = {
-    "number": int, "scenario": str, "case": str, "seed": int, "overrides": dict, "figures": dict, "never": list,
-    "passed": bool, "error": str, "wall_s": (int, float), "signals": dict,
-}  # fmt: skip
+    "number": int,
+    "scenario": str,
+    "case": str,
+    "seed": int,
+    "overrides": dict,
+    "figures": dict,
+    "never": list,
+    "passed": bool,
+    "error": str,
+    "wall_s": (int, float),
+    "signals": dict,
+}
 
 
 def _row(line: bytes) -> dict[str, Any] | None:

@@ -62,8 +62,13 @@ def _changes(options: Namespace) -> dict[str, Any]:
     drawn = {name: _drawn(name, text) for name, text in spans.items()}
     if options.search:
         aim = "maximise" if options.maximise else "minimise"
-        changes["search"] = {"figure": options.search, "aim": aim, "count": options.draws, "parameters": drawn,
-                             "subject_to": dict(map(_constraint, options.subject_to))}  # fmt: skip
+        changes["search"] = {
+            "figure": options.search,
+            "aim": aim,
+            "count": options.draws,
+            "parameters": drawn,
+            "subject_to": dict(map(_constraint, options.subject_to)),
+        }
     elif options.subject_to:
         raise ScenarioError("--subject-to: goes with --search FIGURE")
     elif drawn:

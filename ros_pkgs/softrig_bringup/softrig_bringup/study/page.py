@@ -136,8 +136,10 @@ def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Seq
         console.print("best: " + ", ".join(f"{name} {_figures_of(winners, name)}" for name in winners[0]["figures"]))
         console.print(command(winners[0], study.duration), soft_wrap=True)
     elif study.search:
-        console.print(f"best: none of {len(rows)} runs has a {study.search.figure}"
-                      + (" within the limits" if study.search.subject_to else ""))  # fmt: skip
+        console.print(
+            f"best: none of {len(rows)} runs has a {study.search.figure}"
+            + (" within the limits" if study.search.subject_to else "")
+        )
     broken = [row for row in rows if row["error"]]
     for row in broken[:3]:
         console.print(f"run {row['number']} broke: {row['error']}; {command(row, study.duration)}", soft_wrap=True)
@@ -149,39 +151,71 @@ def _cell(value: Any) -> str:
 
 
 def _page(
-    study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], pictures: Sequence[Path],
+    study: Study,
+    rows: Sequence[Row],
+    found: Sequence[Result],
+    held: Sequence[Finding],
+    pictures: Sequence[Path],
     units: dict[str, str],
-) -> list[Element]:  # fmt: skip
+) -> list[Element]:
     wall = sum(row["wall_s"] for row in rows)
-    facts = [("runs", str(len(rows))), ("broken", str(sum(bool(r["error"]) for r in rows))),
-             ("scenario", study.scenario), ("computing time", f"{wall:.3g} s")]  # fmt: skip
+    facts = [
+        ("runs", str(len(rows))),
+        ("broken", str(sum(bool(r["error"]) for r in rows))),
+        ("scenario", study.scenario),
+        ("computing time", f"{wall:.3g} s"),
+    ]
     body = [
-        e("header", e("h1", study.title), e("p", study.source, class_="what"),
-          e("dl", *(e("div", e("dt", k), e("dd", v)) for k, v in facts), class_="facts")),
-    ]  # fmt: skip
+        e(
+            "header",
+            e("h1", study.title),
+            e("p", study.source, class_="what"),
+            e("dl", *(e("div", e("dt", k), e("dd", v)) for k, v in facts), class_="facts"),
+        ),
+    ]
     if found:
         lines: list[tuple[Element | str, ...]] = [
-            (r.name.replace("_", " "), short(r.published), short(r.value), accepted(r),
-             mark(r.passed, "pass" if r.passed else "miss") if r.judged else "") for r in found
-        ]  # fmt: skip
+            (
+                r.name.replace("_", " "),
+                short(r.published),
+                short(r.value),
+                accepted(r),
+                mark(r.passed, "pass" if r.passed else "miss") if r.judged else "",
+            )
+            for r in found
+        ]
         body += [e("h2", "Over all runs"), table(("Summary", "Published", "Value", "Accepted", ""), lines, " nnn ")]
     if held:
         lines = [
-            (c.text, c.where, short(c.published), c.asked, c.measured_text,
-             e("div", e("b", c.verdict.replace("_", " ")) if c.holds else mark(False, f"{c.verdict}: not borne out"),
-               e("div", c.reason, class_="note"))) for c in held
-        ]  # fmt: skip
+            (
+                c.text,
+                c.where,
+                short(c.published),
+                c.asked,
+                c.measured_text,
+                e(
+                    "div",
+                    e("b", c.verdict.replace("_", " ")) if c.holds else mark(False, f"{c.verdict}: not borne out"),
+                    e("div", c.reason, class_="note"),
+                ),
+            )
+            for c in held
+        ]
         body += [
             e("h2", "Claims"),
             table(("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict"), lines, "  n n "),
         ]
     winners = best(study, rows)
     if winners:
-        about = [(name.replace("_", " "), _figures_of(winners, name), pretty_unit(units.get(name, "")))
-                 for name in winners[0]["figures"]]  # fmt: skip
-        body += [e("h2", "Best run" if len(winners) == 1 else f"Best parameters, {len(winners)} seeds"),
-                 table(("Figure", "Measured", "Unit"), about, " n "),
-                 e("pre", command(winners[0], study.duration))]  # fmt: skip
+        about = [
+            (name.replace("_", " "), _figures_of(winners, name), pretty_unit(units.get(name, "")))
+            for name in winners[0]["figures"]
+        ]
+        body += [
+            e("h2", "Best run" if len(winners) == 1 else f"Best parameters, {len(winners)} seeds"),
+            table(("Figure", "Measured", "Unit"), about, " n "),
+            e("pre", command(winners[0], study.duration)),
+        ]
     body.append(e("h2", "Pictures"))
     for path in pictures:
         body.append(e("figure", picture(path.read_bytes(), path.stem.replace("_", " "))))
@@ -190,9 +224,15 @@ def _page(
     broken = ["Broke"] if any(row["error"] for row in rows) else []
     heads = ("Run", "Changed", "Seed", *(_heading(n, units.get(n, "")) for n in names), *broken)
     lines = [
-        (str(row["number"]), _changes(study, row), str(row["seed"]), *(_figure(row, n) for n in names),
-         *([row["error"]] if broken else [])) for row in rows[:LONGEST]
-    ]  # fmt: skip
+        (
+            str(row["number"]),
+            _changes(study, row),
+            str(row["seed"]),
+            *(_figure(row, n) for n in names),
+            *([row["error"]] if broken else []),
+        )
+        for row in rows[:LONGEST]
+    ]
     body += [e("h2", "Runs"), table(heads, lines, "  n" + "n" * len(names))]
     note = "table.parquet and table.csv have every run with the command that repeats it."
     if len(rows) > LONGEST:

@@ -77,8 +77,11 @@ def _figures(
 
 def chosen(study: Study, rows: Sequence[Row]) -> list[str]:
     """Figures that are drawn: those that the study names, or the first that were measured."""
-    measured = list(dict.fromkeys(k for row in rows for k, v in row["figures"].items()
-                                  if v is not None or k in row.get("never", ())))  # fmt: skip
+    measured = list(
+        dict.fromkeys(
+            k for row in rows for k, v in row["figures"].items() if v is not None or k in row.get("never", ())
+        )
+    )
     named = [*study.figures, *(s.figure for s in study.summaries.values())]
     return [n for n in dict.fromkeys(named or measured) if n in measured][:MOST]
 
@@ -96,8 +99,11 @@ def numeric(rows: Sequence[Row]) -> list[str]:
 def label(study: Study, row: Row) -> str:
     """Say what was changed in a run, but its seed and what was drawn at random."""
     drawn = study.draws.parameters if study.draws else {}
-    changes = [f"{k.rpartition('.')[2]} {in_short(v)}" for k, v in row["overrides"].items()
-               if k in study.grid and k not in drawn]  # fmt: skip
+    changes = [
+        f"{k.rpartition('.')[2]} {in_short(v)}"
+        for k, v in row["overrides"].items()
+        if k in study.grid and k not in drawn
+    ]
     return ", ".join(([row["case"]] if row["case"] else []) + changes) or "all runs"
 
 
@@ -143,8 +149,14 @@ def _over(
                 middle = np.array([_median(y[x == v]) for v in at])
                 (line,) = ax.plot(at, middle, "o-", markersize=3, label=case or None)
                 ends = [(v, y[(x == v) & sure]) for v in at if ((x == v) & sure).any()]
-                ax.fill_between([v for v, _ in ends], [w.min() for _, w in ends], [w.max() for _, w in ends],
-                                color=line.get_color(), alpha=0.2, linewidth=0)  # fmt: skip
+                ax.fill_between(
+                    [v for v, _ in ends],
+                    [w.min() for _, w in ends],
+                    [w.max() for _, w in ends],
+                    color=line.get_color(),
+                    alpha=0.2,
+                    linewidth=0,
+                )
                 for v in at:
                     if lost := absent(y[x == v]):
                         _lost(ax, [v], f"{case}: {lost}" if case else lost)
@@ -161,8 +173,11 @@ def _over(
         ax.set_ylabel(_name(name, units))
         ax.margins(x=0.05)
     if banded and most > 1:
-        note(figure, f"line: median of the runs at a value, those that never get there counted as the largest; band: "
-                     f"least to greatest of up to {most} runs")  # fmt: skip
+        note(
+            figure,
+            f"line: median of the runs at a value, those that never get there counted as the largest; band: "
+            f"least to greatest of up to {most} runs",
+        )
     if len(groups) > 1:
         axes[0].legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
     return figure
@@ -182,8 +197,17 @@ def _lost(ax: Axes, x: Sequence[float] | Array, text: str) -> None:
             [at], [0.96], "x", color=LOST, markersize=6, transform=ax.get_xaxis_transform(), clip_on=False, zorder=4
         )
         if text:
-            ax.annotate(text, (at, 0.96), (0, -6), xycoords=ax.get_xaxis_transform(), textcoords="offset points",
-                        ha="center", va="top", fontsize=8, color=LOST)  # fmt: skip
+            ax.annotate(
+                text,
+                (at, 0.96),
+                (0, -6),
+                xycoords=ax.get_xaxis_transform(),
+                textcoords="offset points",
+                ha="center",
+                va="top",
+                fontsize=8,
+                color=LOST,
+            )
 
 
 def _map(rows: Sequence[Row], varied: Sequence[str], name: str, units: Mapping[str, str]) -> Figure:
@@ -277,8 +301,13 @@ def _parallel(search: Search, rows: Sequence[Row]) -> Figure:
     spans = [(c.min(), np.ptp(c) or 1.0) for c in columns]
     shares = np.linspace(0.0, 1.0, max(2, len(sure)))
     for k in range(len(sure)):
-        ax.plot(range(len(columns)), [(c[k] - lo) / span for c, (lo, span) in zip(columns, spans, strict=True)],
-                color=colormaps["viridis"](shares[k]), alpha=0.2 + 0.6 * shares[k], linewidth=0.8)  # fmt: skip
+        ax.plot(
+            range(len(columns)),
+            [(c[k] - lo) / span for c, (lo, span) in zip(columns, spans, strict=True)],
+            color=colormaps["viridis"](shares[k]),
+            alpha=0.2 + 0.6 * shares[k],
+            linewidth=0.8,
+        )
     ticks = [f"{n}\n{lo:.4g} to {lo + span:.4g}" for n, (lo, span) in zip([*names, search.figure], spans, strict=True)]
     ax.set_xticks(range(len(columns)), ticks, fontsize=8)
     ax.set_yticks([])

@@ -80,8 +80,14 @@ def summarise(rows: Sequence[Row], summary: Summary) -> float:
         return float(np.mean([summary.of.holds(v) for v in values]))
     if summary.statistic == "quantile":
         return float(np.quantile(values, summary.q))
-    functions: dict[str, Callable[..., Any]] = {"mean": np.mean, "median": np.median, "std": np.std, "min": np.min,
-                                                "max": np.max, "sum": np.sum}  # fmt: skip
+    functions: dict[str, Callable[..., Any]] = {
+        "mean": np.mean,
+        "median": np.median,
+        "std": np.std,
+        "min": np.min,
+        "max": np.max,
+        "sum": np.sum,
+    }
     return float(functions[summary.statistic](values))
 
 
@@ -102,10 +108,16 @@ def results(study: Study, rows: Sequence[Row]) -> list[Result]:
         published = next((c.published for k, c in study.claims.items() if (c.figure or k) == name), None)
         sure = math.isfinite(value)
         found.append(
-            Result(name=name, value=value if sure else None, number=value, published=published,
-                   passed=limits is None or limits.holds(value), error="" if sure else f"the result is {value}",
-                   **(limits or Expectation()).model_dump())
-        )  # fmt: skip
+            Result(
+                name=name,
+                value=value if sure else None,
+                number=value,
+                published=published,
+                passed=limits is None or limits.holds(value),
+                error="" if sure else f"the result is {value}",
+                **(limits or Expectation()).model_dump(),
+            )
+        )
     return found
 
 

@@ -69,8 +69,12 @@ def run(work: Work) -> dict[str, Any]:
     """
     case = work.case
     seed = seed_of(case.scenario) if case.seed is None else case.seed
-    row = case._asdict() | {"seed": seed, "figures": dict.fromkeys(work.figures if work.margins else ()),
-                            "passed": False, "error": ""}  # fmt: skip
+    row = case._asdict() | {
+        "seed": seed,
+        "figures": dict.fromkeys(work.figures if work.margins else ()),
+        "passed": False,
+        "error": "",
+    }
     started = time.perf_counter()
     try:
         done = simulate(

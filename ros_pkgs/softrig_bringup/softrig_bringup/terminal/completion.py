@@ -49,8 +49,10 @@ def _parameters(parsed_args: argparse.Namespace) -> tuple[Iterable[str], dict[st
     given = vars(parsed_args)
     with suppress(ScenarioError):
         scenario = load_scenario(given.get("scenario") or given.get("study") or given.get("what") or "")
-        return scenario.shared, {name: [d.name for d in declarations(load_block(n.package, n.executable).Params)]
-                                 for name, n in scenario.nodes.items()}  # fmt: skip
+        return scenario.shared, {
+            name: [d.name for d in declarations(load_block(n.package, n.executable).Params)]
+            for name, n in scenario.nodes.items()
+        }
     return (), {}
 
 
@@ -81,7 +83,17 @@ def _executables(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
 
 
 _COMPLETERS: dict[str, Callable[..., Iterable[str]]] = {
-    "scenario": _scenarios, "scenarios": _scenarios, "names": _scenarios, "study": _scenarios, "what": _scenarios,
-    "set": _settings, "grid": _settings, "draw": _settings, "over": _settings, "external": _nodes, "only": _nodes,
-    "package": lambda **_: _packages(), "executable": _executables,
-}  # fmt: skip
+    "scenario": _scenarios,
+    "scenarios": _scenarios,
+    "names": _scenarios,
+    "study": _scenarios,
+    "what": _scenarios,
+    "set": _settings,
+    "grid": _settings,
+    "draw": _settings,
+    "over": _settings,
+    "external": _nodes,
+    "only": _nodes,
+    "package": lambda **_: _packages(),
+    "executable": _executables,
+}

@@ -44,9 +44,13 @@ def progress(title: str, duration: float) -> Iterator[Tell]:
 
     from .listing import console
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(),
-               TextColumn("{task.completed:.3g} of {task.total:.3g} s"), TimeElapsedColumn(),
-               TimeRemainingColumn())  # fmt: skip
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.completed:.3g} of {task.total:.3g} s"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=console(stderr=True, width=None), transient=True) as bar:
         task = bar.add_task(title, total=duration)
         yield lambda t: bar.update(task, completed=t / 1e9)

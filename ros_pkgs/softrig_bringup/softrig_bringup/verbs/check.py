@@ -45,17 +45,24 @@ def judge(name: str) -> dict[str, Any]:
     try:
         return outcome_of(simulate(name), time.perf_counter() - started)
     except RunError as error:
-        return {"scenario": load_scenario(name).name, "wall_s": time.perf_counter() - started, "metrics": [],
-                "claims": [], "error": str(error)}  # fmt: skip
+        return {
+            "scenario": load_scenario(name).name,
+            "wall_s": time.perf_counter() - started,
+            "metrics": [],
+            "claims": [],
+            "error": str(error),
+        }
 
 
 def outcome_of(run: Run, wall_s: float) -> dict[str, Any]:
     """Give what is to be said of a run, as plain data."""
     return {
-        "scenario": run.rig.scenario.name, "wall_s": round(wall_s, 3), "error": run.error,
+        "scenario": run.rig.scenario.name,
+        "wall_s": round(wall_s, 3),
+        "error": run.error,
         "metrics": [] if run.error else [r.model_dump(by_alias=True) for r in run.results],
         "claims": [] if run.error else [_claim(c) for c in run.claims],
-    }  # fmt: skip
+    }
 
 
 def _claim(finding: Finding) -> dict[str, Any]:

@@ -28,27 +28,49 @@ def verbs(verb: Verb) -> None:
     pack.add_argument("run", type=Path, metavar="RUN", help="its folder, or its bag")
     pack.add_argument("--out", type=Path, metavar="FILE", help="the new file (SCENARIO.softrig.zip, here)")
     pack.add_argument("--no-bag", action="store_true", help="without what was recorded: digests are compared")
-    env = verb("env", "cli:env", 'an environment for your shell: eval "$(scripts/softrig env)"; `env COMMAND` runs one '
-               "command in it, colcon too; `env --completion`: completion of our words")  # fmt: skip
+    env = verb(
+        "env",
+        "cli:env",
+        'an environment for your shell: eval "$(scripts/softrig env)"; `env COMMAND` runs one '
+        "command in it, colcon too; `env --completion`: completion of our words",
+    )
     env.add_argument("--completion", nargs="?", const="bash", choices=("bash", "zsh", "fish"))
 
 
 def _run_and_look(verb: Verb) -> None:
     run_options.arguments(verb("run", "verbs.run_verb:run", "run a scenario: metrics, bag, plots, report"))
-    look = verb("view", "verbs.view_verb:view",
-                "look at a run or a bag in the browser, or run a scenario that begins paused there")  # fmt: skip
+    look = verb(
+        "view",
+        "verbs.view_verb:view",
+        "look at a run or a bag in the browser, or run a scenario that begins paused there",
+    )
     run_options.arguments(look)
-    look.add_argument("--address", default="127.0.0.1:0", metavar="HOST:PORT", help="of the page (this host, a free "
-                      "port); it is seen with the token in its address only")  # fmt: skip
+    look.add_argument(
+        "--address",
+        default="127.0.0.1:0",
+        metavar="HOST:PORT",
+        help="of the page (this host, a free port); it is seen with the token in its address only",
+    )
     look.add_argument("--running", action="store_true", help="does not begin paused; in real time nothing does")
-    look.add_argument("--pace", type=_pace, default=1.0, metavar="X", help="simulated by wall-clock time: 1 (default), "
-                      "0.1, 10, ..., or full: as fast as it goes; the page changes it")  # fmt: skip
+    look.add_argument(
+        "--pace",
+        type=_pace,
+        default=1.0,
+        metavar="X",
+        help="simulated by wall-clock time: 1 (default), "
+        "0.1, 10, ..., or full: as fast as it goes; the page changes it",
+    )
     look.set_defaults(mode="container")
     report = verb("report", "report.report:main", "one self-contained HTML page from one or more runs")
     report.add_argument("runs", nargs="+", type=Path, metavar="DIR")
     report.add_argument("--out", type=Path, default=Path("report.html"))
-    report.add_argument("--label", action="append", default=[], metavar="TEXT",
-                        help="name of a run, in their order (default: its own, or its folder)")  # fmt: skip
+    report.add_argument(
+        "--label",
+        action="append",
+        default=[],
+        metavar="TEXT",
+        help="name of a run, in their order (default: its own, or its folder)",
+    )
     draw = verb("draw", "cli:main", "pictures of a run for a paper, its plant in motion, layouts for other viewers")
     kinds = draw.add_subparsers(required=True, metavar="WHAT")
     text = "pictures of a run that is over, for a paper: size, letters, data"
@@ -65,24 +87,44 @@ def _run_and_look(verb: Verb) -> None:
     plot.add_argument("--window", type=float, nargs=2, metavar=("FROM", "TO"), help="s")
     plot.add_argument("--csv", action="store_true", help="the data beside each picture, units in the head")
     animate = verb("animate", "verbs.animate:animate", "a run's plant in motion: a short SVG, GIF, WebP or PNG", kinds)
-    animate.add_argument("what", metavar="RUN|SCENARIO", help="folder of a run, a bag of one, or a scenario, which is "
-                         "run for it in this process")  # fmt: skip
-    animate.add_argument("-o", "--out", type=Path, metavar="FILE", help="SCENARIO.svg without it; .gif, .webp and .png "
-                         "(animated) for programs that know no SVG")  # fmt: skip
+    animate.add_argument(
+        "what",
+        metavar="RUN|SCENARIO",
+        help="folder of a run, a bag of one, or a scenario, which is run for it in this process",
+    )
+    animate.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="SCENARIO.svg without it; .gif, .webp and .png (animated) for programs that know no SVG",
+    )
     animate.add_argument("--from", dest="start", type=Number(float, 0), metavar="S", default=0.0, help="first time, s")
     animate.add_argument("--to", dest="end", type=Number(float, 0), metavar="S", help="last time, s (the end)")
-    animate.add_argument("--speed", type=Number(float, 1e-9), metavar="X",
-                         help="simulated seconds in one of film (default: 4 to 8 s of film)")  # fmt: skip
+    animate.add_argument(
+        "--speed",
+        type=Number(float, 1e-9),
+        metavar="X",
+        help="simulated seconds in one of film (default: 4 to 8 s of film)",
+    )
     text = "a scenario's plots as layouts for PlotJuggler, Foxglove, RViz"
     layouts = verb("layouts", "verbs.layouts:layouts", text, kinds)
     layouts.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
     layouts.add_argument("--out", type=Path, default=Path("layouts"), metavar="DIR", help="they go here (layouts)")
     listed = verb("list", "terminal.listing:main", "scenarios by system, with duration and title; signals, figures")
     listed.add_argument("filter", nargs="?", default="", help="only scenarios or systems with this in their name")
-    listed.add_argument("--signals", metavar="SCENARIO",
-                        help="signals of a scenario: unit, message type, who publishes and who reads them")  # fmt: skip
-    listed.add_argument("--figures", nargs="?", const="", metavar="NAME",
-                        help="functions that figures of a scenario may name, or all about one")  # fmt: skip
+    listed.add_argument(
+        "--signals",
+        metavar="SCENARIO",
+        help="signals of a scenario: unit, message type, who publishes and who reads them",
+    )
+    listed.add_argument(
+        "--figures",
+        nargs="?",
+        const="",
+        metavar="NAME",
+        help="functions that figures of a scenario may name, or all about one",
+    )
 
 
 def _pace(word: str) -> float:
@@ -90,18 +132,36 @@ def _pace(word: str) -> float:
 
 
 def _vary(verb: Verb) -> None:
-    study = verb("study", "study.page:main",
-                 "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on")  # fmt: skip
+    study = verb(
+        "study",
+        "study.page:main",
+        "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on",
+    )
     study.add_argument("study", help="name or file of a study, or a scenario; `study list` shows the studies")
-    study.add_argument("--grid", action="append", default=[], metavar="NAME=A,B,C",
-                       help="every combination; also LOW:HIGH:STEP with both ends")  # fmt: skip
-    study.add_argument("--draw", action="append", default=[], metavar="NAME=LOW..HIGH",
-                       help="drawn uniformly; also 'log LOW..HIGH', of a list LOW..HIGH*N, one of A,B,C")  # fmt: skip
+    study.add_argument(
+        "--grid",
+        action="append",
+        default=[],
+        metavar="NAME=A,B,C",
+        help="every combination; also LOW:HIGH:STEP with both ends",
+    )
+    study.add_argument(
+        "--draw",
+        action="append",
+        default=[],
+        metavar="NAME=LOW..HIGH",
+        help="drawn uniformly; also 'log LOW..HIGH', of a list LOW..HIGH*N, one of A,B,C",
+    )
     study.add_argument("--draws", type=Number(int, 1), default=100, metavar="N", help="how many points are drawn (100)")
     study.add_argument("--method", choices=("random", "latin_hypercube"), default="latin_hypercube")
     study.add_argument("--search", metavar="FIGURE", help="minimise this figure over what --draw names")
-    study.add_argument("--subject-to", action="append", default=[], metavar="'FIGURE <= X'",
-                       help="with --search: only runs that keep to it; also >=")  # fmt: skip
+    study.add_argument(
+        "--subject-to",
+        action="append",
+        default=[],
+        metavar="'FIGURE <= X'",
+        help="with --search: only runs that keep to it; also >=",
+    )
     study.add_argument("--maximise", action="store_true", help="with --search: maximise instead")
     study.add_argument("--seeds", type=Number(int, 1), metavar="N", help="rig seeds 0 to N - 1 of each point")
     study.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
@@ -114,9 +174,14 @@ def _vary(verb: Verb) -> None:
     )
     falsify.add_argument("what", metavar="SCENARIO", help="or the name of a falsification in config/studies; `list`")
     falsify.add_argument("--requirement", action="append", default=[], metavar="NAME", help="default: all")
-    falsify.add_argument("--over", action="append", default=[], metavar="NAME=LOW..HIGH",
-                         help="of a node, fault or signal; 'log LOW..HIGH', list or signal: LOW..HIGH*N (steps), of "
-                              "a signal LOW..HIGH~N (lines), SIGNAL+=LOW..HIGH*N (added to it)")  # fmt: skip
+    falsify.add_argument(
+        "--over",
+        action="append",
+        default=[],
+        metavar="NAME=LOW..HIGH",
+        help="of a node, fault or signal; 'log LOW..HIGH', list or signal: LOW..HIGH*N (steps), of "
+        "a signal LOW..HIGH~N (lines), SIGNAL+=LOW..HIGH*N (added to it)",
+    )
     falsify.add_argument("--budget", type=Number(int, 1), metavar="N", help="runs (200)")
     falsify.add_argument("--seed", type=Number(int, 0), metavar="N", help="of the search (0)")
     falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after the corners (cmaes)")
@@ -139,8 +204,13 @@ def _judge(verb: Verb) -> None:
     check.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
     results = verb("results", "verbs.results:main", "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
-    results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",
-                         help="results.html and .md, or results_SYSTEM.html, go here (runs/results)")  # fmt: skip
+    results.add_argument(
+        "--out",
+        type=Path,
+        default=Path("runs/results"),
+        metavar="DIR",
+        help="results.html and .md, or results_SYSTEM.html, go here (runs/results)",
+    )
     results.add_argument("--studies", action="store_true", help="the claims of studies too: hundreds of runs")
     golden = verb(
         "golden", "verbs.golden:main", "make golden bags anew and show the difference to the old, or check them"

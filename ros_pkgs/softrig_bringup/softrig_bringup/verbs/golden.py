@@ -123,8 +123,11 @@ class Golden:
                 if a.size and a.size == b.size:
                     topic = topic_of(name, self.rig.topics)
                     largest[topic] = max(largest.get(topic, 0.0), float(np.nanmax(np.abs(a - b), initial=0.0)))
-        return {f"{topic}/*": Allowed(absolute=float(f"{10.0 * d:.1e}")) for topic, d in sorted(largest.items())
-                if 10.0 * d > 1e-9}  # fmt: skip
+        return {
+            f"{topic}/*": Allowed(absolute=float(f"{10.0 * d:.1e}"))
+            for topic, d in sorted(largest.items())
+            if 10.0 * d > 1e-9
+        }
 
     @property
     def others(self) -> dict[str, tuple[str, str]]:
@@ -328,8 +331,10 @@ def main(options: argparse.Namespace) -> int:
     for row, new, others in sweep(_one, works, title="golden bags", workers=options.workers if check else 1):
         name, length = row["bag"], f"{row['duration_s']:g} s"
         size = sum(f.stat().st_size for f in (folder / name / "bag").glob("*")) / 1e3
-        print(f"{name}: {length}, {size:.0f} kB, "
-              + ("new" if new else f"{'agrees' if row['pass'] else 'DIFFERS'} {row['compared']}"))  # fmt: skip
+        print(
+            f"{name}: {length}, {size:.0f} kB, "
+            + ("new" if new else f"{'agrees' if row['pass'] else 'DIFFERS'} {row['compared']}")
+        )
         if not row["pass"]:
             print(row["differs"])
         suites.append(Suite(name, row["wall_s"], [Case("bag", row["differs"], length)]))
@@ -357,6 +362,17 @@ def _one(work: tuple[Path, dict[str, Any], bool]) -> tuple[dict[str, Any], bool,
     except RunError as error:
         raise RunError(f"{folder.name}: {error}") from error
     differs = "" if result is None or result.equal else str(result)
-    return {"bag": folder.name, "scenario": golden.recipe.scenario, "duration_s": golden.recipe.duration,
-            "seed": golden.recipe.seed, "pass": not differs, "compared": how, "differs": differs,
-            "wall_s": round(time.perf_counter() - started, 3)}, result is None, others  # fmt: skip
+    return (
+        {
+            "bag": folder.name,
+            "scenario": golden.recipe.scenario,
+            "duration_s": golden.recipe.duration,
+            "seed": golden.recipe.seed,
+            "pass": not differs,
+            "compared": how,
+            "differs": differs,
+            "wall_s": round(time.perf_counter() - started, 3),
+        },
+        result is None,
+        others,
+    )

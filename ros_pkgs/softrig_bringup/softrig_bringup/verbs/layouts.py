@@ -107,8 +107,13 @@ def _plotjuggler(plots: Sequence[Plotted]) -> str:
     topics = dict.fromkeys(f"/{topic}" for plot in plots for topic, *_ in plot.curves)
     stream = e("plugin", e("use_header_stamp", value="true"), e("selected_topics", value=";".join(topics)), ID=_STREAM)
     window = e("tabbed_widget", *tabs, e("currentTabIndex", index="0"), name="Main Window", parent="main_window")
-    root = e("root", window, e("use_relative_time_offset", enabled="1"), e("Plugins", stream),
-             e("previouslyLoaded_Streamer", name=_STREAM))  # fmt: skip
+    root = e(
+        "root",
+        window,
+        e("use_relative_time_offset", enabled="1"),
+        e("Plugins", stream),
+        e("previouslyLoaded_Streamer", name=_STREAM),
+    )
     indent(root)
     return "<?xml version='1.0' encoding='UTF-8'?>\n" + tostring(root, "unicode") + "\n"
 
@@ -127,13 +132,23 @@ def _foxglove(plots: Sequence[Plotted], rig: Rig) -> str:
             over = _path(topic, port, plot.over, "")
             own = {"xAxisVal": "custom", "xAxisPath": {"value": over["value"], "enabled": True}}
         panels[f"Plot!plot{number:02d}"] = {
-            "title": plot.title, "foxglovePanelTitle": plot.title, "paths": paths, "showXAxisLabels": True,
-            "showYAxisLabels": True, "showLegend": True, "legendDisplay": "floating", "isSynced": True, **own,
-        }  # fmt: skip
+            "title": plot.title,
+            "foxglovePanelTitle": plot.title,
+            "paths": paths,
+            "showXAxisLabels": True,
+            "showYAxisLabels": True,
+            "showLegend": True,
+            "legendDisplay": "floating",
+            "isSynced": True,
+            **own,
+        }
     whole = {
-        "configById": panels, "globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1},
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
         "layout": _arranged(list(panels)),
-    }  # fmt: skip
+    }
     return json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
 
 
@@ -147,8 +162,12 @@ def _arranged(names: Sequence[str]) -> Any:
 def _column(names: Sequence[str]) -> Any:
     if len(names) == 1:
         return names[0]
-    return {"direction": "column", "first": names[0], "second": _column(names[1:]),
-            "splitPercentage": round(100.0 / len(names), 1)}  # fmt: skip
+    return {
+        "direction": "column",
+        "first": names[0],
+        "second": _column(names[1:]),
+        "splitPercentage": round(100.0 / len(names), 1),
+    }
 
 
 def _path(topic: str, port: Port, label: str, said: str) -> Mapping[str, Any]:

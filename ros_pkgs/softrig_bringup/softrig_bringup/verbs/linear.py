@@ -30,19 +30,31 @@ def numbers(view: LinearView) -> dict[str, Any]:
     if view.link:
         system = view.opened
         margins = {k: v if math.isfinite(v) else None for k, v in view.margins._asdict().items()}
-        found |= {"link": view.link, "margins": margins, "opened": {
-            "states": list(system.state_labels), "A": system.A.tolist(), "B": system.B.tolist(),
-            "C": system.C.tolist(), "D": system.D.tolist(),
-            "poles": [[p.real, p.imag] for p in view.loop_poles.tolist()]}}  # fmt: skip
+        found |= {
+            "link": view.link,
+            "margins": margins,
+            "opened": {
+                "states": list(system.state_labels),
+                "A": system.A.tolist(),
+                "B": system.B.tolist(),
+                "C": system.C.tolist(),
+                "D": system.D.tolist(),
+                "poles": [[p.real, p.imag] for p in view.loop_poles.tolist()],
+            },
+        }
     return found
 
 
 def linearise(options: argparse.Namespace) -> int:
     """Print poles and margins; with ``--out``, write numbers and pictures."""
     view = linear_view(
-        options.scenario, options.open, at=options.at, inputs=options.input, outputs=options.output,
+        options.scenario,
+        options.open,
+        at=options.at,
+        inputs=options.input,
+        outputs=options.output,
         overrides=settings(options.set),
-    )  # fmt: skip
+    )
     out = console()
     out.print(f"{view.rig}, t = {view.at:.6g} s: {len(view.states)} states, period {view.period:g} s")
     rows = [("poles (in z)", "1/s")] if view.modes else []

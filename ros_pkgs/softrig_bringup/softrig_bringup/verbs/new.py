@@ -33,11 +33,15 @@ class Kind(NamedTuple):
 
 PLANT, LAW = "$name/plant.py", "$name/controller.py"
 KINDS = {
-    "both": Kind("a plant and its control law", {"plant.py": PLANT, "controller.py": LAW}, ("softrig_control",),
-                 "${name}_controller.r=0.1"),
+    "both": Kind(
+        "a plant and its control law",
+        {"plant.py": PLANT, "controller.py": LAW},
+        ("softrig_control",),
+        "${name}_controller.r=0.1",
+    ),
     "law": Kind("a control law for a plant that is there", {"law.py": LAW}, ("softrig_drives",), "dc_motor_smc.kp=1.5"),
     "plant": Kind("a plant", {"plant.py": PLANT}, ("softrig_control",), "${name}_plant.m=0.3"),
-}  # fmt: skip
+}
 
 
 def command() -> str:
@@ -89,16 +93,21 @@ def new_package(name: str, parent: Path, kind: str = "both") -> Path:
     )
     modules = [Path(place).stem for place in made.files.values()]
     values = {
-        "name": name, "softrig": command(), "first": first("."), "What": made.what.capitalize(),
+        "name": name,
+        "softrig": command(),
+        "first": first("."),
+        "What": made.what.capitalize(),
         "modules": ", ".join(f"`{name}/{module}.py`" for module in modules),
         "executables": "\n".join(f"    {name}_{module} = {name}.{module}:main" for module in sorted(modules)),
         "executable": f"{name}_{modules[0]}",
         "depends": "\n".join(f"  <exec_depend>{package}</exec_depend>" for package in made.depends),
         "change": Template(made.change).substitute(name=name),
-    }  # fmt: skip
+    }
     source = files("softrig_bringup") / "template"
-    texts = {Template(to).substitute(values): Template((source / f"{file}.template").read_text(encoding="utf-8"))
-             for file, to in files_of.items()}  # fmt: skip
+    texts = {
+        Template(to).substitute(values): Template((source / f"{file}.template").read_text(encoding="utf-8"))
+        for file, to in files_of.items()
+    }
     for to, text in texts.items():
         _write(folder / to, text.substitute(values))
     for to in EMPTY:

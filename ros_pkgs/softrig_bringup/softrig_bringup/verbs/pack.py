@@ -91,10 +91,14 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
         say(f"the code of {name} is no longer that of the run ({was[name]} then, {code[name]} now): it may not repeat")
     own = [name for name in code if not name.startswith("softrig_")]
     sources = {name: _sources(name) for name in own}
-    about = About(scenario=scenario.name, packages={name: _version(name) for name in own},
-                  versions=before.made_with.get("versions", {}), code=was,
-                  contents=before.made_with.get("contents", {}),
-                  digests={} if bag else _digests(before, scenario, content))  # fmt: skip
+    about = About(
+        scenario=scenario.name,
+        packages={name: _version(name) for name in own},
+        versions=before.made_with.get("versions", {}),
+        code=was,
+        contents=before.made_with.get("contents", {}),
+        digests={} if bag else _digests(before, scenario, content),
+    )
     files: dict[str, bytes | Path] = {}
     if not bag:
         scenario = repeated(scenario, before)
@@ -161,8 +165,10 @@ def _unchanged(run: Path, rig: Rig, content: Mapping[str, Any]) -> None:
         now = json.loads(json.dumps(flatten(member.params)))
         for name, value in now.items() if member.name in then and not member.external else ():
             if then[member.name].get(name, value) != value:
-                raise ScenarioError(f"{run}: it ran with {member.name}.{name} = {then[member.name][name]!r}, which is "
-                                    f"{value!r} by now: run it again")  # fmt: skip
+                raise ScenarioError(
+                    f"{run}: it ran with {member.name}.{name} = {then[member.name][name]!r}, which is "
+                    f"{value!r} by now: run it again"
+                )
 
 
 def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -21,9 +21,11 @@ from ..plots.pictures import OVERVIEW
 from ..study.definition import list_studies
 
 HEADER = ("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict", "Run")
-AGREES = ("Agrees when: the published number with its tolerance (5 % where a claim states none), or the bound or the "
-          "figure of ours that the claim compares with. One statement that is held against several figures or "
-          "scenarios counts once.")  # fmt: skip
+AGREES = (
+    "Agrees when: the published number with its tolerance (5 % where a claim states none), or the bound or the "
+    "figure of ours that the claim compares with. One statement that is held against several figures or "
+    "scenarios counts once."
+)
 
 
 def counts(rows: Sequence[Finding]) -> str:
@@ -65,26 +67,45 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = 
     ]
     header = ("System", *(v.replace("_", " ").capitalize() for v in VERDICTS), "")
     body = [
-        e("header", e("h1", "What the papers say, and what holds"), e("p", counts(rows), class_="what"),
-          *([e("p", without, class_="what")] if without else [])),
+        e(
+            "header",
+            e("h1", "What the papers say, and what holds"),
+            e("p", counts(rows), class_="what"),
+            *([e("p", without, class_="what")] if without else []),
+        ),
         table(header, totals, " nnnnn "),
-        e("p", *(part for v, text in VERDICTS.items() for part in (e("b", v.replace("_", " ")), f": {text}. ")),
-          class_="note"),
+        e(
+            "p",
+            *(part for v, text in VERDICTS.items() for part in (e("b", v.replace("_", " ")), f": {text}. ")),
+            class_="note",
+        ),
         e("p", AGREES, class_="note"),
-    ]  # fmt: skip
+    ]
     for system, mine, group in groups:
         cells: list[tuple[Element | str, ...]] = [
-            (_claim(r), r.where, short(r.published), r.asked, f"{r.measured_text} {pretty_unit(r.unit)}".strip(),
-             _verdict(r), _run(r, out))
+            (
+                _claim(r),
+                r.where,
+                short(r.published),
+                r.asked,
+                f"{r.measured_text} {pretty_unit(r.unit)}".strip(),
+                _verdict(r),
+                _run(r, out),
+            )
             for r in group
-        ]  # fmt: skip
+        ]
         names = list(dict.fromkeys(r.scenario for r in group))
         papers = list(sources(_cited(mine))) or [e("p", text, class_="what") for text in _stated(mine)]
         body.append(
-            e("section", e("h2", system), *papers,
-              table(HEADER, cells, "  n n  "),
-              e("details", e("summary", "Repeat"), e("pre", "\n".join(map(command, names)))), id=system)
-        )  # fmt: skip
+            e(
+                "section",
+                e("h2", system),
+                *papers,
+                table(HEADER, cells, "  n n  "),
+                e("details", e("summary", "Repeat"), e("pre", "\n".join(map(command, names)))),
+                id=system,
+            )
+        )
     return page("Results", body)
 
 
@@ -137,8 +158,12 @@ def _run(row: Finding, out: Path | None) -> Element:
     if out is None or not (out / place / "report.html").is_file():
         return e("code", name)
     first = next(iter(sorted((out / place).glob("plot_01_*.png"))), out / place / OVERVIEW)
-    return e("div", e("a", e("code", name), href=f"{place}/report.html"), " ",
-             e("a", "picture", href=f"{place}/{first.name}"))  # fmt: skip
+    return e(
+        "div",
+        e("a", e("code", name), href=f"{place}/report.html"),
+        " ",
+        e("a", "picture", href=f"{place}/{first.name}"),
+    )
 
 
 def _claim(row: Finding) -> Element:

@@ -249,8 +249,11 @@ def _too_slow(options: argparse.Namespace, done: Run) -> str:
 
 def _missed(status: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """Share of its deadlines that each node has missed in real time, per cent."""
-    return {name: 100.0 * s["missed_deadlines"] / s["ticks"] for name, s in status.items()
-            if s.get("missed_deadlines") and s.get("ticks")}  # fmt: skip
+    return {
+        name: 100.0 * s["missed_deadlines"] / s["ticks"]
+        for name, s in status.items()
+        if s.get("missed_deadlines") and s.get("ticks")
+    }
 
 
 def _announce(text: str) -> None:
@@ -273,8 +276,12 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
     published = any(f.published is not None for f in run.results)
     heads = [*(["published"] if published else []), "measured", "expected", "unit"]
     for name in (*heads, ""):
-        table.add_column(name, justify="left" if name in ("unit", "") else "right", overflow="fold",
-                         no_wrap=name in ("published", "measured"))  # fmt: skip
+        table.add_column(
+            name,
+            justify="left" if name in ("unit", "") else "right",
+            overflow="fold",
+            no_wrap=name in ("published", "measured"),
+        )
     rows = []
     for f in run.results:
         missed = ("MISS", "red") if not changed else ("differs" if measured_here(f) else "", "yellow")
@@ -298,8 +305,10 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
     reached, whole = content["reached_s"], content["duration_s"]
     speed = "" if run.epoch or not reached else f" ({reached / run.wall_s:.3g} x real time)"
     of = f" of {whole:g}" if run.stopped else ""
-    console.print(f"{run.mode}: {content['ticks']} ticks, {reached:.6g}{of} s simulated in {run.wall_s:.2f} s with "
-                  f"start-up{speed}")  # fmt: skip
+    console.print(
+        f"{run.mode}: {content['ticks']} ticks, {reached:.6g}{of} s simulated in {run.wall_s:.2f} s with "
+        f"start-up{speed}"
+    )
     for name, status in run.status.items():
         for _, text, count in status.get("reports", {}).values():
             console.print(f"{name}: {text} ({count} x)")

@@ -56,9 +56,14 @@ def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
     own = f"/{namespace}" if namespace else ""
     moved = [(f"/{name}", f"{own}/{name}") for name in ROOTED] if namespace else []
     (folder / "rig.rviz").write_text(rviz_file(rig, own))
-    return Process("rviz2", "rviz2", arguments=["-d", str(folder / "rig.rviz")],
-                   parameters=[_parameters(folder / "rviz2.yaml", {"use_sim_time": simulated})], remappings=moved,
-                   kind="viewer")  # fmt: skip
+    return Process(
+        "rviz2",
+        "rviz2",
+        arguments=["-d", str(folder / "rig.rviz")],
+        parameters=[_parameters(folder / "rviz2.yaml", {"use_sim_time": simulated})],
+        remappings=moved,
+        kind="viewer",
+    )
 
 
 def rviz_file(rig: Rig, namespace: str = "") -> str:
@@ -92,8 +97,13 @@ def _rviz(description: str, markers: Sequence[str]) -> dict[str, Any]:
         return {"Class": f"rviz_default_plugins/{kind}", "Name": name, "Enabled": True, "Value": True} | keys
 
     def topic(name: str, durability: str) -> dict[str, Any]:
-        return {"Value": name, "Depth": 5, "History Policy": "Keep Last", "Reliability Policy": "Reliable",
-                "Durability Policy": durability}  # fmt: skip
+        return {
+            "Value": name,
+            "Depth": 5,
+            "History Policy": "Keep Last",
+            "Reliability Policy": "Reliable",
+            "Durability Policy": durability,
+        }
 
     displays = [display("Grid", "Grid"), display("TF", "TF")]
     if description:

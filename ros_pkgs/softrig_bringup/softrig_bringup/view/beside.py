@@ -38,10 +38,13 @@ class Beside:
     def __init__(self, scenario: Scenario, directory: Path, placement: Placement, address: str) -> None:
         self._directory, self._address = directory, address
         self._told: dict[str, Any] = {
-            "scenario": scenario.model_dump(mode="json", exclude_unset=True), "directory": str(directory),
-            "realtime": placement.clock == "realtime", "paused": placement.paused, "pace": placement.pace,
+            "scenario": scenario.model_dump(mode="json", exclude_unset=True),
+            "directory": str(directory),
+            "realtime": placement.clock == "realtime",
+            "paused": placement.paused,
+            "pace": placement.pace,
             "how": str(placement),
-        }  # fmt: skip
+        }
         self._process: subprocess.Popen[str] | None = None
         self._ends = False  # whether its end is no break
         self.keeper = threading.Thread(target=self._keep, daemon=True)

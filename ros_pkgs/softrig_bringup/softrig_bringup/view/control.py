@@ -118,8 +118,15 @@ class Control:
 
     goes_back = False
 
-    def __init__(self, rig: Rig, ask: Ask | None, now: Callable[[], float], over: Callable[[], str],
-                 held: bool | None = None, pace: float = 0.0) -> None:  # fmt: skip
+    def __init__(
+        self,
+        rig: Rig,
+        ask: Ask | None,
+        now: Callable[[], float],
+        over: Callable[[], str],
+        held: bool | None = None,
+        pace: float = 0.0,
+    ) -> None:
         self._ask, self._now, self._over = ask, now, over
         self.held, self.pace = held, pace
         self.clock = rig.clock.name
@@ -129,9 +136,11 @@ class Control:
         self.knobs = {k.key: k for m in first for k in _knobs(m)}
         self.roles = {knob.node: roles[knob.node] for knob in self.knobs.values()}
         self.buttons = [
-            (m.name, p.name) for m in own for p in m.inputs
+            (m.name, p.name)
+            for m in own
+            for p in m.inputs
             if p.msgtype == "std_msgs/msg/Bool" and p.name not in m.links
-        ]  # fmt: skip
+        ]
         self.said: deque[Said] = deque(maxlen=KEPT)
         self.lines = 0
 
@@ -148,8 +157,9 @@ class Control:
         def answered(done: bool, reason: str) -> None:
             if done:
                 knob.value = value
-            self.say(who, f"{key} = {_shown(value)} {knob.unit}".rstrip() + ("" if done else f" refused: {reason}"),
-                     not done)  # fmt: skip
+            self.say(
+                who, f"{key} = {_shown(value)} {knob.unit}".rstrip() + ("" if done else f" refused: {reason}"), not done
+            )
 
         self._send(who, f"{key} = {_shown(value)}", {"node": knob.node, "set": {knob.name: value}}, answered)
 

@@ -172,10 +172,13 @@ class Here(Growing):
                 self.control.took_effect(*change)
         self.changes = found
         self.status = {
-            name: {"state": "failed" if session.error else "done" if session.over else "running",
-                   "ticks": step.t // step.schedule.time(1), **status_of(step)}
+            name: {
+                "state": "failed" if session.error else "done" if session.over else "running",
+                "ticks": step.t // step.schedule.time(1),
+                **status_of(step),
+            }
             for name, step in session.steps.items()
-        }  # fmt: skip
+        }
 
 
 def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, conclude: Conclude) -> int:

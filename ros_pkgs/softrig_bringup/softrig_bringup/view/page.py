@@ -63,9 +63,15 @@ class Page:
     """
 
     def __init__(
-        self, document: Document, source: Source, control: Control,
-        figures: Callable[[], tuple[Sequence[Result], bool]], who: str, how: str, look: str,
-    ) -> None:  # fmt: skip
+        self,
+        document: Document,
+        source: Source,
+        control: Control,
+        figures: Callable[[], tuple[Sequence[Result], bool]],
+        who: str,
+        how: str,
+        look: str,
+    ) -> None:
         self._source, self._control, self._figures = source, control, figures
         self._who, self._how = who, how
         self._sheet, self._beside = InlineStyleSheet(css=WIDGETS), InlineStyleSheet(css=BESIDE)
@@ -108,10 +114,14 @@ class Page:
         for name, root in roots.items():
             root.name = name
             document.add_root(root)
-        document.template_variables.update({
-            "look": look, "drawn": self._drawing is not None, "curves": [name for name in roots if name[:5] == "curve"],
-            "groups": [(name, title, what, opened) for name, _, title, what, opened in groups],
-        })  # fmt: skip
+        document.template_variables.update(
+            {
+                "look": look,
+                "drawn": self._drawing is not None,
+                "curves": [name for name in roots if name[:5] == "curve"],
+                "groups": [(name, title, what, opened) for name, _, title, what, opened in groups],
+            }
+        )
         # by itself Bokeh would take up the session again, of which a server that was started anew knows nothing
         document.config.update(reconnect_session=False, notify_connection_status=False)
         document.js_on_event("connection_lost", CustomJS(code=COME_BACK))
@@ -136,8 +146,9 @@ class Page:
     def _bar(self) -> list[Any]:
         """Window of time, follow; pause and step where the run can be held."""
         sheet = [self._sheet]
-        self._window = Select(title="window, s", value="all", options=list(WINDOWS), width=90, stylesheets=sheet,
-                              name="window")  # fmt: skip
+        self._window = Select(
+            title="window, s", value="all", options=list(WINDOWS), width=90, stylesheets=sheet, name="window"
+        )
         self._follow = Toggle(label="follow", active=True, width=90, stylesheets=sheet, name="follow", align="end")
         self._window.on_change("value", self._again)
         self._follow.on_change("active", self._again)
@@ -159,8 +170,17 @@ class Page:
     def _recorded(self) -> Any:
         """A time cursor, and what moves it."""
         end = max(self._source.end, 1e-9)
-        self._slider = Slider(start=0.0, end=end, value=0.0, step=end / 1000, title="t, s", stylesheets=[self._sheet],
-                              name="cursor", format="0.000000", sizing_mode="stretch_width")  # fmt: skip
+        self._slider = Slider(
+            start=0.0,
+            end=end,
+            value=0.0,
+            step=end / 1000,
+            title="t, s",
+            stylesheets=[self._sheet],
+            name="cursor",
+            format="0.000000",
+            sizing_mode="stretch_width",
+        )
         self._slider.on_change("value", lambda attr, old, new: self._point())
         self._play = Toggle(label="play", width=90, stylesheets=[self._sheet], name="play", align="end")
         return row(self._slider, self._play, sizing_mode="stretch_width")
@@ -170,8 +190,16 @@ class Page:
         about: dict[str, Any] = {"stylesheets": [self._sheet], "align": "end"}
         end = self._source.length
         self._to = TextInput(title="t, s", value="0", width=90, name="back to", **about)
-        self._along = Slider(start=0.0, end=end, value=0.0, step=end / 1000, show_value=False, name="back to slider",
-                             sizing_mode="stretch_width", **about)  # fmt: skip
+        self._along = Slider(
+            start=0.0,
+            end=end,
+            value=0.0,
+            step=end / 1000,
+            show_value=False,
+            name="back to slider",
+            sizing_mode="stretch_width",
+            **about,
+        )
         self._along.on_change("value", lambda attr, old, new: self._calm or self._to.update(value=f"{new:.6g}"))
         self._to.on_change("value", lambda attr, old, new: self._aim())
         button = self._button("go back", self._go_back)
@@ -217,8 +245,16 @@ class Page:
     def _slider_of(self, knob: Knob, low: float, high: float) -> Slider:
         """Give what moves a number; it counts when it is let go."""
         step = max(1, round((high - low) / 1000)) if knob.kind is int else (high - low) / 1000
-        found = Slider(start=low, end=high, value=knob.value, step=step, show_value=False, name=f"{knob.key} slider",
-                       stylesheets=[self._sheet], sizing_mode="stretch_width")  # fmt: skip
+        found = Slider(
+            start=low,
+            end=high,
+            value=knob.value,
+            step=step,
+            show_value=False,
+            name=f"{knob.key} slider",
+            stylesheets=[self._sheet],
+            sizing_mode="stretch_width",
+        )
         found.on_change("value_throttled", lambda attr, old, new: self._turned(knob, knob.kind(new)))
         return found
 
@@ -366,9 +402,15 @@ class Page:
     def _write(self) -> bool:
         source, control = self._source, self._control
         results, so_far = self._figures()
-        texts = (words.figures(results, so_far), words.health(source.status), words.log(control.said),
-                 tuple(repr(k.value) for k in control.knobs.values()), control.held, control.pace,
-                 source.outcome)  # fmt: skip
+        texts = (
+            words.figures(results, so_far),
+            words.health(source.status),
+            words.log(control.said),
+            tuple(repr(k.value) for k in control.knobs.values()),
+            control.held,
+            control.pace,
+            source.outcome,
+        )
         if texts == self._texts:
             return False
         self._texts = texts

@@ -45,8 +45,9 @@ class Picture:
         Bokeh's, one for each unit.
     """
 
-    def __init__(self, entry: PlotEntry, rig: Rig, time: Range1d, cursor: Span, changes: ColumnDataSource,
-                 look: str) -> None:  # fmt: skip
+    def __init__(
+        self, entry: PlotEntry, rig: Rig, time: Range1d, cursor: Span, changes: ColumnDataSource, look: str
+    ) -> None:
         self._entry = entry.model_copy(update={"window": None})  # the reader chooses
         self._curves = Curves(Pane({}), rig)  # type: ignore[arg-type]
         self._look = look
@@ -63,31 +64,67 @@ class Picture:
             for k, (unit, names) in enumerate(units.items())
         ]
 
-    def _over_time(self, unit: str, names: Sequence[str], named: dict[str, Curve], time: Range1d, cursor: Span,
-                   changes: ColumnDataSource, *, first: bool) -> Any:  # fmt: skip
+    def _over_time(
+        self,
+        unit: str,
+        names: Sequence[str],
+        named: dict[str, Curve],
+        time: Range1d,
+        cursor: Span,
+        changes: ColumnDataSource,
+        *,
+        first: bool,
+    ) -> Any:
         title = axis_title(self._entry.quantity or quantity(unit), unit) or "value"
-        found = figure(x_range=time, y_range=DataRange1d(only_visible=True), height=230, tools=TOOLS,
-                       active_drag="box_zoom", sizing_mode="stretch_width", title=self._entry.title if first else None,
-                       x_axis_label="t, s", y_axis_label=title)  # fmt: skip
+        found = figure(
+            x_range=time,
+            y_range=DataRange1d(only_visible=True),
+            height=230,
+            tools=TOOLS,
+            active_drag="box_zoom",
+            sizing_mode="stretch_width",
+            title=self._entry.title if first else None,
+            x_axis_label="t, s",
+            y_axis_label=title,
+        )
         found.vspan(x="t", source=changes, line_color=CHANGED[self._look], line_dash="dotted", line_width=1)
         lines = self._lines(found, names, named)
         found.add_layout(cursor)
         said = f"$name: @y{{%.6g}} {pretty_unit(unit)} at @x{{%.6g}} s"
-        found.add_tools(HoverTool(renderers=lines, mode="vline", line_policy="prev", tooltips=said,
-                                  formatters={"@y": "printf", "@x": "printf"}),
-                        CrosshairTool(dimensions="height", line_color=SOFT[self._look], line_alpha=0.6))  # fmt: skip
+        found.add_tools(
+            HoverTool(
+                renderers=lines,
+                mode="vline",
+                line_policy="prev",
+                tooltips=said,
+                formatters={"@y": "printf", "@x": "printf"},
+            ),
+            CrosshairTool(dimensions="height", line_color=SOFT[self._look], line_alpha=0.6),
+        )
         return found
 
     def _plane(self, named: dict[str, Curve]) -> Any:
         over = self._curves.axis(f"{self._curves.topic(next(iter(named)))}/{self._entry.x}")
         unit = next(iter(named.values())).unit
-        found = figure(height=380, tools="pan,box_zoom,wheel_zoom,reset,save", active_drag="box_zoom",
-                       match_aspect=True, sizing_mode="stretch_width", title=self._entry.title,
-                       x_axis_label=axis_title(over, unit),
-                       y_axis_label=axis_title(self._entry.quantity or quantity(unit), unit))  # fmt: skip
+        found = figure(
+            height=380,
+            tools="pan,box_zoom,wheel_zoom,reset,save",
+            active_drag="box_zoom",
+            match_aspect=True,
+            sizing_mode="stretch_width",
+            title=self._entry.title,
+            x_axis_label=axis_title(over, unit),
+            y_axis_label=axis_title(self._entry.quantity or quantity(unit), unit),
+        )
         lines = self._lines(found, list(named), named)
-        found.add_tools(HoverTool(renderers=lines, tooltips="$name: @x{%.6g}, @y{%.6g}", line_policy="nearest",
-                                  formatters={"@y": "printf", "@x": "printf"}))  # fmt: skip
+        found.add_tools(
+            HoverTool(
+                renderers=lines,
+                tooltips="$name: @x{%.6g}, @y{%.6g}",
+                line_policy="nearest",
+                formatters={"@y": "printf", "@x": "printf"},
+            )
+        )
         return found
 
     def _lines(self, found: Any, names: Sequence[str], named: dict[str, Curve]) -> list[Any]:
@@ -140,5 +177,6 @@ def plots_of(rig: Rig) -> tuple[PlotEntry, ...]:
     units = signal_units(rig)
     return tuple(
         PlotEntry(title=topic, signals={f"{topic}/{label}": "" for label in port.labels[:MANY]})
-        for topic, port in rig.topics.items() if port.labels and f"{topic}/{port.labels[0]}" in units
-    )  # fmt: skip
+        for topic, port in rig.topics.items()
+        if port.labels and f"{topic}/{port.labels[0]}" in units
+    )

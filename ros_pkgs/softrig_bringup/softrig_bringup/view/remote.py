@@ -32,9 +32,13 @@ class Remote:
 
     def __init__(self, domain: int, directory: Path, call: Callable[[Callable[[], object]], object]) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "softrig_core.node.ros.remote"], env=environment(domain, directory), text=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0,
-        )  # fmt: skip
+            [sys.executable, "-P", "-m", "softrig_core.node.ros.remote"],
+            env=environment(domain, directory),
+            text=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            process_group=0,
+        )
         self._asked: dict[int, Answer] = {}
         self._numbers = count()
         self._call = call

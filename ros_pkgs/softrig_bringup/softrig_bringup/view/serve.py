@@ -192,11 +192,16 @@ class Pages:
             origins = ["*"]
         try:
             self.server = Server(
-                {PAGE: Application(FunctionHandler(self._page))}, io_loop=loop, address=host, port=chosen,
-                extra_patterns=[("/", _ToPage)], check_unused_sessions_milliseconds=1000,
-                unused_session_lifetime_milliseconds=5000, allow_websocket_origin=origins,
+                {PAGE: Application(FunctionHandler(self._page))},
+                io_loop=loop,
+                address=host,
+                port=chosen,
+                extra_patterns=[("/", _ToPage)],
+                check_unused_sessions_milliseconds=1000,
+                unused_session_lifetime_milliseconds=5000,
+                allow_websocket_origin=origins,
                 auth_provider=_Token(token, LOOPBACK if host in LOOPBACK else ()),
-            )  # fmt: skip
+            )
         except OSError as error:
             raise ScenarioError(f"--address {address}: {error.strerror}") from None
         shown = f"[{host}]" if ":" in host else host

@@ -68,8 +68,11 @@ class Growing:
         self._newest: dict[str, float] = {}
         self._holds = {  # s
             p.topic: m.params.period
-            for m in rig.members if held and not m.external for p in m.outputs if not p.sporadic
-        }  # fmt: skip
+            for m in rig.members
+            if held and not m.external
+            for p in m.outputs
+            if not p.sporadic
+        }
         self._marks: deque[tuple[float, float]] = deque(maxlen=LATELY)
 
     @property

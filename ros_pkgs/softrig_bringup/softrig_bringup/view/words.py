@@ -15,9 +15,14 @@ from .control import Control, Said
 from .sources import Source
 
 COUNTS = {
-    "missed_deadlines": "missed", "incomplete_ticks": "incomplete", "dropped_ticks": "dropped",
-    "late_messages": "late", "overdue_messages": "overdue", "lost_arrays": "lost", "skipped_periods": "skipped",
-}  # fmt: skip
+    "missed_deadlines": "missed",
+    "incomplete_ticks": "incomplete",
+    "dropped_ticks": "dropped",
+    "late_messages": "late",
+    "overdue_messages": "overdue",
+    "lost_arrays": "lost",
+    "skipped_periods": "skipped",
+}
 
 
 def head(source: Source, how: str, control: Control) -> str:
@@ -30,10 +35,14 @@ def head(source: Source, how: str, control: Control) -> str:
     elif not source.outcome:
         state = f"{source.end:.6g} of {scenario.duration:g} s, {_going(source, control)}"
     note = "; of what is old only the extremes are kept" if source.thinned else ""
-    said = "".join(f'<p class="{"wrong" if s.wrong else "soft"}">{html.escape(f"{s.who}: {s.text}")}</p>'
-                   for s in list(control.said)[-1:])  # fmt: skip
-    return (f"<h1>{html.escape(scenario.name)}</h1><p>{html.escape(scenario.title)}</p>"
-            f'<p class="{look}">{html.escape(how)}: {html.escape(state + note)}</p>{said}')  # fmt: skip
+    said = "".join(
+        f'<p class="{"wrong" if s.wrong else "soft"}">{html.escape(f"{s.who}: {s.text}")}</p>'
+        for s in list(control.said)[-1:]
+    )
+    return (
+        f"<h1>{html.escape(scenario.name)}</h1><p>{html.escape(scenario.title)}</p>"
+        f'<p class="{look}">{html.escape(how)}: {html.escape(state + note)}</p>{said}'
+    )
 
 
 def _going(source: Source, control: Control) -> str:
@@ -60,8 +69,10 @@ def figures(results: Iterable[Result], so_far: bool) -> str:
         unit = pretty_unit(f.unit)
         said = unit if f.value is not None or (so_far and not measured_here(f)) else in_words(f)
         look = 'class="u"' if said == unit else ""
-        rows.append(f'<tr><td>{_broken(f.name)}</td><td class="n">{value}</td><td {look}>{html.escape(said)}</td>'
-                    f'<td>{html.escape(accepted(f))}</td><td class="n">{mark}</td></tr>')  # fmt: skip
+        rows.append(
+            f'<tr><td>{_broken(f.name)}</td><td class="n">{value}</td><td {look}>{html.escape(said)}</td>'
+            f'<td>{html.escape(accepted(f))}</td><td class="n">{mark}</td></tr>'
+        )
     first = '<tr><th>name</th><th class="n">value</th><th></th><th>expected</th><th></th></tr>'
     return _section("Figures and margins" + (", so far" if so_far else ""), first, rows)
 
@@ -77,23 +88,30 @@ def health(status: Mapping[str, Mapping[str, Any]]) -> str:
         counts += [f"waits: {text}" for text in s.get("lacking", [])]
         said = f'<span class="wrong">{html.escape("; ".join(counts))}</span>' if counts else "well"
         state = "starting" if not s else str(s.get("state", ""))
-        rows.append(f"<tr><td>{html.escape(name)}</td><td>{html.escape(state)}</td>"
-                    f'<td class="n">{s.get("ticks", "")}</td><td>{said}</td></tr>')  # fmt: skip
+        rows.append(
+            f"<tr><td>{html.escape(name)}</td><td>{html.escape(state)}</td>"
+            f'<td class="n">{s.get("ticks", "")}</td><td>{said}</td></tr>'
+        )
     return _section("Nodes", "<tr><th>node</th><th>state</th><th>ticks</th><th>health</th></tr>", rows)
 
 
 def log(lines: Iterable[Said]) -> str:
     """Give what was done and said, newest first."""
-    rows = [f'<tr><td class="n">{s.t:.6g} s</td><td>{html.escape(s.who)}</td>'
-            f'<td class="{"wrong" if s.wrong else ""}">{html.escape(s.text)}</td></tr>'
-            for s in reversed(list(lines))]  # fmt: skip
+    rows = [
+        f'<tr><td class="n">{s.t:.6g} s</td><td>{html.escape(s.who)}</td>'
+        f'<td class="{"wrong" if s.wrong else ""}">{html.escape(s.text)}</td></tr>'
+        for s in reversed(list(lines))
+    ]
     return _section("What was done", "", rows) if rows else _section("What was done", "", ["<tr><td>nothing</td></tr>"])
 
 
 def values(names: Mapping[str, tuple[float | None, str]], t: float) -> str:
     """Give the table of the values at a time (s): value and unit by label."""
-    rows = [f'<tr><td>{html.escape(label)}</td><td class="n">{"-" if v is None or math.isnan(v) else f"{v:.6g}"}</td>'
-            f"<td>{html.escape(pretty_unit(unit))}</td></tr>" for label, (v, unit) in names.items()]  # fmt: skip
+    rows = [
+        f'<tr><td>{html.escape(label)}</td><td class="n">{"-" if v is None or math.isnan(v) else f"{v:.6g}"}</td>'
+        f"<td>{html.escape(pretty_unit(unit))}</td></tr>"
+        for label, (v, unit) in names.items()
+    ]
     return _section(f"At {t:.6g} s", "", rows)
 
 

@@ -91,8 +91,13 @@ class Isolated:
             except subprocess.TimeoutExpired:
                 code = 0  # it lives on, and cannot be asked any more
             self._end()
-            how = (f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}" if code
-                   else "closed the pipe by which it is asked")  # fmt: skip
+            how = (
+                f"was killed by {signal.Signals(-code).name}"
+                if code < 0
+                else f"ended with status {code}"
+                if code
+                else "closed the pipe by which it is asked"
+            )
             raise Refusal(f"crashed: its process {how}") from None
         if not good:
             self._end()  # in which state it is nobody knows

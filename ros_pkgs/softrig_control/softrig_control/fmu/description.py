@@ -155,8 +155,10 @@ class Description:
         if name not in self.variables and indexed and indexed["name"] in self.variables:
             return self.variable(indexed["name"], [int(i) for i in indexed["at"].split(",")])
         if name not in self.variables:
-            raise ValueError(f"{self.path.name} has no variable {name!r}{closest(name, self.variables)}; it has "
-                             f"{_listed(list(self.variables))}")  # fmt: skip
+            raise ValueError(
+                f"{self.path.name} has no variable {name!r}{closest(name, self.variables)}; it has "
+                f"{_listed(list(self.variables))}"
+            )
         found = self.variables[name]
         if not found.kind:
             raise ValueError(f"{name} of {self.path.name} is a clock or binary, expected a number or text")
@@ -257,12 +259,20 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
         variables[v.name] = Variable(
             v.name, v.valueReference, kind, v.causality, start, least, largest, known, v.variability == "tunable", dims
         )
-    found = {"co_simulation": model.coSimulation, "model_exchange": model.modelExchange,
-             "scheduled_execution": model.scheduledExecution}  # fmt: skip
+    found = {
+        "co_simulation": model.coSimulation,
+        "model_exchange": model.modelExchange,
+        "scheduled_execution": model.scheduledExecution,
+    }
     either = model.coSimulation or model.modelExchange
-    return Description(path, model.fmiVersion, tuple(name for name, there in found.items() if there is not None),
-                       bool(either and either.canGetAndSetFMUstate and either.canSerializeFMUstate),
-                       variables, _digest(path))  # fmt: skip
+    return Description(
+        path,
+        model.fmiVersion,
+        tuple(name for name, there in found.items() if there is not None),
+        bool(either and either.canGetAndSetFMUstate and either.canSerializeFMUstate),
+        variables,
+        _digest(path),
+    )
 
 
 def _ours(name: str) -> str:

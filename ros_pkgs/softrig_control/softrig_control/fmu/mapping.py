@@ -77,8 +77,10 @@ def mapped(
             )
         variable = unit.variable(found["name"])
         if not outward and variable.causality != "input":
-            raise ValueError(f"{entry!r}: {variable.name} is {variable.causality} of {unit.path.name}, expected an "
-                             f"input; it has {_names(unit, 'input')}")  # fmt: skip
+            raise ValueError(
+                f"{entry!r}: {variable.name} is {variable.causality} of {unit.path.name}, expected an "
+                f"input; it has {_names(unit, 'input')}"
+            )
         if outward and variable.causality == "input":
             raise ValueError(
                 f"{entry!r}: {variable.name} is an input of {unit.path.name}; its outputs are {_names(unit, 'output')}"
@@ -109,15 +111,22 @@ def mapped(
     return Mapped(tuple(ports), tuple(places))
 
 
-def _port(topic: str, cells: Mapping[tuple[str, str], tuple[str, Variable, tuple[float, float]]], outward: bool,
-          trajectory: bool, frame: str | None) -> Port:  # fmt: skip
+def _port(
+    topic: str,
+    cells: Mapping[tuple[str, str], tuple[str, Variable, tuple[float, float]]],
+    outward: bool,
+    trajectory: bool,
+    frame: str | None,
+) -> Port:
     name = "to_" * outward + re.sub(r"\W", "_", topic)
     fields = [f for f in FIELDS if any(f == field for _, field in cells)]
     channels = list(dict.fromkeys(channel for channel, _ in cells))
     allowed = ("vector",) if frame is not None else FIELDS[:3] if trajectory else ("position", "velocity", "effort")
     if wrong := [f for f in fields if f not in allowed]:
-        raise ValueError(f"{topic}: no field {wrong[0]} in its messages, expected {', '.join(allowed)}; topics of "
-                         "JointTrajectory are named in trajectories, those of Vector3Stamped in frames")  # fmt: skip
+        raise ValueError(
+            f"{topic}: no field {wrong[0]} in its messages, expected {', '.join(allowed)}; topics of "
+            "JointTrajectory are named in trajectories, those of Vector3Stamped in frames"
+        )
     if frame is not None:
         if set(channels) - set(XYZ):
             raise ValueError(f"{topic}: channels {', '.join(channels)}, expected x, y and z")

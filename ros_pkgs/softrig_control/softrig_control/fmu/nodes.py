@@ -27,12 +27,18 @@ class FmuParams(BlockParams):
         (), "what it reads, each TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE; without a unit that of the variable holds"
     )
     outputs: tuple[str, ...] = param((), "what it says, likewise")
-    values: tuple[str, ...] = param((), "its parameters and start values, each VARIABLE = VALUE in the FMU's units; "
-                                    "those that it calls tunable may change", live=True)  # fmt: skip
+    values: tuple[str, ...] = param(
+        (),
+        "its parameters and start values, each VARIABLE = VALUE in the FMU's units; "
+        "those that it calls tunable may change",
+        live=True,
+    )
     trajectories: tuple[str, ...] = param((), "topics above that carry JointTrajectory messages (references)")
     vectors: tuple[str, ...] = param((), "topics above that carry Vector3Stamped messages, each TOPIC = FRAME")
-    method: Method = param("co_simulation", "interface that is used; model_exchange: with the Runge-Kutta method of "
-                           "fourth order, `steps` a period")  # fmt: skip
+    method: Method = param(
+        "co_simulation",
+        "interface that is used; model_exchange: with the Runge-Kutta method of fourth order, `steps` a period",
+    )
     steps: int = param(1, "communication steps, or steps of the integrator, in one period", ge=1, le=100_000)
     log: bool = param(False, "ask the FMU to log what it does: some say only then why they refuse a step")
     isolated: bool = param(True, "run it in a process of its own: a crash of the FMU then ends the run by name")
@@ -222,8 +228,10 @@ class _Fmu(Block[FmuParams]):
     def _checked(self, k: int, found: tuple[float, ...]) -> tuple[float, ...]:
         for place, value in zip(self.p.says.places, found, strict=True):
             if not math.isfinite(value):
-                raise RunError(f"{self._who()}: {place.variable.name} = {value} at {self._now(k):.9g} s of its time, "
-                               "expected a finite number")  # fmt: skip
+                raise RunError(
+                    f"{self._who()}: {place.variable.name} = {value} at {self._now(k):.9g} s of its time, "
+                    "expected a finite number"
+                )
         return found
 
     def _said(self, x: State) -> Mapping[str, tuple[float, ...]]:

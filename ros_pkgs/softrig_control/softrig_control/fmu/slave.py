@@ -103,10 +103,17 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
             self._extra[one.name] = {k: repr(v) for k, v in bounds.items() if v is not None}
             if one.type is float and one.unit:
                 self._extra[one.name]["unit"] = one.unit
-            self.register_variable(types[one.type](
-                one.name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.fixed, description=one.doc,
-                getter=lambda n=one.name: self._values[n],
-                setter=lambda x, n=one.name: self._values.__setitem__(n, x)), nested=False)  # fmt: skip
+            self.register_variable(
+                types[one.type](
+                    one.name,
+                    causality=Fmi2Causality.parameter,
+                    variability=Fmi2Variability.fixed,
+                    description=one.doc,
+                    getter=lambda n=one.name: self._values[n],
+                    setter=lambda x, n=one.name: self._values.__setitem__(n, x),
+                ),
+                nested=False,
+            )
 
     def to_xml(self, model_options: Any = None) -> Element:
         """Give the model description, with the units and bounds that PythonFMU does not know of."""
@@ -206,6 +213,12 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
 def content(member: Any, seed: int, model: str, start: dict[str, list[float]]) -> dict[str, Any]:
     """Give what ``node.json`` says of a member of a rig, and of what its inputs begin with."""
     return {
-        "model": model, "node": member.name, "package": member.package, "executable": member.executable, "seed": seed,
-        "parameters": flatten(member.params), "topics": dict(member.remap), "start": start,
-    }  # fmt: skip
+        "model": model,
+        "node": member.name,
+        "package": member.package,
+        "executable": member.executable,
+        "seed": seed,
+        "parameters": flatten(member.params),
+        "topics": dict(member.remap),
+        "start": start,
+    }

@@ -88,8 +88,12 @@ class CertificateNode(Block[CertificateParams]):
     def _answer(self) -> Mapping[str, Any]:
         found = self._certificate()
         if not found.valid:
-            self.report(Level.WARN, "no_certificate", f"no certificate: |eig(A + BK)| = {found.moduli[0]:.4g}, "
-                        f"residual {found.residual:.3g}, Qbar's smallest eigenvalue {found.definite:.3g}")  # fmt: skip
+            self.report(
+                Level.WARN,
+                "no_certificate",
+                f"no certificate: |eig(A + BK)| = {found.moduli[0]:.4g}, "
+                f"residual {found.residual:.3g}, Qbar's smallest eigenvalue {found.definite:.3g}",
+            )
         return {
             "gain": tuple(found.gain.ravel().tolist()),
             "terminal": tuple(found.terminal.ravel().tolist()),

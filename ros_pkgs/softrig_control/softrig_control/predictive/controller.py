@@ -180,8 +180,12 @@ class GpcController(Block[P]):
         cycle, swing = limit_cycle(cycle, y, w)
         if swing:
             name = split(p.measured)[1]
-            self.report(Level.WARN, "limit_cycle", f"the loop does not settle: {name} swings by {swing:.3g} "
-                        f"{p.measured_unit} about {w:g} {p.measured_unit}")  # fmt: skip
+            self.report(
+                Level.WARN,
+                "limit_cycle",
+                f"the loop does not settle: {name} swings by {swing:.3g} "
+                f"{p.measured_unit} about {w:g} {p.measured_unit}",
+            )
         law = gpc.measure(law, y)
         if self._solver is None:
             u = law.u + gpc.move(law, w)

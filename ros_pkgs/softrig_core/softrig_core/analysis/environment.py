@@ -144,11 +144,19 @@ class RigEnv(gym.Env[Array, Array]):
     metadata: dict[str, Any] = {"render_modes": []}
 
     def __init__(
-        self, what: str | Scenario | Rig, replace: str, *, reward: Callable[[Now], float],
-        observe: Signals | None = None, act: Signals | None = None, terminate: Sequence[str] = (),
-        penalty: float = 0.0, record: bool = False,
-        duration: float | None = None, overrides: Mapping[str, Any] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        what: str | Scenario | Rig,
+        replace: str,
+        *,
+        reward: Callable[[Now], float],
+        observe: Signals | None = None,
+        act: Signals | None = None,
+        terminate: Sequence[str] = (),
+        penalty: float = 0.0,
+        record: bool = False,
+        duration: float | None = None,
+        overrides: Mapping[str, Any] | None = None,
+    ) -> None:
         self._whole = rig_of(what, duration=duration, overrides=overrides)
         self._law = _law(self._whole, replace)
         self._reward, self._penalty, self._record = reward, penalty, record
@@ -345,8 +353,7 @@ def _law(rig: Rig, name: str) -> Member:
         if member.name == name and name in laws:
             return member
     what = "is a plant or says nothing" if any(m.name == name for m in rig.members) else "is not there"
-    raise ScenarioError(f"{rig.scenario.name}: replace {name!r}: it {what}; expected one of "
-                        f"{', '.join(laws)}")  # fmt: skip
+    raise ScenarioError(f"{rig.scenario.name}: replace {name!r}: it {what}; expected one of {', '.join(laws)}")
 
 
 def _without(law: Member, value: Any) -> Any:
@@ -371,13 +378,18 @@ def _entry(rig: Rig, law: Member, observe: Signals | None, act: Signals | None) 
     acted = [now.whole(name) for name in act] if act is not None else list(_limits(law.outputs))
     for signal in acted:
         if signal not in _limits(law.outputs):
-            raise ScenarioError(f"{rig.scenario.name}: act: {law.name} does not say {signal}; it says "
-                                f"{', '.join(_limits(law.outputs))}")  # fmt: skip
+            raise ScenarioError(
+                f"{rig.scenario.name}: act: {law.name} does not say {signal}; it says {', '.join(_limits(law.outputs))}"
+            )
     parameters: dict[str, Any] = {
-        "period": flatten(law.params)["period"], "policy": "linear",
-        "weights": [0.0] * (len(acted) * (len(observed) + 1)), "inputs": ports_text(come),
-        "outputs": ports_text(law.outputs), "observe": observed, "act": acted,
-    }  # fmt: skip
+        "period": flatten(law.params)["period"],
+        "policy": "linear",
+        "weights": [0.0] * (len(acted) * (len(observed) + 1)),
+        "inputs": ports_text(come),
+        "outputs": ports_text(law.outputs),
+        "observe": observed,
+        "act": acted,
+    }
     bounds = _bounds(act, acted, _limits(law.outputs))
     parameters |= {"low": [low for low, _ in bounds], "high": [high for _, high in bounds]}
     return NodeEntry(package="softrig_control", executable="policy", parameters=parameters)
@@ -400,5 +412,6 @@ def _box(bounds: Sequence[tuple[float, float]]) -> Any:
     return gym.spaces.Box(low, high, dtype=np.float64)
 
 
-gym.register("softrig/Rig-v0", entry_point=f"{__name__}:RigEnv",
-             vector_entry_point=f"{__package__}.environments:RigVectorEnv")  # fmt: skip
+gym.register(
+    "softrig/Rig-v0", entry_point=f"{__name__}:RigEnv", vector_entry_point=f"{__package__}.environments:RigVectorEnv"
+)

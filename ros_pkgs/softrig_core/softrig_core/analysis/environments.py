@@ -82,9 +82,16 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
     """
 
     def __init__(
-        self, what: Any, replace: str, *, num_envs: int = 1, reward: Callable[[Mapping[str, Any]], Any],
-        penalty: float = 0.0, make: Callable[[RigText], Callable[..., Any]] = compiled, **keys: Any,
-    ) -> None:  # fmt: skip
+        self,
+        what: Any,
+        replace: str,
+        *,
+        num_envs: int = 1,
+        reward: Callable[[Mapping[str, Any]], Any],
+        penalty: float = 0.0,
+        make: Callable[[RigText], Callable[..., Any]] = compiled,
+        **keys: Any,
+    ) -> None:
         first = RigEnv(what, replace, reward=_nothing, **keys)
         self.envs = [first, *(copy(first) for _ in range(num_envs - 1))]
         for env in self.envs:
@@ -317,8 +324,18 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
             tables = [self._tables[name] for name in self._text.arrays]
             n[:] = 0
             try:
-                self._function(begin, self.num_envs, n, self._constants, self._numbers, self._whole, self.now.rows,
-                               given, self._k, *tables)  # fmt: skip
+                self._function(
+                    begin,
+                    self.num_envs,
+                    n,
+                    self._constants,
+                    self._numbers,
+                    self._whole,
+                    self.now.rows,
+                    given,
+                    self._k,
+                    *tables,
+                )
                 break
             except NATIVE:
                 begin = int(n[0])

@@ -170,8 +170,10 @@ def equilibrium(
     rows = [i for i in range(at.size) if i not in moving]
     columns = [i for i in range(at.size) if i not in held and i not in moving]
     if len(columns) + len(free) != len(rows):
-        raise ValueError(f"{len(columns)} states and {len(free)} inputs are free, expected {len(rows)} in all: one for "
-                         "each derivative that is to vanish")  # fmt: skip
+        raise ValueError(
+            f"{len(columns)} states and {len(free)} inputs are free, expected {len(rows)} in all: one for "
+            "each derivative that is to vanish"
+        )
     scale = 1.0 + float(np.abs(evaluate(at, inputs)[0][rows]).max(initial=0.0))
     for _ in range(50):
         residual = evaluate(at, inputs)[0][rows]

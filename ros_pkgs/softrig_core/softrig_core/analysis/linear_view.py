@@ -137,8 +137,16 @@ class LinearView:
         """The whole rig, of the python-control library, with the names of its states and signals."""
         import control
 
-        return control.ss(self.A, self.B, self.C, self.D, self.period, states=list(self.states),
-                          inputs=list(self.inputs), outputs=list(self.outputs))  # fmt: skip
+        return control.ss(
+            self.A,
+            self.B,
+            self.C,
+            self.D,
+            self.period,
+            states=list(self.states),
+            inputs=list(self.inputs),
+            outputs=list(self.outputs),
+        )
 
     @cached_property
     def opened(self) -> control.StateSpace:
@@ -181,8 +189,13 @@ class LinearView:
             shares = np.abs(left[k] * right[:, k])
             shares /= shares.sum()
             order = [i for i in np.argsort(-shares) if shares[i] > 0.01]
-            found.append(Mode(complex(poles[k]), complex(np.log(complex(poles[k]))) / self.period,
-                              {self.states[i]: float(shares[i]) for i in order}))  # fmt: skip
+            found.append(
+                Mode(
+                    complex(poles[k]),
+                    complex(np.log(complex(poles[k]))) / self.period,
+                    {self.states[i]: float(shares[i]) for i in order},
+                )
+            )
         return found
 
     @cached_property
@@ -237,10 +250,13 @@ class LinearView:
         up, down = gains[gains > 1.0], gains[gains < 1.0]
         S = 1.0 / (1.0 + self.at_frequencies(self.omega))
         return Margins(
-            float(up.min(initial=np.inf)), float(down.max(initial=0.0)), float(lost.min(initial=np.inf)),
+            float(up.min(initial=np.inf)),
+            float(down.max(initial=0.0)),
+            float(lost.min(initial=np.inf)),
             float((lost / crossings).min(initial=np.inf)) if crossings.size else np.inf,
-            float(1.0 / np.abs(S - 0.5).max()), float(crossings.max()) if crossings.size else np.nan,
-        )  # fmt: skip
+            float(1.0 / np.abs(S - 0.5).max()),
+            float(crossings.max()) if crossings.size else np.nan,
+        )
 
     def plot(self) -> Any:
         """Draw Bode and Nyquist diagrams of the opened loop.
@@ -268,10 +284,16 @@ class LinearView:
 
 
 def linear_view(
-    what: str | Scenario | Rig, link: str | None = None, *, at: float | None = None,
-    inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None, duration: float | None = None,
-    overrides: Mapping[str, Any] | None = None, seed: int | None = None,
-) -> LinearView:  # fmt: skip
+    what: str | Scenario | Rig,
+    link: str | None = None,
+    *,
+    at: float | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    duration: float | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    seed: int | None = None,
+) -> LinearView:
     """Linearise a rig where a run of it is.
 
     Parameters
@@ -323,10 +345,12 @@ def _command(rig: Rig) -> str:
     """Give the only value that a plant is commanded; empty when there are several."""
     commands = {
         f"{link.port.topic}/{label}": None
-        for m in rig.members if m.is_plant
-        for link in m.links.values() if link.source.links and not link.source.is_plant and not link.port.sporadic
+        for m in rig.members
+        if m.is_plant
+        for link in m.links.values()
+        if link.source.links and not link.source.is_plant and not link.port.sporadic
         for label in link.port.labels
-    }  # fmt: skip
+    }
     return next(iter(commands)) if len(commands) == 1 else ""
 
 
@@ -342,9 +366,13 @@ def _sources_say(rig: Rig, said: Sequence[str]) -> list[str]:
         upstream(place_of(rig, name).member, whole)
     every = math.lcm(*(m.schedule.every for m in whole.values() if not is_source(m)))
     return [
-        f"{p.topic}/{x}" for m in rig.members if m.name in whole and is_source(m) and every % m.schedule.every == 0
-        for p in m.outputs if not p.sporadic for x in p.labels
-    ]  # fmt: skip
+        f"{p.topic}/{x}"
+        for m in rig.members
+        if m.name in whole and is_source(m) and every % m.schedule.every == 0
+        for p in m.outputs
+        if not p.sporadic
+        for x in p.labels
+    ]
 
 
 def _check_link(found: StateMap, link: str) -> None:
@@ -353,10 +381,14 @@ def _check_link(found: StateMap, link: str) -> None:
         raise ScenarioError(f"{found.rig.scenario.name}: {link} is not said at each tick: it cannot be opened")
     if member.params.period < found.period * (1.0 - 1e-9):
         slow = [
-            f"{p.topic}/{x}" for name in found.step_names() for m in found.rig.members
+            f"{p.topic}/{x}"
+            for name in found.step_names()
+            for m in found.rig.members
             if m.name == name and not is_source(m) and m.params.period > found.period * (1.0 - 1e-9)
-            for p in m.outputs if not p.sporadic for x in p.labels
-        ]  # fmt: skip
+            for p in m.outputs
+            if not p.sporadic
+            for x in p.labels
+        ]
         raise ScenarioError(
             f"{found.rig.scenario.name}: {link} is said every {member.params.period:g} s, the rig repeats itself every "
             f"{found.period:g} s only; open the loop where it is slow: {', '.join(slow) or 'no such link'}, or "
@@ -427,8 +459,10 @@ class Differences:
         return np.array([self.columns[i][0][on] for i in on]).T.reshape(len(on), len(on))
 
     def _too_many(self, count: int) -> NoReturn:
-        raise RunError(f"{self.map.rig.scenario.name}: {count} states, expected at most {MOST}: a long delay has "
-                       "one or more for each of its steps; take longer steps by --set")  # fmt: skip
+        raise RunError(
+            f"{self.map.rig.scenario.name}: {count} states, expected at most {MOST}: a long delay has "
+            "one or more for each of its steps; take longer steps by --set"
+        )
 
     def view(self) -> LinearView:
         """Put it together."""
@@ -463,9 +497,11 @@ class Differences:
         m, link = self.map, self.link
         member, port, _ = m.places[link]
         readers = {
-            r.name for r in upstream(member).values()
-            for k in r.links.values() if (k.source.name, k.port.name) == (member.name, port.name)
-        }  # fmt: skip
+            r.name
+            for r in upstream(member).values()
+            for k in r.links.values()
+            if (k.source.name, k.port.name) == (member.name, port.name)
+        }
         if not readers:
             return f"{member.name} hears nothing of what {link} does: no loop"
         size = _power(abs(self.said[link]) or 1.0)
@@ -477,9 +513,11 @@ class Differences:
         for n in range(-20, 4):
             with suppress(RunError):  # too far: a limit, a domain
                 if any(back(sign * size * 2.0**n) != begun for sign in (1.0, -1.0)):
-                    return (f"a change of {link} by {size * 2.0**n:.3g} comes back there {after}, a smaller one does "
-                            "not: on the way something goes in steps (a quantised sensor, a switch, a search), and "
-                            "that has no linear view; take the steps away, or another link")  # fmt: skip
+                    return (
+                        f"a change of {link} by {size * 2.0**n:.3g} comes back there {after}, a smaller one does "
+                        "not: on the way something goes in steps (a quantised sensor, a switch, a search), and "
+                        "that has no linear view; take the steps away, or another link"
+                    )
         return f"no change of {link} comes back there {after}: on the way something rests on a limit, or waits"
 
     def _signal(self, name: str) -> None:

@@ -64,8 +64,11 @@ def place_of(rig: Rig, signal: str) -> Place:
     """Find who says a signal, by its whole name."""
     return next(
         Place(m, p, k)
-        for m in rig.members for p in m.outputs for k, label in enumerate(p.labels) if f"{p.topic}/{label}" == signal
-    )  # fmt: skip
+        for m in rig.members
+        for p in m.outputs
+        for k, label in enumerate(p.labels)
+        if f"{p.topic}/{label}" == signal
+    )
 
 
 def upstream(member: Member, seen: dict[str, Member] | None = None) -> dict[str, Member]:
@@ -209,8 +212,10 @@ class StateMap:
         self.names, self.start = self._read()
         self._labels = {
             f"{n}.{HEARD}{p.name}{'.data' * p.delayed}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
-            for n, s in self._steps.items() for p in s.inputs for k, label in enumerate(p.labels)
-        }  # fmt: skip
+            for n, s in self._steps.items()
+            for p in s.inputs
+            for k, label in enumerate(p.labels)
+        }
         last: dict[str, float] = {}
         size = dict.fromkeys(self.names, 0.0)
         moved = dict.fromkeys(self.names, False)
@@ -230,8 +235,10 @@ class StateMap:
         again, _ = self(self.start, {})
         if not np.array_equal(once, again):
             bad = sorted({n.partition(".")[0] for n, a, b in zip(self.names, once, again, strict=True) if a != b})
-            raise RunError(f"{self.rig.scenario.name}: {', '.join(bad)} cannot be put back to where it was at "
-                           f"{self.t:g} s: what it remembers is not in its state")  # fmt: skip
+            raise RunError(
+                f"{self.rig.scenario.name}: {', '.join(bad)} cannot be put back to where it was at "
+                f"{self.t:g} s: what it remembers is not in its state"
+            )
 
     def step_names(self) -> list[str]:
         """Give the names of the members that count."""
@@ -283,9 +290,12 @@ class StateMap:
         return next(self.go_on(numbers, 1, added, fixed))
 
     def go_on(
-        self, numbers: Array, periods: int, added: Mapping[str, float] | None = None,
+        self,
+        numbers: Array,
+        periods: int,
+        added: Mapping[str, float] | None = None,
         fixed: Mapping[str, float] | None = None,
-    ) -> Iterator[tuple[Array, dict[str, float]]]:  # fmt: skip
+    ) -> Iterator[tuple[Array, dict[str, float]]]:
         """Go some periods on; gives what `__call__` gives after each of them."""
         put_back(self._steps.values(), self._saved)
         self._write(numbers)
@@ -301,8 +311,10 @@ class StateMap:
                     raise RunError(f"{self.rig.scenario.name}: the run ends before {periods} periods of the whole")
             found = self._read()[1]
             if len(found) != len(self.start):
-                raise RunError(f"{self._grown()}: what it remembers has another length one period after {self.t:g} s; "
-                               "choose a later time")  # fmt: skip
+                raise RunError(
+                    f"{self._grown()}: what it remembers has another length one period after {self.t:g} s; "
+                    "choose a later time"
+                )
             yield found, {name: probe.said for name, probe in self.probes.items()}
 
     def _grown(self) -> str:

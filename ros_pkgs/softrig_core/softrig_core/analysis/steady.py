@@ -74,9 +74,13 @@ class OperatingPoint:
 
 
 def steady(
-    what: str | Scenario | Rig, *, at: float | None = None, outputs: Sequence[str] | None = None,
-    overrides: Mapping[str, Any] | None = None, seed: int | None = None,
-) -> OperatingPoint:  # fmt: skip
+    what: str | Scenario | Rig,
+    *,
+    at: float | None = None,
+    outputs: Sequence[str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    seed: int | None = None,
+) -> OperatingPoint:
     """Find the operating point of a rig near where a run of it is.
 
     Parameters
@@ -112,9 +116,13 @@ def steady(
     for name in told:
         upstream(place_of(rig, name).member, whole)
     commands = [
-        f"{p.topic}/{x}" for n, member in whole.items() if not member.is_plant and not is_source(member)
-        for p in member.outputs if not p.sporadic for x in p.labels
-    ]  # fmt: skip
+        f"{p.topic}/{x}"
+        for n, member in whole.items()
+        if not member.is_plant and not is_source(member)
+        for p in member.outputs
+        if not p.sporadic
+        for x in p.labels
+    ]
     heard = list(dict.fromkeys([*commands, *told]))
     m = StateMap(rig, at, number, heard, (), CHECKED)
     found = Differences(m, heard, (), "")
@@ -143,15 +151,23 @@ def steady(
     if steps == STEPS or (moved > STAYS and slowest < 1.0 + AT_REST):
         worst = core[int(np.argmax(np.abs(off[core]) / sizes))]
         how = "Newton's method ends nowhere" if steps == STEPS else "what is found does not last"
-        raise NoOperatingPoint(f"{rig.scenario.name}: no operating point near t = {m.t:g} s: {how}; {m.names[worst]} = "
-                               f"{begin[worst]:.6g} moves by {off[worst]:.3g} within {span:g} s")  # fmt: skip
+        raise NoOperatingPoint(
+            f"{rig.scenario.name}: no operating point near t = {m.t:g} s: {how}; {m.names[worst]} = "
+            f"{begin[worst]:.6g} moves by {off[worst]:.3g} within {span:g} s"
+        )
     units = signal_units(rig)
     return OperatingPoint(
-        rig.scenario.name, m.t, m.period, {m.names[i]: float(begin[i]) for i in kept}, said,
+        rig.scenario.name,
+        m.t,
+        m.period,
+        {m.names[i]: float(begin[i]) for i in kept},
+        said,
         {s: units.get(s, "") for s in said},
         {m.names[i]: float(off[i]) / span for i in loose if abs(off[i]) > STAYS * (m.sizes[i] or 1.0)},
-        steps, slowest, moved,
-    )  # fmt: skip
+        steps,
+        slowest,
+        moved,
+    )
 
 
 def _core(A: Array, heard: Any) -> Any:

@@ -73,8 +73,10 @@ class Block(Generic[P]):
         for name in ("outputs", "advance", "update", "finish", "refused"):
             code = getattr(cls.__dict__.get(name), "__code__", None)
             if code is not None and code.co_varnames[1:2] == ("t",):
-                raise TypeError(f"{cls.__qualname__}.{name}(self, t, ...): expected {name}(self, x, t, ...), where x "
-                                "is what the block remembers, made by `first`")  # fmt: skip
+                raise TypeError(
+                    f"{cls.__qualname__}.{name}(self, t, ...): expected {name}(self, x, t, ...), where x "
+                    "is what the block remembers, made by `first`"
+                )
         for base in cls.__dict__.get("__orig_bases__", ()):
             for argument in get_args(base):
                 of = (argument, getattr(argument, "__default__", None), getattr(argument, "__bound__", None))

@@ -107,9 +107,11 @@ def mover(step: Step) -> Callable[..., None]:
 def _inputs(names: Iterable[str]) -> str:
     """Write the keywords of a call; a name that is no word of Python goes in as a text."""
     return "".join(
-        f", {name}=values[{name!r}]" if name.isidentifier() and not iskeyword(name)
-        else f", **{{{name!r}: values[{name!r}]}}" for name in names
-    )  # fmt: skip
+        f", {name}=values[{name!r}]"
+        if name.isidentifier() and not iskeyword(name)
+        else f", **{{{name!r}: values[{name!r}]}}"
+        for name in names
+    )
 
 
 def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[..., None]:

@@ -23,9 +23,14 @@ class ParameterError(ValueError):
 
 
 def param(
-    default: Any, doc: str, unit: str = "", *, each: tuple[float, float] | None = None, live: bool = False,
+    default: Any,
+    doc: str,
+    unit: str = "",
+    *,
+    each: tuple[float, float] | None = None,
+    live: bool = False,
     **bounds: Any,
-) -> Any:  # fmt: skip
+) -> Any:
     """Declare one field of a `Params` class.
 
     Parameters

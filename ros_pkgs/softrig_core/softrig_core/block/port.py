@@ -100,8 +100,10 @@ class Port:
         if self.type.shaped and not self.dims:
             raise ValueError(f"port {self.name}: an array needs at least one dimension")
         if not self.size and self.type.sizes:
-            raise ValueError(f"port {self.name}: {self.topic} has no values; expected channels, and the unit of a "
-                             "field, '1' for a pure number")  # fmt: skip
+            raise ValueError(
+                f"port {self.name}: {self.topic} has no values; expected channels, and the unit of a "
+                "field, '1' for a pure number"
+            )
         if len(self.units) != self.size:
             raise ValueError(f"port {self.name}: {len(self.units)} units for {self.size} values")
         object.__setattr__(self, "safe", tuple(map(float, self.safe)))
@@ -191,8 +193,16 @@ class Port:
 Units = str | Sequence[str]  # one of all channels, or one a channel; "1" for a pure number
 
 
-def joint_state(name: str, topic: str, channels: Sequence[str], *, position: Units = "", velocity: Units = "",
-                effort: Units = "", **options: object) -> Port:  # fmt: skip
+def joint_state(
+    name: str,
+    topic: str,
+    channels: Sequence[str],
+    *,
+    position: Units = "",
+    velocity: Units = "",
+    effort: Units = "",
+    **options: object,
+) -> Port:
     """State of mechanical axes or named scalars; the fields are those whose unit or units are given.
 
     Parameters
@@ -240,8 +250,16 @@ def scalars(name: str, topic: str, units: Mapping[str, str], **options: object) 
     return Port(name, topic, types.JOINT_STATE.name, tuple(units), ("position",), tuple(units.values()), **options)  # type: ignore[arg-type]
 
 
-def reference(name: str, topic: str, channels: Sequence[str], *, position: Units = "", velocity: Units = "",
-              acceleration: Units = "", **options: object) -> Port:  # fmt: skip
+def reference(
+    name: str,
+    topic: str,
+    channels: Sequence[str],
+    *,
+    position: Units = "",
+    velocity: Units = "",
+    acceleration: Units = "",
+    **options: object,
+) -> Port:
     """Axis reference: a JointTrajectory of one point; the fields are those whose unit or units are given.
 
     Parameters
@@ -343,8 +361,14 @@ def button(name: str, topic: str, **options: object) -> Port:
     return Port(name, topic, types.BUTTON.name, (), ("data",), ("",), **options)  # type: ignore[arg-type]
 
 
-def _named(msgtype: str, name: str, topic: str, channels: Sequence[str], units: Mapping[str, Units],
-           options: Mapping[str, object]) -> Port:  # fmt: skip
+def _named(
+    msgtype: str,
+    name: str,
+    topic: str,
+    channels: Sequence[str],
+    units: Mapping[str, Units],
+    options: Mapping[str, object],
+) -> Port:
     fields = tuple(f for f, unit in units.items() if unit)
     each = {f: [unit] * len(channels) if isinstance(unit, str) else unit for f, unit in units.items()}
     flat = tuple(unit for f in fields for unit in each[f])

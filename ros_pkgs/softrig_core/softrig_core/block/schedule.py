@@ -105,9 +105,12 @@ class Schedule:
     next: Callable[[int], int]
 
     def __init__(
-        self, period: float | str | Fraction, clock: float | str | Fraction | None = None,
-        duration: float | None = None, at_end: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        period: float | str | Fraction,
+        clock: float | str | Fraction | None = None,
+        duration: float | None = None,
+        at_end: bool = False,
+    ) -> None:
         self.period = rational(period)
         self.clock = self.period if clock is None else rational(clock)
         self.at_end = at_end

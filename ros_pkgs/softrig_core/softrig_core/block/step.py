@@ -83,9 +83,14 @@ class Step(Held):
     advance: Callable[..., None]
 
     def __init__(
-        self, name: str, block: Block, schedule: Schedule, inputs: tuple[Port, ...], outputs: tuple[Port, ...],
+        self,
+        name: str,
+        block: Block,
+        schedule: Schedule,
+        inputs: tuple[Port, ...],
+        outputs: tuple[Port, ...],
         changes: Iterable[Change] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(block)
         self.name, self.schedule = name, schedule
         self.inputs, self.outputs = inputs, outputs

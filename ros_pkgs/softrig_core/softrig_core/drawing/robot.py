@@ -145,8 +145,13 @@ class Robot(Drawing):
     def _force(self, pen: Pen, row: Row, tip: Place) -> None:
         if self.push:
             reach = [held(f(row) / 100.0, 1.5) * 0.4 for f in self.push]
-            pen.arrow(self.camera(tip), self.camera((tip[0] + reach[0], tip[1] + reach[1], tip[2] + reach[2])),
-                      "alarm", 3.5, 12.0)  # fmt: skip
+            pen.arrow(
+                self.camera(tip),
+                self.camera((tip[0] + reach[0], tip[1] + reach[1], tip[2] + reach[2])),
+                "alarm",
+                3.5,
+                12.0,
+            )
 
 
 def _limits(description: str) -> dict[str, tuple[float, float]]:

@@ -11,8 +11,15 @@ Box = tuple[float, float, float, float]
 Reading = Callable[[Row], float]
 
 
-def scope(pen: Pen, box: Box, past: Sequence[Row], row: Row, curves: Sequence[tuple[Reading, str]], full: float,
-          points: int = 50) -> None:  # fmt: skip
+def scope(
+    pen: Pen,
+    box: Box,
+    past: Sequence[Row],
+    row: Row,
+    curves: Sequence[tuple[Reading, str]],
+    full: float,
+    points: int = 50,
+) -> None:
     """Draw signals over the past, now at the right edge.
 
     Parameters
@@ -43,8 +50,16 @@ def _newest(past: Sequence[Row], row: Row, points: int) -> list[Row]:
     return [rows[max(0, len(rows) - 1 - round(step * (points - 1 - k)))] for k in range(points)]
 
 
-def plane(pen: Pen, box: Box, past: Sequence[Row], row: Row, x: Reading, y: Reading,
-          full: tuple[float, float, float, float], points: int = 60) -> None:  # fmt: skip
+def plane(
+    pen: Pen,
+    box: Box,
+    past: Sequence[Row],
+    row: Row,
+    x: Reading,
+    y: Reading,
+    full: tuple[float, float, float, float],
+    points: int = 60,
+) -> None:
     """Draw where a pair of values has come from and where it is.
 
     Parameters

@@ -88,8 +88,10 @@ def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree
         raise ScenarioError(f"formula {given!r} speaks of t = 0 only: write 'always (...)', or 'eventually (...)'")
     for kind, body in nodes(tree):
         if kind in ("Probabilistic", "Next"):
-            raise ScenarioError(f"formula {given!r}: no {'probabilities' if kind != 'Next' else 'next'} here; "
-                                "say when by an interval, in s")  # fmt: skip
+            raise ScenarioError(
+                f"formula {given!r}: no {'probabilities' if kind != 'Next' else 'next'} here; "
+                "say when by an interval, in s"
+            )
         if kind == "Binary" and body[0] == "Pow" and _negated(body[1]):
             raise ScenarioError(f"formula {given!r}: a minus before a power reads as (-x)^n; write 0 - (x^n), or x*x")
     try:
@@ -273,8 +275,10 @@ def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]
     tree = _map(tree, scaled)
     if len(found) > 1:
         several = ", ".join(sorted(u or "1" for u in found))
-        raise ScenarioError(f"its comparisons are in {several}, so no margin can be told: say what counts as one in "
-                            "each, scale: {unit: number}")  # fmt: skip
+        raise ScenarioError(
+            f"its comparisons are in {several}, so no margin can be told: say what counts as one in "
+            "each, scale: {unit: number}"
+        )
     return tree, found.pop() if found else ""
 
 

@@ -56,9 +56,13 @@ class Live:
         return tuple(part.first() for part in self._parts)
 
     def push(
-        self, x: tuple[Opened, ...], t: float, samples: Mapping[str, float], truths: Mapping[str, float],
+        self,
+        x: tuple[Opened, ...],
+        t: float,
+        samples: Mapping[str, float],
+        truths: Mapping[str, float],
         late: Mapping[str, bool],
-    ) -> tuple[Opened, ...]:  # fmt: skip
+    ) -> tuple[Opened, ...]:
         """Take an instant in.
 
         Parameters

@@ -56,9 +56,11 @@ class ImpossibleError(ValueError):
 
 
 def figure(
-    unit: str, reads: Sequence[str] = (), agreed: Mapping[str, str] = MappingProxyType({}),
+    unit: str,
+    reads: Sequence[str] = (),
+    agreed: Mapping[str, str] = MappingProxyType({}),
     possible: tuple[float, float] = (-math.inf, math.inf),
-) -> Callable[[_F], _F]:  # fmt: skip
+) -> Callable[[_F], _F]:
     """Say what a figure function gives, so that a scenario is judged before its run.
 
     Parameters
@@ -84,9 +86,16 @@ def figure(
 
 @figure("s")
 def rise_time(
-    signals: SignalMap, signal: str, *, final: float | str | None = None, initial: float | str = 0.0, low: float = 0.1,
-    high: float = 0.9, start: float | None = None, end: float | None = None,
-) -> float:  # fmt: skip
+    signals: SignalMap,
+    signal: str,
+    *,
+    final: float | str | None = None,
+    initial: float | str = 0.0,
+    low: float = 0.1,
+    high: float = 0.9,
+    start: float | None = None,
+    end: float | None = None,
+) -> float:
     """Time in s from the first crossing of `low` to the first crossing of `high`, linear between samples.
 
     Parameters
@@ -108,10 +117,16 @@ def rise_time(
 
 @figure("s")
 def settling_time(
-    signals: SignalMap, signal: str, *, final: float | str | None = None, initial: float | str = 0.0,
-    band: float = 0.02, at: Literal["crossing", "sample"] = "crossing", start: float | None = None,
+    signals: SignalMap,
+    signal: str,
+    *,
+    final: float | str | None = None,
+    initial: float | str = 0.0,
+    band: float = 0.02,
+    at: Literal["crossing", "sample"] = "crossing",
+    start: float | None = None,
     end: float | None = None,
-) -> float:  # fmt: skip
+) -> float:
     """Time in s from the start of the window until the signal stays within `band` of the step around `final`.
 
     Parameters
@@ -164,9 +179,14 @@ def reach_time(
 
 @figure("%")
 def overshoot(
-    signals: SignalMap, signal: str, *, final: float | str | None = None, initial: float | str = 0.0,
-    start: float | None = None, end: float | None = None,
-) -> float:  # fmt: skip
+    signals: SignalMap,
+    signal: str,
+    *,
+    final: float | str | None = None,
+    initial: float | str = 0.0,
+    start: float | None = None,
+    end: float | None = None,
+) -> float:
     """Largest value beyond `final` in % of the step size; 0 when there is none."""
     _, z = _step(signals, signal, final, initial, start, end)
     return max(0.0, 100.0 * (float(np.max(z)) - 1.0))
@@ -199,9 +219,13 @@ def _statistic(unit: str) -> Callable[[Callable[[Array], float]], Function]:
     def declare(number: Callable[[Array], float]) -> Function:
         @figure(unit)
         def statistic(
-            signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+            signals: SignalMap,
+            signal: str,
+            *,
+            reference: float | str = 0.0,
+            start: float | None = None,
             end: float | None = None,
-        ) -> float:  # fmt: skip
+        ) -> float:
             return float(number(_error(signals, signal, reference, start, end)[1]))
 
         statistic.__name__ = statistic.__qualname__ = number.__name__
@@ -249,9 +273,13 @@ def error_overshoot(e: Array) -> float:
 
 @figure("{signal} s")
 def integral_absolute(
-    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+    signals: SignalMap,
+    signal: str,
+    *,
+    reference: float | str = 0.0,
+    start: float | None = None,
     end: float | None = None,
-) -> float:  # fmt: skip
+) -> float:
     """Integral of the absolute value (IAE of an error), each sample held until the next."""
     t, e = _error(signals, signal, reference, start, end)
     if t.size < 2:
@@ -267,9 +295,14 @@ def mean(signals: SignalMap, signal: str, *, start: float | None = None, end: fl
 
 @figure("s")
 def error_settling_time(
-    signals: SignalMap, signal: str, *, reference: float | str = 0.0, band: float, start: float | None = None,
+    signals: SignalMap,
+    signal: str,
+    *,
+    reference: float | str = 0.0,
+    band: float,
+    start: float | None = None,
     end: float | None = None,
-) -> float:  # fmt: skip
+) -> float:
     """Time in s of the first sample from which on |signal - reference| stays within `band`, in the signal's unit.
 
     Parameters
@@ -292,9 +325,13 @@ def error_settling_time(
 
 @figure("1/s")
 def growth_rate(
-    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+    signals: SignalMap,
+    signal: str,
+    *,
+    reference: float | str = 0.0,
+    start: float | None = None,
     end: float | None = None,
-) -> float:  # fmt: skip
+) -> float:
     """Slope of the straight line of least squares through the logarithm of the peaks of signal - reference over time.
 
     A peak is a positive sample not below the one before and above the one after; its height and time are those of the
@@ -434,9 +471,13 @@ def step_levels(
 
 
 def _step(
-    signals: SignalMap, signal: str, final: float | str | None, initial: float | str, start: float | None,
+    signals: SignalMap,
+    signal: str,
+    final: float | str | None,
+    initial: float | str,
+    start: float | None,
     end: float | None,
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Array, Array]:
     """Give (t, x) with x normalised so that `initial` is 0 and `final` is 1."""
     t, x = window(signals, signal, start, end)
     final, initial = step_levels(signals, final, initial, start)

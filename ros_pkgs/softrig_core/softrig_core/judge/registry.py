@@ -35,8 +35,10 @@ def find(name: str) -> Function:
         return getattr(measures, name)
     point = _points().get(name)
     if point is None:
-        raise ScenarioError(f"no figure function {name!r} is registered{closest(name, registered())}; "
-                            f"a package registers its own in the group {GROUP}")  # fmt: skip
+        raise ScenarioError(
+            f"no figure function {name!r} is registered{closest(name, registered())}; "
+            f"a package registers its own in the group {GROUP}"
+        )
     try:
         function: Any = point.load()
     except (ImportError, AttributeError) as error:

@@ -57,5 +57,7 @@ def check_lengths(duration: float, shared: Mapping[str, Any], requirements: Mapp
         except ScenarioError as error:
             raise ScenarioError(f"requirement {name}: {error}") from None
         if reach > duration * (1.0 + 1e-12):
-            raise ScenarioError(f"requirement {name}: its last window ends {reach:g} s after the start, the run ends "
-                                f"after {duration:g} s")  # fmt: skip
+            raise ScenarioError(
+                f"requirement {name}: its last window ends {reach:g} s after the start, the run ends "
+                f"after {duration:g} s"
+            )

@@ -51,9 +51,13 @@ class Margin(NamedTuple):
 
 
 COMPARED: Mapping[str, Callable[[Array, Array], Array]] = {
-    "Less": lambda a, b: b - a, "LessEqual": lambda a, b: b - a, "Greater": lambda a, b: a - b,
-    "GreaterEqual": lambda a, b: a - b, "Equal": lambda a, b: -np.abs(a - b), "NotEqual": lambda a, b: np.abs(a - b),
-}  # fmt: skip
+    "Less": lambda a, b: b - a,
+    "LessEqual": lambda a, b: b - a,
+    "Greater": lambda a, b: a - b,
+    "GreaterEqual": lambda a, b: a - b,
+    "Equal": lambda a, b: -np.abs(a - b),
+    "NotEqual": lambda a, b: np.abs(a - b),
+}
 
 
 def opposite(values: Array) -> Array:
@@ -119,9 +123,15 @@ class Record:
     """
 
     def __init__(
-        self, times: Array, samples: Samples, *, truths: Samples | None = None,
-        late: Mapping[str, NDArray[np.bool_]] | None = None, after: float | None = None, ended: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        times: Array,
+        samples: Samples,
+        *,
+        truths: Samples | None = None,
+        late: Mapping[str, NDArray[np.bool_]] | None = None,
+        after: float | None = None,
+        ended: bool = True,
+    ) -> None:
         self.times = times
         self.after = float(np.nextafter(times[-1], INF)) if after is None else after
         self.ended = ended
@@ -261,8 +271,10 @@ class Record:
             on = undefined.size > 1 and undefined.size == np.count_nonzero(self.times >= first)
             when = f"from t = {first / SECOND:.6g} s on" if on or first == end else f"at t = {first / SECOND:.6g} s"
             return f"not judged: undefined {when} (no number, a division by zero or a function beyond its domain)"
-        return (f"not judged: the record ends at {self.times[-1] / SECOND:.6g} s, the requirement's last window at "
-                f"{horizon(tree) / SECOND:.6g} s")  # fmt: skip
+        return (
+            f"not judged: the record ends at {self.times[-1] / SECOND:.6g} s, the requirement's last window at "
+            f"{horizon(tree) / SECOND:.6g} s"
+        )
 
     def _undefined(self, tree: Tree) -> Array:
         """Instants at which a comparison of the formula is undefined, ns."""
@@ -297,8 +309,10 @@ class Record:
         if kind == "Not":
             return self._decides(body, 1 - come, 1 - lost, k)
         if kind in ("And", "Or", "Implies"):
-            sides = [(body[0], 1 - come, 1 - lost) if kind == "Implies" else (body[0], come, lost),
-                     (body[1], come, lost)]  # fmt: skip
+            sides = [
+                (body[0], 1 - come, 1 - lost) if kind == "Implies" else (body[0], come, lost),
+                (body[1], come, lost),
+            ]
             a, b = (float(self._at(part, k)[c, n]) for part, c, n in sides)
             first = a <= b if kind == "And" else (-a if kind == "Implies" else a) >= b
             return self._decides(*sides[0 if first else 1], k)

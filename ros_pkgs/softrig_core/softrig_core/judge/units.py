@@ -56,8 +56,15 @@ _SI = {"s": "s", "m": "m", "g": "kg", "A": "A", "K": "K", "rad": "rad", "Hz": "1
        "ohm": "kg m^2/s^3/A^2", "Ohm": "kg m^2/s^3/A^2", "F": "A^2 s^4/kg/m^2", "H": "kg m^2/s^2/A^2",
        "Wb": "kg m^2/s^2/A", "T": "kg/s^2/A"}  # fmt: skip
 _PREFIXES = {"p": -12, "n": -9, "u": -6, "m": -3, "c": -2, "k": 3, "M": 6, "G": 9}
-_OTHERS = {"%": (0.01, ""), "percent": (0.01, ""), "deg": (math.pi / 180.0, "rad"), "rpm": (math.pi / 30.0, "rad/s"),
-           "rev": (2.0 * math.pi, "rad"), "min": (60.0, "s"), "h": (3600.0, "s")}  # fmt: skip
+_OTHERS = {
+    "%": (0.01, ""),
+    "percent": (0.01, ""),
+    "deg": (math.pi / 180.0, "rad"),
+    "rpm": (math.pi / 30.0, "rad/s"),
+    "rev": (2.0 * math.pi, "rad"),
+    "min": (60.0, "s"),
+    "h": (3600.0, "s"),
+}
 
 
 @cache
@@ -100,8 +107,10 @@ def misfit(given: str, wanted: str) -> str:
     if math.isclose(a, b, rel_tol=1e-12):
         return ""
     same = f"1 {given}".removesuffix(" 1") + f" = {a / b:.9g} {wanted}".removesuffix(" 1")
-    return (f"is in {given!r}, expected {wanted!r}: the same quantity, {same}; declare {given!r} at the reader and "
-            f"scale there, or {wanted!r} at the sender and scale there")  # fmt: skip
+    return (
+        f"is in {given!r}, expected {wanted!r}: the same quantity, {same}; declare {given!r} at the reader and "
+        f"scale there, or {wanted!r} at the sender and scale there"
+    )
 
 
 def factor(given: str, wanted: str) -> float | None:

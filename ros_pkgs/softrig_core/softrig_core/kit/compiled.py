@@ -203,8 +203,10 @@ def build(function: ca.Function) -> Path | None:
             product.replace(library)
     except (OSError, subprocess.CalledProcessError) as error:
         reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[-1]
-        warnings.warn(f"{compiler} could not compile {function.name()} ({reason}): it runs about a hundred times "
-                      "slower", stacklevel=3)  # fmt: skip
+        warnings.warn(
+            f"{compiler} could not compile {function.name()} ({reason}): it runs about a hundred times slower",
+            stacklevel=3,
+        )
         return None
     return library
 

@@ -268,8 +268,14 @@ def delayed(past: Trajectory, t: float, channel: int) -> float:
         return past.x0[row, channel]
     if s == 1.0:
         return past.x1[row, channel]
-    return between(s, past.length[row], past.x0[row, channel], past.x1[row, channel], past.dx0[row, channel],
-                   past.dx1[row, channel])  # fmt: skip
+    return between(
+        s,
+        past.length[row],
+        past.x0[row, channel],
+        past.x1[row, channel],
+        past.dx0[row, channel],
+        past.dx1[row, channel],
+    )
 
 
 def integrator(rhs: Callable[..., None], limit: Callable[..., None] | None = None) -> Callable[..., None]:

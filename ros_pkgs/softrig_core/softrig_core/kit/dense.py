@@ -97,8 +97,13 @@ def product(a: ArrayLike, b: ArrayLike) -> Any:
     n, m = left.shape[0], right.shape[1]
     if left.dtype.kind == "c" or right.dtype.kind == "c":
         parts = np.empty((2 * n, 2 * m))
-        _run(_product, 4 * left.size * m, _matrix(np.vstack([left.real, left.imag])),
-             _matrix(np.hstack([right.real, right.imag])), parts)  # fmt: skip
+        _run(
+            _product,
+            4 * left.size * m,
+            _matrix(np.vstack([left.real, left.imag])),
+            _matrix(np.hstack([right.real, right.imag])),
+            parts,
+        )
         out: NDArray[Any] = np.empty((n, m), dtype=np.complex128)
         out.real, out.imag = parts[:n, :m] - parts[n:, m:], parts[:n, m:] + parts[n:, :m]
     else:

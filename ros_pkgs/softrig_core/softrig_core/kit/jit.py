@@ -171,8 +171,10 @@ def _refusal(function: Callable[..., Any], word: str) -> ValueError:
 
 
 def _foreign(function: Callable[..., Any], word: str) -> ValueError:
-    return ValueError(f"{function.__qualname__} uses numpy.{word}, which native code may compute differently; "
-                      "expected functions of math, or a loop")  # fmt: skip
+    return ValueError(
+        f"{function.__qualname__} uses numpy.{word}, which native code may compute differently; "
+        "expected functions of math, or a loop"
+    )
 
 
 def _named(function: Callable[..., Any], word: str) -> Any:

@@ -200,8 +200,10 @@ class Calls(Expressions):
         if name == "_replace" and isinstance(base, Dynamic) and hasattr(type(sample), "_fields"):
             simple = self.simple(base)
             changed = {str(k.arg): self.value(k.value) for k in node.keywords}
-            parts = [changed.get(f) or Dynamic(f"{simple.code}.{f}", getattr(sample, f), base.sure)
-                     for f in type(sample)._fields]  # fmt: skip
+            parts = [
+                changed.get(f) or Dynamic(f"{simple.code}.{f}", getattr(sample, f), base.sure)
+                for f in type(sample)._fields
+            ]
             return self._named(type(sample), parts, node)
         if name == "conjugate" and isinstance(sample, complex) and isinstance(base, Dynamic):
             return Dynamic(f"{base.code}.conjugate()", sample.conjugate())
@@ -256,8 +258,12 @@ class Calls(Expressions):
         if isinstance(called, Compiled):
             return self._compiled(function, given, node)
         if isinstance(called, partial):
-            return self.call(Static(called.func), [*map(Static, called.args), *given],
-                             {k: Static(v) for k, v in called.keywords.items()} | dict(words), node)  # fmt: skip
+            return self.call(
+                Static(called.func),
+                [*map(Static, called.args), *given],
+                {k: Static(v) for k, v in called.keywords.items()} | dict(words),
+                node,
+            )
         if isinstance(called, types.MethodType):
             own = called.__self__
             if isinstance(own, Block) and called.__func__ is Block.report:
@@ -282,8 +288,9 @@ class Calls(Expressions):
             table = Static(called.__self__, None if function.path is None else function.path[:-1])
             if called.__name__ in ("items", "values", "keys"):
                 keys = tuple(table.value)
-                values = [Static(table.value[k], None if table.path is None else (*table.path, ("item", k)))
-                          for k in keys]  # fmt: skip
+                values = [
+                    Static(table.value[k], None if table.path is None else (*table.path, ("item", k))) for k in keys
+                ]
                 if table.path is not None:
                     self.program.guards[table.path] = ("keys", tuple(sorted(keys)))
                 if called.__name__ == "items":
@@ -369,8 +376,10 @@ class Calls(Expressions):
         left = [t for t in tests if isinstance(t, str)]
         if not left:
             return Static(not stop)
-        return Dynamic(f"({(' or ' if stop else ' and ').join(left)})",
-                       computed(lambda *s: function(s), *(sample_of(v) for v in values)))  # fmt: skip
+        return Dynamic(
+            f"({(' or ' if stop else ' and ').join(left)})",
+            computed(lambda *s: function(s), *(sample_of(v) for v in values)),
+        )
 
     def _builtin(self, called: Any, given: list[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
         if words:
@@ -379,8 +388,10 @@ class Calls(Expressions):
             numbers = [self.dynamic(v) for v in self.parts(given[0], node)]
             if not all(isinstance(v.sample, (float, int)) for v in numbers):
                 raise self.unknown("an array of something else than numbers", node)
-            return Dynamic(f"array_(({''.join(f'float({v.code}), ' for v in numbers)}))",
-                           np.array([float(v.sample) for v in numbers]))  # fmt: skip
+            return Dynamic(
+                f"array_(({''.join(f'float({v.code}), ' for v in numbers)}))",
+                np.array([float(v.sample) for v in numbers]),
+            )
         if called in (min, max) and len(given) == 1:
             given = self.parts(given[0], node)
         if called is len:

@@ -204,9 +204,15 @@ class Engine:
         self._fits = self._forms()
         roots = [s.block for s in core]
         recorded = [s for s in core if s.outputs and (s.send is not None or s.send_all is not None or self._watched(s))]
-        kinds = (*((type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks, *kind)
-                   for s, kind in zip(core, self._fits, strict=False)),
-                 *self._fits[len(core) :], tuple(s.name for s in recorded), self._make)  # fmt: skip
+        kinds = (
+            *(
+                (type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks, *kind)
+                for s, kind in zip(core, self._fits, strict=False)
+            ),
+            *self._fits[len(core) :],
+            tuple(s.name for s in recorded),
+            self._make,
+        )
         try:
             if kinds in _refused:
                 raise NotNative(_refused[kinds])
@@ -286,9 +292,12 @@ class Engine:
         kept = self._kept
         assert kept is not None
         while True:
-            before = (*(packed(s.x, self._typed) for s in self._core), *(_numbers(s) for s in self._core),
-                      *(_stamps(self._core[k]) for k in kept.text.stamped),
-                      *(packed(link.value) for link in self._links))  # fmt: skip
+            before = (
+                *(packed(s.x, self._typed) for s in self._core),
+                *(_numbers(s) for s in self._core),
+                *(_stamps(self._core[k]) for k in kept.text.stamped),
+                *(packed(link.value) for link in self._links),
+            )
             n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
             spoken = [self._core[k].spoken[j] for k, j in self._speakers]
             times = [0, *(link.stamp for link in self._links), *(NEVER if t is None else t for t in spoken)]
@@ -421,8 +430,10 @@ def _places(step: Step) -> list[Where]:
     at = [0, *accumulate(p.size for p in step.outputs)]
     stamp = [0, *accumulate(p.delayed for p in step.outputs)]
     flag = [*accumulate((p.sporadic for p in step.outputs), initial=at[-1])]
-    return [(at[j], at[j + 1], stamp[j] if p.delayed else None, flag[j] if p.sporadic else None)
-            for j, p in enumerate(step.outputs)]  # fmt: skip
+    return [
+        (at[j], at[j + 1], stamp[j] if p.delayed else None, flag[j] if p.sporadic else None)
+        for j, p in enumerate(step.outputs)
+    ]
 
 
 def _readings(source: Step, reader: Step) -> list[tuple[dict[str, Any], str, Any, Where]]:
@@ -500,8 +511,10 @@ def _numbers(step: Step) -> tuple[float, ...]:
     if step.plain:
         return tuple(map(float, step.numbers))
     rows: list[Any] = [step.said.get(p.name) for p in step.outputs]
-    found = [(0.0,) * p.size if row is None else row.data if isinstance(row, Sample) else row
-             for p, row in zip(step.outputs, rows, strict=True)]  # fmt: skip
+    found = [
+        (0.0,) * p.size if row is None else row.data if isinstance(row, Sample) else row
+        for p, row in zip(step.outputs, rows, strict=True)
+    ]
     flags = [float(row is not None) for p, row in zip(step.outputs, rows, strict=True) if p.sporadic]
     return (*(float(v) for row in found for v in row), *flags)
 

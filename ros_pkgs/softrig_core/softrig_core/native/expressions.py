@@ -258,8 +258,9 @@ class Expressions(Ways):
             sample = computed(pow, x.sample, y.sample)
             return Dynamic(f"power_({x.code}, float({y.code}))", x.sample if sample is UNKNOWN else sample)
         if type(op) not in BINARY:
-            raise self.unknown("** of whole or complex numbers" if isinstance(op, ast.Pow) else "an operation on bits",
-                               node)  # fmt: skip
+            raise self.unknown(
+                "** of whole or complex numbers" if isinstance(op, ast.Pow) else "an operation on bits", node
+            )
         a, b = sample_of(left), sample_of(right)
         if isinstance(a, (tuple, list)) or isinstance(b, (tuple, list)):
             return self._joined_tuples(op, left, right, node)
@@ -379,8 +380,10 @@ class Expressions(Ways):
                     return Static(not wanted)
                 if is_sure(left):
                     return Static((left.sample is None) is wanted)
-                return Dynamic(f"({left.code} is {'' if wanted else 'not '}None)",
-                               computed(lambda a: (a is None) is wanted, left.sample))  # fmt: skip
+                return Dynamic(
+                    f"({left.code} is {'' if wanted else 'not '}None)",
+                    computed(lambda a: (a is None) is wanted, left.sample),
+                )
             if isinstance(left, Static) and isinstance(right, Static):
                 return Static((self.program.guard(left) is self.program.guard(right)) is wanted)
             raise self.unknown("`is` of something other than None", node)
@@ -435,5 +438,7 @@ class Expressions(Ways):
 
 
 FOLDED: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Pow: lambda a, b: a**b, ast.LShift: lambda a, b: a << b, ast.RShift: lambda a, b: a >> b,
-}  # fmt: skip
+    ast.Pow: lambda a, b: a**b,
+    ast.LShift: lambda a, b: a << b,
+    ast.RShift: lambda a, b: a >> b,
+}

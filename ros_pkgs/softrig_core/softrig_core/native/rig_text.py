@@ -99,8 +99,13 @@ def links(steps: Sequence[Step]) -> list[Link]:
         ends += [(j, other.values, port.name, take, port) for j, other, port, take in s.doubters]  # type: ignore[misc]
         found += [Link(k, j, values, name, take, _told(s, j), port) for j, values, name, take, port in ends]
     for s in steps:
-        found += [Link(None, j, s.values, name, take, s.stamps[name]) for source in s.sources if source not in steps
-                  for j, values, name, take in source.readers if values is s.values]  # fmt: skip
+        found += [
+            Link(None, j, s.values, name, take, s.stamps[name])
+            for source in s.sources
+            if source not in steps
+            for j, values, name, take in source.readers
+            if values is s.values
+        ]
     return found
 
 
@@ -160,18 +165,30 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
             raise NotNative(f"{steps[k].name}: its state stays as it is")
         body += _due(steps[k], stride, [_kept(f"x{k}", value, steps[k], typed)])
     stamped = tuple(k for k, s in enumerate(steps) if any(p.delayed for p in s.outputs))
-    state = ", ".join([*(f"x{k}" for k, _ in enumerate(steps)), *(f"r{k}" for k, _ in enumerate(steps)),
-                       *(f"z{k}" for k in stamped), *(f"h{i}" for i, _ in enumerate(kept))])  # fmt: skip
+    state = ", ".join(
+        [
+            *(f"x{k}" for k, _ in enumerate(steps)),
+            *(f"r{k}" for k, _ in enumerate(steps)),
+            *(f"z{k}" for k in stamped),
+            *(f"h{i}" for i, _ in enumerate(kept)),
+        ]
+    )
     written = [numbers[id(s)] for s in recorded]
     arrays |= {WHEN} if kept or spoken else set()
     handed = [*sorted(arrays), *(f"o{k}" for k in written), *(f"p{k}" for k in written if k in stamped)]
     if 2 * ns[0] * (time.ticks or 1) > LARGEST:
         raise NotNative("times beyond whole numbers of 64 bits")
     head = [f"def rig({', '.join(['first', 'last', 'n', 'c', 's', *handed])}):", f"    {state}, = s"]
-    head += [f"    e{numbers[id(s)]} = (first + {s.schedule.every // stride - 1}) // {s.schedule.every // stride}"
-             for s in recorded]  # fmt: skip
-    head += ["    for k in range(first, last):", "        n[0] = k",
-             f"        t = {_time('k', ns)}", *([f"        {WHEN}[0] = t"] if WHEN in arrays else [])]  # fmt: skip
+    head += [
+        f"    e{numbers[id(s)]} = (first + {s.schedule.every // stride - 1}) // {s.schedule.every // stride}"
+        for s in recorded
+    ]
+    head += [
+        "    for k in range(first, last):",
+        "        n[0] = k",
+        f"        t = {_time('k', ns)}",
+        *([f"        {WHEN}[0] = t"] if WHEN in arrays else []),
+    ]
     rig = "\n".join([*head, *(f"        {line}" for line in body), f"    return ({state},)"])
     words = [TEXTS[w] for w in sorted(program.words)]
     text = "\n\n".join([*words, *_reached(program.functions, rig), rig]) + "\n"
@@ -238,8 +255,11 @@ def _inputs(
             raise NotNative(f"{step.name}: {port.topic} has {port.size} numbers, expected at most {LONGEST}")
         elif link is not None:
             value = Dynamic(f"h{link}", packed(values))
-            found[port.name] = value if isinstance(values, Sample) else Group(tuple(
-                Dynamic(f"h{link}[{p}]", float(v)) for p, v in enumerate(values)))  # fmt: skip
+            found[port.name] = (
+                value
+                if isinstance(values, Sample)
+                else Group(tuple(Dynamic(f"h{link}[{p}]", float(v)) for p, v in enumerate(values)))
+            )
         else:
             s, j, take = source
             every, k = s.schedule.every // stride, numbers[id(s)]
@@ -253,8 +273,10 @@ def _read(program: Program, s: Step, j: int, take: Any, numbers: str, stamps: st
     before, delayed = sum(p.size for p in s.outputs[:j]), s.outputs[j].delayed
     places, _ = taken(s.outputs[j].size, delayed, take)
     data = values.data if isinstance(values, Sample) else values
-    row = [Dynamic(f"{numbers}[{before + p}]" if type(p) is Place else repr(float(p)), float(v))
-           for p, v in zip(places, data, strict=True)]  # fmt: skip
+    row = [
+        Dynamic(f"{numbers}[{before + p}]" if type(p) is Place else repr(float(p)), float(v))
+        for p, v in zip(places, data, strict=True)
+    ]
     if not isinstance(values, Sample):
         return Group(tuple(row))
     stamp = f"{stamps}[{len([p for p in s.outputs[:j] if p.delayed])}]" if delayed else time

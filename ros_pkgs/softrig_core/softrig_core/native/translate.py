@@ -30,17 +30,29 @@ SMALL = 4096  # whole numbers beyond it are slots: times in ns
 GIVEN_UP = "raise RuntimeError"
 
 BINARY: dict[type, tuple[str, Callable[[Any, Any], Any]]] = {
-    ast.Add: ("+", operator.add), ast.Sub: ("-", operator.sub), ast.Mult: ("*", operator.mul),
-    ast.Div: ("/", operator.truediv), ast.FloorDiv: ("//", operator.floordiv), ast.Mod: ("%", operator.mod),
-    ast.BitAnd: ("&", operator.and_), ast.BitOr: ("|", operator.or_), ast.BitXor: ("^", operator.xor),
-}  # fmt: skip
+    ast.Add: ("+", operator.add),
+    ast.Sub: ("-", operator.sub),
+    ast.Mult: ("*", operator.mul),
+    ast.Div: ("/", operator.truediv),
+    ast.FloorDiv: ("//", operator.floordiv),
+    ast.Mod: ("%", operator.mod),
+    ast.BitAnd: ("&", operator.and_),
+    ast.BitOr: ("|", operator.or_),
+    ast.BitXor: ("^", operator.xor),
+}
 COMPARE: dict[type, tuple[str, Callable[[Any, Any], Any]]] = {
-    ast.Eq: ("==", operator.eq), ast.NotEq: ("!=", operator.ne), ast.Lt: ("<", operator.lt),
-    ast.LtE: ("<=", operator.le), ast.Gt: (">", operator.gt), ast.GtE: (">=", operator.ge),
-}  # fmt: skip
+    ast.Eq: ("==", operator.eq),
+    ast.NotEq: ("!=", operator.ne),
+    ast.Lt: ("<", operator.lt),
+    ast.LtE: ("<=", operator.le),
+    ast.Gt: (">", operator.gt),
+    ast.GtE: (">=", operator.ge),
+}
 UNARY: dict[type, tuple[str, Callable[[Any], Any]]] = {
-    ast.UAdd: ("+", operator.pos), ast.USub: ("-", operator.neg), ast.Invert: ("~", operator.invert),
-}  # fmt: skip
+    ast.UAdd: ("+", operator.pos),
+    ast.USub: ("-", operator.neg),
+    ast.Invert: ("~", operator.invert),
+}
 NUMBERS = (int, float, complex, bool)
 
 
@@ -146,10 +158,13 @@ class Program:
             self.callers[symbol] = name = f"call{len(self.callers)}"
             self.names[f"{name}_there"] = compiled
             arguments = ", ".join(f"v{k}" for k in range(compiled.n_in))
-            lines = [f"def {name}(s, {arguments}):", *(f"    s[{k}] = v{k}" for k in range(compiled.n_in)),
-                     "    p = s.ctypes.data",
-                     f"    {name}_there({', '.join(f'p + {8 * at}' for at in compiled.places)}, 0)",
-                     f"    return ({''.join(f's[{compiled.n_in + k}], ' for k in range(compiled.n_out))})"]  # fmt: skip
+            lines = [
+                f"def {name}(s, {arguments}):",
+                *(f"    s[{k}] = v{k}" for k in range(compiled.n_in)),
+                "    p = s.ctypes.data",
+                f"    {name}_there({', '.join(f'p + {8 * at}' for at in compiled.places)}, 0)",
+                f"    return ({''.join(f's[{compiled.n_in + k}], ' for k in range(compiled.n_out))})",
+            ]
             self.functions.append("\n".join(lines))
         return self.callers[symbol]
 
@@ -308,8 +323,14 @@ def made(
         if isinstance(value, Static):
             if value.path is not None and is_number_slot(value.value):
                 return handed(program.slot(value), name)
-            key.append((name, "static", value.path if value.path is not None else id(value.value), repr(value.value)
-                        if isinstance(value.value, (*NUMBERS, str)) else ""))  # fmt: skip
+            key.append(
+                (
+                    name,
+                    "static",
+                    value.path if value.path is not None else id(value.value),
+                    repr(value.value) if isinstance(value.value, (*NUMBERS, str)) else "",
+                )
+            )
             return value
         if isinstance(value, Dynamic):
             outer.append(value.code)

@@ -174,8 +174,9 @@ class Ways:
         if isinstance(value, Static) and isinstance(value.value, (tuple, list)):
             if value.path is not None:
                 self.program.guards[(*value.path, ("len", None))] = ("int", len(value.value))
-            return [Static(v, None if value.path is None else (*value.path, ("item", k)))
-                    for k, v in enumerate(value.value)]  # fmt: skip
+            return [
+                Static(v, None if value.path is None else (*value.path, ("item", k))) for k, v in enumerate(value.value)
+            ]
         if isinstance(value, Static) and isinstance(value.value, (Mapping, range)):
             if value.path is not None:
                 self.program.guard(value)
@@ -308,8 +309,10 @@ class Ways:
         if a is b or a == b or (isinstance(a, Static) and isinstance(b, Static) and a.value is b.value):
             return a
         if isinstance(a, Group) and isinstance(b, Group) and len(a.items) == len(b.items):
-            parts = [self._join(f"{name}__{k}", x, y, then, orelse, taken)
-                     for k, (x, y) in enumerate(zip(a.items, b.items, strict=True))]  # fmt: skip
+            parts = [
+                self._join(f"{name}__{k}", x, y, then, orelse, taken)
+                for k, (x, y) in enumerate(zip(a.items, b.items, strict=True))
+            ]
             return None if None in parts else Group(tuple(p for p in parts if p is not None))
         if isinstance(a, Record) and isinstance(b, Record) and a.items.keys() == b.items.keys():
             items = {k: self._join(f"{name}__{k}", a.items[k], b.items[k], then, orelse, taken) for k in a.items}

@@ -37,21 +37,21 @@ TEXTS: dict[str, str] = {
     **{n: _CUT.format(name=n, call=f"math.{n}") for n in ("floor", "ceil", "trunc")},
     **{f"{n}_": _CUT.format(name=f"{n}_", call=n) for n in ("int", "round")},
     "fmod": "def fmod(x, y):\n    if y == 0.0 or (x - x != 0.0 and x == x):\n        raise ValueError\n"
-            "    return math.fmod(x, y)\n",
+    "    return math.fmod(x, y)\n",
     "power_": "def power_(x, y):\n    if (x < 0.0 and y != math.floor(y)) or (x == 0.0 and y < 0.0):\n"
-              "        raise ValueError\n    z = power(x, y)\n"
-              "    if z - z != 0.0 and x - x == 0.0 and y - y == 0.0:\n        raise OverflowError\n    return z\n",
+    "        raise ValueError\n    z = power(x, y)\n"
+    "    if z - z != 0.0 and x - x == 0.0 and y - y == 0.0:\n        raise OverflowError\n    return z\n",
     "times_": "def times_(x, y):\n    if not (-3000000000 < x < 3000000000 and -3000000000 < y < 3000000000):\n"
-              "        raise OverflowError\n    return x * y\n",
+    "        raise OverflowError\n    return x * y\n",
     "bisect_right": "def bisect_right(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"
-                    "        middle = (low + high) // 2\n        if x < a[middle]:\n            high = middle\n"
-                    "        else:\n            low = middle + 1\n    return low\n",
+    "        middle = (low + high) // 2\n        if x < a[middle]:\n            high = middle\n"
+    "        else:\n            low = middle + 1\n    return low\n",
     "bisect_left": "def bisect_left(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"
-                   "        middle = (low + high) // 2\n        if a[middle] < x:\n            low = middle + 1\n"
-                   "        else:\n            high = middle\n    return low\n",
+    "        middle = (low + high) // 2\n        if a[middle] < x:\n            low = middle + 1\n"
+    "        else:\n            high = middle\n    return low\n",
     "drawn_": "def drawn_(row, n, k):\n    if k >= len(row):\n        n[1] = k + 1\n        raise IndexError\n"
-              "    return float(row[k])\n",
-}  # fmt: skip
+    "    return float(row[k])\n",
+}
 PLAIN = {name: f"math.{name}" for name in ("atan", "atan2", "tanh", "copysign", "fabs", "isfinite", "isnan", "isinf",
                                            "radians", "degrees", "asinh")}  # fmt: skip
 

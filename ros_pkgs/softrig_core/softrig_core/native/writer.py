@@ -87,8 +87,10 @@ class Writer(Calls):
             and (isinstance(call.func.value, ast.Name) and call.func.value.id in self.env)
         ):  # a list is written as a tuple: with one more it is another
             before = self.parts(self.env[call.func.value.id], node)
-            self.assign(ast.Name(call.func.value.id, ast.Store()),
-                        Group((*(self._held(v) for v in before), self.value(call.args[0]))))  # fmt: skip
+            self.assign(
+                ast.Name(call.func.value.id, ast.Store()),
+                Group((*(self._held(v) for v in before), self.value(call.args[0]))),
+            )
             return
         found = self.value(node.value)
         if isinstance(found, Dynamic) and not self.ended:
@@ -202,8 +204,12 @@ class Writer(Calls):
         return None
 
     def _loop(self, head: str, body: Sequence[ast.stmt], node: ast.stmt, test: ast.expr | None = None) -> None:
-        names = {n.id for one in [*body, node] for n in ast.walk(one)
-                 if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}  # fmt: skip
+        names = {
+            n.id
+            for one in [*body, node]
+            for n in ast.walk(one)
+            if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+        }
         leaves = any(isinstance(n, (ast.Break, ast.Continue)) for one in body for n in ast.walk(one))
         assumed: dict[str, Any] = {}  # tuples that are as long after a turn as before it
         for name in names:

@@ -35,8 +35,12 @@ from .seam.middleware import Middleware
 # read by a node and no parameters of it afterwards: what `ros2 param dump` gives is to fit another run
 RUNNERS = ("run.shard", "run.status", "run.links", "run.changes", "run.again")
 HERE = "; reached from this host only (from others with ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET)"
-ARRAYS = {float: Parameter.Type.DOUBLE_ARRAY, int: Parameter.Type.INTEGER_ARRAY, bool: Parameter.Type.BOOL_ARRAY,
-          str: Parameter.Type.STRING_ARRAY}  # fmt: skip
+ARRAYS = {
+    float: Parameter.Type.DOUBLE_ARRAY,
+    int: Parameter.Type.INTEGER_ARRAY,
+    bool: Parameter.Type.BOOL_ARRAY,
+    str: Parameter.Type.STRING_ARRAY,
+}
 
 
 def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
@@ -50,8 +54,10 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
     try:
         stray = remove_ros_args(list(argv))[1:]
         if stray:
-            raise ValueError(f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
-                             "--help shows the parameters")  # fmt: skip
+            raise ValueError(
+                f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
+                "--help shows the parameters"
+            )
         with joining():
             rclpy.init(args=list(argv))
             interrupt.early = False

@@ -22,10 +22,16 @@ OWN = (
     "std_srvs/srv/Trigger",
     *(
         f"rcl_interfaces/srv/{name}"
-        for name in ("DescribeParameters", "GetParameterTypes", "GetParameters", "ListParameters", "SetParameters",
-                     "SetParametersAtomically")
+        for name in (
+            "DescribeParameters",
+            "GetParameterTypes",
+            "GetParameters",
+            "ListParameters",
+            "SetParameters",
+            "SetParametersAtomically",
+        )
     ),
-)  # fmt: skip
+)
 
 for name in (*TYPES, *OWN):
     with suppress(ImportError):  # whoever needs it says so

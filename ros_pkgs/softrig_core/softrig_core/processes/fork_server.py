@@ -34,8 +34,17 @@ PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
 LARGEST = 100_000  # bytes of a request
 ROOM = 8_000  # bytes for the command line of a node, as /proc shows it
 # what a node reads when it starts; everything else in the environment has been read by then
-OWN = ("ROS_DOMAIN_ID", "ROS_LOG_DIR", "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE",
-       "NUMBA_DISABLE_INTEL_SVML", "SOFTRIG_SCENARIOS", "PYTEST_CURRENT_TEST", "COLUMNS", "LINES")  # fmt: skip
+OWN = (
+    "ROS_DOMAIN_ID",
+    "ROS_LOG_DIR",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "NUMBA_DISABLE_INTEL_SVML",
+    "SOFTRIG_SCENARIOS",
+    "PYTEST_CURRENT_TEST",
+    "COLUMNS",
+    "LINES",
+)
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 
 
@@ -103,10 +112,14 @@ class ForkServer:
         with theirs:
             # the last argument is room for what the nodes are called
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), "-" * ROOM], env=dict(variables),
-                pass_fds=[theirs.fileno()], process_group=0, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), "-" * ROOM],
+                env=dict(variables),
+                pass_fds=[theirs.fileno()],
+                process_group=0,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-            )  # fmt: skip
+            )
 
     def start(
         self, package: str, executable: str, command: Sequence[str], variables: Mapping[str, str], output: int
@@ -127,8 +140,13 @@ class ForkServer:
         Forked, or None
             None when this server cannot; then another one, or the executable by itself, can.
         """
-        request = {"package": package, "executable": executable, "command": list(command), "variables": dict(variables),
-                   "directory": os.getcwd()}  # fmt: skip
+        request = {
+            "package": package,
+            "executable": executable,
+            "command": list(command),
+            "variables": dict(variables),
+            "directory": os.getcwd(),
+        }
         answer = self._ask(request, output)
         return Forked(int(answer["pid"]), self) if "pid" in answer else None
 

@@ -27,8 +27,10 @@ class Guests:
         if self._announce is None or not self._needed:
             return
         who = ", ".join(self._awaited or self._needed)
-        lines = [f"waiting for {who} (as long as it takes or --wait says; Ctrl-C ends); in another terminal:",
-                 f"  export ROS_DOMAIN_ID={domain} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"]  # fmt: skip
+        lines = [
+            f"waiting for {who} (as long as it takes or --wait says; Ctrl-C ends); in another terminal:",
+            f"  export ROS_DOMAIN_ID={domain} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
+        ]
         for m in self._rig.members:
             for p in m.outputs if m.external else ():
                 verb = "must publish" if p.topic in self._needed[m.name] else "may publish"
@@ -64,16 +66,24 @@ class Guests:
 
     def _name_strays(self, lacking: Set[str], published: Mapping[str, list[tuple[str, str]]]) -> None:
         """Say who publishes, under a name that the rig does not know, the type of a topic that is awaited."""
-        awaited = {p.topic: (m.name, p.msgtype) for m in self._rig.members if m.external for p in m.outputs
-                   if p.topic in lacking}  # fmt: skip
+        awaited = {
+            p.topic: (m.name, p.msgtype)
+            for m in self._rig.members
+            if m.external
+            for p in m.outputs
+            if p.topic in lacking
+        }
         known = {f"/{topic.lstrip('/')}" for topic in self._rig.topics}
         own = {f"/{m.name}" for m in self._rig.members if not m.external}
         for topic, writers in published.items():
             for msgtype, who in writers if topic not in known else ():
                 fitting = [t for t, (_, wanted) in awaited.items() if wanted == msgtype and who not in own]
                 for meant in get_close_matches(topic, fitting, 1, 0.0):
-                    self._once(f"stray {topic}", f"{who} publishes {topic}, which nobody in the rig reads; "
-                                                 f"{meant} is awaited from {awaited[meant][0]}")  # fmt: skip
+                    self._once(
+                        f"stray {topic}",
+                        f"{who} publishes {topic}, which nobody in the rig reads; "
+                        f"{meant} is awaited from {awaited[meant][0]}",
+                    )
 
     def _once(self, key: str, text: str) -> None:
         if key not in self._said:

@@ -12,11 +12,18 @@ from ..solver.solver import Solver
 def links(rig: Rig, member: Member) -> Links:
     """Work out what a node must know of its peers."""
     paired = {
-        port: InputLink(period=_seconds(link.source), node=link.source.name, at_end=link.source.schedule.at_end,
-                        port=link.port.name, sporadic=link.port.sporadic, delayed=link.port.delayed,
-                        told=_told(member, link))
-        for port, link in member.links.items() if not (link.source.external and link.port.sporadic)
-    }  # fmt: skip
+        port: InputLink(
+            period=_seconds(link.source),
+            node=link.source.name,
+            at_end=link.source.schedule.at_end,
+            port=link.port.name,
+            sporadic=link.port.sporadic,
+            delayed=link.port.delayed,
+            told=_told(member, link),
+        )
+        for port, link in member.links.items()
+        if not (link.source.external and link.port.sporadic)
+    }
     tick_readers = _tick_readers(rig, member)
     pacers = _pacers(rig, member)
     acknowledging = [m for m in _acknowledging(rig) if m is not member] if member is _gatherer(rig) else []

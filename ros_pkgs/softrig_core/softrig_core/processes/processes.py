@@ -97,12 +97,26 @@ def run_processes(
         variables = environment(
             domain, directory, discovery="SUBNET" if only else "LOCALHOST", silence=rig.scenario.timeout
         )
-        options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused,
-                   "run.pace": placement.pace}  # fmt: skip
+        options = {
+            "run.mode": placement.clock,
+            "run.start_timeout": wait,
+            "run.paused": placement.paused,
+            "run.pace": placement.pace,
+        }
 
         def begin(group: list[Member], again: bool = False) -> list[Child]:
-            return start(rig, group, seed, directory, options, placement.record, variables, None if own_domain else (),
-                         returns=placement.restart > 0, again=again)  # fmt: skip
+            return start(
+                rig,
+                group,
+                seed,
+                directory,
+                options,
+                placement.record,
+                variables,
+                None if own_domain else (),
+                returns=placement.restart > 0,
+                again=again,
+            )
 
         def restart(k: int) -> None:
             with unstopped():

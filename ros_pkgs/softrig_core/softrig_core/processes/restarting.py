@@ -104,8 +104,10 @@ class Restarts:
         del self._looks[name]
         self._again(k)
         if self._announce is not None:
-            self._announce(f"node {name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s; it is started "
-                           f"again ({self.counts[name]} of {self.most})")  # fmt: skip
+            self._announce(
+                f"node {name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s; it is started "
+                f"again ({self.counts[name]} of {self.most})"
+            )
 
     def why(self, member: Member) -> str:
         """Say why a node that was killed is not started again; empty where none is."""

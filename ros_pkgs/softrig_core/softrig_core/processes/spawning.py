@@ -59,9 +59,19 @@ def node_parameters(
     }
 
 
-def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: dict[str, Any],
-           record: bool, variables: dict[str, str], recorders: Sequence[str] | None = None, *, returns: bool = False,
-           again: bool = False) -> list[Child]:  # fmt: skip
+def start(
+    rig: Rig,
+    group: list[Member],
+    seed: int,
+    directory: Path,
+    options: dict[str, Any],
+    record: bool,
+    variables: dict[str, str],
+    recorders: Sequence[str] | None = None,
+    *,
+    returns: bool = False,
+    again: bool = False,
+) -> list[Child]:
     """Start a node, or several in a container.
 
     Parameters
@@ -79,12 +89,15 @@ def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: di
             _keep_record(stem)
         for kind in FILES:
             stem.with_suffix(f".{kind}").unlink(missing_ok=True)
-        given[member.name] = node_parameters(
-            rig, member, seed, options["run.mode"], recorders=recorders, returns=returns
-        ) | options | {
-            "run.shard": str(stem.with_suffix(".shard")) if record else "",
-            "run.status": str(stem.with_suffix(".status")),
-        } | ({"run.again": str(directory), "run.paused": False} if again else {})  # fmt: skip
+        given[member.name] = (
+            node_parameters(rig, member, seed, options["run.mode"], recorders=recorders, returns=returns)
+            | options
+            | {
+                "run.shard": str(stem.with_suffix(".shard")) if record else "",
+                "run.status": str(stem.with_suffix(".status")),
+            }
+            | ({"run.again": str(directory), "run.paused": False} if again else {})
+        )
     if len(group) == 1:
         executable = find_executable(group[0].package, group[0].executable)
         arguments = _ros_arguments(group[0], given[group[0].name], directory)
@@ -98,9 +111,14 @@ def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: di
         process = start_node(
             executable.parent.name, executable.name, command, variables, output.fileno()
         ) or subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=variables,
-            process_group=0, preexec_fn=_die_with_parent,
-        )  # fmt: skip
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=variables,
+            process_group=0,
+            preexec_fn=_die_with_parent,
+        )
     return [
         Child(
             m, process, os.pidfd_open(process.pid), log, directory / f"{m.name}.status", directory / f"{m.name}.shard"
@@ -117,9 +135,11 @@ def _keep_record(stem: Path) -> None:
 
 
 def container_arguments(
-    group: Sequence[Member], given: Mapping[str, dict[str, Any]], directory: Path,
+    group: Sequence[Member],
+    given: Mapping[str, dict[str, Any]],
+    directory: Path,
     shared: Mapping[str, str] | None = None,
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """Write the parameter files of nodes that share a process and give the command line of their container.
 
     Parameters

@@ -20,9 +20,14 @@ GRACE = 1.5  # s: after one node fails, how long the others may take to say what
 
 
 def supervise(
-    rig: Rig, children: list[Child], progress: Callable[[int], object] | None, guests: Guests, realtime: bool,
-    stopping: Stopping, restarts: Restarts,
-) -> str:  # fmt: skip
+    rig: Rig,
+    children: list[Child],
+    progress: Callable[[int], object] | None,
+    guests: Guests,
+    realtime: bool,
+    stopping: Stopping,
+    restarts: Restarts,
+) -> str:
     """Wait until all have ended or one has failed; gives the reason of a failure.
 
     A node may wait for ever for a peer that has ended: it has the scenario's timeout, in realtime from the end of the

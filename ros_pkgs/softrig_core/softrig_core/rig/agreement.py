@@ -93,8 +93,10 @@ def agreeing(
             continue
         node, value = said[quantity]
         if not _same(filled.setdefault(name, value), value):
-            raise ScenarioError(f"argument {name} = {_shown(filled[name])}, but {node} has {_shown(value)}; "
-                                f"leave it out and it is taken from there")  # fmt: skip
+            raise ScenarioError(
+                f"argument {name} = {_shown(filled[name])}, but {node} has {_shown(value)}; "
+                f"leave it out and it is taken from there"
+            )
     return filled
 
 

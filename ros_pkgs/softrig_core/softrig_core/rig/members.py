@@ -88,9 +88,11 @@ class Members:
     def readers(self, member: Member, port: Port) -> list[tuple[Member, Port]]:
         """Give the members that read an output."""
         return [
-            (m, p) for m in self.members for p in m.inputs if (k := m.links.get(p.name)) and k.source is member
-            and k.port.name == port.name
-        ]  # fmt: skip
+            (m, p)
+            for m in self.members
+            for p in m.inputs
+            if (k := m.links.get(p.name)) and k.source is member and k.port.name == port.name
+        ]
 
     def leaves(self) -> list[Member]:
         """Members that nobody waits for at each of their ticks; they acknowledge, so that nobody runs ahead of them."""

@@ -38,9 +38,12 @@ class RunOptions(Params):
     links: str = param("", "JSON of `Links`, written by the runner", max_length=1 << 20)
     paused: bool = param(False, "lockstep, the node of the clock: holds the run at t = 0 until it is resumed")
     pace: float = param(
-        0.0, "lockstep, the node of the clock: simulated by wall-clock time, 0 = as fast as it goes", ge=0, le=1e3,
+        0.0,
+        "lockstep, the node of the clock: simulated by wall-clock time, 0 = as fast as it goes",
+        ge=0,
+        le=1e3,
         live=True,
-    )  # fmt: skip
+    )
     again: str = param("", "lockstep: folder of the files of a run in which this node died, and comes back")
     changes: str = param("", "JSON of changes of parameters while it runs, written by the runner", max_length=1 << 20)
 

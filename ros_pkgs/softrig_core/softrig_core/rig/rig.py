@@ -78,8 +78,10 @@ class Rig(Members):
             except ValueError as error:
                 raise ScenarioError(f"{scenario.name}: node {m.name}: {error}, {clock.name}") from None
         if clock.schedule.ticks is not None and clock.schedule.ticks > TICKS:
-            raise ScenarioError(f"{scenario.name}: {scenario.duration:g} s are {clock.schedule.ticks:.3g} periods of "
-                                f"{clock.name}, expected at most {TICKS:.0e}")  # fmt: skip
+            raise ScenarioError(
+                f"{scenario.name}: {scenario.duration:g} s are {clock.schedule.ticks:.3g} periods of "
+                f"{clock.name}, expected at most {TICKS:.0e}"
+            )
         require_agreement(scenario.name, members)
         for m in members:
             m.changes = ()
@@ -92,9 +94,14 @@ class Rig(Members):
 
     @classmethod
     def from_blocks(
-        cls, blocks: Mapping[str, Block], duration: float, *, remap: Mapping[str, Mapping[str, str]] | None = None,
-        name: str = "rig", **keys: Any,
-    ) -> Rig:  # fmt: skip
+        cls,
+        blocks: Mapping[str, Block],
+        duration: float,
+        *,
+        remap: Mapping[str, Mapping[str, str]] | None = None,
+        name: str = "rig",
+        **keys: Any,
+    ) -> Rig:
         """Wire a rig from block objects, no file needed: by topic, as in a scenario.
 
         Parameters
@@ -114,10 +121,14 @@ class Rig(Members):
         >>> simulate(rig).signals["motor/state/shaft/velocity"]
         """
         nodes = {
-            node: {"package": "none", "executable": type(block).__name__.strip("_"), "parameters": flatten(block.p),
-                   "remap": dict((remap or {}).get(node, {}))}
+            node: {
+                "package": "none",
+                "executable": type(block).__name__.strip("_"),
+                "parameters": flatten(block.p),
+                "remap": dict((remap or {}).get(node, {})),
+            }
             for node, block in blocks.items()
-        }  # fmt: skip
+        }
         about = {"name": name, "title": name, "system": "", "source": "", "duration": duration, "nodes": nodes}
         try:
             scenario = Scenario.model_validate(about | keys)
@@ -168,12 +179,25 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
     topics = [p.topic for p in (*inputs, *outputs)]
     for topic in entry.remap:
         if topic not in topics:
-            raise ScenarioError(f"{where}: remap of {topic!r}, but its topics are {', '.join(topics)}"
-                                f"{scenario.written('nodes', name, 'remap', topic)}")  # fmt: skip
+            raise ScenarioError(
+                f"{where}: remap of {topic!r}, but its topics are {', '.join(topics)}"
+                f"{scenario.written('nodes', name, 'remap', topic)}"
+            )
     inputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in inputs)
     outputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in outputs)
-    return Member(name, entry.package, entry.executable, block, params, inputs, outputs, entry.external,
-                  dict(entry.remap), {}, Schedule(params.period))  # fmt: skip
+    return Member(
+        name,
+        entry.package,
+        entry.executable,
+        block,
+        params,
+        inputs,
+        outputs,
+        entry.external,
+        dict(entry.remap),
+        {},
+        Schedule(params.period),
+    )
 
 
 def _clock(scenario: Scenario, members: list[Member]) -> Member:
@@ -246,8 +270,10 @@ def _check_units(scenario: Scenario, members: list[Member]) -> None:
                 assert link is not None
                 given = unit_of(link.source, link.port, label) if label in link.port.places else ""
                 if wrong := misfit(given, wanted):
-                    raise ScenarioError(f"{scenario.name}: {port.topic} from {link.source.name} does not fit "
-                                        f"{member.name}: {label} {wrong}")  # fmt: skip
+                    raise ScenarioError(
+                        f"{scenario.name}: {port.topic} from {link.source.name} does not fit "
+                        f"{member.name}: {label} {wrong}"
+                    )
 
 
 def _sorted(members: list[Member]) -> list[Member]:

@@ -48,8 +48,10 @@ def branched(
     found = [(t, node, own) for t, node, own in recorded(recording, epoch) if t < start]
     found += [
         (change.at, member.name, dict(change.values))
-        for member in rig.members for change in member.changes if member.schedule.next(change.at - 1) >= start
-    ]  # fmt: skip
+        for member in rig.members
+        for change in member.changes
+        if member.schedule.next(change.at - 1) >= start
+    ]
     changes = [{"at": t / SECOND, "set": {f"{node}.{k}": v for k, v in own.items()}} for t, node, own in found]
     return changes + ([{"at": start / SECOND, "set": dict(values)}] if values else [])
 

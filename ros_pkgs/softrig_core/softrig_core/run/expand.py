@@ -25,9 +25,12 @@ Classes = Mapping[str, type[Block]]
 
 
 def rig_of(
-    what: str | Path | Scenario | Rig, *, duration: float | None = None, overrides: Mapping[str, Any] | None = None,
+    what: str | Path | Scenario | Rig,
+    *,
+    duration: float | None = None,
+    overrides: Mapping[str, Any] | None = None,
     classes: Classes | None = None,
-) -> Rig:  # fmt: skip
+) -> Rig:
     """Build the rig of a scenario's name or file, of a scenario, or of a rig with changes.
 
     Parameters
@@ -55,8 +58,11 @@ def rig_of(
 
 
 def _expanded(scenario: Scenario, classes: Classes) -> Rig:
-    live = {n: e for n, e in scenario.nodes.items() if (e.package, e.executable) == FIGURES
-            and not {"figures", "scenario"} & e.parameters.keys()}  # fmt: skip
+    live = {
+        n: e
+        for n, e in scenario.nodes.items()
+        if (e.package, e.executable) == FIGURES and not {"figures", "scenario"} & e.parameters.keys()
+    }
     bare = _telling(scenario, live, {"figures": "[]", "ports": "[]"})
     rig = _watched(Rig.from_scenario(_faulty(bare, classes), classes))
     if not live:
@@ -80,9 +86,12 @@ def _faulty(scenario: Scenario, classes: Classes) -> Scenario:
         return scenario
     members = members_of(scenario, classes)
     nodes = insert(
-        scenario.name, scenario.faults, {n: e.model_dump() for n, e in scenario.nodes.items()},
-        {m.name: (m.inputs, m.outputs) for m in members}, {m.name: m.params for m in members},
-    )  # fmt: skip
+        scenario.name,
+        scenario.faults,
+        {n: e.model_dump() for n, e in scenario.nodes.items()},
+        {m.name: (m.inputs, m.outputs) for m in members},
+        {m.name: m.params for m in members},
+    )
     return scenario.having(nodes=nodes, faults={})
 
 

@@ -68,9 +68,13 @@ class Session:
     """
 
     def __init__(
-        self, what: str | Scenario | Rig, *, seed: int | None = None, duration: float | None = None,
+        self,
+        what: str | Scenario | Rig,
+        *,
+        seed: int | None = None,
+        duration: float | None = None,
         overrides: Mapping[str, Any] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.rig = rig_of(what, duration=duration, overrides=overrides)
         check_here(self.rig)
         self.seed = self.rig.scenario.seed if seed is None else seed
@@ -166,8 +170,10 @@ class Session:
         for key, value in values.items():
             node, _, name = key.partition(".")
             if node not in self.steps or not name:
-                raise ScenarioError(f"{key!r}{closest(node, self.steps)}: expected node.parameter with node one of "
-                                    f"{', '.join(self.steps)}")  # fmt: skip
+                raise ScenarioError(
+                    f"{key!r}{closest(node, self.steps)}: expected node.parameter with node one of "
+                    f"{', '.join(self.steps)}"
+                )
             by_node.setdefault(node, {})[name] = value
         for node, own in by_node.items():
             try:
@@ -192,8 +198,12 @@ class Session:
             A block has a state that cannot be kept, or does not come back to it; names it and says why.
         """
         k = self._past(t)
-        undone = {f"{turned.node}.{name}": value for turned in self._turned if turned.k >= k
-                  for name, value in turned.values.items()}  # fmt: skip
+        undone = {
+            f"{turned.node}.{name}": value
+            for turned in self._turned
+            if turned.k >= k
+            for name, value in turned.values.items()
+        }
         self._turned = [turned for turned in self._turned if turned.k < k]
         self._kept = {at: moment for at, moment in self._kept.items() if at <= k}
         self._rest()

@@ -185,9 +185,14 @@ class Run:
         return frame
 
     def branch(
-        self, at: float, values: Mapping[str, Any], *, duration: float | None = None,
-        progress: Callable[[int], object] | bool | None = None, runs: int = 1,
-    ) -> Run:  # fmt: skip
+        self,
+        at: float,
+        values: Mapping[str, Any],
+        *,
+        duration: float | None = None,
+        progress: Callable[[int], object] | bool | None = None,
+        runs: int = 1,
+    ) -> Run:
         """Go back to a time, and on from there with other parameters.
 
         Parameters

@@ -45,9 +45,12 @@ class FaultEntry(BaseModel):
 
 
 def insert(
-    where: str, faults: Mapping[str, FaultEntry], nodes: Mapping[str, Any], ports: Mapping[str, Ports],
+    where: str,
+    faults: Mapping[str, FaultEntry],
+    nodes: Mapping[str, Any],
+    ports: Mapping[str, Ports],
     params: Mapping[str, BlockParams],
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Put the faults of a scenario between its nodes, in the order in which they stand.
 
     Parameters
@@ -92,22 +95,37 @@ def insert(
             raise ScenarioError(f"{at}: {reader or 'nobody'} does not read {topic}; {who} does")
         before = {readers[key] for key in concerned}
         if len(before) > 1:
-            raise ScenarioError(f"{at}: the readers of {topic} have other faults already "
-                                f"({', '.join(sorted(before))}); put the fault that all share first")  # fmt: skip
+            raise ScenarioError(
+                f"{at}: the readers of {topic} have other faults already "
+                f"({', '.join(sorted(before))}); put the fault that all share first"
+            )
         sender, port = sources[topic]
         begins, ends = before.pop(), f"{topic}/{name}"
         about = {
-            "topic_in": begins, "topic_out": ends, "message": port.msgtype, "channels": list(port.channels),
-            "fields": list(port.fields), "dims": [label for label, _ in port.dims],
-            "sizes": [size for _, size in port.dims], "units": list(port.units), "limits": list(port.limits),
-            "frame_id": port.frame_id, "delayed": port.delayed, "period": params[sender].period,
-        }  # fmt: skip
+            "topic_in": begins,
+            "topic_out": ends,
+            "message": port.msgtype,
+            "channels": list(port.channels),
+            "fields": list(port.fields),
+            "dims": [label for label, _ in port.dims],
+            "sizes": [size for _, size in port.dims],
+            "units": list(port.units),
+            "limits": list(port.limits),
+            "frame_id": port.frame_id,
+            "delayed": port.delayed,
+            "period": params[sender].period,
+        }
         if any(nodes[reader]["external"] for reader, _ in concerned):
             about["holds"] = True  # an outside node is not told of silence, and would be waited for
         for key in sorted(about.keys() & fault.parameters.keys() - {"period", "holds"}):
             raise ScenarioError(f"{at}: {key} is that of the link and not to be said")
-        found[name] = {"package": PACKAGE, "executable": EXECUTABLE, "parameters": about | fault.parameters,
-                       "remap": {}, "external": False}  # fmt: skip
+        found[name] = {
+            "package": PACKAGE,
+            "executable": EXECUTABLE,
+            "parameters": about | fault.parameters,
+            "remap": {},
+            "external": False,
+        }
         for place in concerned:
             readers[place] = ends
             found[place[0]]["remap"] |= _remap(nodes[place[0]]["remap"], topic, ends)

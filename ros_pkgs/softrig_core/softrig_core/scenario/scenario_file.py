@@ -154,8 +154,10 @@ def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
         if isinstance(nodes := found.get("nodes"), Mapping):
             found["nodes"] = {
                 name: {k: whole(v) if k == "parameters" else v for k, v in node.items()}
-                if isinstance(node, Mapping) else node for name, node in nodes.items()
-            }  # fmt: skip
+                if isinstance(node, Mapping)
+                else node
+                for name, node in nodes.items()
+            }
         if isinstance(variants := found.get("variants"), Mapping):
             found["variants"] = {name: inside(changes) for name, changes in variants.items()}
         return found

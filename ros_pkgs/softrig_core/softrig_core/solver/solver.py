@@ -38,13 +38,19 @@ class SolverParams(BlockParams):
 
     period: float = param(0.1, "sampling period: how often it looks for a request and answers", "s", gt=0.0, le=3600.0)
     latency: float = param(
-        0.0, "simulated time from a request to the tick at which its result takes effect; 0: the loop waits", "s",
-        ge=0.0, le=86400.0,
-    )  # fmt: skip
+        0.0,
+        "simulated time from a request to the tick at which its result takes effect; 0: the loop waits",
+        "s",
+        ge=0.0,
+        le=86400.0,
+    )
     limit: float = param(
-        300.0, "wall-clock time after which work is killed and its best answer so far taken, not repeatable", "s",
-        gt=0.0, le=86400.0,
-    )  # fmt: skip
+        300.0,
+        "wall-clock time after which work is killed and its best answer so far taken, not repeatable",
+        "s",
+        gt=0.0,
+        le=86400.0,
+    )
 
 
 S = TypeVar("S", bound=SolverParams, default=Any)

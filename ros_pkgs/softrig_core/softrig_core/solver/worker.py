@@ -62,8 +62,10 @@ class Worker:
 
     def __init__(self, function: Callable[[Any, Work], Any]) -> None:
         if function.__module__ == "__main__" or "<" in function.__qualname__:
-            raise ValueError(f"{function.__qualname__} of {function.__module__} cannot be imported by another process; "
-                             "expected a function of a module")  # fmt: skip
+            raise ValueError(
+                f"{function.__qualname__} of {function.__module__} cannot be imported by another process; "
+                "expected a function of a module"
+            )
         self._call = (function.__module__, function.__qualname__)
         self._process: _Process | None = None
         self._changed = threading.Condition()

@@ -114,12 +114,20 @@ def _finding(
         holds = claim.holds(claim.agrees(value, sure)) if known and value is not None else None
     speaks = claim.verdict != "not_checkable" or bool(claim.figure)
     return Finding(
-        scenario=name, key=key, text=claim.text or _words(key), where=claim.where,
-        figure=figure if speaks else "", unit=units.get(figure, ""), published=claim.published,
+        scenario=name,
+        key=key,
+        text=claim.text or _words(key),
+        where=claim.where,
+        figure=figure if speaks else "",
+        unit=units.get(figure, ""),
+        published=claim.published,
         measured=value if value is not None and math.isfinite(value) else None,
-        measured_text=("?" if value is None else spoken(value)) if speaks else "", asked=claim.asks(others),
-        verdict=claim.verdict, reason=claim.reason, holds=holds,
-    )  # fmt: skip
+        measured_text=("?" if value is None else spoken(value)) if speaks else "",
+        asked=claim.asks(others),
+        verdict=claim.verdict,
+        reason=claim.reason,
+        holds=holds,
+    )
 
 
 def _value(reference: float | str, own: str, figures: Callable[[str], Figures | None]) -> float | None:

@@ -115,15 +115,22 @@ def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]
         topics = {t: p for t, p in rig.topics.items() if any(s.startswith(f"{t}/") for s in judge.signals.values())}
         ports = ports_text([reader(p, f"input_{k}") for k, p in enumerate(topics.values())])
         nodes[f"requirement_{name}"] = {
-            "package": "softrig_control", "executable": "requirement_monitor",
+            "package": "softrig_control",
+            "executable": "requirement_monitor",
             "parameters": {
-                "period": rig.clock.params.period, "formula": requirement.formula, "ports": ports,
-                "names": list(judge.signals), "signals": list(judge.signals.values()), "constants": list(numbers),
-                "values": list(numbers.values()), "scale_units": list(requirement.scale),
-                "scale_values": list(requirement.scale.values()), "topic": f"requirement/{name}",
+                "period": rig.clock.params.period,
+                "formula": requirement.formula,
+                "ports": ports,
+                "names": list(judge.signals),
+                "signals": list(judge.signals.values()),
+                "constants": list(numbers),
+                "values": list(numbers.values()),
+                "scale_units": list(requirement.scale),
+                "scale_values": list(requirement.scale.values()),
+                "topic": f"requirement/{name}",
                 "ends": requirement.ends,
             },
-        }  # fmt: skip
+        }
     return nodes
 
 
@@ -155,16 +162,21 @@ def judges(rig: Members, units: Mapping[str, str]) -> dict[str, Judge]:
 
 
 def _judge(
-    rig: Members, requirement: Requirement, known: Mapping[str, float | None], signals: Mapping[str, str],
+    rig: Members,
+    requirement: Requirement,
+    known: Mapping[str, float | None],
+    signals: Mapping[str, str],
     units: Mapping[str, str],
-) -> Judge:  # fmt: skip
+) -> Judge:
     tree, conditions = read(requirement.formula, known)
     used, asked = _used(requirement.formula, tuple(known.items()))
     period = rig.clock.params.period * SECOND
     for low, high in asked:
         if high is not None and math.floor(high / period + 1e-9) * period < low * (1.0 - 1e-12):
-            raise ScenarioError(f"no tick of {rig.clock.name} (each {period / SECOND:g} s) is within "
-                                f"[{low / SECOND:g}, {high / SECOND:g}] s")  # fmt: skip
+            raise ScenarioError(
+                f"no tick of {rig.clock.name} (each {period / SECOND:g} s) is within "
+                f"[{low / SECOND:g}, {high / SECOND:g}] s"
+            )
     compared = {name: units[signals[name]] for name in used if name not in conditions}
     scaled = tuple(known.items()), tuple(compared.items()), tuple(requirement.scale.items())
     tree, unit = _scaled(requirement.formula, *scaled)

@@ -79,9 +79,14 @@ class Layout:
     """
 
     def __init__(
-        self, msgtype: str, frame_id: str = "", names: Sequence[str] = (), counts: Mapping[str, int] | None = None,
-        dims: Dims = (), numbered: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        msgtype: str,
+        frame_id: str = "",
+        names: Sequence[str] = (),
+        counts: Mapping[str, int] | None = None,
+        dims: Dims = (),
+        numbered: bool = False,
+    ) -> None:
         counts = counts or {}
         # what makes an equal layout
         self.form = (msgtype, frame_id, tuple(names), dict(counts), tuple(dims), numbered)

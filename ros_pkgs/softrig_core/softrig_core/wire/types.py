@@ -121,9 +121,14 @@ JOINT_STATE = MessageType(
 )
 JOINT_TRAJECTORY = MessageType(
     "trajectory_msgs/msg/JointTrajectory",
-    (*_HEADER, Item("names"), Item("one"), *_sequences("position", "velocity", "acceleration", "effort"),
-     Item("duration")),
-)  # fmt: skip
+    (
+        *_HEADER,
+        Item("names"),
+        Item("one"),
+        *_sequences("position", "velocity", "acceleration", "effort"),
+        Item("duration"),
+    ),
+)
 VECTOR = MessageType("geometry_msgs/msg/Vector3Stamped", (*_HEADER, Item("numbers", "vector", 3)))
 WRENCH = MessageType(
     "geometry_msgs/msg/WrenchStamped", (*_HEADER, Item("numbers", "force", 3), Item("numbers", "torque", 3))

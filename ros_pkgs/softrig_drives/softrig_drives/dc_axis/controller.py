@@ -29,9 +29,12 @@ class FsfbControllerParams(MotorParams):
     kp: float = param(46.050266, "gain of the position, the unity position loop included", live=True)
     ki: float = param(73.199977, "gain of the integrator", "1/s", live=True)
     poles: tuple[float, ...] = param(
-        (), "three real poles of the loop from which kv, kp and ki are computed, whatever the motor; empty: as given",
-        "1/s", each=(-1e6, -1e-6), live=True,
-    )  # fmt: skip
+        (),
+        "three real poles of the loop from which kv, kp and ki are computed, whatever the motor; empty: as given",
+        "1/s",
+        each=(-1e6, -1e-6),
+        live=True,
+    )
     integral: bool = param(True, "integrator on; off: u = r - kv v - kp y")
     compensation: Literal["none", "velocity", "predictor"] = param("predictor", "treatment of the feedback delay")
     delay_from: Literal["stamps", "fixed"] = param("stamps", "delay of a sample: its age, or the parameter delay")
@@ -146,8 +149,11 @@ class FsfbController(Block[FsfbControllerParams]):
             for _ in range(self._fixed):  # before the first command the drive holds 0 V
                 history = self._replay.record(history, 0.0)
             if self._rounded:
-                self.report(Level.WARN, "delay", f"delay = {self.p.delay:g} s is not a whole number of periods: "
-                                                 f"rounded up to {self._fixed}")  # fmt: skip
+                self.report(
+                    Level.WARN,
+                    "delay",
+                    f"delay = {self.p.delay:g} s is not a whole number of periods: rounded up to {self._fixed}",
+                )
         return State(self._nominal.rest(0.0), history, xi=self._law.settle((0.0, 0.0)))
 
     def go_on(self, x: State, before: FsfbControllerParams) -> State:
@@ -157,9 +163,15 @@ class FsfbController(Block[FsfbControllerParams]):
         return x._replace(xi=xi, nominal=self._nominal.go_on(x.nominal, law))
 
     def update(
-        self, x: State, t: int, *, feedback: Sample, reference: tuple[float] | None, forward: tuple[float] | None,
+        self,
+        x: State,
+        t: int,
+        *,
+        feedback: Sample,
+        reference: tuple[float] | None,
+        forward: tuple[float] | None,
         reverse: tuple[float] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Answer one period."""
         history = self._known(x, t)
         usable = self._usable(t, feedback)
@@ -219,9 +231,12 @@ class FsfbController(Block[FsfbControllerParams]):
         measured = v, y + self._half_count
         if x.stamp is None:
             return x._replace(
-                nominal=self._nominal.rest(y), set_point=Asked(y), stamp=stamp, measured=measured,
+                nominal=self._nominal.rest(y),
+                set_point=Asked(y),
+                stamp=stamp,
+                measured=measured,
                 xi=self._law.settle((0.0, y + self._half_count), y),
-            )  # fmt: skip
+            )
         if stamp < x.stamp:
             self.report(Level.WARN, "feedback order", "feedback older than the one before it was dropped")
         return x._replace(stamp=stamp, measured=measured) if stamp > x.stamp else x
@@ -245,9 +260,13 @@ class FsfbController(Block[FsfbControllerParams]):
 def _law(p: FsfbControllerParams) -> StateFeedback:
     scale, (kv, kp, ki) = p.mm_per_volt, p.gains()
     return StateFeedback(
-        (kv / scale, kp / scale), ki / scale if p.integral else 0.0, p.period, p.u_limit_v,
-        kr=0.0 if p.integral else 1.0 / scale, anti_windup=p.aw,
-    )  # fmt: skip
+        (kv / scale, kp / scale),
+        ki / scale if p.integral else 0.0,
+        p.period,
+        p.u_limit_v,
+        kr=0.0 if p.integral else 1.0 / scale,
+        anti_windup=p.aw,
+    )
 
 
 main = executable(FsfbController)

@@ -58,5 +58,10 @@ class NominalAxis:
         acceleration = self._gain * u - motor.pole * v
         jerk = (acceleration - last) / motor.period
         signals = (y, min(max(v, -motor.vmax), motor.vmax), acceleration, -acceleration, jerk)
-        return Nominal(self._vv * v + self._vy * y + self._vu * u, self._yv * v + self._yy * y + self._yu * u,
-                       acceleration, xi, signals)  # fmt: skip
+        return Nominal(
+            self._vv * v + self._vy * y + self._vu * u,
+            self._yv * v + self._yy * y + self._yu * u,
+            acceleration,
+            xi,
+            signals,
+        )

@@ -68,8 +68,11 @@ def turning_disc(pen: Pen, centre: Point, radius: float, angle: float) -> None:
     """Draw a disc whose spokes show how far it has turned, rad."""
     pen.circle(centre, radius, "line", "faint", 2.0)
     for k in range(3):
-        pen.line([polar(centre, 14.0, angle + 2 * math.pi * k / 3), polar(centre, radius, angle + 2 * math.pi * k / 3)],
-                 "accent" if k == 0 else "muted", 4.0 if k == 0 else 2.0)  # fmt: skip
+        pen.line(
+            [polar(centre, 14.0, angle + 2 * math.pi * k / 3), polar(centre, radius, angle + 2 * math.pi * k / 3)],
+            "accent" if k == 0 else "muted",
+            4.0 if k == 0 else 2.0,
+        )
     pen.circle(polar(centre, radius - 12.0, angle), 6.0, "accent", "accent")
     pen.circle(centre, 12.0, "line", "paper", 2.0)
 

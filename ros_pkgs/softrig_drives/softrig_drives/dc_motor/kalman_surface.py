@@ -66,9 +66,14 @@ class DcMotorSmcKalman(SurfaceControl[DcMotorSmcKalmanParams]):
         return State(self.p.set_point, abs(self.p.set_point), self._filter.first())
 
     def update(
-        self, x: State, t: int, *, sensors: tuple[float, ...], applied: tuple[float, ...],
+        self,
+        x: State,
+        t: int,
+        *,
+        sensors: tuple[float, ...],
+        applied: tuple[float, ...],
         reference: tuple[float, ...] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give the voltage."""
         count, current = sensors
         r = self.reference(x.r, reference)

@@ -139,9 +139,14 @@ class DcMotorSmc(SurfaceControl[DcMotorSmcParams]):
         return State(self.p.set_point, abs(self.p.set_point))
 
     def update(
-        self, x: State, t: int, *, state: tuple[float, ...], sensors: tuple[float, ...],
+        self,
+        x: State,
+        t: int,
+        *,
+        state: tuple[float, ...],
+        sensors: tuple[float, ...],
         reference: tuple[float, ...] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give the voltage."""
         w = state[0]
         r = self.reference(x.r, reference)

@@ -90,9 +90,15 @@ class DtcController(Block[DtcControllerParams]):
         return State(pipe=(0,) * self.p.delay_steps)
 
     def update(
-        self, x: State, t: int, *, currents_meas: tuple[float, ...], dc_link: tuple[float, ...],
-        torque_ref: tuple[float, ...], joint_states: tuple[float, ...] = (0.0,),
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
+        self,
+        x: State,
+        t: int,
+        *,
+        currents_meas: tuple[float, ...],
+        dc_link: tuple[float, ...],
+        torque_ref: tuple[float, ...],
+        joint_states: tuple[float, ...] = (0.0,),
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Estimate, compare, choose the switches."""
         p = self.p
         flux, increase, more, pipe, vector, link, _ = x

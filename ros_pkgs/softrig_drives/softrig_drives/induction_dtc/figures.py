@@ -84,12 +84,20 @@ def flux_error_direction(signals: SignalMap, *, start: float = 0.3, end: float |
     return float(np.degrees(np.angle(slope(*_flux_error(signals, start, end)))))
 
 
-@figure("LSB", tuple(f"currents_{kind}/{channel}" for kind in ("meas", "true") for channel in "xy"),
-        {"lsb": "induction_dtc/lsb"})  # fmt: skip
+@figure(
+    "LSB",
+    tuple(f"currents_{kind}/{channel}" for kind in ("meas", "true") for channel in "xy"),
+    {"lsb": "induction_dtc/lsb"},
+)
 def converter_error(
-    signals: SignalMap, *, lsb: float, channel: Literal["x", "y"] = "x", statistic: Literal["mean", "std"] = "mean",
-    start: float = 0.3, end: float | None = None,
-) -> float:  # fmt: skip
+    signals: SignalMap,
+    *,
+    lsb: float,
+    channel: Literal["x", "y"] = "x",
+    statistic: Literal["mean", "std"] = "mean",
+    start: float = 0.3,
+    end: float | None = None,
+) -> float:
     """Mean or standard deviation of measured less true phase current in LSB (A); channel x is i_a, y is i_b."""
     measured, true = (window(signals, f"currents_{kind}/{channel}", start, end)[1] for kind in ("meas", "true"))
     error = (measured - true) / lsb
@@ -107,9 +115,13 @@ def circle_centre(
 
 @figure("Wb")
 def flux_magnitude(
-    signals: SignalMap, *, topic: str, extreme: Literal["min", "max"], start: float | None = None,
+    signals: SignalMap,
+    *,
+    topic: str,
+    extreme: Literal["min", "max"],
+    start: float | None = None,
     end: float | None = None,
-) -> float:  # fmt: skip
+) -> float:
     """Smallest or largest |psi| in Wb."""
     size = np.abs(_vector(signals, topic, start, end)[1])
     return float(size.min() if extreme == "min" else size.max())

@@ -112,12 +112,19 @@ class ImPlant(Plant[ImPlantParams]):
         beyond, limit = self._convert.beyond, self.p.trip_current
         clipped_a, clipped_b = x.clipped_a + 1 if beyond(i_a) else 0, x.clipped_b + 1 if beyond(i_b) else 0
         if clipped_a > SATURATED_SAMPLES or clipped_b > SATURATED_SAMPLES:
-            self.report(Level.WARN, "adc_saturated", f"ADC saturated: currents {i_a:.3g} A, {i_b:.3g} A are beyond "
-                        f"{self.p.full_scale:g} A for more than {SATURATED_SAMPLES} samples")  # fmt: skip
+            self.report(
+                Level.WARN,
+                "adc_saturated",
+                f"ADC saturated: currents {i_a:.3g} A, {i_b:.3g} A are beyond "
+                f"{self.p.full_scale:g} A for more than {SATURATED_SAMPLES} samples",
+            )
         if not (fault or (-limit <= i_a <= limit and -limit <= i_b <= limit and -limit <= i_c <= limit)):
             fault = True
-            self.report(Level.ERROR, "overcurrent", f"phase currents {i_a:.3g}, {i_b:.3g}, {i_c:.3g} A beyond "
-                        f"{limit:g} A: inverter tripped to V0 for good")  # fmt: skip
+            self.report(
+                Level.ERROR,
+                "overcurrent",
+                f"phase currents {i_a:.3g}, {i_b:.3g}, {i_c:.3g} A beyond {limit:g} A: inverter tripped to V0 for good",
+            )
         return State(psi_s_alpha, psi_s_beta, psi_R_alpha, psi_R_beta, omega, theta, vector, refused, fault, clipped_a,
                      clipped_b, x.k + 1)  # fmt: skip
 

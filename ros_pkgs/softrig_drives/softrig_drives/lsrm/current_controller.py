@@ -80,9 +80,14 @@ class CurrentController(Block[CurrentControllerParams]):
         return State(tuple(z * share for z in x.integral))
 
     def update(
-        self, x: State, t: int, *, joint_states: tuple[float, ...], phase_currents: tuple[float, ...],
+        self,
+        x: State,
+        t: int,
+        *,
+        joint_states: tuple[float, ...],
+        phase_currents: tuple[float, ...],
         force_cmd: tuple[float, ...],
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give the voltages."""
         found = regulate(x.integral, joint_states, phase_currents, force_cmd[0], self._geometry, self._law)
         return State(found[:N_PHASES]), {"phase_voltage": found[N_PHASES:]}

@@ -80,10 +80,16 @@ class ReluctanceMotor(Drawing):
                 pen.box(place - wide / 2, AXIS + side * (half - 1.0), wide, side * (tip - half + 1.0), "line", "faint")
         pen.box(left, AXIS - half, right - left, 2 * half, "line", "faint")
         for k, (name, role) in enumerate(PHASES):
-            pen.line([(self._place(k) - wide / 2 + 1.2, AXIS - half), (self._place(k) + wide / 2 - 1.2, AXIS - half)],
-                     "faint", 3.0)  # fmt: skip
-            pen.line([(self._place(k) - wide / 2 + 1.2, AXIS + half), (self._place(k) + wide / 2 - 1.2, AXIS + half)],
-                     "faint", 3.0)  # fmt: skip
+            pen.line(
+                [(self._place(k) - wide / 2 + 1.2, AXIS - half), (self._place(k) + wide / 2 - 1.2, AXIS - half)],
+                "faint",
+                3.0,
+            )
+            pen.line(
+                [(self._place(k) - wide / 2 + 1.2, AXIS + half), (self._place(k) + wide / 2 - 1.2, AXIS + half)],
+                "faint",
+                3.0,
+            )
             pen.text((self._place(k), AXIS - 2.0), name, role, 15.0, "middle")
         push = held(self.force(row) / 40.0, 1.0) * 110.0
         pen.arrow((MIDDLE, AXIS + 11.0), (MIDDLE + push, AXIS + 11.0), "alarm", 4.0, 13.0)

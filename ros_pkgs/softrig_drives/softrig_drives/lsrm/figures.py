@@ -55,9 +55,14 @@ def itae(signals: SignalMap, *, start: float | None = None, end: float | None = 
 
 @figure("N", (FORCE, POSITION))
 def peak_force(
-    signals: SignalMap, *, width: float = 0.005, sign: float | None = None, start: float | None = None,
-    end: float | None = None, drive: str = "",
-) -> float:  # fmt: skip
+    signals: SignalMap,
+    *,
+    width: float = 0.005,
+    sign: float | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    drive: str = "",
+) -> float:
     """Largest (with `sign` -1: smallest) centred mean of the force over `width` (s), in N.
 
     Without `sign` that in the direction of the motion; of a motion both ways that of the larger size.

@@ -13,8 +13,14 @@ from .speed_control import SpeedControl, SpeedControlParams
 class LsrmPiParams(SpeedControlParams):
     """The paper's gains and the scale that it does not tell."""
 
-    K_F: float = param(80.0, "force for a control value of 1; gives the published peak error of 0.1 m/s", "N",
-                       gt=0.0, le=1e4, live=True)  # fmt: skip
+    K_F: float = param(
+        80.0,
+        "force for a control value of 1; gives the published peak error of 0.1 m/s",
+        "N",
+        gt=0.0,
+        le=1e4,
+        live=True,
+    )
     K_p: float = param(1.3, "proportional gain", "s/m", ge=0.0, le=1e4, live=True)
     K_i: float = param(3.2, "integral gain", "1/m", ge=0.0, le=1e5, live=True)
 

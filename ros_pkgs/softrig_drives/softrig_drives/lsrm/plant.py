@@ -102,16 +102,22 @@ class LsrmPlant(Plant[LsrmPlantParams]):
         if largest > p.trip_current and not fault:
             fault = True
             currents = sense(found[:STATES], self._geometry)[3:7]
-            self.report(Level.ERROR, "overcurrent", f"phase currents {currents} A beyond {p.trip_current:g} A: "
-                        "half bridges tripped for good")  # fmt: skip
+            self.report(
+                Level.ERROR,
+                "overcurrent",
+                f"phase currents {currents} A beyond {p.trip_current:g} A: half bridges tripped for good",
+            )
         return State(psi_a, psi_b, psi_c, psi_d, position, v, on, fault)
 
     def _taken(self, load: tuple[float, ...]) -> Load | None:
         added, friction = load
         if added >= 0.0 and friction >= 0.0:
             return Load((added, friction))
-        self.report(Level.ERROR, "bad_load", f"added mass {added:g} kg, friction {friction:g} N: expected none "
-                    "negative; the load before it is kept")  # fmt: skip
+        self.report(
+            Level.ERROR,
+            "bad_load",
+            f"added mass {added:g} kg, friction {friction:g} N: expected none negative; the load before it is kept",
+        )
         return None
 
     def markers(self, x: State) -> tuple[Marker, ...]:

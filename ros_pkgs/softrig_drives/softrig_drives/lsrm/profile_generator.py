@@ -24,8 +24,14 @@ class ProfileGeneratorParams(Mechanics, BlockParams):
     )
     v_d: float = param(0.5, "cruise speed v_d", "m/s", ge=-10.0, le=10.0, live=True)
     t_d: float = param(0.4, "duration of the acceleration t_d", "s", gt=0.0, le=100.0, live=True)
-    x_d: float | None = param(None, "distance of the acceleration (jerk); the jerk-minimal v_d t_d/2 when absent", "m",
-                              ge=-100.0, le=100.0, live=True)  # fmt: skip
+    x_d: float | None = param(
+        None,
+        "distance of the acceleration (jerk); the jerk-minimal v_d t_d/2 when absent",
+        "m",
+        ge=-100.0,
+        le=100.0,
+        live=True,
+    )
     t_b: float | None = param(None, "begin of the braking; none when absent", "s", ge=0.0, le=1e4, live=True)
     t_db: float = param(0.4, "duration of the braking", "s", gt=0.0, le=100.0, live=True)
     F_max: float = param(40.0, "largest force of the motor", "N", gt=0.0, le=1e4, live=True)
@@ -67,8 +73,11 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
             low, high = Quintic.between(0.0, 0.0, p.v_d, p.t_d, p.x_d).speed_range(p.t_d)
             margin = 1e-9 * abs(p.v_d)
             if low < min(0.0, p.v_d) - margin or high > max(0.0, p.v_d) + margin:
-                self.report(Level.WARN, "distance", f"x_d = {p.x_d:g} m: the speed runs from {low:.4g} to {high:.4g} "
-                            f"m/s, outside 0 to {p.v_d:g} m/s")  # fmt: skip
+                self.report(
+                    Level.WARN,
+                    "distance",
+                    f"x_d = {p.x_d:g} m: the speed runs from {low:.4g} to {high:.4g} m/s, outside 0 to {p.v_d:g} m/s",
+                )
 
     def _largest_force(self) -> float:
         p = self.p

@@ -66,10 +66,20 @@ def branch_and_bound(
         groups = np.arange(n)
     losses = given.losses
     problem = Problem(
-        np.ascontiguousarray(units.table[order]), groups, float(demand), tol, NARROW, given.low[order],
-        given.high[order], np.ascontiguousarray(losses.B[np.ix_(order, order)]), losses.B0[order], float(losses.B00),
-        float(given.reserve), given.ready[order], conditions is not None,
-    )  # fmt: skip
+        np.ascontiguousarray(units.table[order]),
+        groups,
+        float(demand),
+        tol,
+        NARROW,
+        given.low[order],
+        given.high[order],
+        np.ascontiguousarray(losses.B[np.ix_(order, order)]),
+        losses.B0[order],
+        float(losses.B00),
+        float(given.reserve),
+        given.ready[order],
+        conditions is not None,
+    )
     corners = 4 + max(len(units.valve_points(j)) for j in range(n))
     start = (units.sorted_copies(P) if conditions is None else P)[order]
     depth = max(2, min(2000, MEMORY // (n * corners)))

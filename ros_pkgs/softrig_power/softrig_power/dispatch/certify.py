@@ -91,8 +91,16 @@ class Optimiser:
         Boxes of the branch and bound before the adaptive MILPs take over.
     """
 
-    def __init__(self, units: Units, *, nseg: int = 4, tol: float = 1e-3, mip_gap: float = 1e-7,
-                 time_limit: float = 120.0, max_nodes: int = 1_000_000) -> None:  # fmt: skip
+    def __init__(
+        self,
+        units: Units,
+        *,
+        nseg: int = 4,
+        tol: float = 1e-3,
+        mip_gap: float = 1e-7,
+        time_limit: float = 120.0,
+        max_nodes: int = 1_000_000,
+    ) -> None:
         self.units, self.nseg, self.tol, self.mip_gap = units, nseg, tol, mip_gap
         self.time_limit, self.max_nodes = time_limit, max_nodes
 
@@ -105,8 +113,14 @@ class Optimiser:
         """
         self._check(demand)
         begun = time.perf_counter()
-        first = milp(self.units, demand, breakpoints(self.units, self.nseg), gap=self.mip_gap,
-                     time_limit=self.time_limit, start=start)  # fmt: skip
+        first = milp(
+            self.units,
+            demand,
+            breakpoints(self.units, self.nseg),
+            gap=self.mip_gap,
+            time_limit=self.time_limit,
+            start=start,
+        )
         between = time.perf_counter()
         P, succeeded = nlp(self.units, demand, first.P)
         found = self._answer(P)

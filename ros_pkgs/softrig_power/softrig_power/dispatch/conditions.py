@@ -122,8 +122,10 @@ class Conditions:
         if np.max(self.losses.slopes(self.high)) >= 1.0:
             return "infeasible: an incremental loss of 1 or more: the B coefficients are not those of these units"
         if not least - 1e-6 <= demand <= most + 1e-6:
-            return f"infeasible: demand {demand:g} MW, but within limits and ramps, less losses, the units give " \
-                   f"{least:g} to {most:g} MW"  # fmt: skip
+            return (
+                f"infeasible: demand {demand:g} MW, but within limits and ramps, less losses, the units give "
+                f"{least:g} to {most:g} MW"
+            )
         left = self.spinning(units, self.low)
         if left < self.reserve:
             return f"infeasible: reserve {self.reserve:g} MW, but the units have {left:g} MW at their lowest outputs"

@@ -16,8 +16,10 @@ class FleetParams(BlockParams):
     """Units and how fast they move."""
 
     period: float = param(1.0, "sampling period", "s", gt=0.0, le=86400.0)
-    unit_table: str = param("units_13", "table of the units: a name of this package's, a file or a package:// URI; "
-                            "25*units_40: each unit 25 times")  # fmt: skip
+    unit_table: str = param(
+        "units_13",
+        "table of the units: a name of this package's, a file or a package:// URI; 25*units_40: each unit 25 times",
+    )
     ramp: float = param(
         0.0, "fastest change of a unit's output; 0: none, as in the paper", "MW/s", ge=0.0, le=1e6, live=True
     )

@@ -36,8 +36,10 @@ class DispatchParams(SolverParams):
     """Units, method and limits."""
 
     period: float = param(1.0, "sampling period: how often a demand is looked for", "s", gt=0.0, le=86400.0)
-    unit_table: str = param("units_13", "table of the units: a name of this package's, a file or a package:// URI; "
-                            "25*units_40: each unit 25 times")  # fmt: skip
+    unit_table: str = param(
+        "units_13",
+        "table of the units: a name of this package's, a file or a package:// URI; 25*units_40: each unit 25 times",
+    )
     demand: float = param(0.0, "demand until a message comes; 0: none", "MW", ge=0.0, le=1e7)
     method: Method = param("certified", "two_stage (the paper's), certified, enumeration or baseline")
     algorithm: Baseline = param("pso", "search of the baseline")
@@ -128,18 +130,37 @@ class DispatchSolver(Solver[DispatchParams]):
         n = len(units)
         inputs = (
             scalars("demand", "dispatch/demand", {"demand_MW": "MW"}, held=True),
-            array("units", "dispatch/units", {"unit": n, "column": 7}, ["MW", "MW", "", "", "$/h", "$/h", "rad"] * n,
-                  held=True),
+            array(
+                "units",
+                "dispatch/units",
+                {"unit": n, "column": 7},
+                ["MW", "MW", "", "", "$/h", "$/h", "rad"] * n,
+                held=True,
+            ),
             button("solve", "dispatch/solve", held=True),
-        )  # fmt: skip
-        summary = {"demand": "MW", "cost": "$/h", "bound": "$/h", "gap": "$/h", "price_less": "$/MWh",
-                   "price_more": "$/MWh", "nodes": "", "binaries": "", "repeatable": ""}  # fmt: skip
+        )
+        summary = {
+            "demand": "MW",
+            "cost": "$/h",
+            "bound": "$/h",
+            "gap": "$/h",
+            "price_less": "$/MWh",
+            "price_more": "$/MWh",
+            "nodes": "",
+            "binaries": "",
+            "repeatable": "",
+        }
         outputs = (
             command("setpoints", "dispatch/setpoints", units.ids, "MW", sporadic=True),
-            array("result", "dispatch/result", {"unit": n, "P_MW cost arch at_valve": 4}, ["MW", "$/h", "", ""] * n,
-                  sporadic=True),
+            array(
+                "result",
+                "dispatch/result",
+                {"unit": n, "P_MW cost arch at_valve": 4},
+                ["MW", "$/h", "", ""] * n,
+                sporadic=True,
+            ),
             scalars("summary", "dispatch/summary", summary, sporadic=True),
-        )  # fmt: skip
+        )
         return inputs, outputs
 
     def first(self) -> State:
@@ -236,8 +257,17 @@ class DispatchSolver(Solver[DispatchParams]):
         rows = np.column_stack([found.P, units.cost(found.P), arches, at_valve])
         price = np.nan_to_num(found.price, posinf=1e9, neginf=-1e9)
         repeatable = float(result.repeatable and not found.limited)
-        summary = (demand, found.cost, found.bound, found.gap, float(price[0]), float(price[1]), float(found.nodes),
-                   float(found.binaries), repeatable)  # fmt: skip
+        summary = (
+            demand,
+            found.cost,
+            found.bound,
+            found.gap,
+            float(price[0]),
+            float(price[1]),
+            float(found.nodes),
+            float(found.binaries),
+            repeatable,
+        )
         values = {"setpoints": tuple(found.P.tolist()), "result": tuple(rows.ravel().tolist()), "summary": summary}
         return x._replace(last=found), values
 
@@ -250,9 +280,18 @@ class DispatchSolver(Solver[DispatchParams]):
             {} if math.isnan(last.losses) else {"losses": f"{last.losses:.6g} MW", "reserve": f"{last.reserve:.6g} MW"}
         )
         figures = {f"stage {name}": f"{seconds:.3g} s" for name, seconds in last.stages.items()}
-        return {**super().health(x), "cost": f"{last.cost:.9g} $/h", "lower bound": f"{last.bound:.9g} $/h",
-                "gap": f"{last.gap:.3g} $/h", "stage reached": last.stage, "stop reason": last.reason,
-                "nodes": str(last.nodes), "binaries": str(last.binaries), **met, **figures}  # fmt: skip
+        return {
+            **super().health(x),
+            "cost": f"{last.cost:.9g} $/h",
+            "lower bound": f"{last.bound:.9g} $/h",
+            "gap": f"{last.gap:.3g} $/h",
+            "stage reached": last.stage,
+            "stop reason": last.reason,
+            "nodes": str(last.nodes),
+            "binaries": str(last.binaries),
+            **met,
+            **figures,
+        }
 
 
 main = executable(DispatchSolver)

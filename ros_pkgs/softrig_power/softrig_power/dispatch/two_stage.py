@@ -71,9 +71,16 @@ def breakpoints(units: Units, nseg: int) -> list[Array]:
 
 
 def milp(
-    units: Units, demand: float, points: Sequence[Array], lowered: Sequence[Array] | None = None, *, gap: float = 1e-9,
-    gap_abs: float = 1e-6, time_limit: float = np.inf, start: Array | None = None,
-) -> MilpResult:  # fmt: skip
+    units: Units,
+    demand: float,
+    points: Sequence[Array],
+    lowered: Sequence[Array] | None = None,
+    *,
+    gap: float = 1e-9,
+    gap_abs: float = 1e-6,
+    time_limit: float = np.inf,
+    start: Array | None = None,
+) -> MilpResult:
     """Solve the piecewise linear problem, in the shifted form of equations (4) to (9).
 
     One binary z_k and one continuous 0 <= w_k <= (x_k - x_{k-1}) z_k a segment, sum_k z_k = 1,
@@ -105,16 +112,23 @@ def milp(
         unit += [j] * max(1, len(ends) - 1)
     left, right, owner = np.array(x0), np.array(x1), np.array(unit)
     rows = units.table[owner]
-    low = np.concatenate([np.broadcast_to(d, max(1, len(p) - 1)) for p, d in zip(points, lowered, strict=True)]
-                         ) if lowered is not None else np.zeros(len(left))  # fmt: skip
+    low = (
+        np.concatenate([np.broadcast_to(d, max(1, len(p) - 1)) for p, d in zip(points, lowered, strict=True)])
+        if lowered is not None
+        else np.zeros(len(left))
+    )
     y0, y1 = cost_of(rows, left) - low, cost_of(rows, right) - low
     width = right - left
     slope = np.divide(y1 - y0, width, out=np.zeros_like(width), where=width > 0.0)
     segments = len(left)
     z, w = np.arange(segments), np.arange(segments, 2 * segments)
     # rows: balance; one segment a unit; w_k - width z_k <= 0
-    index = np.concatenate([np.column_stack([np.zeros(segments), 1 + owner, 1 + n + z]).ravel(),
-                            np.column_stack([np.zeros(segments), 1 + n + z]).ravel()]).astype(np.int32)  # fmt: skip
+    index = np.concatenate(
+        [
+            np.column_stack([np.zeros(segments), 1 + owner, 1 + n + z]).ravel(),
+            np.column_stack([np.zeros(segments), 1 + n + z]).ravel(),
+        ]
+    ).astype(np.int32)
     value = np.concatenate([np.column_stack([left, np.ones(segments), -width]).ravel(), np.ones(2 * segments)])
     lp = highspy.HighsLp()
     lp.num_col_, lp.num_row_ = 2 * segments, 1 + n + segments
@@ -128,9 +142,16 @@ def milp(
     lp.a_matrix_.index_, lp.a_matrix_.value_ = index, value
     lp.integrality_ = [highspy.HighsVarType.kInteger] * segments + [highspy.HighsVarType.kContinuous] * segments
     solver: Any = highspy.Highs()  # type: ignore[no-untyped-call]
-    for option, setting in (("output_flag", False), ("threads", 1), ("random_seed", 0), ("mip_rel_gap", gap),
-                            ("mip_abs_gap", gap_abs), ("mip_feasibility_tolerance", 1e-9),
-                            ("primal_feasibility_tolerance", 1e-9), ("time_limit", min(time_limit, 1e9))):  # fmt: skip
+    for option, setting in (
+        ("output_flag", False),
+        ("threads", 1),
+        ("random_seed", 0),
+        ("mip_rel_gap", gap),
+        ("mip_abs_gap", gap_abs),
+        ("mip_feasibility_tolerance", 1e-9),
+        ("primal_feasibility_tolerance", 1e-9),
+        ("time_limit", min(time_limit, 1e9)),
+    ):
         solver.setOptionValue(option, setting)
     solver.passModel(lp)
     if start is not None:
@@ -144,8 +165,14 @@ def milp(
     columns = np.array(solver.getSolution().col_value)
     chosen = np.round(columns[z])
     P = np.bincount(owner, left * chosen + np.minimum(columns[w], width * chosen), n).astype(np.float64)
-    return MilpResult(P, info.objective_function_value, info.mip_dual_bound, segments, max(0, info.mip_node_count),
-                      status == highspy.HighsModelStatus.kOptimal)  # fmt: skip
+    return MilpResult(
+        P,
+        info.objective_function_value,
+        info.mip_dual_bound,
+        segments,
+        max(0, info.mip_node_count),
+        status == highspy.HighsModelStatus.kOptimal,
+    )
 
 
 def _as_columns(P: Array, points: Sequence[Array], segments: int) -> list[float]:
@@ -187,8 +214,14 @@ def nlp(units: Units, demand: float, P: Array) -> tuple[Array, bool]:
     x = ca.SX.sym("P", len(units))
     cost = ca.sum1(a * x**2 + b * x + c + sign * e * ca.sin(f * (x - p_min)))
     problem: dict[str, ca.SX] = {"x": x, "f": cost, "g": ca.sum1(x)}
-    options: dict[str, Any] = {"ipopt.tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.print_level": 0,
-               "print_time": False, "ipopt.sb": "yes", "ipopt.honor_original_bounds": "yes"}  # fmt: skip
+    options: dict[str, Any] = {
+        "ipopt.tol": 1e-10,
+        "ipopt.bound_relax_factor": 0.0,
+        "ipopt.print_level": 0,
+        "print_time": False,
+        "ipopt.sb": "yes",
+        "ipopt.honor_original_bounds": "yes",
+    }
     solver = ca.nlpsol("arches", "ipopt", problem, options)
     before = balanced(units, P, demand)
     try:

@@ -12,8 +12,14 @@ from softrig_core import resource
 
 Array = NDArray[np.float64]
 COLUMNS = (
-    "p_min_MW", "p_max_MW", "a_usd_per_MW2h", "b_usd_per_MWh", "c_usd_per_h", "e_usd_per_h", "f_rad_per_MW",
-)  # fmt: skip
+    "p_min_MW",
+    "p_max_MW",
+    "a_usd_per_MW2h",
+    "b_usd_per_MWh",
+    "c_usd_per_h",
+    "e_usd_per_h",
+    "f_rad_per_MW",
+)
 MORE = ("p_now_MW", "ramp_up_MW", "ramp_down_MW", "reserve_MW")  # columns that a table may have
 NARROW = 1e-6  # MW; a last arch shorter than this is part of the one before
 BALANCE = 1e-6  # MW; how far the sum may be from the demand

@@ -63,10 +63,14 @@ def read_comtrade(
         return Record.from_ends(t - late[0], columns[:, :6], t - late[1], columns[:, 6:])
     starts = [file.start_timestamp for file in files]
     zero = min(starts)
-    times = [(start - zero).total_seconds() - delay + np.asarray(file.time, dtype=np.float64)
-             for start, file, delay in zip(starts, files, late, strict=True)]  # fmt: skip
-    ends = [_pick(file, Path(path), channels[6 * k : 6 * k + 6], ends=1)
-            for k, (file, path) in enumerate(zip(files, paths, strict=True))]  # fmt: skip
+    times = [
+        (start - zero).total_seconds() - delay + np.asarray(file.time, dtype=np.float64)
+        for start, file, delay in zip(starts, files, late, strict=True)
+    ]
+    ends = [
+        _pick(file, Path(path), channels[6 * k : 6 * k + 6], ends=1)
+        for k, (file, path) in enumerate(zip(files, paths, strict=True))
+    ]
     if ends[0].shape == ends[1].shape and np.allclose(ends[0], ends[1], rtol=1e-6, atol=0.0):
         raise ComtradeFileError(f"{paths[0]} and {paths[1]}: both are the same record, expected one of each end")
     return Record.from_ends(times[0], ends[0], times[1], ends[1])
@@ -131,8 +135,10 @@ def _bounded(path: Path) -> None:
     own = [path] if single else [p for p in path.parent.iterdir() if p.stem == path.stem and p.suffix.lower() == ".dat"]
     size = max((p.stat().st_size for p in own), default=0)
     if cfg.sample_rates[-1][1] > 2 * (size // least + 1):
-        raise ComtradeFileError(f"{path}: tells of {cfg.sample_rates[-1][1]} samples, but its data are {size} bytes, "
-                                f"room for {size // least} at most")  # fmt: skip
+        raise ComtradeFileError(
+            f"{path}: tells of {cfg.sample_rates[-1][1]} samples, but its data are {size} bytes, "
+            f"room for {size // least} at most"
+        )
 
 
 def _pick(file: Any, path: Path, names: Sequence[str], ends: int) -> Array:
@@ -175,9 +181,15 @@ def _pick(file: Any, path: Path, names: Sequence[str], ends: int) -> Array:
 
 
 def write_comtrade(
-    path: Path | str, record: Record, end: Literal["both", "s", "r"] = "both", *, file_format: Format = "float32",
-    frequency: float = 50.0, station: str = "softrig", clock_late: float = 0.0,
-) -> list[Path]:  # fmt: skip
+    path: Path | str,
+    record: Record,
+    end: Literal["both", "s", "r"] = "both",
+    *,
+    file_format: Format = "float32",
+    frequency: float = 50.0,
+    station: str = "softrig",
+    clock_late: float = 0.0,
+) -> list[Path]:
     """Write a record as COMTRADE 2013, ``.cfg`` and ``.dat``.
 
     Parameters
@@ -204,8 +216,11 @@ def write_comtrade(
     chosen = {"both": "sr", "s": "s", "r": "r"}[end]
     groups = [(f"{q}_{e}", q, e) for e in chosen for q in "ui"]
     data = np.hstack([record.group(name) for name, _, _ in groups])
-    labels = [(f"{'V' if q == 'u' else 'I'}{p}_{e.upper()}", p, e.upper(), "V" if q == "u" else "A")
-              for _, q, e in groups for p in "ABC"]  # fmt: skip
+    labels = [
+        (f"{'V' if q == 'u' else 'I'}{p}_{e.upper()}", p, e.upper(), "V" if q == "u" else "A")
+        for _, q, e in groups
+        for p in "ABC"
+    ]
     peak = np.maximum(np.abs(data).max(axis=0), 1e-30)
     steps = np.ones(data.shape[1]) if file_format == "float32" else peak / FULL_SCALE[file_format]
     n = len(data)

@@ -83,10 +83,13 @@ def _scatter(work: Locator, found: Location, blocks: int = 8) -> float:
     places = [
         minimize_scalar(
             lambda x, a=a, b=b: float(work.f(np.array([x]), found.mode, (int(a), int(b - a)))[0]),
-            bounds=(low, high), method="bounded", options={"xatol": 1e-4},
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": 1e-4},
         ).x
-        for a, b in pairwise(edges) if b > a
-    ]  # fmt: skip
+        for a, b in pairwise(edges)
+        if b > a
+    ]
     return float(np.std(places, ddof=1) / np.sqrt(len(places)))
 
 

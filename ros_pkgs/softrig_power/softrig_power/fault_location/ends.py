@@ -19,8 +19,13 @@ SHARE = 4  # the wirings are first tried on one of so many parts of the window
 LIKELY = 3.0  # times as well the ends must agree in it
 BETTER = 10.0  # times as well must the ends agree under another wiring; at most 3 for right ones with usual errors
 FINE = 1e-2  # km
-EXCHANGES = {"b and c": (0, 2, 1), "a and b": (1, 0, 2), "a and c": (2, 1, 0), "a, b, c in a circle": (1, 2, 0),
-             "a, c, b in a circle": (2, 0, 1)}  # fmt: skip
+EXCHANGES = {
+    "b and c": (0, 2, 1),
+    "a and b": (1, 0, 2),
+    "a and c": (2, 1, 0),
+    "a, b, c in a circle": (1, 2, 0),
+    "a, c, b in a circle": (2, 0, 1),
+}
 
 
 def contradiction(work: Objective, limit: float) -> str:
@@ -87,9 +92,11 @@ def _least(work: Objective, apart: Callable[[Array], Array], curve: Array | None
     curve = apart(grid) if curve is None else curve
     k = int(np.argmin(curve))
     near = minimize_scalar(
-        lambda x: float(apart(np.array([x]))[0]), bounds=(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]),
-        method="bounded", options={"xatol": FINE},
-    )  # fmt: skip
+        lambda x: float(apart(np.array([x]))[0]),
+        bounds=(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]),
+        method="bounded",
+        options={"xatol": FINE},
+    )
     return min(float(curve[k]), float(near.fun))
 
 

@@ -99,20 +99,41 @@ def _parser() -> argparse.ArgumentParser:
         epilog="The line's data must be told, by --line or all four by --set line.length=... --set line.r1=... --set "
         "line.l1=... --set line.c1=...",
     )
-    parser.add_argument("source", nargs="+", type=Path, metavar="FILE",
-                        help="a bag, a COMTRADE .cfg with both ends, or two: end S, end R")  # fmt: skip
+    parser.add_argument(
+        "source",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="a bag, a COMTRADE .cfg with both ends, or two: end S, end R",
+    )
     parser.add_argument(
         "--line", metavar="FILE", help="YAML: length (km), r1 (ohm/km), l1 (H/km), c1 (F/km); or paper: Table I"
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="parameters, see fault_locator"
     )
-    parser.add_argument("--error", action="append", default=[], metavar="NAME=VALUE",
-                        help="uncertainties: sync_us, ratio, reactance, resistance")  # fmt: skip
-    parser.add_argument("--window", nargs=2, type=float, metavar=("START", "END"),
-                        help="s in the record; default: found from the fault's inception")  # fmt: skip
-    parser.add_argument("--late", nargs=2, type=float, default=[0.0, 0.0], metavar=("S", "R"),
-                        help="us by which what each end tells is late (filters, clocks); taken out")  # fmt: skip
+    parser.add_argument(
+        "--error",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="uncertainties: sync_us, ratio, reactance, resistance",
+    )
+    parser.add_argument(
+        "--window",
+        nargs=2,
+        type=float,
+        metavar=("START", "END"),
+        help="s in the record; default: found from the fault's inception",
+    )
+    parser.add_argument(
+        "--late",
+        nargs=2,
+        type=float,
+        default=[0.0, 0.0],
+        metavar=("S", "R"),
+        help="us by which what each end tells is late (filters, clocks); taken out",
+    )
     parser.add_argument("--channels", default="", metavar="A,B,...", help="the twelve COMTRADE channels, see the page")
     parser.add_argument("--bag", type=Path, metavar="DIR", help="also write the record as a bag")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="waveforms.png and objective.png go here")

@@ -136,8 +136,14 @@ class FaultLocator(Block[FaultLocatorParams]):
         if work is None or found.x_km is None:
             return x, {"verdict": verdict}
         scatter = confidence(work.record, self.p, found, NO_BUDGET).scatter_km
-        values = {"x_km": found.x_km, "f_min": found.f_min, "f_max": found.f_max, "mode": float(found.mode),
-                  "n_eval": float(found.evaluations), "scatter_km": scatter}  # fmt: skip
+        values = {
+            "x_km": found.x_km,
+            "f_min": found.f_min,
+            "f_max": found.f_max,
+            "mode": float(found.mode),
+            "n_eval": float(found.evaluations),
+            "scatter_km": scatter,
+        }
         objective = (*work.grid.tolist(), *work.curves.ravel().tolist())
         place = tuple(values[name] for name in LOCATION)
         return x, {"verdict": verdict, "location": place, "objective": objective}

@@ -92,8 +92,10 @@ def _fault_admittances(prepared: Lines, fault: FaultParams) -> Array:
 def steady(p: RigParams) -> Steady:
     """Solve the sinusoidal steady state of the discretised network, positive sequence."""
     src, h = p.source, p.step
-    ports = [discrete_two_port(p.line.aerial.part(length), src.omega, h)
-             for length in (p.fault.x_km, p.line.length - p.fault.x_km)]  # fmt: skip
+    ports = [
+        discrete_two_port(p.line.aerial.part(length), src.omega, h)
+        for length in (p.fault.x_km, p.line.length - p.fault.x_km)
+    ]
     y = np.zeros((3, 3), dtype=complex)
     y[:2, :2] += ports[0]
     y[1:, 1:] += ports[1]
@@ -116,8 +118,10 @@ def to_modes(phasor: complex) -> Complex:
 
 def line_history(p: RigParams, found: Steady, prepared: Lines) -> Array:
     """Fill the histories of all six sections with the steady state up to t = 0."""
-    two = [discrete_two_port(p.line.aerial.part(length), p.source.omega, p.step)
-           for length in (p.fault.x_km, p.line.length - p.fault.x_km)]  # fmt: skip
+    two = [
+        discrete_two_port(p.line.aerial.part(length), p.source.omega, p.step)
+        for length in (p.fault.x_km, p.line.length - p.fault.x_km)
+    ]
     u = np.stack([to_modes(v) for v in found.u])  # (node, mode)
     currents = [dense.product(two[0], found.u[:2]), dense.product(two[1], found.u[1:])]
     voltages = np.concatenate([u[:2].T, u[1:].T])  # (section and mode, end)

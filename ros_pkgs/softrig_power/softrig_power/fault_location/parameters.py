@@ -15,9 +15,14 @@ FaultType = Literal["AG", "BG", "CG", "AB", "BC", "CA", "ABG", "BCG", "CAG", "AB
 Profile = Literal["raw1m", "raw100k", "raw20k", "m100k", "m20k", "m10k", "m4k"]
 
 RATES: dict[str, int] = {
-    "raw1m": 1_000_000, "raw100k": 100_000, "raw20k": 20_000, "m100k": 100_000, "m20k": 20_000, "m10k": 10_000,
+    "raw1m": 1_000_000,
+    "raw100k": 100_000,
+    "raw20k": 20_000,
+    "m100k": 100_000,
+    "m20k": 20_000,
+    "m10k": 10_000,
     "m4k": 4_000,
-}  # fmt: skip
+}
 """Samples a second of each profile; those in m have a Butterworth low-pass at a fifth of it, those in raw none."""
 
 
@@ -144,8 +149,10 @@ class RigParams(Params):
     def _possible(self) -> Self:
         rate, line, x = RATES[self.measurement.profile], self.line, self.fault.x_km
         if abs(1.0 / (rate * self.step) - self.decimation) > 1e-6 or self.decimation < 1:
-            raise ValueError(f"step = {self.step:g} s does not divide the sampling period {1.0 / rate:g} s of "
-                             f"{self.measurement.profile}")  # fmt: skip
+            raise ValueError(
+                f"step = {self.step:g} s does not divide the sampling period {1.0 / rate:g} s of "
+                f"{self.measurement.profile}"
+            )
         if abs(self.measurement.shift_us_r * 1e-6 / self.step - self.shift) > 1e-6:
             raise ValueError(f"shift_us_r = {self.measurement.shift_us_r:g} us is not whole steps of {self.step:g} s")
         least = LEAST_DELAY * self.step * max(line.aerial.velocity, line.ground.velocity)

@@ -173,8 +173,11 @@ def _beside(
     margin = reach(rate, to_rate)
     keep = (t >= t_x[0] + margin) & (t <= t_x[-1] - margin)
     if np.count_nonzero(keep) < 2:
-        raise RecordError(Status.TOO_SHORT, f"too short: {len(t_x)} samples of {end} cannot be resampled to "
-                          f"{to_rate:g} Hz, {margin:.3g} s are needed on both sides")  # fmt: skip
+        raise RecordError(
+            Status.TOO_SHORT,
+            f"too short: {len(t_x)} samples of {end} cannot be resampled to "
+            f"{to_rate:g} Hz, {margin:.3g} s are needed on both sides",
+        )
     start = float(t_x.mean()) - 0.5 * (len(t_x) - 1) / rate
     return t[keep], keep, resampled(x, start, rate, t[keep], to_rate)
 

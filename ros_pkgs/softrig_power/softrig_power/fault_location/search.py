@@ -18,9 +18,11 @@ def brent(work: Objective, mode: int) -> tuple[float, float]:
     k = int(np.argmin(curve))
     low, high = work.grid[max(k - 1, 0)], work.grid[min(k + 1, curve.size - 1)]
     found = minimize_scalar(
-        lambda x: float(work.f(np.array([x]), mode)[0]), bounds=(low, high), method="bounded",
+        lambda x: float(work.f(np.array([x]), mode)[0]),
+        bounds=(low, high),
+        method="bounded",
         options={"xatol": work.p.tolerance},
-    )  # fmt: skip
+    )
     if curve[k] < found.fun:  # Brent never looks at the ends of its interval, where the minimum may be
         return float(work.grid[k]), float(curve[k])
     return float(found.x), float(found.fun)

@@ -196,10 +196,17 @@ class FaultedLine:
         measured = dense.times(filtered, dense.turn(-omega * step * np.repeat(self.chain.delay, 6))).real
         self.prefault_rms = np.hypot(filtered.real, filtered.imag) / math.sqrt(2.0) * np.repeat(self.chain.ratio, 3)
         self.state = State(
-            line_history(p, found, self.net.lines), source_current, source_voltage, np.zeros(3),
-            np.array([0 if ph in phases(p.fault.type) else 2 for ph in range(3)]), np.zeros(3), np.zeros(3),
-            filters, np.ascontiguousarray(late), measured * np.repeat(self.chain.ratio, 3),
-        )  # fmt: skip
+            line_history(p, found, self.net.lines),
+            source_current,
+            source_voltage,
+            np.zeros(3),
+            np.array([0 if ph in phases(p.fault.type) else 2 for ph in range(3)]),
+            np.zeros(3),
+            np.zeros(3),
+            filters,
+            np.ascontiguousarray(late),
+            measured * np.repeat(self.chain.ratio, 3),
+        )
 
     def advance(self, steps: int) -> None:
         """Move by internal steps."""

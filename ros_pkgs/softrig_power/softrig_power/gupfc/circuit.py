@@ -89,11 +89,17 @@ def circuit(params: NetworkParams, step: float) -> tuple[Circuit, Lines]:
     p = params
     source_a, source_b = p.sources
     found = Circuit(
-        step, p.omega, source_a, source_b,
-        branch(*p.source_impedance, step), branch(p.r_se, p.x_se / p.omega, step),
+        step,
+        p.omega,
+        source_a,
+        source_b,
+        branch(*p.source_impedance, step),
+        branch(p.r_se, p.x_se / p.omega, step),
         branch(p.r_sh, p.x_sh / p.omega, step),
-        1.0 / fundamental(p.shunt_sigma), p.series_limit / fundamental(math.pi), p.dc_time,
-    )  # fmt: skip
+        1.0 / fundamental(p.shunt_sigma),
+        p.series_limit / fundamental(math.pi),
+        p.dc_time,
+    )
     return found, lines([p.half] * 4, step)
 
 

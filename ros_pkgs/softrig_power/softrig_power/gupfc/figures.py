@@ -31,9 +31,14 @@ def shunt_angle(signals: SignalMap, *, start: float | None = None, end: float | 
 
 @figure("{signal}", agreed=FREQUENCY)
 def drift(
-    signals: SignalMap, signal: str, *, frequency: float, measure: Literal["mean", "repeat"] = "mean",
-    start: float | None = None, end: float | None = None,
-) -> float:  # fmt: skip
+    signals: SignalMap,
+    signal: str,
+    *,
+    frequency: float,
+    measure: Literal["mean", "repeat"] = "mean",
+    start: float | None = None,
+    end: float | None = None,
+) -> float:
     """How far a signal is from a periodic steady state, in its unit.
 
     Parameters
@@ -57,9 +62,12 @@ def drift(
 
 @figure("pu", POWERS)
 def power_balance(
-    signals: SignalMap, *, statistic: Literal["mean", "peak"] = "mean", start: float | None = None,
+    signals: SignalMap,
+    *,
+    statistic: Literal["mean", "peak"] = "mean",
+    start: float | None = None,
     end: float | None = None,
-) -> float:  # fmt: skip
+) -> float:
     """Sum of the active powers that the three converters deliver, pu: what the DC link gives or, negative, takes.
 
     Parameters

@@ -142,8 +142,12 @@ def _operating_point(
     for _ in range(ROUNDS):
         p1, q1, p2, q2, v, surplus = asked.tolist()
         flow = _flow(network, References(p1=p1, q1=q1, p2=p2, q2=q2, v=v), surplus)
-        sigma = np.array([network.shunt_sigma, *(conduction(abs(x), abs(flow.v_sh), network.series_limit)
-                                                 for x in (flow.v12, flow.v34))])  # fmt: skip
+        sigma = np.array(
+            [
+                network.shunt_sigma,
+                *(conduction(abs(x), abs(flow.v_sh), network.series_limit) for x in (flow.v12, flow.v34)),
+            ]
+        )
         angle = np.array([cmath.phase(x) for x in (flow.v_sh, flow.v12, flow.v34)])
         start = steady.start(network, prepared, lines, flow, sigma, angle, pulse, samples)
         u1, u2, u4 = (weights.phasor(start.bus[:, k]) for k in (BUS1, BUS2, BUS4))
@@ -153,8 +157,14 @@ def _operating_point(
         if np.abs(found - wanted).max() < TOLERANCE:
             break
         asked += wanted - found
-    columns = {"u1": start.bus[:, BUS1], "u2": start.bus[:, BUS2], "u4": start.bus[:, BUS4],
-               "i_sh": start.current[:, I_SH], "i12": start.current[:, I12], "i34": start.current[:, I34]}  # fmt: skip
+    columns = {
+        "u1": start.bus[:, BUS1],
+        "u2": start.bus[:, BUS2],
+        "u4": start.bus[:, BUS4],
+        "i_sh": start.current[:, I_SH],
+        "i12": start.current[:, I12],
+        "i34": start.current[:, I34],
+    }
     cycle = {name: np.roll(weights.record(x), 1) for name, x in columns.items()}  # the value at t = 0 is also the first
     return OperatingPoint(flow.v_sh, flow.v12, flow.v34, u1, u2, u4, i_sh, i12, i34, start, cycle)
 

@@ -219,9 +219,19 @@ class PowerFlow:
             for k, v in ((1, v12), (3, v34))
         )
         return Solution(
-            iterations, mismatch, bus, v12, v34, bus["1"] + p.z_sh * i_sh, (bus["1"] + v12 - bus["2"]) / p.z_se,
-            (bus["3"] + v34 - bus["4"]) / p.z_se, i_sh, p12, p34, s_sh,
-        )  # fmt: skip
+            iterations,
+            mismatch,
+            bus,
+            v12,
+            v34,
+            bus["1"] + p.z_sh * i_sh,
+            (bus["1"] + v12 - bus["2"]) / p.z_se,
+            (bus["3"] + v34 - bus["4"]) / p.z_se,
+            i_sh,
+            p12,
+            p34,
+            s_sh,
+        )
 
 
 def _flow(v1: Any, a1: Any, v2: Any, a2: Any, z: complex) -> tuple[Any, Any]:

@@ -13,8 +13,18 @@ from .network import BUSES, NetworkParams
 from .ports import SERIES_REFERENCE, SHUNT_REFERENCE
 from .power_flow import Diverged, PowerFlow, References, Solution
 
-DEVICE = {"v12": "pu", "v12_angle": "rad", "v34": "pu", "v34_angle": "rad", "v_sh": "pu", "v_sh_angle": "rad",
-          "p12": "pu", "p34": "pu", "p_sh": "pu", "q_sh": "pu"}  # fmt: skip
+DEVICE = {
+    "v12": "pu",
+    "v12_angle": "rad",
+    "v34": "pu",
+    "v34_angle": "rad",
+    "v_sh": "pu",
+    "v_sh_angle": "rad",
+    "p12": "pu",
+    "p34": "pu",
+    "p_sh": "pu",
+    "q_sh": "pu",
+}
 RESULT = {"converged": "", "iterations": "", "mismatch": "pu"}
 
 
@@ -64,9 +74,15 @@ class PowerFlowNode(Block[PowerFlowParams]):
         return State()
 
     def update(
-        self, x: State, t: int, *, request: tuple[float] | None, series_1: tuple[float, ...] | None,
-        series_2: tuple[float, ...] | None, shunt: tuple[float, ...] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
+        self,
+        x: State,
+        t: int,
+        *,
+        request: tuple[float] | None,
+        series_1: tuple[float, ...] | None,
+        series_2: tuple[float, ...] | None,
+        shunt: tuple[float, ...] | None,
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Answer if there is anything to answer."""
         pressed = request == (1.0,)
         asked = self._references(series_1, series_2, shunt)
@@ -110,8 +126,15 @@ class PowerFlowNode(Block[PowerFlowParams]):
             "4": found.bus["4"] * i34.conjugate(),
         }
         bus = [(*cmath.polar(found.bus[b]), injected.get(b, 0j).real, injected.get(b, 0j).imag) for b in BUSES]
-        device = (*cmath.polar(found.v12), *cmath.polar(found.v34), *cmath.polar(found.v_sh), found.p12, found.p34,
-                  found.s_sh.real, found.s_sh.imag)  # fmt: skip
+        device = (
+            *cmath.polar(found.v12),
+            *cmath.polar(found.v34),
+            *cmath.polar(found.v_sh),
+            found.p12,
+            found.p34,
+            found.s_sh.real,
+            found.s_sh.imag,
+        )
         return {"bus": tuple(value for row in bus for value in row), "device": device}
 
 

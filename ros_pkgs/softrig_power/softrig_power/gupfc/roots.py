@@ -101,8 +101,12 @@ def operating_points(
         for side in (1.0, -1.0):
             v1 = cmath.rect(v, side * math.acos(cosine) - cmath.phase(w))
             v3 = (b * v1 - k_a - i34) / a
-            point = Point((e_a - beta * (v1 + v3), v1, v2, v3, v4, e_b - beta * (v2 + v4)), v2 - v1 + p.z_se * i12,
-                          v4 - v3 + p.z_se * i34, v1 * (y * v1 + j).conjugate())  # fmt: skip
+            point = Point(
+                (e_a - beta * (v1 + v3), v1, v2, v3, v4, e_b - beta * (v2 + v4)),
+                v2 - v1 + p.z_se * i12,
+                v4 - v3 + p.z_se * i34,
+                v1 * (y * v1 + j).conjugate(),
+            )
             if all(point.apart(q.bus) > APART for q in found):
                 found.append(point)
     return sorted(found, key=lambda q: q.size)

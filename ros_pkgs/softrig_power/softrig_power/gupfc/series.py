@@ -131,8 +131,12 @@ class SeriesController(Block[SeriesControllerParams]):
         v = self._kp * error + integral
         limit = p.network.series_limit
         if abs(v) > limit:
-            self.report(Level.WARN, "series_voltage_limited", f"series voltage at its limit of {limit:g} pu while "
-                        f"{asked:g} pu is asked for and {(u * i.conjugate()):.4g} pu flows")  # fmt: skip
+            self.report(
+                Level.WARN,
+                "series_voltage_limited",
+                f"series voltage at its limit of {limit:g} pu while "
+                f"{asked:g} pu is asked for and {(u * i.conjugate()):.4g} pu flows",
+            )
             cut = v * (limit / abs(v))
             integral += cut - v
             v = cut

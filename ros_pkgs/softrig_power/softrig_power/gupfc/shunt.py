@@ -72,8 +72,10 @@ class ShuntController(Block[ShuntControllerParams]):
 
     def _gains(self, p: ShuntControllerParams) -> tuple[PidParams, PidParams]:
         """Of the voltage and of the current regulator."""
-        return (PidParams(kp=p.voltage_kp, ki=p.voltage_ki, u_max=p.current_limit),
-                PidParams(kp=p.current_kp, ki=p.current_ki, u_max=p.angle_limit))  # fmt: skip
+        return (
+            PidParams(kp=p.voltage_kp, ki=p.voltage_ki, u_max=p.current_limit),
+            PidParams(kp=p.current_kp, ki=p.current_ki, u_max=p.angle_limit),
+        )
 
     def go_on(self, x: State, before: ShuntControllerParams) -> State:
         """Take other gains without a bump; filters and loop go on."""

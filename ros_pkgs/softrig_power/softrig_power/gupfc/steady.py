@@ -84,8 +84,16 @@ class Phasors:
         return u, i, line
 
 
-def start(params: NetworkParams, circuit: Circuit, lines: Lines, flow: Solution, sigma: NDArray[np.float64],
-          angle: NDArray[np.float64], pulse: int, samples: int) -> Start:  # fmt: skip
+def start(
+    params: NetworkParams,
+    circuit: Circuit,
+    lines: Lines,
+    flow: Solution,
+    sigma: NDArray[np.float64],
+    angle: NDArray[np.float64],
+    pulse: int,
+    samples: int,
+) -> Start:
     """Give the state at t = 0 as if the converters had turned with the sources for ever.
 
     Parameters
@@ -110,8 +118,12 @@ def start(params: NetworkParams, circuit: Circuit, lines: Lines, flow: Solution,
     past = max(samples + 1, history_length(lines))
     k = np.arange(-past, 1)
     if pulse == PULSE:
-        shape = np.array([[mean_voltage(a + n * turn, turn, s, pulse) for a, s in zip(angle, sigma, strict=True)]
-                          for n in range(steps)])  # fmt: skip
+        shape = np.array(
+            [
+                [mean_voltage(a + n * turn, turn, s, pulse) for a, s in zip(angle, sigma, strict=True)]
+                for n in range(steps)
+            ]
+        )
         rounds = ROUNDS
     else:
         first = np.array([mean_voltage(a, turn, s, pulse) for a, s in zip(angle, sigma, strict=True)])

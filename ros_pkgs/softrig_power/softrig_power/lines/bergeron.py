@@ -58,9 +58,13 @@ def interpolation(delay: float) -> tuple[int, Array]:
     whole = int(delay)
     s = delay - whole  # the value lies between the ages `whole` and `whole + 1`
     return whole - 1, np.array(
-        [-s * (s - 1.0) * (s - 2.0) / 6.0, (s + 1.0) * (s - 1.0) * (s - 2.0) / 2.0,
-         -(s + 1.0) * s * (s - 2.0) / 2.0, (s + 1.0) * s * (s - 1.0) / 6.0]
-    )  # fmt: skip
+        [
+            -s * (s - 1.0) * (s - 2.0) / 6.0,
+            (s + 1.0) * (s - 1.0) * (s - 2.0) / 2.0,
+            -(s + 1.0) * s * (s - 2.0) / 2.0,
+            (s + 1.0) * s * (s - 1.0) / 6.0,
+        ]
+    )
 
 
 def lines(sections: Sequence[Section], step: float) -> Lines:
@@ -157,9 +161,11 @@ def histories(lines: Lines, ring: Any, k: int, out: Any) -> None:
         for end in range(2):
             h = ring[n, end]
             out[n, end] = (
-                w[0] * h[latest & mask] + w[1] * h[(latest - 1) & mask] + w[2] * h[(latest - 2) & mask]
+                w[0] * h[latest & mask]
+                + w[1] * h[(latest - 1) & mask]
+                + w[2] * h[(latest - 2) & mask]
                 + w[3] * h[(latest - 3) & mask]
-            )  # fmt: skip
+            )
 
 
 @jit

@@ -46,8 +46,9 @@ def refuse(irradiance: tuple[float, ...], temperature: tuple[float, ...]) -> str
     if len(irradiance) != len(temperature):
         return f"irradiance of {len(irradiance)} modules, temperature of {len(temperature)}"
     for name, values, (low, high), unit in (
-        ("irradiance", irradiance, IRRADIANCE, "W/m^2"), ("temperature", temperature, TEMPERATURE, "deg C"),
-    ):  # fmt: skip
+        ("irradiance", irradiance, IRRADIANCE, "W/m^2"),
+        ("temperature", temperature, TEMPERATURE, "deg C"),
+    ):
         for k, value in enumerate(values, 1):
             if not low <= value <= high:
                 return f"{name} of module {k} is {value:g} {unit}, expected {low:g} to {high:g}"

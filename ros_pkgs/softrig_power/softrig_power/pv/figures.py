@@ -31,9 +31,13 @@ class _Run:
     """Power, voltage and true maximum of a recording in a time window, ends included."""
 
     def __init__(
-        self, signals: SignalMap, module: Mapping[str, Any], first: Sequence[float], start: float | None,
+        self,
+        signals: SignalMap,
+        module: Mapping[str, Any],
+        first: Sequence[float],
+        start: float | None,
         end: float | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.module = ModuleParams(**module)
         self.t, self.power = window(signals, POWER, start, end)
         self.v = window(signals, VOLTAGE, start, end)[1]
@@ -71,9 +75,13 @@ def local_maximum(signals: SignalMap, *, at: float, module: Mapping[str, Any], f
 
 @figure("%", READS, STRING, (0.0, 100.0))
 def efficiency(
-    signals: SignalMap, *, module: Mapping[str, Any], first: tuple[float, ...], start: float | None = None,
+    signals: SignalMap,
+    *,
+    module: Mapping[str, Any],
+    first: tuple[float, ...],
+    start: float | None = None,
     end: float | None = None,
-) -> float:  # fmt: skip
+) -> float:
     """Energy in % of the energy at the global maximum; over a whole run this is the energy share."""
     run = _Run(signals, module, first, start, end)
     return float(100.0 * run.power.sum() / run.gmpp.sum())
@@ -91,9 +99,14 @@ def in_global_basin(
 
 @figure("s", READS, STRING)
 def tracking_time(
-    signals: SignalMap, *, module: Mapping[str, Any], first: tuple[float, ...], level: float = 0.99,
-    start: float | None = None, end: float | None = None,
-) -> float:  # fmt: skip
+    signals: SignalMap,
+    *,
+    module: Mapping[str, Any],
+    first: tuple[float, ...],
+    level: float = 0.99,
+    start: float | None = None,
+    end: float | None = None,
+) -> float:
     """Time in s from `start` until the power stayed at `level` of the global maximum or above; inf if it did not."""
     run = _Run(signals, module, first, start, end)
     low = np.flatnonzero(run.power < level * run.gmpp)

@@ -28,8 +28,13 @@ class MpptParams(SearchParams):
     duty_slew: float = param(0.0, "most change of the duty in a second; 0: no limit", "1/s", ge=0.0, live=True)
     eps: float = param(0.01, "certified: relative gap to prove", gt=0.0)
     ramp_time: float = param(0.12, "ramp: duration of the sweep", "s", gt=0.0)
-    floor: float | None = param(0.1, "power not above this, at a current not above a tenth of it in A, is darkness: no "
-                                "search, another one in the light", "W", live=True)  # fmt: skip
+    floor: float | None = param(
+        0.1,
+        "power not above this, at a current not above a tenth of it in A, is darkness: no "
+        "search, another one in the light",
+        "W",
+        live=True,
+    )
 
     @model_validator(mode="after")
     def _tracker(self) -> Self:

@@ -19,8 +19,9 @@ class ShadingSourceParams(BlockParams):
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     modules: int = param(4, "modules of the string", ge=1, le=1000)
-    times: tuple[float, ...] = param((0.0,), "times at which a pattern begins, increasing", "s", min_length=1,
-                                     each=(0.0, 1e9), live=True)  # fmt: skip
+    times: tuple[float, ...] = param(
+        (0.0,), "times at which a pattern begins, increasing", "s", min_length=1, each=(0.0, 1e9), live=True
+    )
     irradiance: tuple[float, ...] = param(
         (1000.0, 800.0, 600.0, 400.0), "irradiance of each module, pattern after pattern", "W/m^2", live=True
     )

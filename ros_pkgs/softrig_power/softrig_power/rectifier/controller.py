@@ -23,12 +23,16 @@ class RectifierGpcParams(RectifierConstants, GpcLawParams):
     u_min: float = param(-40.0, "smallest command", ge=-1e12, le=1e12, live=True)
     u_max: float = param(90.0, "largest command", ge=-1e12, le=1e12, live=True)
     set_point: float = param(400.0, "reference until one arrives", "V", ge=0.0, le=1e4, live=True)
-    i_start: float | None = param(None, "phase current (peak) at the start, which the first command carries on; that "
-                                  "of the operating point when absent", "A", ge=-1e4, le=1e4)  # fmt: skip
-    trip_low: float = param(50.0, "DC voltage at or below which the law trips", "V", ge=-1e12, le=1e12,
-                            live=True)  # fmt: skip
-    trip_high: float = param(600.0, "DC voltage above which the law trips", "V", ge=-1e12, le=1e12,
-                             live=True)  # fmt: skip
+    i_start: float | None = param(
+        None,
+        "phase current (peak) at the start, which the first command carries on; that "
+        "of the operating point when absent",
+        "A",
+        ge=-1e4,
+        le=1e4,
+    )
+    trip_low: float = param(50.0, "DC voltage at or below which the law trips", "V", ge=-1e12, le=1e12, live=True)
+    trip_high: float = param(600.0, "DC voltage above which the law trips", "V", ge=-1e12, le=1e12, live=True)
     measured: str = param("dc_link/voltage/position", "signal under control, topic/channel/field")
     measured_also: tuple[str, ...] = param(
         ("current",), "channels that come in the same message as the measured signal"

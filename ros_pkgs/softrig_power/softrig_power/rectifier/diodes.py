@@ -37,8 +37,11 @@ def conduct(t: float, h: float, x: Array, p: tuple[Circuit, Period]) -> None:
         on_a, s_a = (1.0 if g[0] == high or g[0] == low else 0.0), (1.0 if g[0] == high else 0.0)
         on_b, s_b = (1.0 if g[1] == high or g[1] == low else 0.0), (1.0 if g[1] == high else 0.0)
         on_c, s_c = (1.0 if g[2] == high or g[2] == low else 0.0), (1.0 if g[2] == high else 0.0)
-    drive_a, drive_b, drive_c = (g[0] - circuit.R * x[0] - s_a * v, g[1] - circuit.R * x[1] - s_b * v,
-                                 g[2] - circuit.R * x[2] - s_c * v)  # fmt: skip
+    drive_a, drive_b, drive_c = (
+        g[0] - circuit.R * x[0] - s_a * v,
+        g[1] - circuit.R * x[1] - s_b * v,
+        g[2] - circuit.R * x[2] - s_c * v,
+    )
     count = on_a + on_b + on_c
     if count > 1.0:
         rail = (on_a * drive_a + on_b * drive_b + on_c * drive_c) / count  # negative rail to the grid's neutral

@@ -39,8 +39,9 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
     carrier_hz: float = param(1e4, "frequency of the triangular carrier", "Hz", ge=100.0, le=1e6)
     substep: float = param(1e-5, "longest internal step", "s", gt=0.0, le=1e-3)
     v_start: float = param(400.0, "DC voltage at the start", "V", gt=0.0, le=1e4)
-    i_start: float | None = param(None, "current i_d at the start (peak), i_q is 0; that of the operating point when "
-                                  "absent", "A", ge=-1e4, le=1e4)  # fmt: skip
+    i_start: float | None = param(
+        None, "current i_d at the start (peak), i_q is 0; that of the operating point when absent", "A", ge=-1e4, le=1e4
+    )
     v_least: float = param(1.0, "DC voltage at which the converter is given up", "V", gt=0.0, le=1e3, live=True)
     waveform: bool = param(False, "send the waveforms of each period")
 
@@ -205,8 +206,18 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         p = self.p
         decoupled = p.structure == "decoupled"
         before = x.applied[0] if decoupled else 0.0
-        return Period(start, p.period, events.amplitude, events.fifth, events.load, self._reach, self._forward,
-                      decoupled, before, command)  # fmt: skip
+        return Period(
+            start,
+            p.period,
+            events.amplitude,
+            events.fifth,
+            events.load,
+            self._reach,
+            self._forward,
+            decoupled,
+            before,
+            command,
+        )
 
     def advance(self, x: State, t: int, *, command: tuple[float, ...], events: tuple[float, ...] | None) -> State:
         """Hold the command over one period."""
@@ -240,9 +251,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         if command == 0.0:
             moving = self._rectified(moving, start, both, (sums, complete, trace))
         elif p.model == "switched":
-            switched.advance(
-                moving, p.steps, self._window, both, p.carrier_hz, p.injection, sums, complete, trace
-            )  # fmt: skip
+            switched.advance(moving, p.steps, self._window, both, p.carrier_hz, p.injection, sums, complete, trace)
         else:
             averaged.advance(moving, p.steps, self._window, both, sums, complete, trace)
         found, plain = record.figures, complete[PLAIN]
@@ -273,8 +282,11 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         load, amplitude, fifth = events
         if load > 0.0 and amplitude > 0.0:
             return Events(load, amplitude, fifth)
-        self.report(Level.ERROR, "bad_event", f"load {load:g} ohm, grid {amplitude:g} V: expected both positive; "
-                    "the last good ones hold")  # fmt: skip
+        self.report(
+            Level.ERROR,
+            "bad_event",
+            f"load {load:g} ohm, grid {amplitude:g} V: expected both positive; the last good ones hold",
+        )
         return before
 
 

@@ -35,9 +35,20 @@ WINDOWS = 11  # number of complete windows
 
 # name: unit; of currents and PF see `figures`
 FIGURES: Mapping[str, str] = {
-    "windows": "", "thd": "%", "thd50": "%", "pf": "", "dpf": "", "current": "A", "power": "W", "voltage": "V",
-    "ripple": "V", "voltage_6": "V", "voltage_12": "V", "current_5": "A", "current_7": "A",
-}  # fmt: skip
+    "windows": "",
+    "thd": "%",
+    "thd50": "%",
+    "pf": "",
+    "dpf": "",
+    "current": "A",
+    "power": "W",
+    "voltage": "V",
+    "ripple": "V",
+    "voltage_6": "V",
+    "voltage_12": "V",
+    "current_5": "A",
+    "current_7": "A",
+}
 
 
 def empty() -> Array:
@@ -138,8 +149,10 @@ def figures(sums: Array) -> dict[str, float]:
     squares = plain[CURRENT_SQUARE : CURRENT_SQUARE + 3] / duration
     first = (peak[:, 1] ** 2).sum() / 2.0
     rms = np.sqrt(squares * plain[GRID_SQUARE : GRID_SQUARE + 3] / duration)
-    products = (sums[CURRENT_COS : CURRENT_COS + 3, 1] * sums[GRID_COS : GRID_COS + 3, 1]
-                + sums[CURRENT_SIN : CURRENT_SIN + 3, 1] * sums[GRID_SIN : GRID_SIN + 3, 1])  # fmt: skip
+    products = (
+        sums[CURRENT_COS : CURRENT_COS + 3, 1] * sums[GRID_COS : GRID_COS + 3, 1]
+        + sums[CURRENT_SIN : CURRENT_SIN + 3, 1] * sums[GRID_SIN : GRID_SIN + 3, 1]
+    )
     grid_1 = np.hypot(sums[GRID_COS : GRID_COS + 3, 1], sums[GRID_SIN : GRID_SIN + 3, 1]) * 2.0 / duration
     shares = products * 4.0 / duration**2
     link = 2.0 / duration * np.hypot(sums[LINK_COS], sums[LINK_SIN])

@@ -59,9 +59,16 @@ def carrier(t: float, frequency: float, half: float) -> float:
 
 @jit
 def advance(
-    x: Array, steps: int, window: float, p: tuple[Circuit, Period], frequency: float, injection: bool, sums: Array,
-    complete: Array, trace: Array,
-) -> float:  # fmt: skip
+    x: Array,
+    steps: int,
+    window: float,
+    p: tuple[Circuit, Period],
+    frequency: float,
+    injection: bool,
+    sums: Array,
+    complete: Array,
+    trace: Array,
+) -> float:
     """Move a state over one period.
 
     Parameters
@@ -122,9 +129,17 @@ def compare(
 
 @jit
 def crossing(
-    t: float, stop: float, x: Array, legs: Array, circuit: Circuit, period: Period, frequency: float, half: float,
-    injection: bool, sums: Array,
-) -> tuple[float, int]:  # fmt: skip
+    t: float,
+    stop: float,
+    x: Array,
+    legs: Array,
+    circuit: Circuit,
+    period: Period,
+    frequency: float,
+    half: float,
+    injection: bool,
+    sums: Array,
+) -> tuple[float, int]:
     """Move to the first edge after t, at most to `stop`; give the time reached and the leg that is to switch, or -1.
 
     In a rising half period of the carrier a leg can only go off, in a falling one only on. Until then the voltage is
@@ -180,6 +195,12 @@ def piece(t: float, stop: float, x: Array, slope: Array, p: Legs, sums: Array) -
         middle[k] = 0.5 * (begin[k] + x[k]) + 0.125 * h * (first[k] - slope[k])
     sample(sums, t, w, (begin[0], begin[1], begin[2], begin[3]), grid(t, circuit, period), circuit.omega)
     centre = t + 0.5 * h
-    sample(sums, centre, 4.0 * w, (middle[0], middle[1], middle[2], middle[3]), grid(centre, circuit, period),
-           circuit.omega)  # fmt: skip
+    sample(
+        sums,
+        centre,
+        4.0 * w,
+        (middle[0], middle[1], middle[2], middle[3]),
+        grid(centre, circuit, period),
+        circuit.omega,
+    )
     sample(sums, stop, w, (x[0], x[1], x[2], x[3]), grid(stop, circuit, period), circuit.omega)

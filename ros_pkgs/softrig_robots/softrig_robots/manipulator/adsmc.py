@@ -95,5 +95,14 @@ class Adsmc:
                 f_hat = new
             v = min(max(v, -top), top)
             sigma = step / T
-        return AdsmcState(v, s, sigma, f_hat, e_int + T * e, s_int + T * s, s_int2 + T * s_int, (qdd_d, big_sigma),
-                          (ed, e, e_int, s_int, s_int2)), v  # fmt: skip
+        return AdsmcState(
+            v,
+            s,
+            sigma,
+            f_hat,
+            e_int + T * e,
+            s_int + T * s,
+            s_int2 + T * s_int,
+            (qdd_d, big_sigma),
+            (ed, e, e_int, s_int, s_int2),
+        ), v

@@ -81,8 +81,10 @@ class Dsmc:
             s_rate = (ed - ed_before) / T + self._a1 * ed + self._a2 * e
             sigma = s_rate + self._b1 * s + self._b2 * s_int
             mu1, mu2, mu3, mu4 = self._mu
-            v += qdd_d - qdd_before + T * (
-                mu1 * (qdd_d - v) + mu2 * ed + mu3 * e + mu4 * e_int + self._rho * switching(sigma)
-            )  # fmt: skip
+            v += (
+                qdd_d
+                - qdd_before
+                + T * (mu1 * (qdd_d - v) + mu2 * ed + mu3 * e + mu4 * e_int + self._rho * switching(sigma))
+            )
             v = min(max(v, -self._v_max), self._v_max)
         return DsmcState(v, s, sigma, e_int + T * e, s_int + T * s, (qdd_d, ed)), v

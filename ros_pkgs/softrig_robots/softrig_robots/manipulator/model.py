@@ -25,16 +25,25 @@ class Links(Params):
     a: tuple[float, ...] = param((0.0, 0.76, 0.93), "link lengths a_i", "m", each=(-100.0, 100.0))
     alpha: tuple[float, ...] = param((pi / 2.0, 0.0, 0.0), "link twists alpha_i", "rad", each=(-7.0, 7.0))
     alpha_0: float = param(
-        0.0, "twist in front of joint 1; pi/2: its axis lies, an arm of parallel joints stands upright", "rad",
-        ge=-7.0, le=7.0,
-    )  # fmt: skip
+        0.0,
+        "twist in front of joint 1; pi/2: its axis lies, an arm of parallel joints stands upright",
+        "rad",
+        ge=-7.0,
+        le=7.0,
+    )
     mass: tuple[float, ...] = param((19.0, 18.18, 10.99), "masses m_i", "kg", min_length=1, each=(0.0, 1e5))
-    center: tuple[float, ...] = param((0.0, -0.22, 0.0, -0.51, 0.0, 0.0, -0.67, 0.0, 0.0),
-                                      "centres of mass in frame i: x, y, z link after link", "m",
-                                      each=(-100.0, 100.0))  # fmt: skip
-    inertia: tuple[float, ...] = param((0.34, 0.36, 0.31, 0.18, 1.32, 1.31, 0.07, 0.92, 0.93),
-                                       "Ixx, Iyy, Izz about the centre of mass in axes of frame i, link after link",
-                                       "kg m^2", each=(0.0, 1e7))  # fmt: skip
+    center: tuple[float, ...] = param(
+        (0.0, -0.22, 0.0, -0.51, 0.0, 0.0, -0.67, 0.0, 0.0),
+        "centres of mass in frame i: x, y, z link after link",
+        "m",
+        each=(-100.0, 100.0),
+    )
+    inertia: tuple[float, ...] = param(
+        (0.34, 0.36, 0.31, 0.18, 1.32, 1.31, 0.07, 0.92, 0.93),
+        "Ixx, Iyy, Izz about the centre of mass in axes of frame i, link after link",
+        "kg m^2",
+        each=(0.0, 1e7),
+    )
 
     @model_validator(mode="after")
     def _possible(self) -> Links:

@@ -39,8 +39,11 @@ class ManipulatorParams(DrivenRobotParams):
     def _fits(self) -> Self:
         n = len(self.joints)
         self.motors.table(n)
-        for name, values in (("position", self.position), ("velocity", self.velocity),
-                             ("disturbance.amplitude", self.disturbance.amplitude)):  # fmt: skip
+        for name, values in (
+            ("position", self.position),
+            ("velocity", self.velocity),
+            ("disturbance.amplitude", self.disturbance.amplitude),
+        ):
             spread(name, values, n)
         if self.urdf:
             from ..rigid_body import check_robot

@@ -38,8 +38,14 @@ def _mean_time(controller: VoltageController, updates: int) -> float:
     ticks: list[dict[str, Any]] = []
     for k in range(updates):
         x = sin(1e-3 * k)
-        ticks.append({"joint_states": (x, -x, 0.2, -0.1), "motor_states": (0.1 * x, 0.2),
-                      "reference": (x + 0.01, 0.01 - x, 0.2, -0.1, 0.0, x), "applied_voltage": (x, -x)})  # fmt: skip
+        ticks.append(
+            {
+                "joint_states": (x, -x, 0.2, -0.1),
+                "motor_states": (0.1 * x, 0.2),
+                "reference": (x + 0.01, 0.01 - x, 0.2, -0.1, 0.0, x),
+                "applied_voltage": (x, -x),
+            }
+        )
     state = controller.first()
     start = time.process_time()
     for k, inputs in enumerate(ticks):

@@ -115,9 +115,12 @@ class VoltageController(Block[VoltageControllerParams]):
             *(applied if params.use_applied else ()),
         ), (
             command("motor_command", "motor_command", JOINTS, "V"),
-            scalars("controller_state", "controller_state",
-                    {f"{name}_{joint}": unit for name, unit in units.items() for joint in JOINTS}),
-        )  # fmt: skip
+            scalars(
+                "controller_state",
+                "controller_state",
+                {f"{name}_{joint}": unit for name, unit in units.items() for joint in JOINTS},
+            ),
+        )
 
     @classmethod
     def agreed(cls, params: VoltageControllerParams) -> Mapping[str, Any]:
@@ -163,9 +166,15 @@ class VoltageController(Block[VoltageControllerParams]):
             self.report(Level.WARN, "stability", "alpha_hat and lambda of hip and knee together are unstable")
 
     def update(
-        self, x: State, t: int, *, joint_states: Vector, motor_states: Vector, reference: Vector,
+        self,
+        x: State,
+        t: int,
+        *,
+        joint_states: Vector,
+        motor_states: Vector,
+        reference: Vector,
         applied_voltage: Vector | None = None,
-    ) -> Answer:  # fmt: skip
+    ) -> Answer:
         """Give the voltages."""
         q1, q2, v1, v2 = joint_states
         r1, r2, rv1, rv2, ra1, ra2 = reference

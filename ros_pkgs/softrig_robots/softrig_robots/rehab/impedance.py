@@ -124,9 +124,16 @@ class Impedance(Block[ImpedanceParams]):
         return value * len(JOINTS)
 
     def update(
-        self, x: State, t: int, *, reference: Vector, patient_force: Sample | None, joint_states: Vector,
-        stiffness: Vector | None = None, damping: Vector | None = None,
-    ) -> Answer:  # fmt: skip
+        self,
+        x: State,
+        t: int,
+        *,
+        reference: Vector,
+        patient_force: Sample | None,
+        joint_states: Vector,
+        stiffness: Vector | None = None,
+        damping: Vector | None = None,
+    ) -> Answer:
         """Give q_r, its rate and acceleration at t."""
         n, T = len(JOINTS), self.p.period
         B, K, q, v, _ = x

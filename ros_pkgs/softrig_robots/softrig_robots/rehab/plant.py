@@ -96,8 +96,10 @@ class RehabParams(DrivenRobotParams):
             if low[i] >= high[i]:
                 raise ValueError(f"lower = {list(self.lower)} and upper = {list(self.upper)}: expected lower < upper")
             if not self.start_outside and not low[i] <= q[i] <= high[i]:
-                raise ValueError(f"position of the {joint} = {q[i]:g} rad is outside its range {low[i]:g} to "
-                                 f"{high[i]:g} rad (start_outside allows it)")  # fmt: skip
+                raise ValueError(
+                    f"position of the {joint} = {q[i]:g} rad is outside its range {low[i]:g} to "
+                    f"{high[i]:g} rad (start_outside allows it)"
+                )
         return self
 
 

@@ -32,8 +32,10 @@ class PromReferenceParams(BlockParams):
                 raise ValueError(f"lower = {list(self.lower)} and upper = {list(self.upper)}: expected lower < upper")
         require_positive("speed", spread("speed", self.speed, n))
         if not self.eta1 < self.eta2 < self.cycle:
-            raise ValueError(f"eta1 = {self.eta1:g} s, eta2 = {self.eta2:g} s, cycle = {self.cycle:g} s: expected "
-                             "eta1 < eta2 < cycle")  # fmt: skip
+            raise ValueError(
+                f"eta1 = {self.eta1:g} s, eta2 = {self.eta2:g} s, cycle = {self.cycle:g} s: expected "
+                "eta1 < eta2 < cycle"
+            )
         return self
 
 

@@ -52,12 +52,14 @@ class LinearRobot(Params):
         per_joint = {f"rehab/motors.{name}": values for name, values in self.motors.table(2).items()}
         segments = {f"rehab/segments.{name}": value for name, value in flatten(self.segments).items()}
         return {
-            **per_joint, **{k: tuple(v) for k, v in segments.items()},
-            "rehab/viscous": spread("viscous", self.viscous, 2), "rehab/payload": self.payload,
+            **per_joint,
+            **{k: tuple(v) for k, v in segments.items()},
+            "rehab/viscous": spread("viscous", self.viscous, 2),
+            "rehab/payload": self.payload,
             "rehab/torque_constant_side": self.torque_constant_side,
             "rehab/drift": (self.drift.resistance, self.drift.constants),
             "rehab/range": (spread("lower", self.lower, 2), spread("upper", self.upper, 2)),
-        }  # fmt: skip
+        }
 
 
 PUBLISHED = LinearRobot()
@@ -99,9 +101,13 @@ def alpha_hat_limit(
 
 
 def is_stable(
-    T: float, alpha_hat: tuple[float, float], lam: tuple[float, float], delayed: bool, applied: bool,
+    T: float,
+    alpha_hat: tuple[float, float],
+    lam: tuple[float, float],
+    delayed: bool,
+    applied: bool,
     robot: LinearRobot = PUBLISHED,
-) -> bool:  # fmt: skip
+) -> bool:
     """Tell whether a robot is stable everywhere in its range of motion, before and after its drift.
 
     Parameters

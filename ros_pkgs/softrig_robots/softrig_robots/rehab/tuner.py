@@ -74,8 +74,13 @@ def exercise(alpha_hat: float, duration: float = 15.0) -> Exercise:
         found = plant.outputs(t)
         state = found["joint_states"]
         bent = impedance.update(t, reference=reference, patient_force=Sample(t, force), joint_states=state[:2])
-        answer = controller.update(t, joint_states=state[:4], motor_states=found["motor_states"],
-                                   reference=bent["regenerated"], applied_voltage=found["applied_voltage"])  # fmt: skip
+        answer = controller.update(
+            t,
+            joint_states=state[:4],
+            motor_states=found["motor_states"],
+            reference=bent["regenerated"],
+            applied_voltage=found["applied_voltage"],
+        )
         e1, e2, *_ = answer["controller_state"]
         squares += e1 * e1 + e2 * e2
         v = answer["motor_command"]
@@ -110,9 +115,14 @@ def guarded_limit() -> float:
 
 
 def search(
-    seed: int | np.random.Generator = 0, *, guarded: bool = True, lower: float = 0.05, upper: float = 12.0,
-    n_pop: int = 20, n_iter: int = 10,
-) -> Genetic:  # fmt: skip
+    seed: int | np.random.Generator = 0,
+    *,
+    guarded: bool = True,
+    lower: float = 0.05,
+    upper: float = 12.0,
+    n_pop: int = 20,
+    n_iter: int = 10,
+) -> Genetic:
     """Make the search for alpha_hat.
 
     Parameters
@@ -131,8 +141,15 @@ def search(
     return Genetic([lower], [upper], seed, n_pop=n_pop, n_iter=n_iter)
 
 
-def tune(seed: int = 0, *, guarded: bool = True, duration: float = 15.0, n_pop: int = 20, n_iter: int = 10,
-         mapper: Mapper = map) -> Evaluation:  # fmt: skip
+def tune(
+    seed: int = 0,
+    *,
+    guarded: bool = True,
+    duration: float = 15.0,
+    n_pop: int = 20,
+    n_iter: int = 10,
+    mapper: Mapper = map,
+) -> Evaluation:
     """Tune alpha_hat.
 
     Parameters
@@ -173,8 +190,10 @@ class TunerParams(SolverParams):
         if not self.lower < self.upper:
             raise ValueError(f"lower = {self.lower:g} and upper = {self.upper:g} V s/rad: expected lower < upper")
         if self.guarded and self.lower >= guarded_limit():
-            raise ValueError(f"lower = {self.lower:g} V s/rad: expected less than {guarded_limit():.3g}, "
-                             f"{MARGIN:g} of the stability limit, for a guarded search")  # fmt: skip
+            raise ValueError(
+                f"lower = {self.lower:g} V s/rad: expected less than {guarded_limit():.3g}, "
+                f"{MARGIN:g} of the stability limit, for a guarded search"
+            )
         return self
 
 

@@ -89,9 +89,13 @@ def _set_up(problem: Problem, intervals: int, degree: int) -> _Grid:
 
 
 def solve(
-    problem: Problem, *, intervals: int = 20, degree: int = 3, samples: int = 101,
+    problem: Problem,
+    *,
+    intervals: int = 20,
+    degree: int = 3,
+    samples: int = 101,
     guess: Callable[[Array], Array] | None = None,
-) -> Collocated:  # fmt: skip
+) -> Collocated:
     """Solve a problem by direct collocation.
 
     Parameters
@@ -152,8 +156,16 @@ def solve(
     missed = problem.end_error(np.concatenate([end_x, costates[-1]])) if problem.x_end is not None else np.zeros(n)
     residual *= problem.horizon / size
     end_error = float(np.abs(missed).max())
-    return Collocated(rows, float(found["f"]), costates[0], residual, end_error, int(status["iter_count"]),
-                      bool(status["success"]), str(status["return_status"]))  # fmt: skip
+    return Collocated(
+        rows,
+        float(found["f"]),
+        costates[0],
+        residual,
+        end_error,
+        int(status["iter_count"]),
+        bool(status["success"]),
+        str(status["return_status"]),
+    )
 
 
 def sampled(rows: Array, horizon: float, later: float, n: int) -> Callable[[Array], Array]:

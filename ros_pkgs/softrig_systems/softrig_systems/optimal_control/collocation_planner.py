@@ -41,12 +41,25 @@ class CollocationPlanner(Planner[CollocationParams]):
             guess = sampled(rows, horizon, request.horizon, len(problem.states))
         found = solve(problem, intervals=p.intervals, degree=p.degree, samples=p.samples, guess=guess)
         scale = max(map(abs, (*problem.x0, *(problem.x_end or ())))) or 1.0
-        details = {"J": f"{found.J:.12g}", "iterations": str(found.iterations), "ipopt": found.reason,
-                   "residual": f"{found.residual:.3g}", "alpha": " ".join(map(str, found.alpha))}  # fmt: skip
-        return Planned(tuple(found.rows.ravel().tolist()), p.degree, found.J, found.residual, found.end_error,
-                       found.success and found.end_error <= END * scale,
-                       found.success and found.residual < p.eps_res, found.reason, details,
-                       (found.rows, request.horizon))  # fmt: skip
+        details = {
+            "J": f"{found.J:.12g}",
+            "iterations": str(found.iterations),
+            "ipopt": found.reason,
+            "residual": f"{found.residual:.3g}",
+            "alpha": " ".join(map(str, found.alpha)),
+        }
+        return Planned(
+            tuple(found.rows.ravel().tolist()),
+            p.degree,
+            found.J,
+            found.residual,
+            found.end_error,
+            found.success and found.end_error <= END * scale,
+            found.success and found.residual < p.eps_res,
+            found.reason,
+            details,
+            (found.rows, request.horizon),
+        )
 
 
 main = executable(CollocationPlanner)

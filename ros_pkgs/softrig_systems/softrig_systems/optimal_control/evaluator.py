@@ -106,9 +106,15 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         return State(Figures(J_exact=self._exact))
 
     def update(
-        self, x: State, t: int, *, state: tuple[float, ...], command: tuple[float, ...],
-        plan: tuple[float, ...] | None, summary: tuple[float, ...] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
+        self,
+        x: State,
+        t: int,
+        *,
+        state: tuple[float, ...],
+        command: tuple[float, ...],
+        plan: tuple[float, ...] | None,
+        summary: tuple[float, ...] | None,
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Take one sample in."""
         now, at = to_s(t), np.array(state[: self._n])
         found, begin, newest = x

@@ -146,9 +146,15 @@ def _ends(problem: Problem, alpha: Array, order: int, stages: int, T: float) -> 
 
 
 def newton(
-    problem: Problem, alpha: Array, order: int, stages: int, T: float, accurate: float, halvings: int = 0,
+    problem: Problem,
+    alpha: Array,
+    order: int,
+    stages: int,
+    T: float,
+    accurate: float,
+    halvings: int = 0,
     steps: int = NEWTON,
-) -> tuple[Array, float]:  # fmt: skip
+) -> tuple[Array, float]:
     """Solve the end conditions for alpha by Newton's method.
 
     Parameters
@@ -213,10 +219,16 @@ def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: f
             alpha, found, error, accurate, lambda start: newton(problem, start, order, stages, T, accurate, 4, 16)
         )
         if roots:
-            several = best(
-                problem, roots, lambda root: _series(problem, root, order, stages),
-                lambda z, u: _judge(problem, z, u)[0],
-            ) if roots[1:] else []  # fmt: skip
+            several = (
+                best(
+                    problem,
+                    roots,
+                    lambda root: _series(problem, root, order, stages),
+                    lambda z, u: _judge(problem, z, u)[0],
+                )
+                if roots[1:]
+                else []
+            )
             return (several[0].alpha if several else roots[0]), several
     if error <= accurate and _moved(found, alpha) <= JUMP:
         return found, []
@@ -276,10 +288,17 @@ def _judge(problem: Problem, z: Array, u: Array) -> tuple[float, float, float]:
 
 
 def solve(
-    problem: Problem, order: int = 8, order_max: int | None = None, *, eps: float = 1e-3, eps_res: float = 1e-4,
-    stages: int = 1, alpha_mode: Literal["own", "frozen"] = "own", frozen_order: int = 0,
+    problem: Problem,
+    order: int = 8,
+    order_max: int | None = None,
+    *,
+    eps: float = 1e-3,
+    eps_res: float = 1e-4,
+    stages: int = 1,
+    alpha_mode: Literal["own", "frozen"] = "own",
+    frozen_order: int = 0,
     frozen_alpha: Sequence[float] = (),
-) -> Solution:  # fmt: skip
+) -> Solution:
     """Solve a problem by series of rising order.
 
     Parameters

@@ -56,8 +56,17 @@ class MvimPlanner(Planner[MvimParams]):
         """Solve one problem."""
         p: MvimParams = request.p
         problem = p.statement().changed(x0=request.x, horizon=request.horizon)
-        found = solve(problem, p.order, p.last, eps=p.eps, eps_res=p.eps_res, stages=p.stages, alpha_mode=p.alpha_mode,
-                      frozen_order=p.frozen_order, frozen_alpha=p.frozen_alpha)  # fmt: skip
+        found = solve(
+            problem,
+            p.order,
+            p.last,
+            eps=p.eps,
+            eps_res=p.eps_res,
+            stages=p.stages,
+            alpha_mode=p.alpha_mode,
+            frozen_order=p.frozen_order,
+            frozen_alpha=p.frozen_alpha,
+        )
         values = np.zeros((p.stages, found.coefficients.shape[1], p.last + 1))
         values[:, :, : found.order + 1] = found.coefficients
         # a frozen alpha is what somebody claims: its plan is given out to be judged
@@ -69,18 +78,34 @@ class MvimPlanner(Planner[MvimParams]):
             reason += f"; stages: {stages} do" if stages else "; nor do 16 stages"
         if found.roots:
             reason += f"; {several(found)}"
-        return Planned(tuple(values.ravel().tolist()), found.order, found.J[-1], found.residual[-1], found.end_error,
-                       accurate, found.converged, reason, _details(found, reason))  # fmt: skip
+        return Planned(
+            tuple(values.ravel().tolist()),
+            found.order,
+            found.J[-1],
+            found.residual[-1],
+            found.end_error,
+            accurate,
+            found.converged,
+            reason,
+            _details(found, reason),
+        )
 
 
 def _details(found: Solution, reason: str) -> dict[str, str]:
     def row(values: Any) -> str:
         return " ".join(f"{v:.10g}" for v in values)
 
-    return {"order": str(found.order), "alpha": row(found.alpha), "J per order": row(found.J),
-            "ratio per order": row(found.ratio), "residual": f"{found.residual[-1]:.3g}",
-            "end error": f"{found.end_error:.3g}", "converged": str(found.converged),
-            "order of the paper's rule": str(found.seed_order), "reason": reason}  # fmt: skip
+    return {
+        "order": str(found.order),
+        "alpha": row(found.alpha),
+        "J per order": row(found.J),
+        "ratio per order": row(found.ratio),
+        "residual": f"{found.residual[-1]:.3g}",
+        "end error": f"{found.end_error:.3g}",
+        "converged": str(found.converged),
+        "order of the paper's rule": str(found.seed_order),
+        "reason": reason,
+    }
 
 
 main = executable(MvimPlanner)

@@ -146,9 +146,17 @@ class Planner(Solver[P]):
         trusted = float(found.residual < self.p.eps_res)
         return x._replace(last=found), {
             "plan": found.values,
-            "summary": (to_s(result.stamp), result.request.horizon, float(found.order), found.J, found.residual,
-                        found.end_error, float(found.converged), trusted),
-        }  # fmt: skip
+            "summary": (
+                to_s(result.stamp),
+                result.request.horizon,
+                float(found.order),
+                found.J,
+                found.residual,
+                found.end_error,
+                float(found.converged),
+                trusted,
+            ),
+        }
 
     def health(self, x: State) -> Mapping[str, str]:
         """Add what is known of the plan in effect."""

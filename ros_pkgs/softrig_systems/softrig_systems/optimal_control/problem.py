@@ -70,8 +70,14 @@ class Problem:
     exact: Callable[[Problem], float] | None = None
     R: tuple[float, ...] = ()
 
-    def changed(self, *, x0: Sequence[float] | None = None, horizon: float | None = None,
-                x_end: Sequence[float] | None = None, R: Sequence[float] = ()) -> Problem:  # fmt: skip
+    def changed(
+        self,
+        *,
+        x0: Sequence[float] | None = None,
+        horizon: float | None = None,
+        x_end: Sequence[float] | None = None,
+        R: Sequence[float] = (),
+    ) -> Problem:
         """Give the same problem from another start, over another time, to another end, with another weight of u.
 
         Raises

@@ -22,9 +22,16 @@ def _scalar() -> Problem:
     import casadi as ca
 
     return Problem(
-        "scalar", {"x": "1"}, {"u": "1"}, lambda x, u: [x[0] ** 2 * ca.sin(x[0]) / 2 + u[0]], lambda x, u: u[0] ** 2,
-        x0=(0.0,), horizon=1.0, x_end=(0.5,), exact=scalar_cost,
-    )  # fmt: skip
+        "scalar",
+        {"x": "1"},
+        {"u": "1"},
+        lambda x, u: [x[0] ** 2 * ca.sin(x[0]) / 2 + u[0]],
+        lambda x, u: u[0] ** 2,
+        x0=(0.0,),
+        horizon=1.0,
+        x_end=(0.5,),
+        exact=scalar_cost,
+    )
 
 
 @lru_cache(maxsize=8)
@@ -59,17 +66,28 @@ def spacecraft(inertia: tuple[float, ...] = INERTIA) -> Problem:
 
     axes = [f"axis_{k}" for k in (1, 2, 3)]
     return Problem(
-        "spacecraft", dict.fromkeys(axes, "rad/s"), dict.fromkeys(axes, "N m"), ode,
-        lambda w, u: (u[0] ** 2 + u[1] ** 2 + u[2] ** 2) / 2, x0=(0.01, 0.005, 0.001), horizon=100.0,
-        x_end=(0.0, 0.0, 0.0), carrier="velocity", exact=lambda problem: spacecraft_cost(problem, inertia),
-    )  # fmt: skip
+        "spacecraft",
+        dict.fromkeys(axes, "rad/s"),
+        dict.fromkeys(axes, "N m"),
+        ode,
+        lambda w, u: (u[0] ** 2 + u[1] ** 2 + u[2] ** 2) / 2,
+        x0=(0.01, 0.005, 0.001),
+        horizon=100.0,
+        x_end=(0.0, 0.0, 0.0),
+        carrier="velocity",
+        exact=lambda problem: spacecraft_cost(problem, inertia),
+    )
 
 
 TWO_STATE = Problem(
-    "two_state", {"x1": "1", "x2": "1"}, {"u": "1"},
+    "two_state",
+    {"x1": "1", "x2": "1"},
+    {"u": "1"},
     lambda x, u: [x[1] + x[0] * x[1], -x[0] + x[1] + x[1] ** 2 + u[0]],
-    lambda x, u: (x[0] ** 2 + x[1] ** 2 + u[0] ** 2) / 2, x0=(-0.8, 0.0), horizon=1.0,
-)  # fmt: skip
+    lambda x, u: (x[0] ** 2 + x[1] ** 2 + u[0] ** 2) / 2,
+    x0=(-0.8, 0.0),
+    horizon=1.0,
+)
 
 
 def _reactor() -> Problem:
@@ -81,9 +99,14 @@ def _reactor() -> Problem:
         return [-2.0 * (x[0] + 0.25) + reaction - (x[0] + 0.25) * u[0], 0.5 - x[1] - reaction]
 
     return Problem(
-        "reactor", {"x1": "1", "x2": "1"}, {"u": "1"}, ode, lambda x, u: x[0] ** 2 + x[1] ** 2 + 0.1 * u[0] ** 2,
-        x0=(0.05, 0.0), horizon=0.78,
-    )  # fmt: skip
+        "reactor",
+        {"x1": "1", "x2": "1"},
+        {"u": "1"},
+        ode,
+        lambda x, u: x[0] ** 2 + x[1] ** 2 + 0.1 * u[0] ** 2,
+        x0=(0.05, 0.0),
+        horizon=0.78,
+    )
 
 
 PROBLEMS = {p.name: p for p in (_scalar(), spacecraft(), TWO_STATE, _reactor())}

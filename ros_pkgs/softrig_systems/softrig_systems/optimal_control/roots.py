@@ -77,9 +77,11 @@ def distinct(
 
 
 def best(
-    problem: Problem, roots: list[Array], z_of: Callable[[Array], tuple[Array, Array]],
+    problem: Problem,
+    roots: list[Array],
+    z_of: Callable[[Array], tuple[Array, Array]],
     cost: Callable[[Array, Array], float],
-) -> list[Root]:  # fmt: skip
+) -> list[Root]:
     """Order roots by what the plant pays, the best first.
 
     Parameters

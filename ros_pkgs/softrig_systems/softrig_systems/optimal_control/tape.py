@@ -95,8 +95,10 @@ class Tape(NamedTuple):
             elif op in (ca.OP_POW, ca.OP_CONSTPOW) and operands[1] in number:
                 place = _power(add, operands[0], number[operands[1]])
             else:
-                raise ValueError(f"{function.name()} uses casadi operation {op}, which has no power series here: "
-                                 "expected + - * /, sin, cos, exp, log, sqrt and constant powers")  # fmt: skip
+                raise ValueError(
+                    f"{function.name()} uses casadi operation {op}, which has no power series here: "
+                    "expected + - * /, sin, cos, exp, log, sqrt and constant powers"
+                )
             at[to[0]] = place
         # outputs that are structurally zero are written by no instruction
         if -1 in out:

@@ -179,8 +179,14 @@ class CertificateNode(Solver[CertificateParams]):
             if p.h > 0.0:
                 found = certify(system, p.h, p.criterion)
             else:
-                found = certified_margin(system, p.criterion, low=p.low, high=p.high, width=p.width,
-                                         tell=lambda c: work.status(h=c.h, t=c.t, valid=float(c.valid)))  # fmt: skip
+                found = certified_margin(
+                    system,
+                    p.criterion,
+                    low=p.low,
+                    high=p.high,
+                    width=p.width,
+                    tell=lambda c: work.status(h=c.h, t=c.t, valid=float(c.valid)),
+                )
         except NotApplicable as reason:
             return Answer(None, f"not applicable: {reason}")
         return Answer(found, "" if found is not None and found.valid else "no certificate")

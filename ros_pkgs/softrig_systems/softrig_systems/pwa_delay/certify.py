@@ -112,9 +112,14 @@ def certify(
 
 
 def certified_margin(
-    system: PwaSystem, criterion: Criterion = THEOREM1, *, low: float = 0.0, high: float = 0.0, width: float = 1e-4,
+    system: PwaSystem,
+    criterion: Criterion = THEOREM1,
+    *,
+    low: float = 0.0,
+    high: float = 0.0,
+    width: float = 1e-4,
     tell: Callable[[Certificate], object] | None = None,
-) -> Certificate | None:  # fmt: skip
+) -> Certificate | None:
     """Look for the largest delay bound with a certificate.
 
     Theorem 1 is bisected. The criterion for constant delays is walked up, each step a certificate for every delay of

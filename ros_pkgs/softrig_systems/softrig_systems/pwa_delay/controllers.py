@@ -37,8 +37,11 @@ class TankController(Block[TankControllerParams]):
     @classmethod
     def agreed(cls, params: TankControllerParams) -> Mapping[str, Any]:
         """The law, and what a command is worth."""
-        return {**law_of_the_tank(params.switch, params.k_low, params.k_high), "tank/A phi": params.A * params.phi,
-                "tank/hold": params.period}  # fmt: skip
+        return {
+            **law_of_the_tank(params.switch, params.k_low, params.k_high),
+            "tank/A phi": params.A * params.phi,
+            "tank/hold": params.period,
+        }
 
     def update(self, x: Any, t: int, *, level: tuple[float, ...]) -> Answer:
         """Give the inflow."""

@@ -20,8 +20,12 @@ def fall(signals: SignalMap, *, delay: float) -> float:
     return -float(np.median(_over_a_delay(signals, delay)))
 
 
-@figure("", ["certificate/verdict/h/position", "certificate/verdict/valid/position"],
-        {"delay": "tank/delay", "hold": "tank/hold"}, (0.0, 1.0))  # fmt: skip
+@figure(
+    "",
+    ["certificate/verdict/h/position", "certificate/verdict/valid/position"],
+    {"delay": "tank/delay", "hold": "tank/hold"},
+    (0.0, 1.0),
+)
 def level_covered(signals: SignalMap, *, delay: float, hold: float) -> float:
     """Tell whether the newest certificate holds for a pipe of this delay under a law that holds its command so long.
 

@@ -130,9 +130,15 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
         return State()
 
     def update(
-        self, x: State, t: int, *, state: tuple[float, ...], mode: tuple[float, ...],
-        matrices: tuple[float, ...] | None, verdict: tuple[float, ...] | None,
-    ) -> Answer:  # fmt: skip
+        self,
+        x: State,
+        t: int,
+        *,
+        state: tuple[float, ...],
+        mode: tuple[float, ...],
+        matrices: tuple[float, ...] | None,
+        verdict: tuple[float, ...] | None,
+    ) -> Answer:
         """Give V once the record is long enough."""
         if matrices is None or verdict is None or verdict[1] != 1.0:
             return x, {}

@@ -40,8 +40,15 @@ def constants(system: PwaSystem, profile: Profile) -> PwaConstants:
     """Pack a system whose cells come from lines."""
     import numpy as np
 
-    return PwaConstants(np.array(system.A), np.array(system.Ad), np.array(system.a), system.lines.copy(),
-                        system.lines_delayed.copy(), np.array([FREE]), profile)  # fmt: skip
+    return PwaConstants(
+        np.array(system.A),
+        np.array(system.Ad),
+        np.array(system.a),
+        system.lines.copy(),
+        system.lines_delayed.copy(),
+        np.array([FREE]),
+        profile,
+    )
 
 
 @jit

@@ -67,9 +67,14 @@ class SystemParams(Params):
 
 @lru_cache(maxsize=32)
 def _build(
-    name: str, n: int, A: tuple[float, ...], Ad: tuple[float, ...], lines: tuple[float, ...],
-    lines_delayed: tuple[float, ...], offsets: tuple[float, ...],
-) -> PwaSystem:  # fmt: skip
+    name: str,
+    n: int,
+    A: tuple[float, ...],
+    Ad: tuple[float, ...],
+    lines: tuple[float, ...],
+    lines_delayed: tuple[float, ...],
+    offsets: tuple[float, ...],
+) -> PwaSystem:
     published = {"switched": switched, "tank": tank, "continuous_tank": continuous_tank}
     if name in published:
         return published[name]()
@@ -77,8 +82,13 @@ def _build(
         return linear(*BENCHMARK)
     if name == "scalar":
         return linear(0.0, -1.0)
-    for what, values, unit in (("A", A, n * n), ("Ad", Ad, n * n), ("lines", lines, n),
-                               ("lines_delayed", lines_delayed, n), ("offsets", offsets, n)):  # fmt: skip
+    for what, values, unit in (
+        ("A", A, n * n),
+        ("Ad", Ad, n * n),
+        ("lines", lines, n),
+        ("lines_delayed", lines_delayed, n),
+        ("offsets", offsets, n),
+    ):
         if len(values) % unit:
             raise ValueError(f"{what} has {len(values)} values, expected a multiple of {unit} for {n} states")
 

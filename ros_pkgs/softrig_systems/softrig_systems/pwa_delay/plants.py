@@ -164,8 +164,12 @@ class TankPlantParams(DelayPlantParams):
     phi: float = param(1000.0, "density", "kg/m^3", gt=0.0, le=1e5)
     c: float = param(TANK_C, "drain c of c sqrt(x): sqrt(phi g)/(A phi H), units mixed as in the paper", gt=0.0, le=1.0)
     model: Literal["pwa", "nonlinear"] = param("nonlinear", "drain of two slopes, or of the root")
-    switch: float = param(0.5, "level at which the law changes its gain: for the cell, and what fills the pipe at the "
-                          "start", ge=0.0, le=10.0)  # fmt: skip
+    switch: float = param(
+        0.5,
+        "level at which the law changes its gain: for the cell, and what fills the pipe at the start",
+        ge=0.0,
+        le=10.0,
+    )
     k_low: float = param(0.2, "gain below it, of the inflow in the pipe at the start", "1/s", ge=0.0, le=10.0)
     k_high: float = param(0.1, "gain above it, taken away", "1/s", ge=0.0, le=10.0)
 
@@ -198,8 +202,14 @@ class TankPlant(DelayPlant[TankPlantParams]):
         """The law in the pipe, what a command is worth, and what a bound of the level is for."""
         law = law_of_the_tank(params.switch, params.k_low, params.k_high)
         worth = {"tank/A phi": params.A * params.phi}
-        return {**law, **worth, "tank/c": params.c, "tank/x0": params.x0, "tank/model": params.model,
-                "tank/delay": min(params.delay, params.max_delay)}  # fmt: skip
+        return {
+            **law,
+            **worth,
+            "tank/c": params.c,
+            "tank/x0": params.x0,
+            "tank/model": params.model,
+            "tank/delay": min(params.delay, params.max_delay),
+        }
 
     def constants(self, delay: Profile) -> Any:
         """The tank with the inflow as a command."""

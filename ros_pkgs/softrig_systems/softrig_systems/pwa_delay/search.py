@@ -145,11 +145,23 @@ def find_margin(
     return Margin(h, low, high, found)
 
 
-def pwa_margin(system: PwaSystem, low: float, high: float, x0: Sequence[float], duration: float, *,
-               steps: int = 50, width: float = 1e-5) -> Margin:  # fmt: skip
+def pwa_margin(
+    system: PwaSystem,
+    low: float,
+    high: float,
+    x0: Sequence[float],
+    duration: float,
+    *,
+    steps: int = 50,
+    width: float = 1e-5,
+) -> Margin:
     """Find the margin of constant delays of a system from one start."""
-    return find_margin(lambda h: growth_rate(simulate_pwa(system, profile("constant", h), x0, duration, steps=steps)),
-                       low, high, width=width)  # fmt: skip
+    return find_margin(
+        lambda h: growth_rate(simulate_pwa(system, profile("constant", h), x0, duration, steps=steps)),
+        low,
+        high,
+        width=width,
+    )
 
 
 def dry_margin(level: float, low: float, high: float, *, width: float = 1e-3, pwa: bool = False) -> float:

@@ -95,8 +95,14 @@ class PwaSystem:
                 raise BadSystem(f"{len(getattr(self, name))} matrices {name} for {cells} cells")
         for i in range(cells):
             rows = self.E[i].shape[0]
-            wanted = {"A": (n, n), "Ad": (n, n), "a": (n,), "E": (rows, 2 * n), "e": (rows,),
-                      "F": (self.F[0].shape[0], 2 * n)}  # fmt: skip
+            wanted = {
+                "A": (n, n),
+                "Ad": (n, n),
+                "a": (n,),
+                "E": (rows, 2 * n),
+                "e": (rows,),
+                "F": (self.F[0].shape[0], 2 * n),
+            }
             for name, shape in wanted.items():
                 given = getattr(self, name)[i]
                 if given.shape != shape:
@@ -150,14 +156,19 @@ class PwaSystem:
                 if np.all(self.E[j] @ z + self.e[j] >= -1e-9):
                     gap = float(np.abs(self.F[i] @ z - self.F[j] @ z).max())
                     if gap > CONTINUOUS:
-                        raise BadSystem(f"features of cells {i} and {j} differ by {gap:.3g} on their face "
-                                        f"{np.round(self.E[i][row], 3).tolist()} [x; x_d] = 0")  # fmt: skip
+                        raise BadSystem(
+                            f"features of cells {i} and {j} differ by {gap:.3g} on their face "
+                            f"{np.round(self.E[i][row], 3).tolist()} [x; x_d] = 0"
+                        )
 
 
 def from_lines(
-    A: Sequence[ArrayLike], Ad: Sequence[ArrayLike], lines: ArrayLike = (), lines_delayed: ArrayLike = (),
+    A: Sequence[ArrayLike],
+    Ad: Sequence[ArrayLike],
+    lines: ArrayLike = (),
+    lines_delayed: ArrayLike = (),
     a: Sequence[ArrayLike] | None = None,
-) -> PwaSystem:  # fmt: skip
+) -> PwaSystem:
     """Build a system whose cells are the signs of c'x and c'x_d for some lines c, with their hinges as features.
 
     A hinge max(0, c'x) or max(0, c'x_d) for each line, stacked on x and x_d: in a cell its row is c where the hinge is
@@ -188,15 +199,25 @@ def from_lines(
     if len(A) != len(signs) or len(Ad) != len(signs):
         raise BadSystem(f"{len(A)} matrices A and {len(Ad)} Ad for {len(signs)} cells of {rows.shape[0]} lines")
     E = tuple(np.array(s)[:, None] * rows if s else np.zeros((0, 2 * n)) for s in signs)
-    F = tuple(np.vstack([np.where(np.array(s)[:, None] > 0.0, rows, 0.0), np.eye(2 * n)]) if s else np.eye(2 * n)
-              for s in signs)  # fmt: skip
+    F = tuple(
+        np.vstack([np.where(np.array(s)[:, None] > 0.0, rows, 0.0), np.eye(2 * n)]) if s else np.eye(2 * n)
+        for s in signs
+    )
 
     def square(m: ArrayLike) -> Array:
         return np.atleast_2d(np.asarray(m, dtype=float))
 
     offsets = [np.zeros(n)] * len(signs) if a is None else [np.asarray(v, dtype=float).reshape(-1) for v in a]
-    return PwaSystem(tuple(map(square, A)), tuple(map(square, Ad)), tuple(offsets), E,
-                     tuple(np.zeros(r.shape[0]) for r in E), F, on_x, on_d)  # fmt: skip
+    return PwaSystem(
+        tuple(map(square, A)),
+        tuple(map(square, Ad)),
+        tuple(offsets),
+        E,
+        tuple(np.zeros(r.shape[0]) for r in E),
+        F,
+        on_x,
+        on_d,
+    )
 
 
 def switched() -> PwaSystem:

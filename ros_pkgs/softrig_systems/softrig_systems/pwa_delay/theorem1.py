@@ -71,8 +71,14 @@ def theorem1(system: PwaSystem, mu: float, *, cell_terms: bool = False) -> Probl
         p.matrix(name, 3 * n, n)
     first, second, third = np.eye(7 * n)[:, : 3 * n], np.eye(7 * n)[:, 3 * n : 6 * n], np.eye(7 * n)[:, 6 * n :]
     for k, (z, zz, y, m, mm) in enumerate((("Z1", "Z2", "Y1", "N1", "N2"), ("Z3", "Z4", "Y2", "N3", "N4"))):
-        terms = [quadratic(z, first), quadratic(zz, second), quadratic("R", third), Term(y, first, second),
-                 Term(m, first, third), Term(mm, second, third)]  # fmt: skip
+        terms = [
+            quadratic(z, first),
+            quadratic(zz, second),
+            quadratic("R", third),
+            Term(y, first, second),
+            Term(m, first, third),
+            Term(mm, second, third),
+        ]
         p.positive(f"(8) {k + 1}", terms, traced=True)
     for name, size in (("R", n), ("S", 3 * n), ("Q", 3 * n), ("Z", 3 * n)):
         p.positive(name, [quadratic(name, np.eye(size))], traced=True)

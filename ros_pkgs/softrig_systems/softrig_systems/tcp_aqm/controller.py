@@ -127,8 +127,11 @@ class AqmController(Block[AqmControllerParams]):
             return self._hold(State(integral, q_d, e_before, past, silent, said))
         w, q, R = state
         if w <= 0.0 or q < 0.0 or R <= 0.0:
-            self.report(Level.ERROR, "bad_state", f"state window {w:g}, queue {q:g}, rtt {R:g}: impossible, the last "
-                        "command is held")  # fmt: skip
+            self.report(
+                Level.ERROR,
+                "bad_state",
+                f"state window {w:g}, queue {q:g}, rtt {R:g}: impossible, the last command is held",
+            )
             return self._hold(x)
         if reference is not None and reference[0] != q_d:
             q_d, e_before = self._aim(q_d, e_before, reference[0])
@@ -169,8 +172,11 @@ class AqmController(Block[AqmControllerParams]):
         """Give set point and last e, so that the derivative gets no kick."""
         if 0.0 < wanted < self.p.q_max:
             return wanted, None if e is None else e + (q_d - wanted)
-        self.report(Level.ERROR, "bad_reference", f"reference {wanted:g} packets is not within 0 and q_max = "
-                    f"{self.p.q_max:g}; {q_d:g} stays")  # fmt: skip
+        self.report(
+            Level.ERROR,
+            "bad_reference",
+            f"reference {wanted:g} packets is not within 0 and q_max = {self.p.q_max:g}; {q_d:g} stays",
+        )
         return q_d, e
 
     def _look_back(self, past: History, R: float) -> tuple[float, ...]:

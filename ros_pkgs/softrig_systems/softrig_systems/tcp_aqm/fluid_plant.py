@@ -74,8 +74,16 @@ class TcpFluid(Network[TcpFluidParams]):
         """Integrate."""
         w, q, served, step, net, track = x
         given = self.p
-        c = Constants(float(net.flows), net.capacity, net.propagation, given.q_max, given.w_min, given.w_max, net.rate,
-                      float(given.input_delay))  # fmt: skip
+        c = Constants(
+            float(net.flows),
+            net.capacity,
+            net.propagation,
+            given.q_max,
+            given.w_min,
+            given.w_max,
+            net.rate,
+            float(given.input_delay),
+        )
         past, now = track.open(steps), np.array((w, q, p, served))
         advance(past, step * self._h, now, self._h, steps, c)
         w, q, _, served = now.tolist()

@@ -36,8 +36,10 @@ class NetworkParams(Bottleneck, BlockParams):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.history < self.longest_delay:
-            raise ValueError(f"history = {self.history:g} s is shorter than the longest delay q_max/C + tau_p = "
-                             f"{self.longest_delay:g} s")  # fmt: skip
+            raise ValueError(
+                f"history = {self.history:g} s is shorter than the longest delay q_max/C + tau_p = "
+                f"{self.longest_delay:g} s"
+            )
         if not self.w_min <= self.w0 <= self.w_max:
             raise ValueError(f"w0 = {self.w0:g}: expected w_min <= w0 <= w_max, {self.w_min:g} to {self.w_max:g}")
         if self.q0 > self.q_max:
@@ -147,8 +149,12 @@ class Network(Plant[P]):
         if possible and self.p.q_max / capacity + propagation <= self.p.history and 4.0 * self._h <= propagation:
             net = net._replace(flows=count, capacity=capacity, propagation=propagation, rate=rate)
         else:
-            self.report(Level.ERROR, "impossible_event", f"event flows {flows:g}, capacity {capacity:g}, propagation "
-                        f"{propagation:g}: impossible, or its delay is beyond the history; ignored")  # fmt: skip
+            self.report(
+                Level.ERROR,
+                "impossible_event",
+                f"event flows {flows:g}, capacity {capacity:g}, propagation "
+                f"{propagation:g}: impossible, or its delay is beyond the history; ignored",
+            )
         return self.changed(x, net)
 
     # what a subclass has ----------------------------------------------------------------------------------------

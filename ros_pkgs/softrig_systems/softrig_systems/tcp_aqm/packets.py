@@ -123,8 +123,10 @@ def schedule(agenda: Agenda, counts: Ints, t: float, kind: int, flow: int, marke
         if agenda.time[above] <= t:
             break
         agenda.time[place], agenda.kind[place], agenda.flow[place] = (
-            agenda.time[above], agenda.kind[above], agenda.flow[above],
-        )  # fmt: skip
+            agenda.time[above],
+            agenda.kind[above],
+            agenda.flow[above],
+        )
         agenda.marked[place], agenda.sent[place] = agenda.marked[above], agenda.sent[above]
         place = above
     agenda.time[place], agenda.kind[place], agenda.flow[place] = t, kind, flow
@@ -147,8 +149,10 @@ def remove_first(agenda: Agenda, counts: Ints) -> None:
         if agenda.time[below] >= t:
             break
         agenda.time[place], agenda.kind[place], agenda.flow[place] = (
-            agenda.time[below], agenda.kind[below], agenda.flow[below],
-        )  # fmt: skip
+            agenda.time[below],
+            agenda.kind[below],
+            agenda.flow[below],
+        )
         agenda.marked[place], agenda.sent[place] = agenda.marked[below], agenda.sent[below]
         place = below
     agenda.time[place], agenda.kind[place], agenda.flow[place] = t, agenda.kind[size], agenda.flow[size]

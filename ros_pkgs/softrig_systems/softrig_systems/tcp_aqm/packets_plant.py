@@ -84,8 +84,13 @@ class TcpPackets(Network[TcpPacketsParams]):
             np.full(most, p.w0), np.zeros(most, np.int64), p.tau_p * spread, np.full(most, -1.0), active, spread
         )
         events = most * (int(p.w_max) + 1) + room + 4
-        agenda = Agenda(np.zeros(events), np.zeros(events, np.int64), np.zeros(events, np.int64),
-                        np.zeros(events, np.int64), np.zeros(events))  # fmt: skip
+        agenda = Agenda(
+            np.zeros(events),
+            np.zeros(events, np.int64),
+            np.zeros(events, np.int64),
+            np.zeros(events, np.int64),
+            np.zeros(events),
+        )
         fifo = Fifo(np.zeros(room + 1, np.int64), np.zeros(room + 1, np.int64), np.zeros(room + 1))
         counts = np.zeros(8, np.int64)
         for flow in range(p.N):

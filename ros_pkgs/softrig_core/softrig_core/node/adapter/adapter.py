@@ -344,13 +344,21 @@ class Adapter:
         """Say how it is, what it refuses, and while an outside node lacks who publishes what."""
         refused = {i.port.topic: [i.refused, i.last_refusal] for i in self.inputs + self.paces if i.refused}
         status: dict[str, Any] = {
-            "state": self.state, "t": self.t, "ticks": self.ticks, "error": str(self.error) if self.error else "",
-            "waits_for": self.waits_for, "lacking": self.lacking, "epoch": self.epoch, "refused": refused,
+            "state": self.state,
+            "t": self.t,
+            "ticks": self.ticks,
+            "error": str(self.error) if self.error else "",
+            "waits_for": self.waits_for,
+            "lacking": self.lacking,
+            "epoch": self.epoch,
+            "refused": refused,
             "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
-            "busy": self.drive.busy(), "held": self.hold.held, "pace": self.hold.pace,
+            "busy": self.drive.busy(),
+            "held": self.hold.held,
+            "pace": self.hold.pace,
             "cpu_s": round(time.process_time(), 3),
             "prompt": self.middleware.prompt,
-        }  # fmt: skip
+        }
         status |= self.drive.counts()
         if self.lacking:
             status["published"] = {

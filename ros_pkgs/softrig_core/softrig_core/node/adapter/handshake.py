@@ -34,9 +34,12 @@ class Handshake:
     """
 
     def __init__(
-        self, node: Adapter, awaited: Sequence[tuple[Input, str]], wanted: Sequence[tuple[Output, list[str]]],
+        self,
+        node: Adapter,
+        awaited: Sequence[tuple[Input, str]],
+        wanted: Sequence[tuple[Output, list[str]]],
         local: Set[str],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._node = node
         self._awaited = awaited
         self._wanted = [(output, [name for name in names if name not in local]) for output, names in wanted]

@@ -23,8 +23,14 @@ from ..ros.ros import ServingNode
 PACKAGE = "simulation_interfaces"
 LOOK = SECOND // 200  # ns of the wall between two looks whether steps have been taken
 APART = 1e-6  # s: between two places of a body, for its velocity
-FEATURES = ("SIMULATION_STATE_GETTING", "SIMULATION_STATE_SETTING", "SIMULATION_STATE_PAUSE", "STEP_SIMULATION_SINGLE",
-            "STEP_SIMULATION_MULTIPLE", "STEP_SIMULATION_ACTION")  # fmt: skip
+FEATURES = (
+    "SIMULATION_STATE_GETTING",
+    "SIMULATION_STATE_SETTING",
+    "SIMULATION_STATE_PAUSE",
+    "STEP_SIMULATION_SINGLE",
+    "STEP_SIMULATION_MULTIPLE",
+    "STEP_SIMULATION_ACTION",
+)
 ONCE = "a run begins once: quit it and start another"
 
 
@@ -60,10 +66,13 @@ class Simulation:
         self._timer = adapter.middleware.timer(LOOK, self._look)
         self._timer.cancel()
         for name, answer in (
-            ("GetSimulatorFeatures", self._features), ("GetSimulationState", self._get_state),
-            ("SetSimulationState", self._set_state), ("ResetSimulation", self._reset),
-            ("GetEntities", self._entities), ("GetEntityState", self._entity),
-        ):  # fmt: skip
+            ("GetSimulatorFeatures", self._features),
+            ("GetSimulationState", self._get_state),
+            ("SetSimulationState", self._set_state),
+            ("ResetSimulation", self._reset),
+            ("GetEntities", self._entities),
+            ("GetEntityState", self._entity),
+        ):
             node.create_service(_kind(name), re.sub("(?<=.)([A-Z])", r"_\1", name).lower(), answer)
         self._stepping = node.create_service(_kind("StepSimulation"), "step_simulation", self._step)
         self._send = self._stepping.send_response
@@ -229,8 +238,10 @@ class Simulation:
         state.header.stamp.sec, state.header.stamp.nanosec = stamp // SECOND, stamp % SECOND
         _fill(state.pose.position, "xyz", pose.position)
         _fill(state.pose.orientation, "xyzw", pose.rotation)
-        before, after = (self._poses([a + far * b for a, b in zip(q, v, strict=True)])[request.entity]
-                         for far in (-APART / 2, APART / 2))  # fmt: skip
+        before, after = (
+            self._poses([a + far * b for a, b in zip(q, v, strict=True)])[request.entity]
+            for far in (-APART / 2, APART / 2)
+        )
         linear = [(b - a) / APART for a, b in zip(before.position, after.position, strict=True)]
         _fill(state.twist.linear, "xyz", linear)
         _fill(state.twist.angular, "xyz", [w / APART for w in turned(before.rotation, after.rotation)])
@@ -242,8 +253,11 @@ def turned(before: tuple[float, ...], after: tuple[float, ...]) -> list[float]:
     """Give the small rotation from one unit quaternion (x, y, z, w) to another, rad about the axes of the parent."""
     x, y, z, w = before
     a, b, c, d = after if sum(p * q for p, q in zip(before, after, strict=True)) > 0.0 else [-p for p in after]
-    return [2.0 * (w * a - d * x + c * y - b * z), 2.0 * (w * b - d * y + a * z - c * x),
-            2.0 * (w * c - d * z + b * x - a * y)]  # fmt: skip
+    return [
+        2.0 * (w * a - d * x + c * y - b * z),
+        2.0 * (w * b - d * y + a * z - c * x),
+        2.0 * (w * c - d * z + b * x - a * y),
+    ]
 
 
 def _fill(message: Any, names: str, values: Any) -> None:

@@ -289,9 +289,12 @@ class Paired(Sender):
         """Whether a message of this tick of the sender is new and possible."""
         last = self.schedule.last
         return (
-            self.used < position and position not in self.said and self.schedule.due(position)
-            and (last is None or position <= last) and len(self.said) < AHEAD
-        )  # fmt: skip
+            self.used < position
+            and position not in self.said
+            and self.schedule.due(position)
+            and (last is None or position <= last)
+            and len(self.said) < AHEAD
+        )
 
     def _put(self, position: int, found: Any) -> None:
         """Keep what was said at a tick, and use it if that completes what ours needs."""
@@ -409,8 +412,16 @@ class Ticks(Pace):
         Called after each.
     """
 
-    def __init__(self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool,
-                 silent_rows: Iterable[Paired], then: Callable[[], object]) -> None:  # fmt: skip
+    def __init__(
+        self,
+        table: PairedSenders,
+        port: Port,
+        who: str,
+        schedule: Schedule,
+        earlier: bool,
+        silent_rows: Iterable[Paired],
+        then: Callable[[], object],
+    ) -> None:
         super().__init__(table, port, who, schedule, earlier)
         self._silent_rows, self._then = tuple(silent_rows), then
         self.read = TickReader()  # type: ignore[method-assign]

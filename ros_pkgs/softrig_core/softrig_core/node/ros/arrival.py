@@ -19,9 +19,13 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
 RMW = "rmw_fastrtps_cpp"  # whose locks are known: what may be called while it tells of a message
 NAMES = (
-    "rcl_subscription_set_on_new_message_callback", "rcl_take_serialized_message", "rcutils_reset_error",
-    "rcl_subscription_get_publisher_count", "rcutils_get_default_allocator", "rcutils_uint8_array_init",
-)  # fmt: skip
+    "rcl_subscription_set_on_new_message_callback",
+    "rcl_take_serialized_message",
+    "rcutils_reset_error",
+    "rcl_subscription_get_publisher_count",
+    "rcutils_get_default_allocator",
+    "rcutils_uint8_array_init",
+)
 TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: nothing there
 SIZE = 4096  # bytes of a message to begin with; a longer one makes it grow
 
@@ -34,9 +38,11 @@ class _Bytes(ctypes.Structure):
     """rcl_serialized_message_t."""
 
     _fields_ = (
-        ("buffer", ctypes.c_void_p), ("length", ctypes.c_size_t), ("capacity", ctypes.c_size_t),
+        ("buffer", ctypes.c_void_p),
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
         ("allocator", _Allocator),
-    )  # fmt: skip
+    )
 
 
 _Heard = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
@@ -74,9 +80,13 @@ class Arrival:
     """
 
     def __init__(
-        self, rcl: Any, subscription: Any, receive: Callable[[bytes], object], matched: Callable[[int], object],
+        self,
+        rcl: Any,
+        subscription: Any,
+        receive: Callable[[bytes], object],
+        matched: Callable[[int], object],
         arrive: Callable[[Callable[[], object]], object],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._rcl = rcl
         self.subscription = subscription  # lives as long as this
         self._reader = ctypes.c_void_p(subscription.handle.pointer)

@@ -45,9 +45,12 @@ class _SigEvent(ctypes.Structure):
     """Linux' struct sigevent."""
 
     _fields_ = (
-        ("value", ctypes.c_ssize_t), ("signo", ctypes.c_int), ("notify", ctypes.c_int), ("function", ctypes.c_void_p),
+        ("value", ctypes.c_ssize_t),
+        ("signo", ctypes.c_int),
+        ("notify", ctypes.c_int),
+        ("function", ctypes.c_void_p),
         ("reserved", ctypes.c_ssize_t * 5),
-    )  # fmt: skip
+    )
 
 
 def _exit_after(seconds: int, status: int) -> None:

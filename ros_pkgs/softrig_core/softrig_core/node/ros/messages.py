@@ -67,10 +67,13 @@ def range_descriptor(declaration: Declaration) -> Any:
 
     unit = f" [{declaration.unit}]" if declaration.unit else ""
     descriptor = ParameterDescriptor(
-        description=declaration.doc + unit, read_only=not declaration.live, dynamic_typing=True,
-        additional_constraints="may change while running, from the next tick on" if declaration.live
+        description=declaration.doc + unit,
+        read_only=not declaration.live,
+        dynamic_typing=True,
+        additional_constraints="may change while running, from the next tick on"
+        if declaration.live
         else "fixed from the start on",
-    )  # fmt: skip
+    )
     bounded = declaration.lower is not None or declaration.upper is not None
     if bounded and declaration.type is float:
         low = declaration.lower if declaration.lower is not None else -1.7e308

@@ -67,20 +67,35 @@ class Remote:
         if client is None:
             client = self._parameters[node] = AsyncParameterClient(self._node, node)
         parameters = [Parameter(name, value=value) for name, value in values.items()]
-        self._when(client.services_are_ready, number, node,
-                   lambda: client.set_parameters_atomically(parameters),
-                   lambda found: (found.result.successful, found.result.reason))  # fmt: skip
+        self._when(
+            client.services_are_ready,
+            number,
+            node,
+            lambda: client.set_parameters_atomically(parameters),
+            lambda found: (found.result.successful, found.result.reason),
+        )
 
     def _call(self, number: Any, node: str, service: str) -> None:
         trigger = message_class("std_srvs/srv/Trigger")
         client = self._triggers.get(service)
         if client is None:
             client = self._triggers[service] = self._node.create_client(trigger, service)
-        self._when(client.service_is_ready, number, node, lambda: client.call_async(trigger.Request()),
-                   lambda found: (found.success, found.message))  # fmt: skip
+        self._when(
+            client.service_is_ready,
+            number,
+            node,
+            lambda: client.call_async(trigger.Request()),
+            lambda found: (found.success, found.message),
+        )
 
-    def _when(self, ready: Callable[[], bool], number: Any, node: str, send: Callable[[], Any],
-              read: Callable[[Any], tuple[bool | None, str]]) -> None:  # fmt: skip
+    def _when(
+        self,
+        ready: Callable[[], bool],
+        number: Any,
+        node: str,
+        send: Callable[[], Any],
+        read: Callable[[Any], tuple[bool | None, str]],
+    ) -> None:
         """Send when the node is there, answer when it has; a node that does neither in time is named."""
         limit = time.monotonic() + self._patience
         sent: list[Any] = []

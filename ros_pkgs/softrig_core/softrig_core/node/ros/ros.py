@@ -36,9 +36,13 @@ from .messages import message_class
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 POLICIES = (
-    QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY,
-    QoSPolicyKind.LIFESPAN, QoSPolicyKind.DEADLINE,
-)  # fmt: skip
+    QoSPolicyKind.HISTORY,
+    QoSPolicyKind.DEPTH,
+    QoSPolicyKind.RELIABILITY,
+    QoSPolicyKind.DURABILITY,
+    QoSPolicyKind.LIFESPAN,
+    QoSPolicyKind.DEADLINE,
+)
 
 LOOK = 20_000_000  # ns: between two looks at who writes
 SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have left
@@ -228,8 +232,13 @@ class RosMiddleware(Middleware):
         """Offer a topic."""
         events = PublisherEventCallbacks(matched=self._counting(matched))
         with self._deaf():
-            made = self.node.create_publisher(message_class(msgtype), topic, copy(QOS), event_callbacks=events,
-                                              qos_overriding_options=self._overrides(topic))  # fmt: skip
+            made = self.node.create_publisher(
+                message_class(msgtype),
+                topic,
+                copy(QOS),
+                event_callbacks=events,
+                qos_overriding_options=self._overrides(topic),
+            )
         # what publish(bytes) ends in, without its type checks: worth 5 % of a lockstep loop
         publish: Callable[[bytes], None] = made.handle.publish_raw
         return publish
@@ -240,9 +249,14 @@ class RosMiddleware(Middleware):
         take = self._in_turn(receive)
         with self._deaf():
             made = self.node.create_subscription(
-                message_class(msgtype), topic, take, copy(QOS), raw=True, event_callbacks=events,
+                message_class(msgtype),
+                topic,
+                take,
+                copy(QOS),
+                raw=True,
+                event_callbacks=events,
                 qos_overriding_options=self._overrides(topic),
-            )  # fmt: skip
+            )
         self._read.append((made, receive, matched))
 
     def _counting(self, matched: Matched) -> Callable[[Any], None]:

@@ -38,8 +38,14 @@ Get = CFUNCTYPE(c_void_p, c_void_p)
 class Handle(Structure):
     """rosidl_message_type_support_t."""
 
-    _fields_ = [("identifier", c_void_p), ("data", c_void_p), ("find", Find), ("hash", Get), ("description", Get),
-                ("sources", Get)]  # fmt: skip
+    _fields_ = [
+        ("identifier", c_void_p),
+        ("data", c_void_p),
+        ("find", Find),
+        ("hash", Get),
+        ("description", Get),
+        ("sources", Get),
+    ]
 
 
 class Callbacks(Structure):
@@ -51,16 +57,33 @@ class Callbacks(Structure):
 class Member(Structure):
     """rosidl_typesupport_introspection_c__MessageMember."""
 
-    _fields_ = [("name", c_char_p), ("type_id", c_uint8), ("string_bound", c_size_t), ("members", c_void_p),
-                ("is_key", c_bool), ("is_array", c_bool), ("array_size", c_size_t), ("is_bounded", c_bool),
-                ("offset", c_uint32), ("default", c_void_p), ("functions", c_void_p * 6)]  # fmt: skip
+    _fields_ = [
+        ("name", c_char_p),
+        ("type_id", c_uint8),
+        ("string_bound", c_size_t),
+        ("members", c_void_p),
+        ("is_key", c_bool),
+        ("is_array", c_bool),
+        ("array_size", c_size_t),
+        ("is_bounded", c_bool),
+        ("offset", c_uint32),
+        ("default", c_void_p),
+        ("functions", c_void_p * 6),
+    ]
 
 
 class Members(Structure):
     """rosidl_typesupport_introspection_c__MessageMembers."""
 
-    _fields_ = [("namespace", c_char_p), ("name", c_char_p), ("count", c_uint32), ("size", c_size_t),
-                ("has_key", c_bool), ("members", POINTER(Member)), ("functions", c_void_p * 2)]  # fmt: skip
+    _fields_ = [
+        ("namespace", c_char_p),
+        ("name", c_char_p),
+        ("count", c_uint32),
+        ("size", c_size_t),
+        ("has_key", c_bool),
+        ("members", POINTER(Member)),
+        ("functions", c_void_p * 2),
+    ]
 
 
 class Sequence(Structure):
@@ -72,8 +95,14 @@ class Sequence(Structure):
 class Field(Structure):
     """rosidl_runtime_c__type_description__Field."""
 
-    _fields_ = [("name", Sequence), ("type_id", c_uint8), ("capacity", c_uint64), ("string_capacity", c_uint64),
-                ("nested", Sequence), ("default", Sequence)]  # fmt: skip
+    _fields_ = [
+        ("name", Sequence),
+        ("type_id", c_uint8),
+        ("capacity", c_uint64),
+        ("string_capacity", c_uint64),
+        ("nested", Sequence),
+        ("default", Sequence),
+    ]
 
 
 class Individual(Structure):
@@ -108,12 +137,16 @@ class _Type:
         hashed = self._keep(Hash(1, (c_uint8 * 32)(*bytes.fromhex(HASH))))
         description, sources = self._keep(self._description(element)), self._keep(self._sources(element))
         get = [self._giving(what) for what in (hashed, description, sources)]
-        fast, introspected = (element.find(addressof(element), f"rosidl_typesupport_{kind}".encode())
-                              for kind in ("fastrtps_c", "introspection_c"))  # fmt: skip
+        fast, introspected = (
+            element.find(addressof(element), f"rosidl_typesupport_{kind}".encode())
+            for kind in ("fastrtps_c", "introspection_c")
+        )
         if not fast or not introspected:
             raise ImportError(f"{TF}: tf2_msgs is not installed, and the middleware is not Fast DDS")
-        own = {b"rosidl_typesupport_fastrtps_c": (fast, self._callbacks(Handle.from_address(fast))),
-               b"rosidl_typesupport_introspection_c": (introspected, self._members(introspected))}  # fmt: skip
+        own = {
+            b"rosidl_typesupport_fastrtps_c": (fast, self._callbacks(Handle.from_address(fast))),
+            b"rosidl_typesupport_introspection_c": (introspected, self._members(introspected)),
+        }
         found: dict[bytes, int] = {}
         find = self._keep(Find(lambda handle, identifier: found.get(identifier)))
         for identifier, (theirs, data) in own.items():
@@ -191,10 +224,18 @@ def tf_class() -> Any:
     theirs = type(TransformStamped)._TYPE_SUPPORT
     name = named(theirs)
     support = _Type(Handle.from_address(pointer(theirs, name)))
-    metaclass = type("Metaclass_TFMessage", (type,), {
-        # whose pointers the capsule holds
-        "_support": support, "_name": name, "_TYPE_SUPPORT": capsule(addressof(support.handle), name, None),
-        "_CREATE_ROS_MESSAGE": _bytes_only, "_CONVERT_FROM_PY": _bytes_only, "_CONVERT_TO_PY": _bytes_only,
-        "_DESTROY_ROS_MESSAGE": _bytes_only,
-    })  # fmt: skip
+    metaclass = type(
+        "Metaclass_TFMessage",
+        (type,),
+        {
+            # whose pointers the capsule holds
+            "_support": support,
+            "_name": name,
+            "_TYPE_SUPPORT": capsule(addressof(support.handle), name, None),
+            "_CREATE_ROS_MESSAGE": _bytes_only,
+            "_CONVERT_FROM_PY": _bytes_only,
+            "_CONVERT_TO_PY": _bytes_only,
+            "_DESTROY_ROS_MESSAGE": _bytes_only,
+        },
+    )
     return metaclass("TFMessage", (), {"__doc__": "Stands for the message; has no fields."})
