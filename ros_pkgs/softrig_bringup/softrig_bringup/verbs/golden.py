@@ -27,7 +27,7 @@ from softrig_core.scenario.yaml_file import read_yaml
 from softrig_core.wire.signals import topic_of
 from softrig_optim.sweep import sweep
 
-from ..folder import replace
+from ..folder import alone_in, replace
 from ..page.junit import Case, Suite, write_reports
 from ..run.run import versions
 
@@ -358,7 +358,11 @@ def _one(work: tuple[Path, dict[str, Any], bool]) -> tuple[dict[str, Any], bool,
     golden = load(folder, **changes) if there else create(folder, folder.name, **changes)
     how, others = golden.how if golden.bag.exists() else "", set(golden.others)
     try:
-        result = golden.compare(golden.rerun()) if check else golden.make()
+        if check:
+            result = golden.compare(golden.rerun())
+        else:
+            with alone_in(folder):
+                result = golden.make()
     except RunError as error:
         raise RunError(f"{folder.name}: {error}") from error
     differs = "" if result is None or result.equal else str(result)
