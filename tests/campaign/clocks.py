@@ -21,7 +21,7 @@ from traces import orphans
 
 RIGS = ("dc_motor_smc_b2", "induction_dtc", "dc_motor_fsfb_s1_none", "manipulator_adsmc")
 SLOW = ("manipulator_adsmc", "rehab_impedance", "optimal_control_mvim")  # keep up with the wall clock on a busy machine
-LENGTHS = (1e-3, 0.5, 10.0, 3600.0, 86400.0, 1e8)  # s, to either side
+LENGTHS = (1e-3, 0.5, 10.0, 3600.0, 86400.0, 1e8)  # s, from where it is, to either side
 SHIM = Path(__file__).with_name("clock.c")
 
 
@@ -76,7 +76,7 @@ def attack(seed: int, directory: Path) -> None:
 
 
 def step(chance: random.Random, ahead: Path, over: threading.Event) -> None:
-    """Step the clock until it is over."""
+    """Step the clock now and then until it is over; what starts meanwhile sees one or two of them."""
     with ahead.open("r+b") as file, mmap.mmap(file.fileno(), 8) as shared:
-        while not over.wait(chance.uniform(0.05, 1.0)):
+        while not over.wait(chance.uniform(0.5, 5.0)):
             struct.pack_into("q", shared, 0, int(chance.choice((-1, 1)) * chance.choice(LENGTHS) * 1e9))

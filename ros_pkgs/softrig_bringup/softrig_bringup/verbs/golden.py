@@ -9,6 +9,7 @@ import argparse
 import re
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -358,11 +359,8 @@ def _one(work: tuple[Path, dict[str, Any], bool]) -> tuple[dict[str, Any], bool,
     golden = load(folder, **changes) if there else create(folder, folder.name, **changes)
     how, others = golden.how if golden.bag.exists() else "", set(golden.others)
     try:
-        if check:
-            result = golden.compare(golden.rerun())
-        else:
-            with alone_in(folder):
-                result = golden.make()
+        with nullcontext() if check else alone_in(folder):
+            result = golden.compare(golden.rerun()) if check else golden.make()
     except RunError as error:
         raise RunError(f"{folder.name}: {error}") from error
     differs = "" if result is None or result.equal else str(result)
