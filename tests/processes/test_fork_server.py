@@ -158,6 +158,7 @@ def test_without_a_server_the_run_is_the_same(monkeypatch, tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(7200)
 def test_many_runs_through_one_server_leave_nothing_open(tmp_path, monkeypatch):
     """Neither here nor in the server; SOFTRIG_SERVER_RUNS says how many."""
     monkeypatch.setattr(fork_server, "_server", None)
