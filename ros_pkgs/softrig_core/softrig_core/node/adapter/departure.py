@@ -64,12 +64,12 @@ class Departure:
         self._header, self._read = TickWriter(), TickReader()
         self._since = node.middleware.steady()
         middleware = node.middleware
-        heard = START if not self._is_starter else READY
-        self._input = Input(Port("stamp", heard, TICK))
+        topic = START if not self._is_starter else READY
+        self._input = Input(Port("stamp", topic, TICK))
         node.paces.append(self._input)
         self._send = middleware.publisher(READY if not self._is_starter else START, TICK, self._matched)
         self._hear = self._hear_ready if self._is_starter else self._hear_start
-        middleware.subscribe(heard, TICK, self._hear, lambda count: None)
+        middleware.subscribe(topic, TICK, self._hear, lambda count: None)
         self._timer = middleware.timer(CHECK, self._look)
 
     def _matched(self, count: int) -> None:
