@@ -167,7 +167,13 @@ class Oscillator(Plant[OscillatorParams]):
                 continue
             a = a * 0.5
         if k % 50 == 49:
-            self.report(Level.WARN, "fifty", f"{k} ticks")
+            self.report(Level.WARN, "fifty", "ticks" + " without their number")
+        if k % 7 == 6:
+            self.report(Level.WARN, "seven", f"{k} ticks, {both} and {x!r}, {a:.3g} of {self.p.growth:g}, {k > 300}")
+            if k % 3 == 0:
+                self.report(Level.ERROR, "seven", "by three, too")
+        elif k % 5 == 2:
+            self.report(Level.WARN, "five", f"{t}")
         return Turning(both[0] * self.p.growth + 1e-3 * push[0] + 0.0 * a, both[1] * self.p.growth, k + 1)
 
 
@@ -224,7 +230,7 @@ def rig(
 
 
 def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ticks that report are Python's: 10 of 500."""
+    """Ticks whose report is not written out are Python's: 10 of 500."""
     assert the_same(rig, monkeypatch).given_up == 10
 
 
