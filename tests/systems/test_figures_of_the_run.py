@@ -27,7 +27,8 @@ CHOSEN = {  # by who measures; why it repeats no parameter of a node
     "width": "of the mean that is called a peak", "pitches": "how many the mean is over", "sign": "which way",
     "count": "how many cycles are looked at", "order": "which harmonic", "measure": "which of two definitions",
     "statistic": "which of two definitions", "component": "which axis", "extreme": "which of two",
-    "stay": "what counts as stayed", "channel": "which phase", "phase": "which phase", "status": "which verdict is counted", "place": "which unit",
+    "channel": "which phase", "phase": "which phase", "status": "which verdict is counted", "place": "which unit",
+    "stay": "what counts as stayed",
     "v_d": "of a profile, named by the scenario: of two drives each has its own",
     "delay": "over which V is to fall: the bound of the certificate, named by the scenario",
 }  # fmt: skip
