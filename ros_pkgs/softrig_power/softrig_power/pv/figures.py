@@ -117,4 +117,4 @@ def tracking_time(
     first, until = np.append(0, low + 1), np.append(low, run.t.size - 1)  # of each stretch between two drops
     stays = run.t[until] - run.t[np.minimum(first, until)] >= stay
     stays[-1] |= first[-1] < run.t.size
-    return float(run.t[first[np.argmax(stays)]] - run.t[0]) if stays.any() else math.inf
+    return float(run.t[first[stays][0]] - run.t[0]) if stays.any() else math.inf
