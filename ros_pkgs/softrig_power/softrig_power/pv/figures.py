@@ -114,7 +114,7 @@ def tracking_time(
     """
     run = _Run(signals, module, first, start, end)
     low = np.flatnonzero(run.power < level * run.gmpp)
-    first, until = np.append(0, low + 1), np.append(low, run.t.size - 1)  # of each stretch between two drops
-    stays = run.t[until] - run.t[np.minimum(first, until)] >= stay
-    stays[-1] |= first[-1] < run.t.size
-    return float(run.t[first[stays][0]] - run.t[0]) if stays.any() else math.inf
+    since, until = np.append(0, low + 1), np.append(low, run.t.size - 1)  # of each stretch between two drops
+    stays = run.t[until] - run.t[np.minimum(since, until)] >= stay
+    stays[-1] |= since[-1] < run.t.size
+    return float(run.t[since[stays][0]] - run.t[0]) if stays.any() else math.inf
