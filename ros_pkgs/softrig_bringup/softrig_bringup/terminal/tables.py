@@ -32,7 +32,7 @@ def table_of(heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Table:
 
 
 def print_judged(console: Console, heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
-    """Print a row for each name, its verdict last; where that is too wide, name and verdict with the rest below them."""
+    """Print a row a name, its verdict last; where that is too wide, name and verdict with the rest below them."""
     table = table_of(heads, rows)
     if fits(console, table):
         console.print(table)
