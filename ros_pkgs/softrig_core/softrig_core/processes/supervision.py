@@ -62,6 +62,8 @@ def supervise(
             if late == math.inf and state.get("epoch"):
                 to_start = _to_start(state["epoch"], rig.scenario.start_timeout)
                 late = time.monotonic() + to_start + rig.scenario.duration + rig.scenario.timeout
+            if state.get("held"):
+                late = max(late, time.monotonic() + rig.scenario.duration + rig.scenario.timeout)
         elif restarts.most:
             if (now := {name: (s.get("t"), s.get("state")) for name, s in states.items()}) != before or busy:
                 before, late = now, time.monotonic() + max(rig.scenario.timeout, rig.scenario.start_timeout)
