@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from softrig_core import Run, ScenarioError
 from softrig_core.extras import need
@@ -32,6 +32,9 @@ from ..run.run import checked, execute, illustrate, save, summary, tripped, turn
 from ..terminal.listing import console as make_console, styled
 from ..terminal.progress import progress
 from ..view.beside import page
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 MARK = len("differs") + 1
 MISSED = 10.0  # per cent of missed deadlines that are worth a word
@@ -263,14 +266,29 @@ def _announce(text: str) -> None:
 
 
 def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> None:
-    from rich.table import Table
-
     console = make_console()
     changed: Sequence[str] = content["changed"]
     title = f"{content['scenario']}: {content['label'] or content['title']}"
     title += f", changed: {', '.join(changed)}" if changed else ""
     # on a narrow terminal names are folded and tolerances go on a line of their own; numbers stay whole
     console.print(styled((title, "italic")))  # as wide as the terminal, not as the table
+    _print_table(console, run, bool(changed))
+    _print_remarks(console, run, bool(changed))
+    reached, whole = content["reached_s"], content["duration_s"]
+    speed = "" if run.epoch or not reached else f" ({reached / run.wall_s:.3g} x real time)"
+    of = f" of {whole:g}" if run.stopped else ""
+    console.print(
+        f"{run.mode}: {content['ticks']} ticks, {reached:.6g}{of} s simulated in {run.wall_s:.2f} s with "
+        f"start-up{speed}"
+    )
+    _print_nodes(console, run)
+    if out is not None:
+        console.print(f"results in {_shown(out)}")
+
+
+def _print_table(console: Console, run: Run, changed: bool) -> None:
+    from rich.table import Table
+
     table = Table(box=None, pad_edge=False)
     table.add_column("figure", overflow="fold", min_width=10)
     published = any(f.published is not None for f in run.results)
@@ -292,6 +310,10 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
     for name, row, mark in rows:
         table.add_row(_between_words(name, console.width - others - MARK), *row, mark)
     console.print(table)
+
+
+def _print_remarks(console: Console, run: Run, changed: bool) -> None:
+    """Say what figures, requirements and claims have to say beside the table."""
     for f in run.results:
         if f.error and f.error != NEVER:
             console.print(f"{f.name}: {f.error}")
@@ -302,13 +324,10 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
     for claim in run.claims:
         if claim.holds is False and not changed:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))
-    reached, whole = content["reached_s"], content["duration_s"]
-    speed = "" if run.epoch or not reached else f" ({reached / run.wall_s:.3g} x real time)"
-    of = f" of {whole:g}" if run.stopped else ""
-    console.print(
-        f"{run.mode}: {content['ticks']} ticks, {reached:.6g}{of} s simulated in {run.wall_s:.2f} s with "
-        f"start-up{speed}"
-    )
+
+
+def _print_nodes(console: Console, run: Run) -> None:
+    """Say what nodes reported, refused and missed."""
     for name, status in run.status.items():
         for _, text, count in status.get("reports", {}).values():
             console.print(f"{name}: {text} ({count} x)")
@@ -317,8 +336,6 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
         if "missed_deadlines" in status:
             figures = {k: v for k, v in status.items() if k.endswith("_ms") or k == "missed_deadlines"}
             console.print(f"{name}: " + ", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
-    if out is not None:
-        console.print(f"results in {_shown(out)}")
 
 
 def _between_words(name: str, width: int) -> str:
