@@ -184,6 +184,11 @@ class Pushing(NamedTuple):
     last: float | None = None
 
 
+def limited(x: float, least: float = -3.0, most: float = 3.0) -> float:
+    """Not beyond."""
+    return min(max(x, least), most)
+
+
 class Pusher(Block[OscillatorParams]):
     """Pushes against it, every other tick."""
 
@@ -198,7 +203,7 @@ class Pusher(Block[OscillatorParams]):
         """Answer."""
         last = signal[0] if x.last is None else x.last
         u = 1.0 / (signal[0] - last) if t % 40_000_000 == 0 and signal[0] != last else (signal[1] or 1.0) ** 3
-        return Pushing(signal[0]), {"push": (min(max(u, -1.0), 1.0),)}
+        return Pushing(signal[0]), {"push": (limited(u, least=-1.0, most=1.0),)}
 
 
 class Watcher(Observer[OscillatorParams]):
