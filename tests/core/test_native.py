@@ -23,6 +23,7 @@ from softrig_core import (
     scalars,
     simulate,
 )
+from softrig_core.block.runner import Runner
 from softrig_core.native import engine
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine, Native
@@ -52,13 +53,13 @@ def ran(rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None) -> tuple[Re
     """Run a rig in Python, or as `make` makes its text; give messages, steps, error and what was native."""
     engines: list[Engine] = []
 
-    def build(steps: Any) -> Engine:
+    def build(steps: Any, *options: Any) -> Engine:
         engines.append(Engine(steps, make))
         return engines[-1]
 
-    monkeypatch.setattr(inprocess, "unwanted", lambda steps, runs: "" if make else "a test")
-    monkeypatch.setattr(inprocess, "writes", lambda steps: False)
-    monkeypatch.setattr(inprocess, "Engine", build)
+    monkeypatch.setattr(engine, "unwanted", lambda steps, runs: "" if make else "a test")
+    monkeypatch.setattr(engine, "writes", lambda steps: False)
+    monkeypatch.setattr(engine, "Engine", build)
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     steps, error = {}, ""
     try:
@@ -167,7 +168,13 @@ class Oscillator(Plant[OscillatorParams]):
                 continue
             a = a * 0.5
         if k % 50 == 49:
-            self.report(Level.WARN, "fifty", f"{k} ticks")
+            self.report(Level.WARN, "fifty", "ticks" + " without their number")
+        if k % 7 == 6:
+            self.report(Level.WARN, "seven", f"{k} ticks, {both} and {x!r}, {a:.3g} of {self.p.growth:g}, {k > 300}")
+            if k % 3 == 0:
+                self.report(Level.ERROR, "seven", "by three, too")
+        elif k % 5 == 2:
+            self.report(Level.WARN, "five", f"{t}")
         return Turning(both[0] * self.p.growth + 1e-3 * push[0] + 0.0 * a, both[1] * self.p.growth, k + 1)
 
 
@@ -175,6 +182,11 @@ class Pushing(NamedTuple):
     """Newest value; None before the first."""
 
     last: float | None = None
+
+
+def limited(x: float, least: float = -3.0, most: float = 3.0) -> float:
+    """Not beyond."""
+    return min(max(x, least), most)
 
 
 class Pusher(Block[OscillatorParams]):
@@ -191,7 +203,7 @@ class Pusher(Block[OscillatorParams]):
         """Answer."""
         last = signal[0] if x.last is None else x.last
         u = 1.0 / (signal[0] - last) if t % 40_000_000 == 0 and signal[0] != last else (signal[1] or 1.0) ** 3
-        return Pushing(signal[0]), {"push": (min(max(u, -1.0), 1.0),)}
+        return Pushing(signal[0]), {"push": (limited(u, least=-1.0, most=1.0),)}
 
 
 class Watcher(Observer[OscillatorParams]):
@@ -224,7 +236,7 @@ def rig(
 
 
 def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ticks that report are Python's: 10 of 500."""
+    """Ticks whose report is not written out are Python's: 10 of 500."""
     assert the_same(rig, monkeypatch).given_up == 10
 
 
@@ -336,7 +348,7 @@ def core(made: Rig) -> list[Any]:
     """Give the steps of plant and law after a tick."""
     steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if m.name != "watcher"})
     found = list(steps.values())
-    next(iter(inprocess.Runner(found).run()))
+    next(iter(Runner(found).run()))
     return found
 
 
@@ -355,7 +367,7 @@ def test_other_equations_are_another_text() -> None:
     def blocks(name: str) -> list[Any]:
         made = rig_of(name)
         steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if "evaluator" not in m.name})
-        next(iter(inprocess.Runner(list(steps.values())).run()))
+        next(iter(Runner(list(steps.values())).run()))
         return list(steps.values())
 
     program = rig_text(blocks("optimal_control_mvim_a4"), []).program
@@ -416,7 +428,7 @@ def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked
 
 def test_long_runs_go_by_one_text_and_short_ones_one_by_one(monkeypatch):
     made: list[Any] = []
-    monkeypatch.setattr(inprocess, "Engine", lambda steps, make=None: made.append(make) or Engine(steps, make))
+    monkeypatch.setattr(engine, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, make))
     monkeypatch.setattr(engine, "WRITTEN", 1_000)
     for duration in (0.02, 0.05):
         inprocess.run_inprocess(rig_of("dc_motor_smc", duration=duration), 0)
