@@ -10,16 +10,21 @@ from __future__ import annotations
 import dataclasses
 import importlib
 from collections import namedtuple
+from collections.abc import Hashable
 from functools import cache
 from typing import Any
 
+NUMBERS = frozenset({float, int, bool})
 MARK = "__"
 OF = "twin_of_"  # attribute of a twin: its dataclass
 
 
-def is_twinned(kind: type) -> bool:
+@cache
+def is_twinned(kind: Hashable) -> bool:
     """Whether a class has a twin: a frozen dataclass that any module can find."""
-    frozen = dataclasses.is_dataclass(kind) and kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    if not isinstance(kind, type) or not dataclasses.is_dataclass(kind):
+        return False
+    frozen: bool = kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
     return frozen and "<" not in kind.__qualname__ and "." not in kind.__qualname__
 
 
@@ -42,6 +47,8 @@ def __getattr__(name: str) -> Any:  # native code in the cache names its types b
 
 def packed(value: Any, typed: bool = True) -> Any:
     """Give a state as native code takes it, where arrays are copies; `typed` false: objects as Python has them."""
+    if type(value) in NUMBERS:
+        return value
     if isinstance(value, tuple):
         parts = [packed(v, typed) for v in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
@@ -53,6 +60,8 @@ def packed(value: Any, typed: bool = True) -> Any:
 
 def unpacked(value: Any) -> Any:
     """Give a state as Python has it."""
+    if type(value) in NUMBERS:
+        return value
     if hasattr(value, "python"):
         return value.python()
     if isinstance(value, tuple):
