@@ -334,6 +334,12 @@ def test_ticks_that_a_member_decides_are_those_of_python(watcher, fails, decided
     assert native.ticks > 360
 
 
+def test_what_is_sent_at_a_tick_that_is_decided_waits_for_what_was_said_before(monkeypatch):
+    fault = {"link": "converter/duty", "from": 0.05, "kind": "offset", "value": [0.1]}
+    case = load_scenario("pv_mppt_certified").having(duration=0.15, faults={"fault": fault})
+    assert the_same(lambda: rig_of(case), monkeypatch, lambda text: plain(text)).decided == 3
+
+
 class ClimbParams(BlockParams):
     """Of a test."""
 

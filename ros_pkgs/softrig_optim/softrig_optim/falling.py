@@ -94,7 +94,7 @@ def _kept(corners: tuple[Corner, ...], x: float, y: float) -> tuple[Corner, ...]
 
 
 class FallingRows(NamedTuple):
-    """A `FallingCurve` in native code, which goes on in place: how many measurements and corners there are, and they."""
+    """A `FallingCurve` in native code, which goes on in place: numbers of measurements and corners, and they."""
 
     counts: NDArray[np.int64]
     last: NDArray[np.float64]

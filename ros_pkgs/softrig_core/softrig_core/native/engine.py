@@ -103,7 +103,7 @@ class Engine:
         self._share()
         self._said: list[tuple[Callable[..., Any], Any, Any]] | None = None  # in a tick that is handed out later
         for s in self.steps if self._deciding else ():
-            if s.send is not None and s.send_all is not None:
+            if s.send is not None:
                 s.send = self._held_back(s.send)
         self._cut = False  # whether native code gave up the last tick that it began
         self._smooth = False  # whether all who watch take what is recorded at once

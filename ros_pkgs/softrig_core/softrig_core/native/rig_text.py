@@ -319,6 +319,7 @@ def _handed_on(
 def _asked(program: Program, step: Step, k: int, name: str, inputs: Mapping[str, Value], arrays: set[str]) -> Value:
     method = getattr(type(step.block), name)
     state: Value = Dynamic(f"x{k}", packed(step.x, program.typed))
+    program.aside = decides(step)  # what it remembers may be what it decides by: no way is the one of most ticks
     return made(program, method, [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)], inputs, arrays)
 
 

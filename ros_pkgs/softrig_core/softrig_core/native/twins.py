@@ -52,8 +52,8 @@ def packed(value: Any, typed: bool = True) -> Any:
     if isinstance(value, tuple):
         parts = [packed(v, typed) for v in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-    if is_twinned(type(value)):
-        kind: Any = type(value)
+    kind: Any = type(value)
+    if is_twinned(kind):
         return twin(kind)(*(packed(getattr(value, f.name), typed) for f in dataclasses.fields(value)))
     return value.native() if typed and hasattr(value, "native") else value
 
