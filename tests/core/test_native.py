@@ -49,6 +49,12 @@ KNOWN = {
 }
 
 
+@pytest.fixture(autouse=True)
+def _no_text_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a text that other tests have pushed out made again."""
+    monkeypatch.setattr(engine, "_counts", {})
+
+
 def ran(rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None) -> tuple[Recording, Any, str, Native]:
     """Run a rig in Python, or as `make` makes its text; give messages, steps, error and what was native."""
     engines: list[Engine] = []
