@@ -174,7 +174,13 @@ class Oscillator(Plant[OscillatorParams]):
                 continue
             a = a * 0.5
         if k % 50 == 49:
-            self.report(Level.WARN, "fifty", f"{k} ticks")
+            self.report(Level.WARN, "fifty", "ticks" + " without their number")
+        if k % 7 == 6:
+            self.report(Level.WARN, "seven", f"{k} ticks, {both} and {x!r}, {a:.3g} of {self.p.growth:g}, {k > 300}")
+            if k % 3 == 0:
+                self.report(Level.ERROR, "seven", "by three, too")
+        elif k % 5 == 2:
+            self.report(Level.WARN, "five", f"{t}")
         return Turning(both[0] * self.p.growth + 1e-3 * push[0] + 0.0 * a, both[1] * self.p.growth, k + 1)
 
 
@@ -182,6 +188,11 @@ class Pushing(NamedTuple):
     """Newest value; None before the first."""
 
     last: float | None = None
+
+
+def limited(x: float, least: float = -3.0, most: float = 3.0) -> float:
+    """Not beyond."""
+    return min(max(x, least), most)
 
 
 class Pusher(Block[OscillatorParams]):
@@ -198,7 +209,7 @@ class Pusher(Block[OscillatorParams]):
         """Answer."""
         last = signal[0] if x.last is None else x.last
         u = 1.0 / (signal[0] - last) if t % 40_000_000 == 0 and signal[0] != last else (signal[1] or 1.0) ** 3
-        return Pushing(signal[0]), {"push": (min(max(u, -1.0), 1.0),)}
+        return Pushing(signal[0]), {"push": (limited(u, least=-1.0, most=1.0),)}
 
 
 class Watcher(Observer[OscillatorParams]):
@@ -231,7 +242,7 @@ def rig(
 
 
 def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ticks that report are Python's: 10 of 500."""
+    """Ticks whose report is not written out are Python's: 10 of 500."""
     assert the_same(rig, monkeypatch).given_up == 10
 
 

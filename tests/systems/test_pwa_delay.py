@@ -687,6 +687,17 @@ def test_an_empty_tank_stays_empty_and_says_so():
     assert plant.outputs(0)["level"][0] > 0.1
 
 
+@pytest.mark.parametrize(("start", "a"), [(0.3, 0.4875), (-0.3, 0.825)])
+def test_a_pendulum_that_nobody_commands_swings_as_its_slope_says(start, a):
+    plant, w = ByHand(PendulumPlant(x0=(start, 0.0))), math.sqrt(a)
+    seconds = 0.9 * math.pi / 2.0 / w  # in one cell
+    for k in range(round(seconds / plant.params.period)):
+        plant.advance(k, torque=(0.0,))
+        t = (k + 1) * plant.params.period
+        expected = start * math.cos(w * t), -start * w * math.sin(w * t)
+        assert plant.outputs(k)["state"] == pytest.approx(expected, abs=1e-9)
+
+
 def test_a_state_beyond_reach_ends_the_run():
     plant = SwitchedDelayPlant(system="user", n=1, A=[50.0], Ad=[0.0], x0=(1.0,))
     with pytest.raises(RunError, match=r"plant: state x1/position became 1.\d+e\+06 1, expected at most 1e\+06"):

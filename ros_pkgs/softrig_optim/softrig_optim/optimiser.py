@@ -128,6 +128,9 @@ class State(NamedTuple):
     again: int = LATER
     """When the next search starts whatever is held."""
 
+    look: int = LATER
+    """When it looks back next."""
+
     next_sample: int = 0
     """Time after `since` at which what is held is looked at next."""
 
@@ -167,7 +170,10 @@ class CommandSearch(Block[P], ABC):
       more than the gap of a proof; so that they do, a search whose plant has a characteristic looks back at its end:
       the command passes once through its range;
     - when two samples in a row, `hold_time` apart, differ so much from the value at the end of `settle_time`;
-    - `rescan_period` after the start of the last search: what changes elsewhere does not show in the value held.
+    - after any search but the first it looks back again, whenever as much time has passed as from that search's start
+      to the last look: what changed once may do so again, and elsewhere, where the value held does not show it; at once
+      also when a look finds a value larger than the search's by more than `restart_threshold`;
+    - `rescan_period` after the start of the last search.
 
     What was found and lost so for the second time in a row, or broken off so for the fourth, is held nevertheless,
     twice as long as it took; twice that the next time, and so on: where nothing is ever confirmed searches become rare.
@@ -320,7 +326,7 @@ class CommandSearch(Block[P], ABC):
             if begun:
                 return x
         if x.looking != NEVER:
-            return self._look_back(x, t - x.looking)
+            return self._look_back(x, t, t - x.looking)
         if x.since == NEVER or t - x.since < self._wait(x):
             return x if dark or not x.search.watches else x._replace(search=x.search.watch(sample))
         if dark and self.no_signal(sample, _mean(x)):
@@ -335,21 +341,23 @@ class CommandSearch(Block[P], ABC):
         elif x.curve is not None and self.p.restart_threshold > 0.0:
             x = x._replace(looking=t)
         else:
-            x = self._keep(x)
+            x = self._keep(x, t)
         return self._note(x)
 
-    def _look_back(self, x: State, elapsed: int) -> State:
+    def _look_back(self, x: State, t: int, elapsed: int) -> State:
         """Pass through the range of the command once: the search may have measured what is no more."""
         share = elapsed / (LOOK_BACK * self._hold)
         if share < 1.0:
             ends = zip(x.search.low, x.search.high, strict=True)
             return x._replace(target=tuple([low + share * (high - low) for low, high in ends]), since=NEVER)
-        return self._note(self._keep(x)) if x.command == x.target else x
+        return self._note(self._keep(x, t)) if x.command == x.target else x
 
-    def _keep(self, x: State) -> State:
-        """Hold what was found."""
+    def _keep(self, x: State, t: int) -> State:
+        """Hold what was found, until as much time again has passed where something had changed."""
         return x._replace(
             phase=Phase.HOLD,
+            looking=NEVER,
+            look=LATER if x.looking == NEVER or x.restarts == 0 else 2 * t - x.began,
             target=x.search.now.result,
             since=NEVER,
             next_sample=self._hold,
@@ -364,6 +372,8 @@ class CommandSearch(Block[P], ABC):
             return x, False
         change, curve = x.curve.take(sample)
         x = x._replace(curve=curve)
+        if x.looking != NEVER and x.filled and _mean(x) > (1.0 + self.p.restart_threshold) * x.search.expected:
+            change = math.inf  # the pass is too fast for corners near the line from 0
         gap = x.search.gap
         if change > gap and not x.void:
             x = self._withdraw(x)
@@ -406,7 +416,11 @@ class CommandSearch(Block[P], ABC):
         if judged and not x.void and abs(value - expected) > x.search.gap * abs(expected):
             x = self._withdraw(x)
         timer = t >= x.again or 0 < self._rescan <= t - x.began
-        return self._note(self._begin(x, t)) if changed or (timer and not x.lost) else x
+        if changed or (timer and not x.lost):
+            return self._note(self._begin(x, t))
+        if t >= x.look and x.reference < math.inf and not x.lost:
+            return self._note(x._replace(phase=Phase.SEARCH, looking=t, reference=math.inf))
+        return x
 
     def _changed(self, x: State, t: int, value: float, held: int) -> tuple[State, bool]:
         """Whether the value held calls for a new search."""

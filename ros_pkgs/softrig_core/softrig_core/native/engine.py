@@ -241,7 +241,10 @@ class Engine:
                 if not _worth_another(kinds):
                     self.native.reason = "what is varied chooses another text each time"
                     return False
-                text = rig_text(core, recorded, self._typed)
+                try:
+                    text = rig_text(core, recorded, self._typed)
+                except NotNative:
+                    text = rig_text(core, recorded, self._typed, reports=False)
                 kept = _Kept(kinds, text, self._make(text))
                 _texts.insert(0, kept)
                 del _texts[KEPT:]
@@ -378,7 +381,9 @@ class Engine:
             spoken = [self._core[k].spoken[j] for k, j in self._speakers]
             times = [0, *(link.stamp for link in self._links), *(NEVER if t is None else t for t in spoken)]
             self._when = np.array(times, np.int64) if self._typed else times
-            rows, named = {}, self._tables | {WHEN: self._when}
+            size = kept.text.program.reports.size if kept.text.program.reports else 0
+            self._told: Any = np.zeros(size) if self._typed else [0.0] * size
+            rows, named = {}, self._tables | {WHEN: self._when, "told": self._told}
             for s in self._recorded:
                 k, count = self._core.index(s), len(self._own(s, first, last))
                 rows[id(s)] = Answers([], [])
@@ -421,6 +426,8 @@ class Engine:
         """Make what native code has found that of the steps."""
         self.native.ticks += last - first
         assert self._kept is not None
+        if (reports := self._kept.text.program.reports) is not None and self._told[0]:
+            reports.take_down(self._told, [s.block for s in self._core])
         count = len(self._core)
         stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=False))
         spoken = dict(zip(self._speakers, map(int, self._when[1 + len(self._links) :]), strict=True))

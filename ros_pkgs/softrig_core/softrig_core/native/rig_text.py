@@ -11,6 +11,7 @@ from typing import Any
 from ..block.block import Block
 from ..block.port import Port, Sample
 from ..block.step import Step
+from .reports import Reports
 from .translate import GIVEN_UP, LONGEST, Program, made
 from .twins import form, packed
 from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
@@ -119,7 +120,7 @@ def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
     return [(k, j) for k, s in enumerate(steps) for j, p in enumerate(s.outputs) if p.sporadic]
 
 
-def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True) -> RigText:
+def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True, reports: bool = True) -> RigText:
     """Make the text of the members that are native.
 
     Parameters
@@ -130,6 +131,8 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         Those whose answers are written into tables.
     typed : bool
         Whether a state keeps its type and a table its shape, as numba needs it; else tables are lists of rows.
+    reports : bool
+        Whether ticks in which something is reported are answered, too.
 
     Raises
     ------
@@ -140,6 +143,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
     kept, spoken = links(steps), speakers(steps)
     silent = [(k, steps[k].outputs[j]) for k, j in spoken]
     program = Program([s.block for s in steps], Writer, _ages(steps, kept), silent, typed)
+    program.reports = Reports() if reports else None
     stride = math.gcd(*(s.schedule.every for s in steps))
     arrays: set[str] = set()
     time = steps[0].schedule

@@ -54,7 +54,7 @@ class Writer(Calls):
         return Dynamic("", known[0].sample if known else UNKNOWN, sure, first.keys, first.parts)
 
     def run(self, statements: Sequence[ast.stmt]) -> None:
-        """Write statements, as far as they are reached; those that surely lead to a report give the tick up at once."""
+        """Write statements, as far as they are reached; those that surely lead to a report may give the tick up."""
         aside = self.program.aside
         try:
             self._run(statements)
@@ -67,12 +67,10 @@ class Writer(Calls):
             if self.ended:
                 return
             if _reporting(statements[k:]):
-                self._give_up()
+                self._reporting(statements[k:])
                 return
             try:
-                self.statement(statement)
-            except GivesUp:
-                self._give_up()
+                self._one(statement)
             except NotNative as reason:
                 if left is None:
                     raise
@@ -82,6 +80,26 @@ class Writer(Calls):
             if isinstance(statement, ast.If) and self.left and left is None:
                 left = len(self.lines), len(self.returned)
                 self.program.aside = True
+
+    def _one(self, statement: ast.stmt) -> None:
+        try:
+            self.statement(statement)
+        except GivesUp:
+            self._give_up()
+
+    def _reporting(self, statements: Sequence[ast.stmt]) -> None:
+        """Write statements that report; where native code does not know them, they give the tick up at once."""
+        env, lines = dict(self.env), list(self.lines)
+        try:
+            if self.program.reports is None:
+                raise self.unknown("a report", statements[0])
+            for statement in statements:
+                if not self.ended:
+                    self._one(statement)
+        except NotNative as reason:
+            self.program.seldom.append(str(reason))
+            self.env, self.lines[:] = env, lines
+            self._give_up()
 
     def statement(self, node: ast.stmt) -> None:
         """Write one."""

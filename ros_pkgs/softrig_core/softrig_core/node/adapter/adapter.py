@@ -132,7 +132,8 @@ class Adapter:
         self._open_record(sink)
         self._unread = False  # whether nothing of what it says is read in another process, in which case it stays here
         self.buttons = Buttons(self.values, self._record_press)
-        self.hold = Hold(options.paused, options.pace) if self._owns_clock else Hold()
+        self.pauses = self._owns_clock or self._may_stand()  # whether people pause the run here
+        self.hold = Hold(options.paused, options.pace, self._owns_clock) if self.pauses else Hold()
         self.step.changed = self._record_change
 
     def begin(self, drive: Drive) -> None:
@@ -154,6 +155,12 @@ class Adapter:
     def t(self) -> int:
         """Time of the tick under way, ns."""
         return self.drive.t
+
+    def _may_stand(self) -> bool:
+        """Whether it is the node of a clock in real time that can stand: all nodes go by it, and are ours."""
+        links = self.links
+        own = links.owns_clock and links.starter == self.middleware.name and not links.guests
+        return own and self.options.mode == "realtime" and not self.options.epoch
 
     def _files(self) -> Callable[[], Files] | None:
         links = self.links
