@@ -23,6 +23,7 @@ from softrig_core import (
     scalars,
     simulate,
 )
+from softrig_core.block.runner import Runner
 from softrig_core.native import engine
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine, Native
@@ -59,13 +60,13 @@ def ran(rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None) -> tuple[Re
     """Run a rig in Python, or as `make` makes its text; give messages, steps, error and what was native."""
     engines: list[Engine] = []
 
-    def build(steps: Any) -> Engine:
+    def build(steps: Any, *options: Any) -> Engine:
         engines.append(Engine(steps, make))
         return engines[-1]
 
-    monkeypatch.setattr(inprocess, "unwanted", lambda steps, runs: "" if make else "a test")
-    monkeypatch.setattr(inprocess, "writes", lambda steps: False)
-    monkeypatch.setattr(inprocess, "Engine", build)
+    monkeypatch.setattr(engine, "unwanted", lambda steps, runs: "" if make else "a test")
+    monkeypatch.setattr(engine, "writes", lambda steps: False)
+    monkeypatch.setattr(engine, "Engine", build)
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     steps, error = {}, ""
     try:
@@ -401,7 +402,7 @@ def core(made: Rig) -> list[Any]:
     """Give the steps of plant and law after a tick."""
     steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if m.name != "watcher"})
     found = list(steps.values())
-    next(iter(inprocess.Runner(found).run()))
+    next(iter(Runner(found).run()))
     return found
 
 
@@ -420,7 +421,7 @@ def test_other_equations_are_another_text() -> None:
     def blocks(name: str) -> list[Any]:
         made = rig_of(name)
         steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if "evaluator" not in m.name})
-        next(iter(inprocess.Runner(list(steps.values())).run()))
+        next(iter(Runner(list(steps.values())).run()))
         return list(steps.values())
 
     program = rig_text(blocks("optimal_control_mvim_a4"), []).program
@@ -481,7 +482,7 @@ def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked
 
 def test_long_runs_go_by_one_text_and_short_ones_one_by_one(monkeypatch):
     made: list[Any] = []
-    monkeypatch.setattr(inprocess, "Engine", lambda steps, make=None: made.append(make) or Engine(steps, make))
+    monkeypatch.setattr(engine, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, make))
     monkeypatch.setattr(engine, "WRITTEN", 1_000)
     for duration in (0.02, 0.05):
         inprocess.run_inprocess(rig_of("dc_motor_smc", duration=duration), 0)
