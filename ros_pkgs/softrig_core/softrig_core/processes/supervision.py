@@ -87,6 +87,17 @@ def _to_start(epoch: int, most: float) -> float:
     return min(max(0.0, epoch / 1e9 - time.time()), most)
 
 
+def set_back(ahead: float) -> str:
+    """Say that the system's clock was set back since it was so many s ahead of the steady one; empty if it was not.
+
+    Fast DDS waits by that clock: until it is there again nobody is found, nor is what was lost sent again.
+    """
+    back = ahead - (time.time() - time.monotonic())
+    return (
+        f"; the system's clock was set back by {back:.0f} s meanwhile, and Fast DDS waits by it" if back > 1.0 else ""
+    )
+
+
 def _asleep(children: list[Child]) -> str:
     """Name the nodes whose processes are held; empty without any."""
     names = ", ".join(c.member.name for c in children if is_held(c))
