@@ -22,7 +22,7 @@ from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
 from .compile import compiled, plain
-from .rig_text import WHEN, Place, RigText, links, rig_text, speakers, taken
+from .rig_text import WHEN, Place, RigText, decides, links, rig_text, speakers, taken
 from .translate import follow
 from .twins import form, packed, unpacked
 from .value import NotNative
@@ -54,14 +54,16 @@ class Native:
         Those that it answers.
     reason : str
         Why it does not answer the others, or any.
-    ticks, given_up : int
-        Of the clock: answered by native code, and left to Python in between.
+    ticks, given_up, decided : int
+        Of the clock: answered by native code, and left to Python in between: where it went no further, and where a
+        member wants it so (`Block.decides`).
     """
 
     members: tuple[str, ...] = ()
     reason: str = ""
     ticks: int = 0
     given_up: int = 0
+    decided: int = 0
 
 
 @dataclass
@@ -115,6 +117,12 @@ class Engine:
         self._every = {id(s): s.schedule.every // stride for s in self.steps}
         self._aside: dict[str, str] = {}  # members that are seldom due, so that Python may run their ticks, and why
         self._share()
+        self._said: list[tuple[Callable[..., Any], Any, Any]] | None = None  # in a tick that is handed out later
+        for s in self.steps if self._deciding else ():
+            if s.send is not None:
+                s.send = self._held_back(s.send)
+        self._cut = False  # whether native code gave up the last tick that it began
+        self._smooth = False  # whether all who watch take what is recorded at once
         self._time = self.runner.schedule.time
         self._kept: _Kept | None = None
         self._newest: list[Any] = []  # what is made anew at times, and for which keys the constants are
@@ -141,8 +149,10 @@ class Engine:
 
     def tell(self) -> None:
         """Have the steps know what of them was native, as far as it goes."""
-        given_up = self.native.given_up
-        reason = self.native.reason or (f"{given_up} of its ticks were given up" if given_up else "")
+        found = self.native
+        ticks = {"were given up": found.given_up, "decided something": found.decided}
+        left = [f"{count:,} of its ticks {what}" for what, count in ticks.items() if count]
+        reason = found.reason or ", ".join(left)
         for s in self.steps if self._typed else ():
             why = "it watches what is recorded" if s in self._watchers else self._aside.get(s.name, reason)
             s.native = s.native[0], why
@@ -168,7 +178,9 @@ class Engine:
             if k and not fits and (k > LATEST or failures > TRIES):
                 break
             go = self._kept.go if self._kept else SHORTEST
-            until = min(last, k + go, self._next_stop(k)) if fits else 0
+            decided = fits and k < last and self._decided(k)
+            self.native.decided += decided
+            until = min(last, k + go, self._next_stop(k)) if fits and not decided else 0
             if until > k:
                 started = time.perf_counter()
                 try:
@@ -183,12 +195,13 @@ class Engine:
                         self._kept.go = min(LONGEST, go * 2)
                     elif took > self._longest:
                         self._kept.go = max(SHORTEST, go // 2)
-                self.native.ticks += reached - k
                 k = reached
                 yield self._time(k - 1) if k else 0
                 if k == until and k < last and k < self._next_stop(k):
                     continue
-                if k < until:
+                if k < until and not self._cut:
+                    self.native.decided += self._decided(k)
+                elif k < until:
                     self.native.given_up += 1
                     if self._often():
                         self.native.reason = "many ticks are given up"
@@ -199,7 +212,7 @@ class Engine:
                 if t is not None:
                     break
             k += 1
-            fresh = fresh or self._forms() != self._fits or [one.key for one in self._newest] != self._keys
+            fresh = fresh or self._others()
         if k <= last:
             yield from self.runner.run(k)
 
@@ -239,6 +252,11 @@ class Engine:
     def _often(self) -> bool:
         return self.native.given_up > PATIENCE and self.native.ticks < SELDOM * self.native.given_up
 
+    def _decided(self, k: int) -> bool:
+        """Whether a member wants a tick to be Python's."""
+        t = self._time(k)
+        return any(k % self._every[id(s)] == 0 and s.block.decides(s.x, t) for s in self._deciding)
+
     def _next_change(self, k: int) -> int:
         """Give the first tick, from k on, by whose time parameters are to change."""
         at = min(s.change_at for s in self.steps)
@@ -256,6 +274,8 @@ class Engine:
         """Say which members are to be native."""
         self._core = [s for s in self.steps if s not in self._watchers and s.name not in self._aside]
         self._links, self._speakers = links(self._core), speakers(self._core)
+        self._deciding = [s for s in self._core if decides(s)]
+        self._core_alone = Runner(self._core)
 
     # the text -----------------------------------------------------------------------------------------------------
 
@@ -317,6 +337,10 @@ class Engine:
         forms = [(tuple(map(form, s.values.values())), form(s.x)) for s in self._core]
         return [*forms, tuple(link.form for link in self._links)]
 
+    def _others(self) -> bool:
+        """Whether states or constants are of other types, or made anew: the text may be another."""
+        return self._forms() != self._fits or [one.key for one in self._newest] != self._keys
+
     def _drawn(self, draws: Any, count: int) -> Any:
         found = draws.first(count)
         return found if self._typed else found.tolist()
@@ -334,6 +358,8 @@ class Engine:
         reached, after, rows = self._called(first, last)
         if after is None:
             return first
+        if self._smooth and self._decided(reached):
+            return self._on(first, reached, last, after, rows)
         begun = [(w.save(), dict(w.values)) for w in self._watchers]
         spoken = [s.spoken for s in self._core]
         try:
@@ -349,8 +375,57 @@ class Engine:
                 _, after, rows = self._called(first, reached)
                 self._watch(first, reached, rows)
         if reached > first:
-            self._take(first, reached, after, rows)
+            self._take(first, reached, after)
+            self._hand_out(first, reached, rows)
+            one_clock = self._core_alone.schedule.clock == self.runner.schedule.clock
+            self._smooth = self._typed and one_clock and not self._tick_by_tick and self._alone is None
         return reached
+
+    def _on(self, first: int, reached: int, last: int, after: Any, rows: dict[int, Answers]) -> int:
+        """Go on where members want a tick to be Python's; all that was said is handed out at the end, at once."""
+        at, parts = first, {key: [answers] for key, answers in rows.items()}
+
+        def hand_out() -> None:
+            whole = {key: Answers(*map(np.concatenate, zip(*found, strict=True))) for key, found in parts.items()}
+            try:
+                self._watch(first, reached, whole)
+            finally:
+                self._hand_out(first, reached, whole)
+
+        while True:
+            self._take(at, reached, after)
+            if reached == last or not self._decided(reached):
+                break
+            said = self._said = []
+            try:
+                next(self._core_alone.run(reached))
+            except RunError:
+                hand_out()
+                for send, t, found in said:
+                    send(t, found)
+                raise
+            finally:
+                self._said = None
+            self.native.decided += 1
+            for s in self._recorded:
+                if reached % self._every[id(s)] == 0:
+                    parts[id(s)].append(Answers(np.array([_numbers(s)]), np.array([_stamps(s)], np.int64)))
+            reached = at = reached + 1
+            if reached == last or self._others():
+                break
+            reached, after, rows = self._called(at, last)
+            if after is None:
+                break
+            for key, answers in rows.items():
+                parts[key].append(answers)
+        hand_out()
+        return reached
+
+    def _held_back(self, send: Callable[..., Any]) -> Callable[..., Any]:
+        def later(t: int, rows: Any) -> Any:
+            return send(t, rows) if self._said is None else self._said.append((send, t, rows))
+
+        return later
 
     def _handed(self, first: int, last: int) -> tuple[tuple[Any, ...], dict[int, Answers]]:
         """Give what the function is handed after its ticks, and what it writes answers into."""
@@ -383,6 +458,7 @@ class Engine:
     def _called(self, first: int, last: int) -> tuple[int, Any, dict[int, Answers]]:
         kept = self._kept
         assert kept is not None
+        self._cut = False
         kept.made = True
         while True:
             handed, rows = self._handed(first, last)
@@ -394,6 +470,7 @@ class Engine:
                     for name, draws in self._sources.items():
                         self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
                     continue
+                self._cut = True
                 if n[0] <= first:
                     return first, None, {}
                 last = int(n[0])
@@ -403,15 +480,21 @@ class Engine:
                     raise
                 _texts[:] = [other for other in _texts if other is not kept]
                 raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
-            return last, after, rows
+            reached = int(n[0])
+            if self._typed and reached < last:
+                for s in self._recorded:
+                    count = len(self._own(s, first, reached))
+                    rows[id(s)] = Answers(*(table[:count] for table in rows[id(s)]))
+            return reached, after, rows
 
     def _own(self, step: Step, first: int, last: int) -> range:
         """Give the ticks of a step among those of the clock from `first` up to `last`, by its own numbers."""
         every = self._every[id(step)]
         return range((first + every - 1) // every, (last + every - 1) // every)
 
-    def _take(self, first: int, last: int, after: Any, rows: dict[int, Answers]) -> None:
+    def _take(self, first: int, last: int, after: Any) -> None:
         """Make what native code has found that of the steps."""
+        self.native.ticks += last - first
         assert self._kept is not None
         if (reports := self._kept.text.program.reports) is not None and self._told[0]:
             reports.take_down(self._told, [s.block for s in self._core])
@@ -430,6 +513,13 @@ class Engine:
             for link, value in zip(self._links, after[len(after) - len(self._links) :], strict=True):
                 if link.source == k and newest.get(link.j, s.t) >= self._time(first):
                     link.values[link.name] = unpacked(value)
+
+    def _hand_out(self, first: int, last: int, rows: dict[int, Answers]) -> None:
+        """Hand out what the steps have said to those who record it."""
+        for s in self._core:
+            own = self._own(s, first, last)
+            if not own:
+                continue
             if s.send_all is not None:
                 times = s.schedule.times(own.start, own.stop)
                 s.send_all(times, np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0)))
