@@ -61,8 +61,8 @@ class Step(Held):
     send : callable or None
         Gets (t, rows) of each answer: what carries it out of this process, or records it.
     send_all : callable or None
-        Gets (times, numbers) of many answers at once, shapes (n,) and (n, size); see `send`. Of one that is not plain flags
-        of silence are after the numbers, and it gets stamps of delayed outputs, too, (n, count).
+        Gets (times, numbers) of many answers at once, shapes (n,) and (n, size); see `send`. Of one that is not plain
+        flags of silence are after the numbers, and stamps of delayed outputs come, too, (n, count).
     lacks : callable or None
         Gets t, the tick that is to be answered: whether something that it needs has not come; None: never.
     moved : callable or None
