@@ -69,12 +69,14 @@ class Group:
         for node in self.nodes:
             if node.state in ("starting", "failed"):
                 return
-        until = time.monotonic_ns() + SLICE
+        until = 0
         try:
             for t in self._ticks:
                 if t is None:
                     return
-                if time.monotonic_ns() > until:  # by hand one may wait for nobody and have no end
+                if not until:
+                    until = time.monotonic_ns() + SLICE
+                elif time.monotonic_ns() > until:  # by hand one may wait for nobody and have no end
                     self.nodes[0].middleware.post(self.turn)
                     return
         except RunError as error:

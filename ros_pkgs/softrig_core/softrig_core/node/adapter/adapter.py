@@ -204,7 +204,8 @@ class Adapter:
         return matched
 
     def _look_for_readers(self) -> None:
-        silent = self.middleware.mute and self._plain and not self.links.guests  # a guest gets the first message late
+        # a guest gets the first message late, who comes back what was said last
+        silent = self.middleware.mute and self._plain and not (self.links.guests or self.links.returns)
         self._unread = silent and not any(o.readers for o in (*self.outputs, self.clock_output, self.tick_output))
 
     def _record_press(self, port: Port, down: bool) -> None:

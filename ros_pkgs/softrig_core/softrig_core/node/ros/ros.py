@@ -25,12 +25,14 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 
 from ...block.block import Level
 from ...errors import RunError
-from ...processes.shared_memory import Ears
-from ..seam.middleware import Matched, Middleware, Peer, Receive
+from ...processes.shared_memory import Ears, domain_id
+from ..seam.middleware import Matched, Middleware, Peer, Receive, Send
+from ...wire.cdr import Layout
 from ..seam.monitor import Monitor
 from .arrival import Arrival, library
 from .garbage import Garbage
 from .messages import message_class
+from .processor import Processor
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -214,6 +216,8 @@ class RosMiddleware(Middleware):
 
     def __init__(self, node: ServingNode) -> None:
         self.node = node
+        # else a late reader may be owed what was published before
+        self.mute = not any(name.startswith("qos_overrides.") for name in node._parameter_overrides)
         self.monitor = node.monitor
         self._read: list[tuple[Any, Receive, Matched]] = []  # subscriptions
         self._arrivals: list[Arrival] = []
@@ -242,6 +246,25 @@ class RosMiddleware(Middleware):
         # what publish(bytes) ends in, without its type checks: worth 5 % of a lockstep loop
         publish: Callable[[bytes], None] = made.handle.publish_raw
         return publish
+
+    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
+        """Offer a topic; its messages become bytes only while somebody in another process reads it."""
+        if not self.mute:
+            return super().sender(topic, layout, matched)
+        readers = 0
+
+        def count(number: int) -> None:
+            nonlocal readers
+            readers = number
+            matched(number)
+
+        publish, encode = self.publisher(topic, layout.msgtype, count), layout.encode
+
+        def send(mark: int, values: tuple[float, ...]) -> None:
+            if readers:
+                publish(encode(mark, values))
+
+        return send
 
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read the bytes of a topic."""
@@ -288,13 +311,13 @@ class RosMiddleware(Middleware):
             self.node._subscriptions.remove(subscription)  # the executor would ask for its messages and events, too
             for handler in subscription.event_handlers:
                 self.node.remove_waitable(handler)
-            self._arrivals.append(
-                Arrival(rcl, subscription, quiet_after_shutdown(receive), matched, self.monitor.arrive)
-            )
+            self._arrivals.append(Arrival(rcl, subscription, receive, matched, self.monitor.arrive))
         self.prompt = bool(self._arrivals)
         if self.prompt:
             self.timer(LOOK, self._look)
             self.timer(SEARCH, Garbage(off=True).step)
+            processor = Processor(domain_id(), lambda: self.monitor.done)
+            self.timer(SEARCH, processor.step)
         for arrival in self._arrivals:
             arrival.begin()
 
