@@ -16,7 +16,7 @@ import re
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from itertools import count, islice
 from operator import itemgetter
 from types import CodeType
@@ -269,7 +269,7 @@ def _coders(
     return known["encode"], known["decode"]
 
 
-@cache
+@lru_cache(maxsize=256)
 def _compiled(text: str) -> CodeType:
     return compile(text, "<layout>", "exec")
 

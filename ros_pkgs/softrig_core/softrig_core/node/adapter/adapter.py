@@ -359,6 +359,7 @@ class Adapter:
             "pace": self.hold.pace,
             "cpu_s": round(time.process_time(), 3),
             "prompt": self.middleware.prompt,
+            "processor": self.middleware.processor,
         }
         status |= self.drive.counts()
         if self.lacking:

@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
-from ...wire.cdr import Layout
 from ..seam.exchange import Exchange, ExchangeTimer
-from ..seam.middleware import Matched, Receive, Send
+from ..seam.middleware import Matched, Receive
 from .ros import RosMiddleware
 
 

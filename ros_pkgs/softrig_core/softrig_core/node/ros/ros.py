@@ -26,8 +26,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from ...block.block import Level
 from ...errors import RunError
 from ...processes.shared_memory import Ears, domain_id
-from ..seam.middleware import Matched, Middleware, Peer, Receive, Send
 from ...wire.cdr import Layout
+from ..seam.middleware import Matched, Middleware, Peer, Receive, Send
 from ..seam.monitor import Monitor
 from .arrival import Arrival, library
 from .garbage import Garbage
@@ -223,10 +223,16 @@ class RosMiddleware(Middleware):
         self._arrivals: list[Arrival] = []
         self.name: str = node.get_name()
         self.full_name: str = node.get_fully_qualified_name()
+        self._processor: Processor | None = None
         self._posted: list[Callable[[], object]] = []
         self._poster: _RosTimer | None = None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._behind = time.time_ns() - time.monotonic_ns()  # once: a system clock that is set later stalls nothing
+
+    @property
+    def processor(self) -> int | None:  # type: ignore[override]
+        """The processor on which the node works; None: any."""
+        return None if self._processor is None else self._processor.number
 
     def resolve(self, topic: str) -> str:
         """Give the full name of a topic, remapping applied."""
@@ -316,8 +322,8 @@ class RosMiddleware(Middleware):
         if self.prompt:
             self.timer(LOOK, self._look)
             self.timer(SEARCH, Garbage(off=True).step)
-            processor = Processor(domain_id(), lambda: self.monitor.done)
-            self.timer(SEARCH, processor.step)
+            self._processor = Processor(domain_id(), lambda: self.monitor.done)
+            self.timer(SEARCH, self._processor.step)
         for arrival in self._arrivals:
             arrival.begin()
 
