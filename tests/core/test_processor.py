@@ -4,7 +4,7 @@ import os
 import threading
 
 import pytest
-from softrig_core.node.ros.processor import SHORT, Processor
+from softrig_core.node.ros.processor import ENOUGH, LONG, SHORT, Processor
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="Linux")
 
@@ -64,17 +64,24 @@ def test_every_thread_stays_until_messages_take_long_and_comes_back(allowed):
     processor.step()
     seen["short"] = where()
     work.more(3, 2 * SHORT)
+    processor.step()  # too few to tell
+    seen["few"] = where()
+    work.more(1, LONG)
     processor.step()
     seen["long"] = where()
-    work.time += 100 * SHORT
+    work.time += 2 * LONG
     processor.step()  # it is held: nothing is known
     seen["held"] = where()
-    work.more(10, SHORT // 2)
+    work.more(10 * ENOUGH, SHORT // 2)
+    processor.step()  # with what it did while it was held
+    seen["after"] = where()
+    work.more(ENOUGH, SHORT // 2)
     processor.step()
     seen["short again"] = where()
     over.set()
     thread.join()
-    assert seen == {"start": own, "short": own, "long": everywhere, "held": everywhere, "short again": own}
+    stays, goes = ("start", "short", "few", "short again"), ("long", "held", "after")
+    assert seen == dict.fromkeys(stays, own) | dict.fromkeys(goes, everywhere)
 
 
 def test_who_may_use_one_only_is_left_alone(allowed):

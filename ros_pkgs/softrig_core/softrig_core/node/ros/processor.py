@@ -14,6 +14,8 @@ from collections.abc import Callable
 from contextlib import suppress
 
 SHORT = 200_000  # ns of processor time for a message: what two processors save a rig is less then
+ENOUGH = 100  # messages, or as many as take a time, to judge by: what a process does beside is little then
+LONG = 200_000_000  # ns, that time
 
 
 class Processor:
@@ -43,11 +45,14 @@ class Processor:
         self._go(self._own)
 
     def step(self) -> None:
-        """See what the time since the last step went into; to be called some times a second."""
+        """See what the time of the last messages was; to be called some times a second."""
         now, before = (self._done(), self._clock()), self._before
-        self._before = now
-        if before[0] and now[0] > before[0]:  # not of the start, nor of a rig that is held
-            self._go(self._own if now[1] - before[1] < SHORT * (now[0] - before[0]) else None)
+        messages, used = now[0] - before[0], now[1] - before[1]
+        if not before[0]:  # what the start took is no message's
+            self._before = now
+        elif messages >= ENOUGH or (messages and used >= LONG):
+            self._before = now
+            self._go(self._own if used < SHORT * messages else None)
 
     def _go(self, number: int | None) -> None:
         if number == self.number:
