@@ -49,6 +49,7 @@ POLICIES = (
 LOOK = 20_000_000  # ns: between two looks at who writes
 SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have left
 PATIENCE = 2.0  # s: for a tick under way in another thread at the end
+LAST = 10.0  # s: for readers to have the last messages, which go with their writer; a busy host keeps them waiting
 
 PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is always due
 
@@ -428,6 +429,7 @@ class RosMiddleware(Middleware):
             _rclpy.rclpy_logging_rcutils_log(severity, logger.name, text, "", "", 0)
 
     def drain(self) -> None:
-        """Wait until every reader has the last messages, 2 s at most for each publisher."""
+        """Wait until every reader has the last messages, but not for ever: one may be held."""
+        until = time.monotonic() + LAST
         for publisher in self.node.publishers:
-            publisher.wait_for_all_acked(Duration(seconds=2))
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, until - time.monotonic())))
