@@ -486,6 +486,7 @@ def test_the_first_difference_is_named():
     command = result.topics[2]
     assert command.differing == 12  # of 13: the first command is zero
     assert command.largest == {"a/effort": pytest.approx(0.48)}
+    assert str(result).count("largest deviation") == 1  # of what does not differ none is said
     assert [t.equal for t in result.topics] == [True, True, False]
 
 

@@ -68,6 +68,8 @@ class Step(Held):
         Called when a plant has moved on.
     native : (int, str)
         How many of its ticks native code answered, and why Python answered the others.
+    tell_native : callable
+        Brings `native` up to date while it runs.
     changed : callable or None
         Gets (t, values by name) of each tick before which parameters were changed, and how.
     """
@@ -78,6 +80,7 @@ class Step(Held):
     moved: Callable[[], object] | None = None
     changed: Callable[[int, Mapping[str, Any]], object] | None = None
     native: tuple[int, str] = (0, "")
+    tell_native: Callable[[], object] = bool
 
     say: Callable[[int], None]
     advance: Callable[..., None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from .restarting import Restarts, check_restart
 from .shared_memory import lacking, remove_leftovers
 from .spawning import groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
-from .supervision import supervise
+from .supervision import set_back, supervise
 
 
 @dataclass
@@ -84,7 +85,7 @@ def run_processes(
     external = [m for m in rig.members if m.external]
     if wait is None:
         wait = 0.0 if external else rig.scenario.start_timeout
-    error, stopped = "", 0
+    error, stopped, ahead = "", 0, time.time() - time.monotonic()
     with ExitStack() as stack:
         own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
@@ -153,6 +154,7 @@ def run_processes(
         for name, count in restarts.counts.items():
             status[name]["restarts"] = count
         stopped = next((number for number in (stopped, *late, *later) if number), 0)
+    error += set_back(ahead) if error else ""
     refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:
         raise ScenarioError(last_line(refused.log))

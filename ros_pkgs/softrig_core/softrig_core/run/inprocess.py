@@ -12,11 +12,10 @@ from typing import Any
 from ..block.block import Block, Observer
 from ..block.codec import encoder
 from ..block.port import CLOCK, Port, Sample
-from ..block.runner import YOUNG, Runner
+from ..block.runner import YOUNG
 from ..block.step import Rows, Step
 from ..errors import ScenarioError
-from ..native.compile import plain
-from ..native.engine import Engine, unwanted, writes
+from ..native.engine import ticks_of
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..solver.solver import Solver
@@ -64,7 +63,7 @@ def run_inprocess(
     due, end = 0, rig.clock.schedule.end or 0
     try:
         with _searched_seldom():
-            for t in _ticks(list(steps.values()), runs):
+            for t in ticks_of(list(steps.values()), runs)[0]:
                 if progress is not None and t is not None and (t >= due or t == end):
                     progress(t)
                     due = t + end // 100
@@ -81,16 +80,6 @@ def check_here(rig: Rig) -> None:
     for member in rig.members:
         if member.external:
             raise ScenarioError(f"node {member.name} is external: in-process runs have no place for it")
-
-
-def _ticks(steps: list[Step], runs: int) -> Iterator[int | None]:
-    """Answer all ticks of a run: natively or by one text of its members where that pays, else one by one."""
-    reason = unwanted(steps, runs)
-    if not reason:
-        return Engine(steps).run()
-    for step in steps:
-        step.native = 0, reason
-    return Engine(steps, plain).run() if writes(steps) else Runner(steps).run()
 
 
 @cache

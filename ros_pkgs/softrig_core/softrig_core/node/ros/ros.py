@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from ast import literal_eval
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
@@ -19,9 +20,10 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node, NodeNameNonExistentError
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, get_parameter_value
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
+from yaml import YAMLError
 
 from ...block.block import Level
 from ...errors import RunError
@@ -52,6 +54,11 @@ PATIENCE = 2.0  # s: for a tick under way in another thread at the end
 LAST = 10.0  # s: for readers to have the last messages, which go with their writer; a busy host keeps them waiting
 
 PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is always due
+
+# A number without a point, as 1e-05, is text for YAML 1.1; a list with one of them is one text.
+NUMBERS = (Parameter.Type.INTEGER, Parameter.Type.STRING)
+LISTS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.STRING_ARRAY, Parameter.Type.STRING)
+ARRAYS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.DOUBLE_ARRAY, Parameter.Type.STRING_ARRAY)
 
 SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
 
@@ -156,16 +163,22 @@ class ServingNode(Node):  # type: ignore[misc]
         return result
 
     def _meant(self, message: Any) -> Parameter:
-        """Give what is to be set, a whole number as a real one where that is expected."""
+        """Give what is to be set: numbers as real ones where these are expected, whatever they were taken for."""
         given = Parameter.from_parameter_msg(message)
         known = self._parameters.get(given.name, given)
+        if given.name in self._parameters and message.value == guessed(plain(known)):
+            return known
         real = known.type_ == Parameter.Type.DOUBLE or (
             known.type_ == Parameter.Type.NOT_SET and self._descriptors[given.name].floating_point_range
         )
-        if given.type_ == Parameter.Type.INTEGER and real:
-            return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
-        if given.type_ == Parameter.Type.INTEGER_ARRAY and known.type_ == Parameter.Type.DOUBLE_ARRAY:
-            return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, given.value)])
+        with suppress(ValueError, TypeError, SyntaxError):
+            if real and given.type_ in NUMBERS:
+                return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
+            if known.type_ == Parameter.Type.DOUBLE_ARRAY and given.type_ in LISTS:
+                values = literal_eval(given.value) if isinstance(given.value, str) else given.value
+                return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, values)])
+            if known.type_ in ARRAYS and given.type_ == Parameter.Type.BOOL_ARRAY and not given.value:
+                return Parameter(given.name, known.type_, [])
         return given
 
 
@@ -173,6 +186,13 @@ def plain(parameter: Parameter) -> Any:
     """Give a value as the block's parameters take it: arrays of any kind as lists."""
     value = parameter.value
     return value if value is None or isinstance(value, bool | int | float | str) else list(value)
+
+
+def guessed(value: Any) -> Any:
+    """Give what `ros2 param load` makes of a value's text: of no value 'None', of an empty list one of bools."""
+    with suppress(YAMLError, AssertionError):
+        return get_parameter_value(str(value))
+    return None
 
 
 Arguments = ParamSpec("Arguments")
