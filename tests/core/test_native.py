@@ -210,7 +210,8 @@ class Pusher(Block[OscillatorParams]):
         """Answer."""
         last = signal[0] if x.last is None else x.last
         u = 1.0 / (signal[0] - last) if t % 40_000_000 == 0 and signal[0] != last else (signal[1] or 1.0) ** 3
-        return Pushing(signal[0]), {"push": (limited(u, least=-1.0, most=1.0),)}
+        most = {"most": 0.05}
+        return Pushing(signal[0]), {"push": (limited(u, least=-1.0, **most),)}
 
 
 class Watcher(Observer[OscillatorParams]):
