@@ -1,4 +1,4 @@
-"""The search: corners first, then profiles held constant, a maintained optimiser, climbs along the bounds to the end."""
+"""The search: corners, then profiles held constant, a maintained optimiser, climbs along the bounds to the end."""
 
 from __future__ import annotations
 
@@ -72,9 +72,10 @@ def search(
     Corners come first, then the sampler; what is left of the budget goes to climbs from corner
     to corner, from the best point on and then from other corners.
 
-    Where there are several things and one of them is a list or a profile, CMA-ES comes between, over as many coordinates as
-    there are things, each constant: most violations of a system that forgets need no more, and those between the bounds,
-    which no corner finds, are found in few coordinates sooner than in many. It takes most of the corners' share.
+    Where there are several things and one of them is a list or a profile, CMA-ES comes between, over as many
+    coordinates as there are things, each constant: most violations of a system that forgets need no more, and those
+    between the bounds, which no corner finds, are found in few coordinates sooner than in many. It takes most of the
+    corners' share and another tenth.
 
     Parameters
     ----------
