@@ -228,6 +228,17 @@ def test_who_watches_a_run_waits_for_its_start_whatever_the_system_clock_does(ju
     assert supervision._to_start(epoch, 8.0) == pytest.approx(seconds, abs=0.1)
 
 
+def test_a_clock_that_was_set_back_is_a_reason(monkeypatch):
+    ahead, now = time.time() - time.monotonic(), time.time
+    assert supervision.set_back(ahead) == ""
+    monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)
+    assert supervision.set_back(ahead) == ""  # nobody minds
+    monkeypatch.setattr(time, "time", lambda: now() - HOUR / SECOND)
+    assert (
+        supervision.set_back(ahead) == "; the system's clock was set back by 3600 s meanwhile, and Fast DDS waits by it"
+    )
+
+
 @pytest.mark.parametrize("ok", [True, False])
 def test_a_publish_after_the_shutdown_of_the_context_is_no_error(ok, monkeypatch):
     """It happens between a signal and the end of the callback under way; the executor would log a stack."""

@@ -108,6 +108,7 @@ class Program:
     callers: dict[str, str] = field(default_factory=dict)
     known: dict[Any, Made] = field(default_factory=dict)
     seldom: list[str] = field(default_factory=list)
+    aside: bool = False  # what is being read is on no way that the samples take: what is unknown there gives a tick up
     under_way: set[Any] = field(default_factory=set)
     reports: Reports | None = None
 
@@ -320,7 +321,7 @@ def made(
             arguments[name] = Static(parameter.default)
     inner: dict[str, Value] = {}
     outer: list[str] = []
-    key: list[Any] = [function]
+    key: list[Any] = [function, program.aside]
     parameters: list[str] = []
 
     def handed(value: Value, name: str) -> Value:

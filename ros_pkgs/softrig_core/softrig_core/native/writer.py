@@ -55,13 +55,31 @@ class Writer(Calls):
 
     def run(self, statements: Sequence[ast.stmt]) -> None:
         """Write statements, as far as they are reached; those that surely lead to a report may give the tick up."""
+        aside = self.program.aside
+        try:
+            self._run(statements)
+        finally:
+            self.program.aside = aside
+
+    def _run(self, statements: Sequence[ast.stmt]) -> None:
+        left: tuple[int, int] | None = None  # where the way that the samples take has left, as far as anybody knows
         for k, statement in enumerate(statements):
             if self.ended:
                 return
             if _reporting(statements[k:]):
                 self._reporting(statements[k:])
                 return
-            self._one(statement)
+            try:
+                self._one(statement)
+            except NotNative as reason:
+                if left is None:
+                    raise
+                self.program.seldom.append(str(reason))
+                del self.lines[left[0] :], self.returned[left[1] :]
+                self._give_up()
+            if isinstance(statement, ast.If) and self.left and left is None:
+                left = len(self.lines), len(self.returned)
+                self.program.aside = True
 
     def _one(self, statement: ast.stmt) -> None:
         try:
@@ -183,11 +201,13 @@ class Writer(Calls):
         self.assign(node.target, self.binary(node.op, left, self.value(node.value), node))
 
     def _if(self, node: ast.If) -> None:
+        self.left = False
         test = self.test(node.test)
         if self.ended:
             return
         if isinstance(test, bool):
             self.run(node.body if test else node.orelse)
+            self.left = False
             return
         taken = self.sampled
         self._fork(test, taken, lambda: self.run(node.body), lambda: self.run(node.orelse))
