@@ -24,10 +24,6 @@ class Replay:
     def __init__(self, vectors: Sequence[int]) -> None:
         self._vectors = iter(vectors)
 
-    def get_enable(self) -> bool:
-        """The gates are never blocked."""
-        return True
-
     def __call__(self, model: Any) -> tuple[float, Sequence[float]]:
         """Give the sampling period and the duty ratios; past the end, V0."""
         return T_S, [float(s) for s in LEGS[next(self._vectors, 0)]]
@@ -37,23 +33,24 @@ class Replay:
 
 
 def motulator(vectors: Sequence[int], rtol: float = 1e-3) -> dict[str, float]:
-    """Feed motulator's drive model with the vectors, without PWM; its default solver RK45, or a tighter one."""
-    from motulator.common.model._simulation import SolverCfg
-    from motulator.drive import model
+    """Feed motulator's drive model (0.5) with the vectors, without PWM; its solver RK45 as it is, or a tighter one."""
+    from functools import partial
 
-    machine = model.InductionMachine(
-        model.InductionMachineInvGammaPars(n_p=2, R_s=3.7, R_R=2.1, L_sgm=0.021, L_M=0.224)
-    )
-    mechanics = model.MechanicalSystem(J=0.015)
+    from motulator.common.model import _simulation
+    from motulator.drive import model, utils
+
+    machine = utils.InductionMachineInvGammaPars(n_p=2, R_s=3.7, R_R=2.1, L_sgm=0.021, L_M=0.224)
+    motor = model.InductionMachine(utils.InductionMachinePars.from_inv_gamma_model_pars(machine))
     load_from = 0.6 - 1e-9
-    mechanics.set_external_load_torque(lambda t: 10.0 * (t >= load_from))
-    drive = model.Drive(machine, mechanics, model.VoltageSourceConverter(u_dc=540.0), delay=0)
-    config = SolverCfg(rtol=rtol, atol=1e-3 * rtol)
-    simulation = model.Simulation(drive, Replay(vectors), show_progress=False, cfg=config)
+    mechanics = model.StiffMechanicalSystem(J=0.015, tau_L=lambda t: 10.0 * (t >= load_from))
+    drive = model.Drive(model.VoltageSourceConverter(u_dc=540.0), motor, mechanics)
+    drive.delay = lambda duty: duty
+    _simulation.solve_ivp = partial(_simulation.solve_ivp, rtol=rtol, atol=1e-3 * rtol)
+    simulation = model.Simulation(drive, Replay(vectors))
     start = time.process_time()
     simulation.simulate(t_stop=len(vectors) * T_S - 1.5 * T_S)
     found = time.process_time() - start
-    psi = machine.state.psi_s_ab
+    psi = motor.state.psi_ss
     return {
         "cpu_s": found,
         "periods": round(drive.t0 / T_S),
@@ -61,26 +58,6 @@ def motulator(vectors: Sequence[int], rtol: float = 1e-3) -> dict[str, float]:
         "psi_beta": psi.imag,
         "speed": mechanics.state.w_M.real,
     }
-
-
-def motulator_own(vectors: Sequence[int]) -> dict[str, float]:
-    """Run motulator's own example: flux-vector control every 125 us, voltage averaged over the period."""
-    from math import pi
-
-    from motulator.drive import control, model
-
-    pars = model.InductionMachineInvGammaPars(n_p=2, R_s=3.7, R_R=2.1, L_sgm=0.021, L_M=0.224)
-    mechanics = model.MechanicalSystem(J=0.015)
-    mechanics.set_external_load_torque(lambda t: 10.0 * (t >= 0.6))
-    drive = model.Drive(model.InductionMachine(pars), mechanics, model.VoltageSourceConverter(u_dc=540.0))
-    config = control.im.FluxVectorControllerCfg(psi_s_nom=0.9, i_s_max=14.0, sensorless=False)
-    vector = control.im.FluxVectorController(pars, config)
-    system = control.im.VectorControlSystem(vector, control.im.SpeedController(J=0.015, alpha_s=2 * pi * 4))
-    system.set_speed_ref(lambda t: 100.0 * (t > 0.2))
-    simulation = model.Simulation(drive, system, show_progress=False)
-    start = time.process_time()
-    simulation.simulate(t_stop=len(vectors) * T_S)
-    return {"cpu_s": time.process_time() - start}
 
 
 def gym_electric_motor(vectors: Sequence[int]) -> dict[str, float]:
@@ -148,7 +125,6 @@ def jax_environments(vectors: Sequence[int], many: int = 256) -> dict[str, float
 PEERS: dict[str, Callable[[Sequence[int]], dict[str, float]]] = {
     "motulator": motulator,
     "motulator-tight": lambda vectors: motulator(vectors, rtol=1e-8),
-    "motulator-own": motulator_own,
     "gym-electric-motor": gym_electric_motor,
     "jax": jax_environments,
 }
