@@ -144,13 +144,17 @@ def test_two_pages_turn_one_knob(mode, tmp_path):
         pages[0].until(lambda: "paused" in pages[0]["state"].text and pages[0]["hold"].label == "resume")
         for k, turned in enumerate(("60.0", "70.0", "65.0"), 1):
             pages[k % 2]["dc_motor_smc.k"].value = turned
-            for page in pages:
-                page.until(lambda page=page, turned=turned: page["dc_motor_smc.k"].value == turned)
+            pages[k % 2].says(f"dc_motor_smc.k = {float(turned):g} rad/s^3")  # as its node answers
             pages[k % 2].press("step")
-            pages[0].until(lambda k=k: f">{mode}: {k * 1e-4:.6g} of 0.5 s, paused<" in pages[0]["state"].text)
+            for page in (pages[k % 2], pages[k % 2 - 1]):  # what one sends goes out while it is looked at
+                page.until(lambda page=page, k=k: f">{mode}: {k * 1e-4:.6g} of 0.5 s, paused<" in page["state"].text)
+                page.until(
+                    lambda page=page, turned=turned: float(page["dc_motor_smc.k"].value or "nan") == float(turned)
+                )
         pages[1].press("hold")
-        for k in range(20):
+        for k in range(6):
             pages[k % 2]["dc_motor_smc.delta"].value = str(1.0 + k)
+            pages[k % 2].says(f"dc_motor_smc.delta = {1.0 + k:g}")
         pages[1].close()
         pages[0].until(lambda: "ended" in pages[0]["state"].text)
         last = pages[0]["dc_motor_smc.k"].value
@@ -159,7 +163,7 @@ def test_two_pages_turn_one_knob(mode, tmp_path):
     changes = json.loads((tmp_path / "run" / "metrics.json").read_text())["changes"]
     first = [(c["at_s"], c["set"]["k"]) for c in changes if "k" in c["set"]]
     assert [k for _, k in first] == [60.0, 70.0, 65.0]
-    assert last == "65.0"
+    assert float(last) == 65.0
     assert np.diff([t for t, _ in first]) == pytest.approx([1e-4, 1e-4])
     again = ["run", "--like", tmp_path / "run", "--mode", "inprocess", "--no-plots", "--out", tmp_path / "again"]
     assert main([*map(str, again)]) in (0, 1)

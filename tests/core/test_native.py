@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import linecache
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -210,7 +212,8 @@ class Pusher(Block[OscillatorParams]):
         """Answer."""
         last = signal[0] if x.last is None else x.last
         u = 1.0 / (signal[0] - last) if t % 40_000_000 == 0 and signal[0] != last else (signal[1] or 1.0) ** 3
-        return Pushing(signal[0]), {"push": (limited(u, least=-1.0, most=1.0),)}
+        most = {"most": 0.05}
+        return Pushing(signal[0]), {"push": (limited(u, least=-1.0, **most),)}
 
 
 class Watcher(Observer[OscillatorParams]):
@@ -441,6 +444,13 @@ def test_what_is_not_known_is_named() -> None:
     blocks = {"plant": Oscillator(), "law": Texts()}
     with pytest.raises(NotNative, match=r"test_native\.Texts\.update, line \d+: str"):
         rig_text(core(Rig.from_blocks(blocks, 0.1)), [])
+
+
+def test_a_debugger_shows_the_text_of_a_rig() -> None:
+    function = plain(rig_text(core(rig()), []))
+    code, shown = function.__code__, inspect.getsource(function)
+    assert shown.startswith("def rig(first, last, n, c, s")
+    assert linecache.getline(code.co_filename, code.co_firstlineno) == shown.splitlines(keepends=True)[0]
 
 
 def test_a_rig_that_gives_up_often_stays_in_python(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,11 +20,11 @@ def fits(console: Console, table: Table) -> bool:
     return Measurement.get(console, console.options.update(max_width=10_000), table).maximum <= console.width
 
 
-def table_of(heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Table:
-    """Make a table whose heads are folded at underscores and dots; what is no word stands to the right."""
+def table_of(heads: Sequence[str], rows: Sequence[Sequence[Cell]], folded: bool = False) -> Table:
+    """Make a table, its heads folded at underscores and dots or not; what is no word stands to the right."""
     found = Table(box=None, pad_edge=False)
     for k, head in enumerate(heads):
-        room = max((len(row[k]) for row in rows), default=0)
+        room = max((len(row[k]) for row in rows), default=0) if folded else len(head)
         found.add_column(_folded(head, room), justify="left" if not k or head in WORDS else "right", no_wrap=True)
     for row in rows:
         found.add_row(*row)
@@ -49,6 +49,10 @@ def print_judged(console: Console, heads: Sequence[str], rows: Sequence[Sequence
 
 def print_columns(console: Console, heads: Sequence[str], rows: Sequence[Sequence[Cell]], keys: int = 1) -> None:
     """Print a table; of columns that do not fit beside each other the rest follows below, the first `keys` again."""
+    whole = table_of(heads, rows)
+    if fits(console, whole):
+        console.print(whole)
+        return
     shown = list(range(keys))
     for k in [*range(keys, len(heads)), None]:
         now = shown if k is None else [*shown, k]
@@ -60,7 +64,7 @@ def print_columns(console: Console, heads: Sequence[str], rows: Sequence[Sequenc
 
 
 def _chosen(heads: Sequence[str], rows: Sequence[Sequence[Cell]], columns: Sequence[int]) -> Table:
-    return table_of([heads[k] for k in columns], [[row[k] for k in columns] for row in rows])
+    return table_of([heads[k] for k in columns], [[row[k] for k in columns] for row in rows], True)
 
 
 def _folded(head: str, room: int) -> str:

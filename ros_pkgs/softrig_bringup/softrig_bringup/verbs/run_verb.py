@@ -243,18 +243,16 @@ def _too_slow(options: argparse.Namespace, done: Run) -> str:
     if not late:
         return ""
     why = "".join(f", {node}: {text}" for node, text in trips.items())
-    return (
-        f"the machine did not keep up: {', '.join(late)}{why}; the figures are of a slower loop, --mode container "
-        "is faster"
-    )
+    faster = ", --mode container is faster" if options.mode == "processes" else ""
+    return f"the machine did not keep up: {', '.join(late)}{why}; the figures are of a slower loop{faster}"
 
 
 def _missed(status: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """Share of its deadlines that each node has missed in real time, per cent."""
     return {
-        name: 100.0 * s["missed_deadlines"] / s["ticks"]
+        name: 100.0 * s["missed_deadlines"] / (s.get("ticks", 0) + s["missed_deadlines"])
         for name, s in status.items()
-        if s.get("missed_deadlines") and s.get("ticks")
+        if s.get("missed_deadlines")
     }
 
 

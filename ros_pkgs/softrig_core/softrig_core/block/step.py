@@ -61,7 +61,8 @@ class Step(Held):
     send : callable or None
         Gets (t, rows) of each answer: what carries it out of this process, or records it.
     send_all : callable or None
-        Gets (times, numbers) of many answers at once, shapes (n,) and (n, size); see `send`.
+        Gets (times, numbers) of many answers at once, shapes (n,) and (n, size); see `send`. Of one that is not plain
+        flags of silence are after the numbers, and stamps of delayed outputs come, too, (n, count).
     lacks : callable or None
         Gets t, the tick that is to be answered: whether something that it needs has not come; None: never.
     moved : callable or None
@@ -75,7 +76,7 @@ class Step(Held):
     """
 
     send: Callable[[int, Rows], object] | None = None
-    send_all: Callable[[Any, Any], object] | None = None
+    send_all: Callable[..., object] | None = None
     lacks: Callable[[int], bool] | None = None
     moved: Callable[[], object] | None = None
     changed: Callable[[int, Mapping[str, Any]], object] | None = None

@@ -522,7 +522,8 @@ class Engine:
                 continue
             if s.send_all is not None:
                 times = s.schedule.times(own.start, own.stop)
-                s.send_all(times, np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0)))
+                numbers = np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0))
+                s.send_all(times, numbers, *(() if s.plain else (np.asarray(rows[id(s)].stamps, np.int64),)))
             elif s.send is not None and s.outputs:
                 for number, row, z in zip(own, *rows[id(s)].listed(), strict=True):
                     said = _parted(s, tuple(row), z)

@@ -59,7 +59,7 @@ class Group:
         _feed(links)
         self._steps = steps
         members = [n.step for n in _in_order(nodes, links)]
-        if all(n.middleware.mute for n in nodes):
+        if len(nodes) > 1 and all(n.middleware.mute for n in nodes):
             self._ticks, tell = ticks_of(members, alone=lambda: all(step.alone for step in steps))
             for member in members:
                 member.tell_native = tell
@@ -80,12 +80,14 @@ class Group:
         for node in self.nodes:
             if node.state in ("starting", "failed"):
                 return
-        until = time.monotonic_ns() + SLICE
+        until = 0
         try:
             for t in self._ticks:
                 if t is None:
                     return
-                if time.monotonic_ns() > until:  # by hand one may wait for nobody and have no end
+                if not until:
+                    until = time.monotonic_ns() + SLICE
+                elif time.monotonic_ns() > until:  # by hand one may wait for nobody and have no end
                     self.nodes[0].middleware.post(self.turn)
                     return
         except RunError as error:

@@ -12,7 +12,6 @@ from typing import Any
 
 from ..errors import ScenarioError
 from ..guard import need_ros
-from ..rig.members import Member
 from ..rig.rig import Rig
 from ..wire.recording import Recording
 from .children import Child, last_line, read_status, stop
@@ -23,7 +22,7 @@ from .peers import starter
 from .placement import NOBODY, PROCESSES, Listener, Placement
 from .restarting import Restarts, check_restart
 from .shared_memory import lacking, remove_leftovers
-from .spawning import groups, start
+from .spawning import Started, groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
 from .supervision import set_back, supervise
 
@@ -105,23 +104,14 @@ def run_processes(
             "run.pace": placement.pace,
         }
 
-        def begin(group: list[Member], again: bool = False) -> list[Child]:
-            return start(
-                rig,
-                group,
-                seed,
-                directory,
-                options,
-                placement.record,
-                variables,
-                None if own_domain else (),
-                returns=placement.restart > 0,
-                again=again,
-            )
+        recorders = None if own_domain else ()
+        run = Started(
+            rig, seed, directory, options, placement.record, variables, recorders, returns=placement.restart > 0
+        )
 
         def restart(k: int) -> None:
             with unstopped():
-                old, (children[k],) = children[k], begin([children[k].member], again=True)
+                old, (children[k],) = children[k], start(run, [children[k].member], again=True)
                 os.close(old.end)
 
         restarts = Restarts(placement.restart, restart, listener.announce)
@@ -136,7 +126,7 @@ def run_processes(
                         # A signal waits until it is known who has been started; what Python does at a fork would
                         # swallow it with a traceback, besides.
                         with unstopped():
-                            children += begin(group)
+                            children += start(run, group)
                     error = supervise(
                         rig, children, listener.progress, guests, placement.clock == "realtime", stopping, restarts
                     )

@@ -216,7 +216,8 @@ class Adapter:
 
     def _look_for_readers(self) -> None:
         outputs = *self.outputs, self.clock_output, self.tick_output
-        silent = self.middleware.mute and not self.links.guests  # a guest gets the first message late
+        # a guest gets the first message late, who comes back what was said last
+        silent = self.middleware.mute and not (self.links.guests or self.links.returns)
         self.alone = silent and not any(o.readers for o in outputs)
         self._unread = self.alone and self._plain
 
@@ -378,8 +379,9 @@ class Adapter:
             "pace": self.hold.pace,
             "cpu_s": round(time.process_time(), 3),
             "prompt": self.middleware.prompt,
+            "processor": self.middleware.processor,
         }
-        if self.state != "running" and self.middleware.mute and self.options.mode == "lockstep":
+        if self.state != "running" and self.step.tell_native is not bool:  # its group may go natively
             self.step.tell_native()
             status["native"] = self.step.native
         status |= self.drive.counts()
