@@ -204,6 +204,8 @@ class SimulatedTimer:
 class SimulatedNode(Middleware):
     """One node's `Middleware`."""
 
+    mute = True
+
     def __init__(self, world, name, remap, process=None):
         self.world, self.name, self.full_name, self.remap = world, name, f"/{name}", remap
         self.process = process

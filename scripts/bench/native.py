@@ -28,6 +28,7 @@ RIGS = (
     "tcp_aqm_smc",
     "rehab_impedance",
     "manipulator_adsmc",
+    "pv_mppt",
 )
 # by hand: seconds simulated, and topics of its tables: of each tick, and of each 20th
 LOOPS: dict[str, tuple[float, list[tuple[str, ...]]]] = {

@@ -10,6 +10,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from softrig_bringup.folder import alone_in
 from softrig_core.errors import ScenarioError
 from softrig_core.extras import need
 from softrig_core.guard import guarded
@@ -33,7 +34,8 @@ def main() -> int:
         "--sources", action="store_true", help="only write what Sphinx reads, and check all links to files"
     )
     given = parser.parse_args()
-    status = build(given.out, sources_only=given.sources)
+    with alone_in(given.out):
+        status = build(given.out, sources_only=given.sources)
     if status == 0 and given.serve is not None:
         serve(given.out / "html", given.serve)
     return status

@@ -17,7 +17,8 @@ _FENCE = re.compile(r"(^```.*?^```$)", re.S | re.M)
 _SUMMARY = re.compile(r"<details>\n<summary>(.*?)</summary>")
 _FORMULA = re.compile(r"\$`([^`]+)`\$")
 _INDENTED = re.compile(r"(?<=\n\n)(?:    .*\n|\n+(?=    ))+")
-_COMMAND = re.compile(r"    ([\w./]*softrig|scripts/|ros2|eval|export|colcon|docker|pip|cd|git|ROS_|SOFTRIG_)\b")
+_COMMAND = re.compile(r"    ([\w./]*softrig|scripts/|ros2|eval|export|echo|colcon|docker|pip|cd|git|ROS_|SOFTRIG_)\b")
+_YAML = re.compile(r"    [\w/]+:( .*)?$", re.M)
 _COMMENTED = re.compile(r"^(\S.*?) {2,}(# .*)$")
 WIDTH = 88  # letters of code that a page shows beside its sidebars
 _HEADING = re.compile(r"^```.*?^```$|^(#+) ", re.S | re.M)
@@ -102,13 +103,15 @@ def _folder(path: Path) -> Path:
 
 
 def _fenced(found: re.Match[str]) -> str:
-    """Commands as such, so that their comments stand back; above them where a line would be cut."""
-    if not _COMMAND.match(found[0]):
+    """Commands as such, so that their comments stand back; above them where a line would be cut. YAML as YAML."""
+    block = found[0].strip("\n")
+    commands = _COMMAND.match(block)
+    if not (commands or _YAML.match(block)):
         return found[0]
-    lines = [line[4:] for line in found[0].rstrip("\n").split("\n")]
-    if max(map(len, lines)) > WIDTH:
+    lines = [line[4:] for line in block.split("\n")]
+    if commands and max(map(len, lines)) > WIDTH:
         lines = [_COMMENTED.sub(r"\2\n\1", line) for line in lines]
-    return "\n".join(["```bash", *lines, "```", ""])
+    return "\n".join(["```bash" if commands else "```yaml", *lines, "```", ""])
 
 
 def _unfolding(found: re.Match[str]) -> str:

@@ -106,7 +106,8 @@ def _verb(name: str, parser: argparse.ArgumentParser, text: str, mark: str) -> l
     for group in nested:
         about = {a.dest: a.help or "" for a in group._choices_actions}
         for child, sub in group.choices.items():
-            parts += _verb(f"{name} {child}", sub, about.get(child, sub.description or ""), f"{mark}#")
+            if f"{name} {child}" not in cli.FOREIGN:  # whose parser is another: it follows
+                parts += _verb(f"{name} {child}", sub, about.get(child, sub.description or ""), f"{mark}#")
     return parts
 
 

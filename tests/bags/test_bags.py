@@ -489,6 +489,14 @@ def test_the_first_difference_is_named():
     assert [t.equal for t in result.topics] == [True, True, False]
 
 
+def test_of_fields_that_agree_no_deviation_is_said():
+    layout, pair = Layout(STATE, "", ["a"], {"position": 1, "velocity": 1}), []
+    for velocity in (1.0, 1.5):
+        pair.append(Recording([("state", STATE)]))
+        pair[-1].add(0, 0, layout.encode(0, (2.0, velocity)))
+    assert compared(*pair).topics[0].largest == {"a/velocity": 0.5}
+
+
 @pytest.mark.parametrize(
     ("options", "equal"),
     [

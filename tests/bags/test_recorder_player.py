@@ -331,8 +331,10 @@ def test_the_patience_of_publishers_is_that_of_the_profile(tmp_path, monkeypatch
     own.write_text(PROFILE.read_text().replace("<sec>3</sec>", "<sec>DURATION_INFINITY</sec>"))
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(own))
     assert patience() == float("inf")
-    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
+    own.write_text("<profiles/>")  # then those of Fast DDS
     assert patience() == 17.0
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
+    assert patience() == 2.5
 
 
 def received(directory: Path, source: Recording) -> None:

@@ -1,5 +1,6 @@
 """Completion in the shell, the list of scenarios, and what a node says to who starts it by hand."""
 
+import csv
 import json
 import os
 import shutil
@@ -149,7 +150,7 @@ def test_quiet_prints_nothing_and_its_status_tells(tmp_path, capsys):
     assert "dc_motor_smc_b9000" in capsys.readouterr().err  # what goes wrong is said
 
 
-def test_figures_on_a_narrow_terminal_are_folded_between_words(tmp_path, capsys, monkeypatch):
+def test_on_a_narrow_terminal_no_number_and_no_word_is_broken(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "50")
     words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--no-plots", "--out", str(tmp_path / "run")]
     assert main(words) == 0
@@ -158,9 +159,22 @@ def test_figures_on_a_narrow_terminal_are_folded_between_words(tmp_path, capsys,
         lines[0].rstrip() == "dc_motor_smc_b2: DC motor rig, softened sliding"
     )  # the title takes the terminal's width
     assert max(map(len, lines)) <= 50
-    firsts = [line.split(" ")[0] for line in lines]
-    assert "total_" in firsts
-    assert "variation" in firsts
+    assert "rise_time  pass" in [line.rstrip() for line in lines]
+    measured = json.loads((tmp_path / "run/metrics.json").read_text())["metrics"]
+    found = " ".join(lines)
+    for figure in measured:
+        assert figure["name"] in found
+        assert f"measured {figure['value']:.6g}" in " ".join(found.split())
+    assert main(["study", "dc_motor_smc_b2", "--grid", "dc_motor_smc.delta=1,2", "--out", str(tmp_path / "s")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 50
+    numbers = [word for line in lines for word in line.split()]
+    with open(tmp_path / "s/table.csv", newline="") as file:
+        for row in csv.DictReader(file):
+            expected = [f"{float(v):.6g}" for k, v in row.items() if k.startswith("figure.") and v]
+            assert len(expected) > 4
+            assert set(expected) <= set(numbers)
+    assert sum("delta" in line for line in lines) > 1  # its column comes again beside those that did not fit
 
 
 def test_few_long_cases_tell_how_far_they_are_where_there_is_no_terminal(capsys, monkeypatch):

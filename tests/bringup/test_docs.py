@@ -77,6 +77,8 @@ def test_the_reference_has_everything_that_there_is():
     verbs = reference.verbs()
     names = {*cli.make_parser()._subparsers._group_actions[0].choices}
     assert {n.split()[0] for n in re.findall(r"^##+ (.+)$", verbs, re.M)} == names
+    heads = re.findall(r"^#+ (.+)$", verbs, re.M)
+    assert len(heads) == len(set(heads))
     for option in ("--mode", "--junit FILE", "--rel", "--rate"):
         assert re.search(rf"^\| `[^`]*{option}\b", verbs, re.M), option
     assert re.findall(r"^## (\w+)$", reference.figures(), re.M) == registered()

@@ -1,6 +1,7 @@
 """The search for a violation: right where the answer is known, repeatable, made small, honest without one."""
 
 import json
+import random
 import shutil
 import sys
 
@@ -14,6 +15,7 @@ from softrig_bringup.falsify.space import parse, space_of
 from softrig_bringup.run.run import checked
 from softrig_bringup.study.work import run, trial
 from softrig_core import Scenario, ScenarioError, load_scenario, rig_of, simulate
+from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
 
 PIECES, PERIOD, LOAD = 15, 0.01, 1e-3
 
@@ -236,6 +238,26 @@ def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(undrawn
     other = [*given, "--seed", "7", "--out", str(tmp_path / "b")]
     assert main(other) == 2
     assert "holds another falsification" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["falsify", "--over", "dc_motor_plant.R=0.5..2.5"],
+        ["study", "--search", "overshoot", "--draw", "dc_motor_plant.R=0.5..2.5"],
+    ],
+)
+def test_a_rig_that_does_not_repeat_is_not_searched(file, words, tmp_path, capsys, monkeypatch):
+    update = DcMotorSmc.update
+
+    def moody(*given, **more):
+        x, values = update(*given, **more)
+        return x, {name: (random.uniform(0.5, 1.0) * volts,) for name, (volts,) in values.items()}
+
+    monkeypatch.setattr(DcMotorSmc, "update", moody)
+    assert main([words[0], str(file), *words[1:], "--workers", "1", "--out", str(tmp_path / "a")]) == 2
+    assert "two runs with the same parameters and seed differ, first on motor/" in capsys.readouterr().err
+    assert not (tmp_path / "a" / "rows.jsonl").exists()
 
 
 def test_where_nothing_violates_it_says_what_came_nearest(file, tmp_path, capsys):

@@ -5,7 +5,7 @@ import os
 
 import pytest
 from softrig_bringup.cli import main
-from softrig_bringup.folder import MANIFEST, ResultsFolder
+from softrig_bringup.folder import MANIFEST, ResultsFolder, alone_in
 from softrig_core import ScenarioError
 
 RUN = ["run", "dc_motor_smc_b2", "--mode", "inprocess"]
@@ -150,3 +150,32 @@ def test_a_run_that_cannot_be_made_again_is_replaced_by_force_alone(tmp_path, mo
     assert (tmp_path / "runs" / "dc_motor_smc_b2-2" / "metrics.json").is_file()
     assert main([*words, "--force"]) == 0
     assert file.read_text() != kept
+
+
+@pytest.mark.parametrize(
+    ("mark", "words"),
+    [
+        ("study.json", [*RUN, "--no-plots"]),
+        ("falsification.json", [*RUN, "--no-plots"]),
+        ("metrics.json", ["study", "dc_motor_smc", "--seeds", "2"]),
+        ("falsification.json", ["study", "dc_motor_smc", "--seeds", "2"]),
+        ("study.json", ["falsify", "dc_motor_fsfb_late"]),
+    ],
+)
+def test_results_of_another_kind_are_not_replaced(tmp_path, capsys, mark, words):
+    (tmp_path / mark).write_text("{}")
+    (tmp_path / MANIFEST).write_text(json.dumps([mark, MANIFEST]))
+    assert main([*words, "--out", str(tmp_path)]) == 2
+    assert f"{tmp_path} holds a {mark.removesuffix('.json').replace('metrics', 'run')}" in capsys.readouterr().err
+    assert names(tmp_path) == sorted([mark, MANIFEST])
+
+
+def test_a_folder_of_pages_and_one_of_a_golden_bag_have_one_writer(tmp_path, capsys):
+    (tmp_path / "dc_motor_smc_b2").mkdir()
+    for words, place in (
+        (["results", "dc_motor_fsfb", "--out", str(tmp_path)], tmp_path),
+        (["golden", "dc_motor_smc_b2", "--bags", str(tmp_path), "--duration", "0.01"], tmp_path / "dc_motor_smc_b2"),
+    ):
+        with alone_in(place):
+            assert main(words) == 2
+        assert f"{place}: process {os.getpid()} is writing there" in capsys.readouterr().err

@@ -132,6 +132,42 @@ def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_t
     assert (speed["x"][-1], speed["y"][-1]) == (t[-1], recorded[-1])  # the page ends where the bag does
 
 
+@pytest.mark.long
+@pytest.mark.processes
+@pytest.mark.parametrize("mode", ["processes", "container"])
+def test_two_pages_turn_one_knob(mode, tmp_path):
+    """At the very tick at which the run is held, and while it goes: all see the newest, and the run repeats."""
+    words = ("dc_motor_smc", "--duration", "0.5", "--no-plots", "--mode", mode, "--out", tmp_path / "run")
+    with running("view", *words) as process:
+        url = address(process)
+        pages = [Browser(url), Browser(url)]
+        pages[0].until(lambda: "paused" in pages[0]["state"].text and pages[0]["hold"].label == "resume")
+        for k, turned in enumerate(("60.0", "70.0", "65.0"), 1):
+            pages[k % 2]["dc_motor_smc.k"].value = turned
+            pages[k % 2].says(f"dc_motor_smc.k = {float(turned):g} rad/s^3")  # as its node answers
+            pages[k % 2].press("step")
+            for page in (pages[k % 2], pages[k % 2 - 1]):  # what one sends goes out while it is looked at
+                page.until(lambda page=page, k=k: f">{mode}: {k * 1e-4:.6g} of 0.5 s, paused<" in page["state"].text)
+                page.until(lambda page=page, turned=turned: float(page["dc_motor_smc.k"].value) == float(turned))
+        pages[1].press("hold")
+        for k in range(6):
+            pages[k % 2]["dc_motor_smc.delta"].value = str(1.0 + k)
+            pages[k % 2].says(f"dc_motor_smc.delta = {1.0 + k:g}")
+        pages[1].close()
+        pages[0].until(lambda: "ended" in pages[0]["state"].text)
+        last = pages[0]["dc_motor_smc.k"].value
+        pages[0].close()
+        assert process.wait(PATIENCE) in (0, 1)
+    changes = json.loads((tmp_path / "run" / "metrics.json").read_text())["changes"]
+    first = [(c["at_s"], c["set"]["k"]) for c in changes if "k" in c["set"]]
+    assert [k for _, k in first] == [60.0, 70.0, 65.0]
+    assert float(last) == 65.0
+    assert np.diff([t for t, _ in first]) == pytest.approx([1e-4, 1e-4])
+    again = ["run", "--like", tmp_path / "run", "--mode", "inprocess", "--no-plots", "--out", tmp_path / "again"]
+    assert main([*map(str, again)]) in (0, 1)
+    assert compare(signals(tmp_path / "run/bag"), signals(tmp_path / "again/bag"), bitwise=True).equal
+
+
 def test_a_run_goes_back_from_its_page_and_the_branch_is_that_of_run_from(tmp_path):
     words = ("dc_motor_smc", "--mode", "inprocess", "--duration", "0.1", "--no-plots")
     with running("view", *words, "--pace", "full", "--out", tmp_path / "first") as process:

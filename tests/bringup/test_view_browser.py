@@ -80,14 +80,13 @@ class Chromium:
 def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
     file, out = tmp_path / "drive.yaml", tmp_path / "run"
     file.write_text(SCENARIO.format(slow=SLOW_DRIVE if pace == "real time" else ""))
-    live = ("view", file, "--realtime", "--duration", 30)
+    live = ("view", file, "--realtime", "--duration", 10)
     with running(*(live if pace == "real time" else ("view", file)), "--no-plots", "--out", out) as process:
         browser = Chromium(address(process))
         try:
-            if pace == "lockstep":
-                browser.until(f"return {MODEL}.label === 'resume'", "hold")
-                browser.click("step")
-                browser.says("step: one step")
+            browser.until(f"return {MODEL}.label === 'resume'", "hold")
+            browser.click("step")
+            browser.says("step: one step")
             browser.turn("speed_controller.kp", "value", "2.5")
             browser.says("speed_controller.kp = 2.5")
             browser.turn("offset.active", "active", True)
@@ -96,7 +95,11 @@ def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
             browser.says("offset.probability = 0.5")
             browser.click("offset/toggle")
             browser.says("offset/toggle: toggle pressed")
-            if pace == "lockstep":
+            browser.click("hold")
+            if pace == "real time":  # stands, and goes on
+                browser.until(f"return {MODEL}.text.includes('running')", "state")
+                browser.click("hold")
+                browser.until(f"return {MODEL}.text.includes('paused')", "state")
                 browser.click("hold")
             browser.until(f"return {MODEL}.text.includes('ended')", "state")
             browser.says("kp = 2.5 from this tick on")
@@ -145,3 +148,33 @@ def test_a_page_whose_server_is_killed_comes_back_and_the_run_goes_on(tmp_path):
         finally:
             browser.driver.quit()
         assert process.wait(PATIENCE) == 0
+
+
+@pytest.mark.long
+def test_a_person_goes_back_and_on_with_another_gain(tmp_path, capsys):
+    """In process: the branch is, byte for byte, what `run --from` makes of it; the run that had ended stays."""
+    out = tmp_path / "run"
+    arguments = ("view", "dc_motor_smc_b2", "--mode", "inprocess", "--pace", "full", "--duration", 1, "--no-plots")
+    with running(*arguments, "--out", out) as process:
+        browser = Chromium(address(process))
+        try:
+            browser.until(f"return {MODEL}.label === 'resume'", "hold")
+            browser.click("hold")
+            browser.until(f"return {MODEL}.text.includes('the run is over')", "state")
+            browser.turn("back to", "value", "0.5")
+            browser.click("go back")
+            browser.says("back to 0.5 s from 1 s")
+            browser.until(f"return {MODEL}.text.includes('paused')", "state")
+            browser.turn("dc_motor_smc.delta", "value", "2")
+            browser.says("dc_motor_smc.delta = 2")
+            browser.click("hold")
+            browser.until(f"return {MODEL}.text.includes('the run is over')", "state")
+        finally:
+            browser.driver.quit()
+        assert process.wait(PATIENCE) == 0
+    capsys.readouterr()
+    changed = ["--set", "dc_motor_smc.delta=2", "--no-plots", "--out", str(tmp_path / "again")]
+    assert main(["run", "--from", f"{out}@0.5", *changed]) == 0
+    branch, again = tmp_path / "run-2" / "bag", tmp_path / "again" / "bag"
+    assert main(["bag", "compare", str(branch), str(again)]) == 0, capsys.readouterr().out
+    assert main(["bag", "compare", str(branch), str(out / "bag")]) == 1

@@ -216,6 +216,15 @@ def hold(seed):
     return verdict
 
 
+@pytest.mark.parametrize("text", ["always(x > 0)", "always[0, 1](x > 0)", "x > 0 and eventually(x > 0)"])
+def test_live_the_first_instant_counts(text):
+    live = Live(read(text, KNOWN)[0])
+    opened = live.push(live.first(), 0.0, {"x": -2.0}, {}, {"x": False})
+    assert live.bounds(opened)[1] == -2.0
+    opened = live.push(opened, 2e9, {"x": 5.0}, {}, {"x": False})
+    assert live.bounds(opened)[1] == -2.0
+
+
 def test_random_formulas_are_measured_as_defined():
     verdicts = [hold(seed) for seed in range(DAILY)]
     for each in (True, False, None):  # the draw reaches all three

@@ -3,9 +3,9 @@
 from functools import partial
 
 import pytest
-from conftest import differences, in_process
+from conftest import differences, in_process, make_scenario
 from simulated import SimulatedRig, World
-from softrig_core import load_scenario, rig_of
+from softrig_core import Signals, load_scenario, rig_of
 
 RIG = rig_of(load_scenario("dc_motor_smc_b2").changed(duration=0.6))
 CLOCK = RIG.clock.name
@@ -51,3 +51,42 @@ def test_who_waits_for_a_slow_pace_is_told_and_does_not_give_up():
     rig = rig_of(load_scenario("dc_motor_smc_b2").changed(duration=2 * float(RIG.clock.schedule.period)))
     run = SimulatedRig(rig, World(), "lockstep", pace=float(RIG.clock.schedule.period) / 20.0)
     assert set(run.run(100.0).values()) == {"done"}
+
+
+@pytest.mark.parametrize("apart", [0.0, 7.0], ids=["", "clocks apart"])
+@pytest.mark.parametrize("groups", [(), [["dc_motor_plant", "dc_motor_smc"]], [[m.name for m in RIG.members]]])
+def test_in_real_time_the_clock_of_the_rig_stands_and_nothing_is_late_for_it(groups, apart):
+    """Held at t = 0, three single steps, a pause of a minute, one that is taken back at once: the bits of lockstep."""
+    world, seen = World(), []
+    run = SimulatedRig(RIG, world, "realtime", groups=groups, departs=True, paused=True)
+    nodes = list(run.adapters.values())
+    run.nodes["dc_motor_smc"].ahead = round(apart * 1e9)
+    hold, start = run.adapters[CLOCK].hold, world.now
+    asks = [(5.0, "step"), (6.0, "step"), (6.0, "step"), (9.0, "resume"), (9.2, "pause"), (60.0, "resume")]
+    for moment, what in [*asks, (60.1, "pause"), (60.11, "resume")]:
+        call = partial(hold.ask, what)
+        world.at(start + round(moment * 1e9), lambda call=call: (seen.append({a.t / 1e9 for a in nodes}), call()))
+    assert set(run.run(90.0).values()) == {"done"}
+    period = float(RIG.clock.schedule.period)
+    assert [max(t) for t in seen[:4]] == pytest.approx([0.0, period, period, 3 * period])
+    assert all(max(t) - min(t) <= 2 * period for t in seen), seen  # of nodes that tick each second time, too
+    assert max(seen[4]) - max(seen[3]) == pytest.approx(0.2 - 0.05, abs=2 * period)
+    assert max(seen[5]) - max(seen[4]) == pytest.approx(0.05, abs=2 * period)
+    assert world.now - start == pytest.approx(60.0e9 + (0.6 - max(seen[5])) * 1e9, abs=0.2e9)
+    for adapter in nodes:
+        assert not {k: v for k, v in adapter.drive.counts().items() if v}
+        assert set(adapter.block.reports) <= {"clock"}
+    expected, found = Signals(in_process(RIG)), Signals(run.recording, run.adapters[CLOCK].epoch)
+    for name in (f"{p.topic}/{label}" for m in RIG.members for p in m.outputs for label in p.labels):
+        x = expected[name].x.tolist()
+        assert found[name].x.tolist()[: len(x)] == x, name  # sources in real time speak at the end, too
+
+
+def test_in_real_time_a_rig_with_hardware_does_not_stand_and_none_has_a_pace():
+    run = SimulatedRig(RIG, World(), "realtime", departs=True)
+    assert run.run(0.5)
+    assert not run.adapters[CLOCK].hold.go_at(1.0)
+    assert run.adapters["dc_motor_smc"].hold.ask("pause") == (False, "this node has not begun")
+    guest = {"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}}
+    run = SimulatedRig(rig_of(make_scenario(guest)), World(), "realtime", departs=True)
+    assert not any(adapter.pauses for adapter in run.adapters.values())

@@ -295,3 +295,35 @@ def test_a_parameter_of_an_unknown_type_is_refused_and_the_node_lives_on():
             executor.shutdown()
             node.destroy_node()
             rclpy.shutdown(context=context)
+
+
+def test_every_bound_that_a_node_tells_holds_at_its_edge():
+    """What may change while it runs: the range that ROS checks before the block does has the bounds of the block."""
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+    from softrig_core.node.ros.messages import range_descriptor
+
+    with free_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        node = Node("edges", context=context, enable_rosout=False, start_parameter_services=False)
+        try:
+            tried = 0
+            for number_, model in enumerate({block.Params for _, _, block in executables()}):
+                for d in declarations(model):
+                    if not d.live or d.type not in (int, float) or isinstance(d.default, tuple):
+                        continue
+                    name = f"m{number_}.{d.name}"
+                    node.declare_parameter(name, d.default, range_descriptor(d))
+                    for bound, out in ((d.lower, -1), (d.upper, 1)):
+                        beyond = d.type(bound + out * max(1.0, 0.01 * abs(bound)))
+                        for value, taken in ((d.type(bound), True), (beyond, False)):
+                            result = node.set_parameters([Parameter(name, value=value)])[0]
+                            assert result.successful is taken, (model, d.name, value, result.reason)
+                        tried += 1
+            assert tried > 100
+        finally:
+            node.destroy_node()
+            rclpy.shutdown(context=context)

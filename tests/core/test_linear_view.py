@@ -245,8 +245,10 @@ def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
     _, phase, _, crossing = control.margin(rigid)
     assert view.margins.crossover == pytest.approx(crossing, rel=0.02)
     assert np.degrees(view.margins.phase) == pytest.approx(phase, abs=1.0)
-    # half of it is the flux of phase b, which carries none: its diodes let it move one way only
-    assert 1e-3 < view.variation < 0.5
+    # in the states of the loop; the flux of phase b, which carries no current, moves one way only and is none of them
+    assert "lsrm_plant.psi_b" in view.states
+    assert "lsrm_plant.psi_b" not in view.opened.state_labels
+    assert 1e-3 < view.variation < 0.1
 
 
 def test_a_loop_that_cannot_be_seen_is_told():
@@ -259,6 +261,10 @@ def test_a_loop_that_cannot_be_seen_is_told():
         "one does not: .* in steps",
     ):
         linear_view("dc_motor_smc_b2", at=0.1)
+    with pytest.raises(
+        RunError, match=r"effort by 8 comes back there at 0\.3 s, .* in steps"
+    ):  # all margins were infinite
+        linear_view("dc_motor_fsfb", at=0.3)
     with pytest.raises(ScenarioError, match="no signal 'volt'"):
         linear_view("dc_motor_smc", "volt", **motor)
     with pytest.raises(
@@ -271,6 +277,47 @@ def test_a_loop_that_cannot_be_seen_is_told():
         linear_view("dc_motor_smc", overrides={"dc_motor_smc.period": 0.0123457, "dc_motor_plant.period": 1e-7}, at=0.0)
     with pytest.raises(ScenarioError, match="at = -1 s: expected 0 or more"):
         linear_view("dc_motor_smc", at=-1.0)
+
+
+SYSTEMS = {
+    "dc_motor_fsfb": "in steps .a quantised sensor",
+    "dc_motor_smc": "",
+    "dc_motor_smc_b2": "in steps .a quantised sensor",
+    "economic_dispatch": "",
+    "fault_location": "numbers move, .* of them in ",
+    "gupfc": "",
+    "induction_dtc": "",
+    "lsrm_fuzzy": "",
+    "manipulator_adsmc": "",
+    "optimal_control_mvim": "",
+    "pv_mppt": "duty/effort comes back there .* rests on a limit, or waits",
+    "pwa_delay": "numbers move, .* of them in switched_delay_plant.past",
+    "rectifier_mpc": "",
+    "rehab_impedance": "",
+    "tcp_aqm_smc": "numbers move, .* of them in tcp_fluid.past",
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "reason"), SYSTEMS.items())
+def test_each_system_has_a_linear_view_or_it_is_told_why_not(name, reason):
+    if reason:
+        with pytest.raises(RunError, match=reason):
+            linear_view(name, at=0.3)
+    else:
+        view = linear_view(name, at=0.3)
+        assert view.states
+        assert view.error < 1e-6
+        assert np.isfinite(view.A).all()
+
+
+@pytest.mark.long
+def test_a_loop_with_a_delay_has_a_view_when_its_steps_are_few():
+    steps = dict.fromkeys(("tcp_fluid.period", "tcp_fluid.h", "aqm_controller.period", "aqm_metrics.period"), 0.02)
+    view = linear_view("tcp_aqm_smc", at=15.0, overrides=steps | {"tcp_fluid.history": 0.3})
+    assert view.stable
+    assert 0.0 < view.margins.delay < math.inf
+    assert view.variation < 1e-2
 
 
 def test_a_state_may_be_called_as_an_input_is_and_what_only_a_warning_reads_is_none():

@@ -172,6 +172,19 @@ def test_worker_ends_with_its_owner_and_with_the_process_that_started_it():
     until(lambda: not status.exists() or "State:\tZ" in status.read_text())
 
 
+def test_work_that_never_looks_up_ends_with_the_process_that_started_it():
+    """It holds Python's lock, so nobody in its process sees that the pipe is closed; the kernel ends it."""
+    code = (
+        "import os, signal; from faultrig import deaf; from softrig_core.solver.worker import Worker\n"
+        "worker = Worker(deaf); worker.submit(3600)\n"
+        "while not worker.has_best: worker.wait(0.01)\n"
+        "print(worker._process.pid, flush=True); os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, timeout=PATIENCE)
+    status = Path(f"/proc/{int(done.stdout)}/status")
+    until(lambda: not status.exists() or "State:\tZ" in status.read_text())
+
+
 def test_a_request_that_cannot_be_read_fails_and_the_next_is_worked_on():
     worker = Worker(Planner.solve)
     worker.submit(Unreadable())

@@ -36,6 +36,20 @@ def test_one_characteristic_contradicts_nothing(voltages, n):
     assert changes(FallingCurve(n), samples) == [0.0] * len(voltages)
 
 
+@given(st.lists(st.tuples(st.floats(0.0, 60.0), st.floats(0.8, 1.2)), max_size=80), st.sampled_from([1, 3, 10]))
+@settings(max_examples=50, deadline=None, derandomize=True)
+def test_native_code_keeps_the_same_corners(samples, n):
+    """One of many measurements that contradict each other, taken in both forms; and in turn."""
+    curve = FallingCurve(n)
+    rows = curve.native()
+    for k, (v, share) in enumerate(samples):
+        sample = (v, max(3.8 - 0.01 * math.expm1(v / 15.0), 0.0) * share, 25.0)
+        wanted, curve = curve.take(sample)
+        found, rows = rows.take(sample)
+        assert (found, rows.python()) == (wanted, curve)
+        rows = curve.native() if k % 7 == 6 else rows
+
+
 def test_noise_is_within_a_corner_and_a_change_is_not():
     rng = np.random.default_rng(1)
     samples = []

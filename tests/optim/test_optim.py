@@ -639,6 +639,25 @@ def test_workers_stay_from_one_batch_to_the_next_and_go_with_the_block():
     until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in started))
 
 
+def test_short_cases_are_handed_over_together_and_long_ones_one_by_one(monkeypatch):
+    chunks = []
+    submit = Workers._submit
+    monkeypatch.setattr(
+        Workers, "_submit", lambda self, function, chunk: (chunks.append(len(chunk)), submit(self, function, chunk))[1]
+    )
+    with Workers(2) as workers:
+        assert workers.map(abs, range(-3000, 0)) == list(range(3000, 0, -1))
+        assert chunks[:2] == [1, 1]
+        assert len(chunks) < 100
+        chunks.clear()
+        assert workers.map(abs, range(4)) == [0, 1, 2, 3]
+        assert chunks == [2, 2]  # of few, each worker has its share
+        workers._mean = 10.0
+        chunks.clear()
+        workers.map(abs, range(4))
+        assert chunks == [1, 1, 1, 1]
+
+
 def test_sweep_hands_on_the_failure():
     with pytest.raises(ZeroDivisionError, match="case 3"):
         sweep(fail, [3], workers=1)

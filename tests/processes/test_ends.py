@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -137,16 +137,21 @@ def test_a_run_with_no_room_in_shared_memory_goes_by_udp_and_says_so(how, tmp_pa
 def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
     """Who has it mapped and reads it hears nobody who opens it by its name."""
     monkeypatch.setattr(Ears, "PATIENCE", 0.0)
-    port, lock, foreign = (tmp_path / f"fastrtps_port{name}" for name in ("7661", "7661_el", "7663"))
-    for file in (port, foreign):
+    names = ("7661", "7661_el", "7662", "7662_el", "7663")
+    port, lock, other, others, foreign = (tmp_path / f"fastrtps_port{name}" for name in names)
+    for file in (port, other, foreign):
         file.write_bytes(bytes(8))
-    with port.open("r+b") as file, lock.open("w"), mmap.mmap(file.fileno(), 8):
+    with ExitStack() as opened:  # two of its own, as each node has
+        for path in (port, other):
+            opened.enter_context(mmap.mmap(opened.enter_context(path.open("r+b")).fileno(), 8))
+        opened.enter_context(lock.open("w"))
+        opened.enter_context(others.open("w"))
         ears = Ears()
         assert ears.lost() == ""
         foreign.unlink()  # of a peer
         assert ears.lost() == ""
         port.unlink()
-        assert ears.lost() == port.name
+        assert [ears.lost(), ears.lost()] == [port.name] * 2
         port.write_bytes(bytes(8))
         assert ears.lost() == port.name
         with port.open("r+b") as new, mmap.mmap(new.fileno(), 8):

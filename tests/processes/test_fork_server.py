@@ -1,13 +1,14 @@
 """Nodes forked from a process that has done their imports are processes as any other."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from conftest import make_scenario, no_process_left, processes_of, until
+from conftest import differences, in_process, make_scenario, no_process_left, processes_of, until
 from softrig_core import rig_of, run_processes
 from softrig_core.processes import fork_server, spawning
 from softrig_core.processes.fork_server import start_node
@@ -154,3 +155,44 @@ def test_without_a_server_the_run_is_the_same(monkeypatch, tmp_path):
     assert forked.error == started.error == ""
     for name, topic in forked.recording.topics.items():
         assert topic.data == started.recording.topics[name].data
+
+
+@pytest.mark.long
+@pytest.mark.timeout(7200)
+def test_many_runs_through_one_server_leave_nothing_open(tmp_path, monkeypatch):
+    """Neither here nor in the server; SOFTRIG_SERVER_RUNS says how many."""
+    monkeypatch.setattr(fork_server, "_server", None)
+    rig = rig_of(make_scenario(BASIC, 0.05, start_timeout=900.0))
+    runs = int(os.environ.get("SOFTRIG_SERVER_RUNS", "40"))
+    seen = []
+    for k in range(runs):
+        folder = tmp_path / str(k)
+        outcome = run_processes(rig, k, folder)
+        assert outcome.error == ""
+        assert differences(in_process(rig, k), outcome.recording) == []
+        shutil.rmtree(folder)
+        seen.append([of(pid) for of in (opened, threads, memory) for pid in (os.getpid(), server())])
+        print(k, *seen[-1], flush=True)
+    (descriptors, its_descriptors, *their_threads, ours, its) = zip(*seen[5:], strict=True)
+    for counted in (descriptors, its_descriptors, *their_threads):
+        assert max(counted) == counted[0]
+    assert ours[-1] - ours[0] < 15 + 0.03 * runs  # MB
+    assert its[-1] - its[0] < 2
+
+
+def server():
+    return fork_server._server._process.pid
+
+
+def opened(pid):
+    return len(os.listdir(f"/proc/{pid}/fd"))
+
+
+def threads(pid):
+    return len(os.listdir(f"/proc/{pid}/task"))
+
+
+def memory(pid):
+    """MB."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -7,12 +7,15 @@ from pathlib import Path
 import pytest
 import rclpy
 import yaml
+from conftest import until
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from softrig_core.block.params import declarations, flatten
 from softrig_core.errors import ScenarioError
 from softrig_core.node.main import make_adapter
-from softrig_core.node.ros.ros import RosMiddleware, ServingNode
+from softrig_core.node.ros.ros import RosMiddleware, ServingNode, plain
 from softrig_core.processes.domain import free_domain
 from softrig_core.rig.installed import load_block
 
@@ -42,14 +45,28 @@ def domain():
 
 @contextmanager
 def started(name, block, domain, *files):
-    """A node of a block with files of parameters."""
+    """A node of a block with files of parameters, and a client of its services, as the one of `ros2 param`."""
     context = Context()
     words = [word for file in files for word in ("--params-file", str(file))]
     rclpy.init(args=["--ros-args", "-p", "run.mode:=lockstep", *words], context=context, domain_id=domain)
     node = ServingNode(name, context=context)
+    tool = rclpy.create_node("tool", context=context, use_global_arguments=False)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    executor.add_node(tool)
+    client = AsyncParameterClient(tool, name)
+
+    def done(future):
+        executor.spin_until_future_complete(future, 30.0)
+        return future.result()
+
     try:
-        yield node, make_adapter(node, block, RosMiddleware(node))
+        adapter = make_adapter(node, block, RosMiddleware(node))
+        until(lambda: executor.spin_once(0.05) or client.services_are_ready(), "the services")
+        yield node, adapter, client, done
     finally:
+        executor.shutdown()
+        tool.destroy_node()
         node.destroy_node()
         context.shutdown()
 
@@ -65,18 +82,31 @@ def other(declared, value):
 @pytest.mark.processes
 @pytest.mark.parametrize(("name", "block"), executables())
 def test_tuned_dumped_and_loaded_it_is_the_same(name, block, tmp_path, domain):
-    with started(name, block, domain) as (node, adapter):
-        before = flatten(adapter.block.p)
-        wanted = [(d.name, other(d, before[d.name])) for d in declarations(block.Params) if d.live]
-        messages = [Parameter(n, value=v).to_parameter_msg() for n, v in wanted if v is not None and v != []]
-        node._set(messages)  # some may not fit, which is refused
-        now = {n: p.value for n, p in node._parameters.items()}
-        # as `ros2 param dump` writes it
-        values = {n: v if v is None or isinstance(v, bool | int | float | str) else list(v) for n, v in now.items()}
     file = tmp_path / "dump.yaml"
-    file.write_text(yaml.dump({name: {"ros__parameters": values}}))
-    with started(name, block, domain, file) as (node, adapter):
+
+    def dumped():  # as `ros2 param dump` has it
+        values = {n: plain(p) for n, p in node._parameters.items()}
+        file.write_text(yaml.dump({name: {"ros__parameters": values}}))
+        return values
+
+    def loaded():  # as by `ros2 param load`: why something is refused
+        results = done(client.load_parameter_file(str(file))).results
+        assert len(results) == len(node._parameters)
+        return [r.reason for r in results if not r.successful]
+
+    with started(name, block, domain) as (node, adapter, client, done):
+        before = flatten(adapter.block.p)
+        values = dumped()
+        assert (loaded(), dumped()) == ([], values)
+        wanted = [(d.name, other(d, before[d.name])) for d in declarations(block.Params) if d.live]
+        done(client.set_parameters([Parameter(n, value=v) for n, v in wanted if v is not None and v != []]))
+        values = dumped()  # some may not fit, which is refused
+    with started(name, block, domain, file) as (node, adapter, client, done):
         again = flatten(adapter.block.p)
         assert {n: again[n] for n in before if n in values} == {n: values[n] for n in before if n in values}
-        loaded = node._set([Parameter(n, value=v).to_parameter_msg() for n, v in values.items() if v not in (None, [])])
-        assert [r.reason for r in loaded if not r.successful] == []  # `ros2 param load` of it changes nothing
+        assert (loaded(), dumped()) == ([], values)
+    with started(name, block, domain) as (node, adapter, client, done):
+        loaded()  # what is live is as it was tuned, the rest is refused
+        live = {d.name for d in declarations(block.Params) if d.live}
+        now = {n: plain(p) for n, p in node._parameters.items()}
+        assert {n: now[n] for n in live & now.keys()} == {n: values[n] for n in live & values.keys()}

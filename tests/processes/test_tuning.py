@@ -90,7 +90,7 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
                     text=True,
                 )
                 assert third.returncode == 1, third.stderr
-                assert "law refuses delta: " in third.stderr
+                assert "law refuses delta: a whole number of 77 bits, expected at most 63" in third.stderr
         finally:
             for name in list(bench.nodes):
                 bench.kill(name)

@@ -16,6 +16,7 @@ from softrig_core.node import group as group_module
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.group import Group
 from softrig_core.node.ros.ros import RosMiddleware, quiet_after_shutdown
+from softrig_core.processes import supervision
 from softrig_core.processes.guests import Guests
 from softrig_core.rig.options import RunOptions
 from test_discovery import KINDS, rig_and_record, with_guests
@@ -217,6 +218,25 @@ def test_the_wall_clock_of_a_node_goes_on_steadily_whatever_the_system_clock_doe
     monkeypatch.setattr(time, "time_ns", lambda: 0)
     monkeypatch.setattr(time, "time", lambda: 0.0)
     assert 0 <= ros.now() - before < HOUR
+
+
+@pytest.mark.parametrize(("jump", "seconds"), [(0.0, 0.5), (HOUR / SECOND, 0.0), (-HOUR / SECOND, 8.0)])
+def test_who_watches_a_run_waits_for_its_start_whatever_the_system_clock_does(jump, seconds, monkeypatch):
+    epoch = time.time_ns() + SECOND // 2
+    now = time.time() + jump
+    monkeypatch.setattr(time, "time", lambda: now)
+    assert supervision._to_start(epoch, 8.0) == pytest.approx(seconds, abs=0.1)
+
+
+def test_a_clock_that_was_set_back_is_a_reason(monkeypatch):
+    ahead, now = time.time() - time.monotonic(), time.time
+    assert supervision.set_back(ahead) == ""
+    monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)
+    assert supervision.set_back(ahead) == ""  # nobody minds
+    monkeypatch.setattr(time, "time", lambda: now() - HOUR / SECOND)
+    assert (
+        supervision.set_back(ahead) == "; the system's clock was set back by 3600 s meanwhile, and Fast DDS waits by it"
+    )
 
 
 @pytest.mark.parametrize("ok", [True, False])

@@ -28,6 +28,7 @@ CHOSEN = {  # by who measures; why it repeats no parameter of a node
     "count": "how many cycles are looked at", "order": "which harmonic", "measure": "which of two definitions",
     "statistic": "which of two definitions", "component": "which axis", "extreme": "which of two",
     "channel": "which phase", "phase": "which phase", "status": "which verdict is counted", "place": "which unit",
+    "stay": "what counts as stayed",
     "v_d": "of a profile, named by the scenario: of two drives each has its own",
     "delay": "over which V is to fall: the bound of the certificate, named by the scenario",
 }  # fmt: skip
@@ -224,8 +225,12 @@ def efficiency(signals, nodes, a):
 
 def tracking_time(signals, nodes, a):
     t, power, most = best(signals, nodes, a.get("start"), a.get("end"))
-    low = np.flatnonzero(power < 0.99 * most)
-    return 0.0 if not low.size else math.inf if low[-1] == len(t) - 1 else t[low[-1] + 1] - t[0]
+    since = None
+    for now, good in zip(t, power >= 0.99 * most, strict=True):
+        if since is not None and now - since >= a.get("stay", math.inf):
+            return since - t[0]
+        since = (now if since is None else since) if good else None
+    return math.inf if since is None else since - t[0]
 
 
 def at_end(signals, nodes, a):

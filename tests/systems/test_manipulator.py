@@ -106,6 +106,10 @@ def test_dynamics_node_gives_the_reference_values():
     )
 
 
+def test_the_dynamics_of_the_arm_are_asked_for_at_each_of_its_samples():
+    assert RobotDynamics().p.period == ManipulatorPlant().p.period == VcsController().p.period
+
+
 def test_dynamics_node_agrees_with_the_lagrangian():
     block = ByHand(RobotDynamics())
     for q, v, tau in random_states(200):

@@ -391,9 +391,9 @@ def test_irradiance_steps(name):
     signals, _ = result(name)
     for start, best in ((0.0, 116.460), (3.0, 98.224), (6.0, 239.528)):
         assert pv_figures.gmpp(signals, at=start + 1.0, **STRING) == pytest.approx(best, abs=0.05)
-        assert pv_figures.tracking_time(signals, start=start, end=start + 2.99, **STRING) <= 1.2
-    t, phase = signals["mppt/status/phase/position"]
-    searches = t[1:][np.diff(phase) < 0.0]
+        assert pv_figures.tracking_time(signals, start=start, end=start + 2.99, stay=0.5, **STRING) <= 1.2
+    t, restarts = signals["mppt/status/restarts/position"]
+    searches = t[1:][np.diff(restarts) > 0.0]
     assert searches == pytest.approx([3.08, 6.08], abs=0.0401)
     _, d = signals["converter/duty/duty/effort"]
     assert d.min() >= 0.1
@@ -404,7 +404,7 @@ def test_irradiance_steps(name):
 def test_hidden_change():
     """Acceptance 6: found within 1.2 s of the timer, and never without it."""
     signals, _ = result("pv_mppt_s6")
-    assert pv_figures.tracking_time(signals, start=4.0, end=7.99, **STRING) <= 1.2
+    assert pv_figures.tracking_time(signals, start=4.0, end=7.99, stay=0.5, **STRING) <= 1.2
     assert mean(signals, POWER, start=7.9, end=7.99) == pytest.approx(132.73, abs=0.06)
     signals, _ = result("pv_mppt_s6_no_rescan")
     assert mean(signals, POWER, start=8.0) == pytest.approx(116.46, abs=0.01)
@@ -447,6 +447,8 @@ CLOUDS = [  # light while it passes, from when to when, s
     ((285.0, 292.0, 89.0, 164.0), 0.68, 1.171),
     ((504.0, 577.0, 299.0, 583.0), 0.05, 0.186),  # a proof of 108.99 W was of both lights
     ((910.0, 123.0, 309.0, 641.0), 1.868, 1.999),  # nothing that the search asks for shows the light of its beginning
+    ((305.0, 185.0, 242.0, 973.0), 0.333, 0.929),  # a ramp is done within it: 51.4 W as before, where there are 116.5
+    ((400.0, 880.0, 944.0, 491.0), 0.958, 1.114),  # what is there later differs by little but in its largest power
 ]
 
 
@@ -479,7 +481,7 @@ def test_a_cloud_in_mid_search_is_seen(algorithm, cloud):
     """The maximum after it, and no bound below what is there."""
     powers, states = after_a_cloud(algorithm, *cloud, 2.5)
     best = string(PATTERN1).gmpp.p
-    assert 0.997 * best < powers[-1] <= best * (1.0 + 1e-9)
+    assert 0.997 * best < np.median(powers[-300:]) <= powers.max() <= best * (1.0 + 1e-9)  # it may look again
     seen = states[20:]
     assert not np.any((seen[:, 0] == 2.0) & (seen[:, 5] > 0.0) & (seen[:, 5] < best))
     assert states[-1, 3] <= 3.0
@@ -489,7 +491,7 @@ def test_a_cloud_in_mid_search_is_seen(algorithm, cloud):
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(("algorithm", "good"), [("certified", 200), ("certified_transients", 196)])
+@pytest.mark.parametrize(("algorithm", "good"), [("certified", 200), ("certified_transients", 199), ("ramp", 200)])
 def test_two_hundred_clouds(algorithm, good):
     """95 % of the energy of the 10 s after a cloud of 50 to 1000 W/m^2; what does not show where it holds is missed."""
     rng, best, shares, false = np.random.default_rng(46), string(PATTERN1).gmpp.p, [], 0

@@ -32,16 +32,14 @@ from softrig_systems.pwa_delay.certify import Criterion, certified_margin, certi
 from softrig_systems.pwa_delay.controllers import DelayLine, PendulumController, TankController
 from softrig_systems.pwa_delay.level import level_bound, level_margin
 from softrig_systems.pwa_delay.lyapunov import LyapunovMonitor
-from softrig_systems.pwa_delay.motion import constants
+from softrig_systems.pwa_delay.motion import FREE, PendulumConstants, constants, run_pendulum
 from softrig_systems.pwa_delay.params import BENCHMARK
 from softrig_systems.pwa_delay.plants import PendulumPlant, SwitchedDelayPlant, TankPlant
 from softrig_systems.pwa_delay.profiles import delay_at, profile
 from softrig_systems.pwa_delay.search import (
-    dry_margin,
     find_margin,
     growth_rate,
     pwa_margin,
-    simulate_pendulum,
     simulate_pwa,
     simulate_tank,
 )
@@ -440,7 +438,9 @@ def test_located_switches_converge_and_unlocated_do_not():
 @pytest.mark.parametrize("sine", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_margin_of_the_pendulum(sine):
     if sine:
-        rates = [growth_rate(simulate_pendulum(h, (1.0, 0.0), 400.0, sine=True)) for h in (0.40, 0.42)]
+        p = {h: PendulumConstants(1.0, 1.0, np.array([FREE]), profile("constant", h)) for h in (0.40, 0.42)}
+        runs = [search._run(run_pendulum, c, [1.0, 0.0, 0.0], h, 400.0, 100) for h, c in p.items()]
+        rates = [growth_rate(run) for run in runs]
         assert rates[0] < -0.01 < rates[1]  # beyond 0.4149 its amplitude stays, sin bounds it
         return
     found = pwa_margin(pendulum(), 0.40, 0.43, (1.0, 0.0), 200.0, width=1e-4)
@@ -461,10 +461,11 @@ def test_margins_of_linear_systems_are_exact():
 
 
 @pytest.mark.long
-def test_delay_at_which_the_tank_runs_empty():
-    assert dry_margin(0.2, 6.5, 6.56) == pytest.approx(6.531, abs=0.005)
-    assert dry_margin(0.2, 6.5, 6.56, pwa=True) == pytest.approx(6.5303, abs=0.005)
-    assert dry_margin(1.0, 6.1, 6.3) == pytest.approx(6.219, abs=0.005)
+@pytest.mark.parametrize(("level", "pwa", "h"), [(0.2, False, 6.531), (0.2, True, 6.5303), (1.0, False, 6.219)])
+def test_delay_at_which_the_tank_runs_empty(level, pwa, h):
+    for delay, runs_dry in ((h - 0.005, False), (h + 0.005, True)):
+        run = simulate_tank(delay, level, 30.0 * delay, steps=4000, pwa=pwa)
+        assert (np.min(run.sizes) <= 1e-5) == runs_dry
 
 
 @pytest.mark.parametrize(
@@ -687,6 +688,17 @@ def test_an_empty_tank_stays_empty_and_says_so():
     assert plant.outputs(0)["level"][0] > 0.1
 
 
+@pytest.mark.parametrize(("start", "a"), [(0.3, 0.4875), (-0.3, 0.825)])
+def test_a_pendulum_that_nobody_commands_swings_as_its_slope_says(start, a):
+    plant, w = ByHand(PendulumPlant(x0=(start, 0.0))), math.sqrt(a)
+    seconds = 0.9 * math.pi / 2.0 / w  # in one cell
+    for k in range(round(seconds / plant.params.period)):
+        plant.advance(k, torque=(0.0,))
+        t = (k + 1) * plant.params.period
+        expected = start * math.cos(w * t), -start * w * math.sin(w * t)
+        assert plant.outputs(k)["state"] == pytest.approx(expected, abs=1e-9)
+
+
 def test_a_state_beyond_reach_ends_the_run():
     plant = SwitchedDelayPlant(system="user", n=1, A=[50.0], Ad=[0.0], x0=(1.0,))
     with pytest.raises(RunError, match=r"plant: state x1/position became 1.\d+e\+06 1, expected at most 1e\+06"):
@@ -755,8 +767,3 @@ def test_constant_criterion_grows_with_the_state(n):
     system = linear(-2.0 * np.eye(n) + 0.1 * rng.normal(size=(n, n)), -0.5 * np.eye(n) + 0.1 * rng.normal(size=(n, n)))
     assert certify(system, 0.5, Criterion("constant", order=2)).valid
     assert bessel(system, 2).size < theorem1(system, 0.1).size
-
-
-def test_a_search_narrower_than_numbers_are_ends(monkeypatch):
-    monkeypatch.setattr(search, "simulate_tank", lambda h, *_, **__: SimpleNamespace(sizes=np.array([0.3 - h])))
-    assert dry_margin(0.2, 0.1, 0.7, width=1e-300) == pytest.approx(0.3 - 1e-5, abs=1e-12)

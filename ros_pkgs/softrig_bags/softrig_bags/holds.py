@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
-from pathlib import Path
 from xml.etree import ElementTree
 
-VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+from softrig_core.processes.executables import given_profile
+
 LEASE, ANNOUNCEMENT = 20.0, 3.0  # s: of Fast DDS, where the profile says nothing
 
 
@@ -57,8 +56,7 @@ def patience() -> float:
     OSError, xml.etree.ElementTree.ParseError
         The profile cannot be read; Fast DDS would not have started with it.
     """
-    file = os.environ.get(VARIABLE)
-    root = ElementTree.parse(Path(file)).getroot() if file else ElementTree.Element("none")
+    root = ElementTree.parse(given_profile()).getroot()
     return _seconds(root, "leaseDuration", LEASE) - _seconds(root, "leaseAnnouncement", ANNOUNCEMENT)
 
 

@@ -28,6 +28,7 @@ FALSIFICATION = re.compile(
     r"falsification\.json|outcome\.json|rows\.jsonl|report\.html|nominal|worst|worst\.png|small|\w+_(worst|small)\.yaml"
     r"|softrig_files\.json|\.new"
 )
+MARKS = {"metrics.json": "run", "study.json": "study", "falsification.json": "falsification"}
 
 
 class ResultsFolder:
@@ -48,7 +49,7 @@ class ResultsFolder:
     Raises
     ------
     ScenarioError
-        Something there stands in the way that no run of softrig has listed as its own.
+        Something there stands in the way that no run of softrig has listed as its own, or results of another kind.
     """
 
     def __init__(self, path: Path, ours: re.Pattern[str] = RUN) -> None:
@@ -56,6 +57,9 @@ class ResultsFolder:
         self._lock: int | None = None
         if path.exists() and not path.is_dir():
             raise ScenarioError(f"{path} is a file, expected a folder for the results")
+        for mark, kind in MARKS.items():  # hours of runs are not for a word's worth of another kind
+            if not ours.fullmatch(mark) and (path / mark).exists():
+                raise ScenarioError(f"{path} holds a {kind}; choose another --out, or remove it")
         self._old = _listed(path)
         if UNDER_WAY in self._old:
             self._old |= {f for f in _files(path) if ours.fullmatch(Path(f).parts[0])}
@@ -78,7 +82,7 @@ class ResultsFolder:
         """
         try:
             if (other := self.hold()) is not None:
-                raise ScenarioError(f"{self.path}: {other} is writing there; choose another --out")
+                raise ScenarioError(_writing(self.path, other))
             self._list([MANIFEST, UNDER_WAY])
         except OSError as error:
             raise ScenarioError(f"{error.filename}: {error.strerror}; choose another --out") from None
@@ -86,13 +90,9 @@ class ResultsFolder:
     def hold(self) -> str | None:
         """Hold the folder against other calls, until it is closed; say who has it already, None if nobody does."""
         if self._lock is None:
-            self.path.mkdir(parents=True, exist_ok=True)
-            lock = os.open(self.path, os.O_RDONLY)  # the end of this process, whatever its kind, lets go
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                os.close(lock)
-                return _holder(self.path)
+            lock = _lock(self.path)
+            if isinstance(lock, str):
+                return lock
             self._lock = lock
         return None
 
@@ -194,6 +194,40 @@ class ResultsFolder:
             yield
         finally:
             self.let_go()
+
+
+@contextmanager
+def alone_in(path: Path) -> Iterator[None]:
+    """Hold a folder that is no `ResultsFolder` against other calls; it is made.
+
+    Raises
+    ------
+    ScenarioError
+        Another call is at work there.
+    """
+    lock = _lock(path)
+    if isinstance(lock, str):
+        raise ScenarioError(_writing(path, lock))
+    try:
+        yield
+    finally:
+        os.close(lock)
+
+
+def _lock(path: Path) -> int | str:
+    """Make and lock a folder: the descriptor that holds it, or who has it."""
+    path.mkdir(parents=True, exist_ok=True)
+    lock = os.open(path, os.O_RDONLY)  # the end of this process, whatever its kind, lets go
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(lock)
+        return _holder(path)
+    return lock
+
+
+def _writing(path: Path, other: str) -> str:
+    return f"{path}: {other} is writing there; wait for it, or choose another folder"
 
 
 def replace(path: Path, text: str | bytes) -> None:

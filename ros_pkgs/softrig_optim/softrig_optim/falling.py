@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from bisect import bisect
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core import jit
 
 from .search import Point
 
 SMALL = 1e-6  # V, A: less is none
+ROOM = 256  # for corners to come, in native code
 Corner = tuple[float, float, float]  # x / y, by which they are ordered, x, y; x grows and y falls along the row
 
 
@@ -54,6 +60,15 @@ class FallingCurve:
         below, above = _kept(self.below, least_v, least_i), _kept(self.above, 1.0 / most_v, 1.0 / most_i)
         return change * change - 1.0, FallingCurve(n, v, i, below, above)
 
+    def native(self) -> FallingRows:
+        """Give it as native code takes it."""
+        counts = np.array([len(self.v), len(self.below), len(self.above)])
+        last, corners = np.zeros((self.n, 2)), np.zeros((2, 2 * max(counts[1:]) + ROOM, 3))
+        last[: counts[0]] = np.array([self.v, self.i]).T
+        for rows, known in zip(corners, (self.below, self.above), strict=True):
+            rows[: len(known)] = np.array(known).reshape(-1, 3)
+        return FallingRows(counts, last, corners)
+
 
 def _rise(corners: tuple[Corner, ...], x: float, y: float) -> float:
     """Give the most by which a corner exceeds (x, y) in both at once: one next to the line from 0 through it."""
@@ -76,3 +91,89 @@ def _kept(corners: tuple[Corner, ...], x: float, y: float) -> tuple[Corner, ...]
     while last < len(corners) and corners[last][1] <= x:
         last += 1
     return (*corners[:first], (x / y, x, y), *corners[last:])
+
+
+class FallingRows(NamedTuple):
+    """A `FallingCurve` in native code, which goes on in place: numbers of measurements and corners, and they."""
+
+    counts: NDArray[np.int64]
+    last: NDArray[np.float64]
+    corners: NDArray[np.float64]
+
+    def take(self, sample: Point) -> tuple[float, FallingRows]:
+        """See `FallingCurve.take`."""
+        change = _taken(self.counts, self.last, self.corners, max(sample[0], SMALL), max(sample[1], SMALL))
+        return change * change - 1.0, self
+
+    def python(self) -> FallingCurve:
+        """Give it as Python has it."""
+        count, *sizes = self.counts.tolist()
+        v, i = map(tuple, self.last[:count].T.tolist())
+        below, above = (tuple(map(tuple, rows[:n].tolist())) for rows, n in zip(self.corners, sizes, strict=True))
+        return FallingCurve(len(self.last), v, i, below, above)
+
+
+@jit
+def _taken(
+    counts: NDArray[np.int64], last: NDArray[np.float64], corners: NDArray[np.float64], v: float, i: float
+) -> float:
+    """Take a measurement; give the share of voltage and of current by which it proves a change, 1: by none."""
+    if counts[0] == len(last):
+        last[:-1] = last[1:]
+    else:
+        counts[0] += 1
+    last[counts[0] - 1, 0], last[counts[0] - 1, 1] = v, i
+    if counts[0] < len(last):
+        return 1.0
+    least_v, least_i, most_v, most_i = v, i, v, i
+    for k in range(len(last)):
+        least_v, least_i = min(least_v, last[k, 0]), min(least_i, last[k, 1])
+        most_v, most_i = max(most_v, last[k, 0]), max(most_i, last[k, 1])
+    change = 1.0
+    change = max(change, _rise_in(corners[0, : counts[1]], most_v, most_i))
+    change = max(change, _rise_in(corners[1, : counts[2]], 1.0 / least_v, 1.0 / least_i))
+    counts[1] = _kept_in(corners[0], counts[1], least_v, least_i)
+    counts[2] = _kept_in(corners[1], counts[2], 1.0 / most_v, 1.0 / most_i)
+    return change
+
+
+@jit
+def _place(corners: NDArray[np.float64], ratio: float) -> int:
+    low, high = 0, len(corners)
+    while low < high:
+        middle = (low + high) // 2
+        if corners[middle, 0] < ratio:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@jit
+def _rise_in(corners: NDArray[np.float64], x: float, y: float) -> float:
+    k = _place(corners, x / y)
+    most = 0.0
+    for j in range(max(k - 1, 0), min(k + 1, len(corners))):
+        most = max(most, min(corners[j, 1] / x, corners[j, 2] / y))
+    return most
+
+
+@jit
+def _kept_in(corners: NDArray[np.float64], size: int, x: float, y: float) -> int:
+    """As `_kept`, in place; give how many there are then."""
+    k = _place(corners[:size], x / y)
+    for j in range(max(k - 1, 0), min(k + 1, size)):
+        if corners[j, 1] >= x and corners[j, 2] >= y:
+            return size
+    first = last = k
+    while first and corners[first - 1, 2] <= y:
+        first -= 1
+    while last < size and corners[last, 1] <= x:
+        last += 1
+    new = first + 1 + size - last
+    if new > len(corners):
+        raise IndexError("no room for another corner")
+    moved = corners[last:size].copy()
+    corners[first, 0], corners[first, 1], corners[first, 2] = x / y, x, y
+    corners[first + 1 : new] = moved
+    return new

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from enum import IntEnum
 from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, button, command, executable, param, scalars, to_ns
+from softrig_core.kit.dense import total
 from typing_extensions import TypeVar
 
 from .algorithms import Algorithm, AlgorithmParams, make
@@ -21,14 +21,14 @@ CONSECUTIVE = 2  # deviations of the held objective in a row that start a new se
 STEADY = 0.1  # share of a change that counts by which a value may move in a hold_time and be the one held
 LOOK_BACK = 2  # how long that takes, in hold_times
 BROKEN = 3  # searches in a row that a change of the plant may break off
+NEVER, LATER = -1, 1 << 62  # times that are none: has not been, will not be
+LONGEST = 2e18  # ns: no search is put off for longer
 
 
-class Phase(IntEnum):
+class Phase:
     """What the block is doing."""
 
-    STOPPED = 0
-    SEARCH = 1
-    HOLD = 2
+    STOPPED, SEARCH, HOLD = range(3)
 
 
 class SearchParams(AlgorithmParams, BlockParams):
@@ -67,10 +67,10 @@ class SearchParams(AlgorithmParams, BlockParams):
 
 
 class State(NamedTuple):
-    """What a search over topics remembers from tick to tick; times in ns."""
+    """What a search over topics remembers from tick to tick; times in ns, `NEVER` where there is none."""
 
     search: Told
-    phase: Phase
+    phase: int
     began: int
     """When the newest search did."""
 
@@ -86,23 +86,28 @@ class State(NamedTuple):
     target: Point
     """Where the command goes."""
 
-    state: Point = ()
+    state: Point
     """The state output; it changes only with a value told, a phase or a button."""
+
+    command: Point
+    """Where it is now."""
+
+    window: tuple[float, ...]
+    """The newest values of the objective since the command arrived, the newest last; 0 where there are fewer."""
+
+    filled: int = 0
+    """How many they are."""
 
     pressed: tuple[bool, ...] = (False, False, False)
     """Buttons that are down."""
 
-    command: Point | None = None
-    window: tuple[float, ...] = ()
-    """The newest values of the objective since the command arrived."""
-
-    since: int | None = None
+    since: int = NEVER
     """When the command arrived at the target."""
 
     unconfirmed: int = 0
     """Searches in a row whose result the plant did not bear out."""
 
-    dark: int | None = None
+    dark: int = NEVER
     """Since when candidates end without a signal."""
 
     streak: int = 0
@@ -111,17 +116,20 @@ class State(NamedTuple):
     waiting: bool = False
     """Whether it waits for a signal."""
 
-    looking: int | None = None
+    looking: int = NEVER
     """Since when the search is done and looks back."""
 
     broken: bool = False
     """Whether a change of the plant has broken the search off, or should have."""
 
-    reference: float | None = None
-    """Value held that changes are measured against."""
+    reference: float = math.inf
+    """Value held that changes are measured against; infinite before there is one."""
 
-    again: float = math.inf
+    again: int = LATER
     """When the next search starts whatever is held."""
+
+    look: int = LATER
+    """When it looks back next."""
 
     next_sample: int = 0
     """Time after `since` at which what is held is looked at next."""
@@ -162,7 +170,10 @@ class CommandSearch(Block[P], ABC):
       more than the gap of a proof; so that they do, a search whose plant has a characteristic looks back at its end:
       the command passes once through its range;
     - when two samples in a row, `hold_time` apart, differ so much from the value at the end of `settle_time`;
-    - `rescan_period` after the start of the last search: what changes elsewhere does not show in the value held.
+    - after any search but the first it looks back again, whenever as much time has passed as from that search's start
+      to the last look: what changed once may do so again, and elsewhere, where the value held does not show it; at once
+      also when a look finds a value larger than the search's by more than `restart_threshold`;
+    - `rescan_period` after the start of the last search.
 
     What was found and lost so for the second time in a row, or broken off so for the fourth, is held nevertheless,
     twice as long as it took; twice that the next time, and so on: where nothing is ever confirmed searches become rare.
@@ -201,15 +212,26 @@ class CommandSearch(Block[P], ABC):
         self._period, self._hold, self._settle, self._rescan = (
             to_ns(t) for t in (p.period, p.hold_time, p.settle_time, p.rescan_period)
         )
-        self._window_size = max(1, round(p.measure_window / p.period))
+        self._nothing = (0.0,) * max(1, round(p.measure_window / p.period))
         self._step = self.slew() * p.period or math.inf
 
     def first(self) -> State:
         """Begin the first search, or wait for the start."""
         x = self._begin(None, 0)
         if not self.p.autostart:  # the search begun only answers for the state; the first start makes another
-            x = x._replace(phase=Phase.STOPPED, restarts=-1, target=tuple(x.search.now.lower.tolist()))
+            lower = x.search.low
+            x = x._replace(phase=Phase.STOPPED, restarts=-1, target=lower, command=lower)
         return self._note(x)
+
+    def decides(self, x: State, t: int) -> bool:
+        """Whether the search is told something: it is a generator."""
+        if x.phase != Phase.SEARCH or x.waiting or x.looking != NEVER or x.since == NEVER:
+            return False
+        return x.search.watches or t - x.since >= self._wait(x)
+
+    def _wait(self, x: State) -> int:
+        """How long a candidate is applied."""
+        return self._hold if x.search.settle else self._period
 
     def update(
         self, x: State, t: int, *, measurement: Point, start: Point | None, stop: Point | None, restart: Point | None
@@ -223,13 +245,13 @@ class CommandSearch(Block[P], ABC):
             self.report(Level.ERROR, "objective", f"the objective is {value}: the candidate is measured again")
             x = self._discard(x, t)
         else:
-            x = x._replace(window=(*x.window, value)[-self._window_size :])
-            if x.phase is Phase.SEARCH:
+            x = x._replace(window=(*x.window[1:], value), filled=min(x.filled + 1, len(x.window)))
+            if x.phase == Phase.SEARCH:
                 if x.waiting:
                     x = self._wait_tick(x, t)
                 else:
                     x = self._search_tick(x, t, measurement, self.no_signal(measurement, value))
-            elif x.phase is Phase.HOLD:
+            elif x.phase == Phase.HOLD:
                 x = self._hold_tick(x, t, measurement)
         return self._moved(x, t)
 
@@ -240,22 +262,25 @@ class CommandSearch(Block[P], ABC):
     def _discard(self, x: State, t: int) -> State:
         """Forget the samples next to a bad one; a candidate is then applied for a whole dwell again."""
         # what is held is not judged anew: bad samples now and then must not keep off the looks at it and the timer
-        again = x.phase is Phase.SEARCH and x.since is not None
-        return x._replace(window=(), since=t if again else x.since)
+        again = x.phase == Phase.SEARCH and x.since != NEVER
+        return x._replace(window=self._nothing, filled=0, since=t if again else x.since)
 
     # the command -----------------------------------------------------------------------------------------------
 
     def _moved(self, x: State, t: int) -> tuple[State, Mapping[str, Point]]:
         """Go towards the target; note when it is there."""
-        if x.since is None or x.command != x.target:
+        if x.since == NEVER or x.command != x.target:
             limit, target = self._step, x.target
             command = tuple(
-                to if abs(to - at) <= limit else at + math.copysign(limit, to - at)
-                for at, to in zip(target if x.command is None else x.command, target, strict=True)
+                [
+                    to if abs(to - at) <= limit else at + math.copysign(limit, to - at)
+                    for at, to in zip(x.command, target, strict=True)
+                ]
             )
-            there = x.since is None and command == target
-            x = x._replace(command=command, since=t, window=()) if there else x._replace(command=command)
-        return x, {"command": x.command, "state": x.state}  # type: ignore[dict-item]
+            x = x._replace(command=command)
+            if x.since == NEVER and command == target:
+                x = x._replace(since=t, window=self._nothing, filled=0)
+        return x, {"command": x.command, "state": x.state}
 
     # the search ------------------------------------------------------------------------------------------------
 
@@ -266,32 +291,30 @@ class CommandSearch(Block[P], ABC):
         void = math.isinf(search.gap)
         watched = search.remembers and (self.p.restart_threshold > 0.0 or not void)
         curve = self.characteristic(max(1, self._hold // (4 * self._period))) if watched else None
-        begun = State(told, Phase.SEARCH, t, 0 if x is None else x.restarts + 1, void, curve, search.ask())
+        target, phase = search.ask(), Phase.SEARCH
         if x is None:
-            return begun
-        return begun._replace(
-            state=x.state, pressed=x.pressed, command=x.command, window=x.window, unconfirmed=x.unconfirmed
-        )
+            return State(told, phase, t, 0, void, curve, target, (), target, self._nothing)
+        return State(
+            told, phase, t, x.restarts + 1, void, curve, target, x.state, x.command, x.window, x.filled, x.pressed
+        )._replace(unconfirmed=x.unconfirmed)
 
     def _gone(self, x: State, t: int) -> State:
         """Measure the candidate again; after a while give up the search."""
         x = self._discard(x, t)
-        dark = t if x.dark is None else x.dark
+        dark = t if x.dark == NEVER else x.dark
         if t - dark < self._hold:
             return x._replace(dark=dark)
         self.report(Level.WARN, "no signal", "the signal is gone: the search stops; another one when it is back")
-        return x._replace(dark=dark, waiting=True, target=tuple(x.search.now.lower.tolist()), since=None)
+        return x._replace(dark=dark, waiting=True, target=x.search.low, since=NEVER)
 
     def _wait_tick(self, x: State, t: int) -> State:
-        if x.since is None or t - x.since < self._hold:
+        if x.since == NEVER or t - x.since < self._hold:
             return x
         if self.p.floor is None or _mean(x) > self.p.floor:
             return self._note(self._begin(x, t))
         return x._replace(since=t)
 
     def _search_tick(self, x: State, t: int, sample: Point, dark: bool) -> State:
-        search = x.search.now
-        wait = self._hold if search.settle else self._period
         if dark:
             x = x._replace(streak=x.streak + 1)
         else:
@@ -302,38 +325,41 @@ class CommandSearch(Block[P], ABC):
             x, begun = self._breaks_off(x, t, sample)
             if begun:
                 return x
-        if x.looking is not None:
-            return self._look_back(x, t - x.looking)
-        if x.since is None or t - x.since < wait:
-            return x if dark or not search.watches else x._replace(search=x.search.watch(sample))
+        if x.looking != NEVER:
+            return self._look_back(x, t, t - x.looking)
+        if x.since == NEVER or t - x.since < self._wait(x):
+            return x if dark or not x.search.watches else x._replace(search=x.search.watch(sample))
         if dark and self.no_signal(sample, _mean(x)):
             return self._gone(x, t)
-        x = x._replace(dark=None, search=x.search.tell(_mean(x), sample))
+        x = x._replace(dark=NEVER, search=x.search.tell(_mean(x), sample))
+        search = x.search.now
         if not search.done:
-            x = x._replace(target=search.ask(), since=None)
+            x = x._replace(target=search.ask(), since=NEVER)
         elif self.p.floor is not None and search.expected <= self.p.floor:
             self.report(Level.WARN, "no signal", "no candidate gave a value above the floor: searching on")
             x = self._begin(x, t)
         elif x.curve is not None and self.p.restart_threshold > 0.0:
             x = x._replace(looking=t)
         else:
-            x = self._keep(x)
+            x = self._keep(x, t)
         return self._note(x)
 
-    def _look_back(self, x: State, elapsed: int) -> State:
+    def _look_back(self, x: State, t: int, elapsed: int) -> State:
         """Pass through the range of the command once: the search may have measured what is no more."""
         share = elapsed / (LOOK_BACK * self._hold)
-        lower, upper = x.search.now.lower, x.search.now.upper
         if share < 1.0:
-            return x._replace(target=tuple((lower + share * (upper - lower)).tolist()), since=None)
-        return self._note(self._keep(x)) if x.command == x.target else x
+            ends = zip(x.search.low, x.search.high, strict=True)
+            return x._replace(target=tuple([low + share * (high - low) for low, high in ends]), since=NEVER)
+        return self._note(self._keep(x, t)) if x.command == x.target else x
 
-    def _keep(self, x: State) -> State:
-        """Hold what was found."""
+    def _keep(self, x: State, t: int) -> State:
+        """Hold what was found, until as much time again has passed where something had changed."""
         return x._replace(
             phase=Phase.HOLD,
+            looking=NEVER,
+            look=LATER if x.looking == NEVER or x.restarts == 0 else 2 * t - x.began,
             target=x.search.now.result,
-            since=None,
+            since=NEVER,
             next_sample=self._hold,
             seen=math.inf,
             deviations=0,
@@ -346,10 +372,12 @@ class CommandSearch(Block[P], ABC):
             return x, False
         change, curve = x.curve.take(sample)
         x = x._replace(curve=curve)
-        gap = x.search.now.gap
+        if x.looking != NEVER and x.filled and _mean(x) > (1.0 + self.p.restart_threshold) * x.search.expected:
+            change = math.inf  # the pass is too fast for corners near the line from 0
+        gap = x.search.gap
         if change > gap and not x.void:
             x = self._withdraw(x)
-        if x.broken or x.reference is not None or not change > min(self.p.restart_threshold, gap) > 0.0:
+        if x.broken or x.reference < math.inf or not change > min(self.p.restart_threshold, gap) > 0.0:
             return x, False
         x = x._replace(broken=True, unconfirmed=x.unconfirmed + 1)
         if x.unconfirmed > BROKEN:
@@ -367,29 +395,32 @@ class CommandSearch(Block[P], ABC):
         free = BROKEN if x.broken else 1
         unconfirmed = x.unconfirmed
         if not x.broken:
-            if not self._differs(value, x.search.now.expected):
+            if not self._differs(value, x.search.expected):
                 return x._replace(unconfirmed=0), False
             unconfirmed += 1
-        again = t + (t - x.began) * 2 ** max(unconfirmed - free, 0)
-        return x._replace(unconfirmed=unconfirmed, again=again), unconfirmed <= free
+        later = min((t - x.began) * 2.0 ** max(unconfirmed - free, 0), LONGEST)
+        return x._replace(unconfirmed=unconfirmed, again=t + int(later)), unconfirmed <= free
 
     def _hold_tick(self, x: State, t: int, sample: Point) -> State:
-        watched = x.reference is None or not x.void
+        watched = x.reference == math.inf or not x.void
         if watched and not self.no_signal(sample, x.window[-1]):
             x, begun = self._breaks_off(x, t, sample)
             if begun:
                 return x
-        if x.since is None or t - x.since < x.next_sample:
+        if x.since == NEVER or t - x.since < x.next_sample:
             return x
         held, value = t - x.since, _mean(x)
         # also after bad samples a whole hold_time apart
         x, changed = self._changed(x._replace(next_sample=held + self._hold), t, value, held)
-        search = x.search.now
-        judged = x.lost or x.reference is not None
-        if judged and not x.void and abs(value - search.expected) > search.gap * abs(search.expected):
+        judged, expected = x.lost or x.reference < math.inf, x.search.expected
+        if judged and not x.void and abs(value - expected) > x.search.gap * abs(expected):
             x = self._withdraw(x)
-        timer = t >= x.again or (self._rescan and t - x.began >= self._rescan)
-        return self._note(self._begin(x, t)) if changed or (timer and not x.lost) else x
+        timer = t >= x.again or 0 < self._rescan <= t - x.began
+        if changed or (timer and not x.lost):
+            return self._note(self._begin(x, t))
+        if t >= x.look and x.reference < math.inf and not x.lost:
+            return self._note(x._replace(phase=Phase.SEARCH, looking=t, reference=math.inf))
+        return x
 
     def _changed(self, x: State, t: int, value: float, held: int) -> tuple[State, bool]:
         """Whether the value held calls for a new search."""
@@ -398,7 +429,7 @@ class CommandSearch(Block[P], ABC):
             return x._replace(lost=True), False
         if x.lost:
             return x, True
-        if x.reference is None:
+        if x.reference == math.inf:
             before, x = x.seen, x._replace(seen=value)
             if held < self._settle or self._differs(value, before, STEADY):
                 return x, False
@@ -419,8 +450,8 @@ class CommandSearch(Block[P], ABC):
         if stop:
             x = x._replace(phase=Phase.STOPPED)
             if x.search.now.best is not None:
-                x = x._replace(target=x.search.now.result, since=None)
-        elif restart or (start and x.phase is Phase.STOPPED):
+                x = x._replace(target=x.search.now.result, since=NEVER)
+        elif restart or (start and x.phase == Phase.STOPPED):
             x = self._begin(x._replace(unconfirmed=0), t)
         return self._note(x)
 
@@ -442,7 +473,7 @@ class CommandSearch(Block[P], ABC):
 
 
 def _mean(x: State) -> float:
-    return math.fsum(x.window) / len(x.window)
+    return total(x.window) / x.filled
 
 
 class OptimiserParams(SearchParams):

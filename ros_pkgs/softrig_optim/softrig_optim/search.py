@@ -7,6 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, TypedDict, Unpack
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -288,7 +289,7 @@ class Told:
         The calls of `Search.tell` and `Search.watch` so far.
     """
 
-    __slots__ = ("_line", "_n")
+    __slots__ = ("__weakref__", "_line", "_n")
 
     def __init__(
         self,
@@ -307,6 +308,36 @@ class Told:
             line = self._line = _Line(line.make, line.rng, line.said[: self._n])
         return line.live
 
+    @property
+    def low(self) -> Point:
+        """The lower bounds, as a candidate."""
+        return tuple(self.now.lower.tolist())
+
+    @property
+    def high(self) -> Point:
+        """The upper bounds, as a candidate."""
+        return tuple(self.now.upper.tolist())
+
+    @property
+    def settle(self) -> bool:
+        """See `Search`."""
+        return self.now.settle
+
+    @property
+    def watches(self) -> bool:
+        """See `Search`."""
+        return self.now.watches
+
+    @property
+    def gap(self) -> float:
+        """See `Search`."""
+        return self.now.gap
+
+    @property
+    def expected(self) -> float:
+        """See `Search`; NaN before anything was told."""
+        return math.nan if self.now.best is None else float(self.now.expected)
+
     def tell(self, value: float, sample: Sequence[float] = ()) -> Told:
         """Give it as after `Search.tell`."""
         return self._after("tell", (value, sample))
@@ -322,6 +353,11 @@ class Told:
         told._line, told._n = self._line, self._n + 1
         return told
 
+    def native(self) -> ToldNow:
+        """Give it as native code takes it, which only reads it."""
+        _handed[id(self)] = self
+        return ToldNow(id(self), self.low, self.high, self.settle, self.watches, self.gap, self.expected)
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Told):
             return NotImplemented
@@ -331,6 +367,25 @@ class Told:
 
     def __reduce__(self) -> Any:
         return Told, (self._line.make, self._line.rng, self._line.said[: self._n])
+
+
+class ToldNow(NamedTuple):
+    """What native code may know of a search that was `Told` something; who tells it more does so in Python."""
+
+    number: int
+    low: Point
+    high: Point
+    settle: bool
+    watches: bool
+    gap: float
+    expected: float
+
+    def python(self) -> Told:
+        """Give it as Python has it."""
+        return _handed[self.number]
+
+
+_handed: WeakValueDictionary[int, Told] = WeakValueDictionary()  # those that native code has, by their numbers
 
 
 class _Line:

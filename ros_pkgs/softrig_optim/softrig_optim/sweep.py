@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import multiprocessing
 import os
 import signal
@@ -23,10 +24,14 @@ from softrig_core.guard import is_quiet
 
 C = TypeVar("C")
 R = TypeVar("R")
+Chunk = list[tuple[int, C]]  # cases and their numbers
 
 ATTEMPTS = 3  # of a case whose worker died under it
 NEWS = 10.0  # s of wall-clock time between two lines of a few long cases
-AHEAD = 3  # cases handed to each worker at a time: none idles, and memory stays bounded
+AHEAD = 3  # chunks handed to each worker at a time: none idles, and memory stays bounded
+CHUNK = 0.25  # s that the cases which are handed over together take: less than that, and handing over costs as much
+FAR = 5.0  # s: the same for a cluster, where a task costs milliseconds of its scheduler
+LARGEST = 1000  # cases of a chunk
 
 
 class Workers:
@@ -47,6 +52,7 @@ class Workers:
         self._count, self._scheduler = count or cores(), scheduler
         self._pool: ProcessPoolExecutor | None = None
         self._client: Any = None
+        self._mean = math.inf  # s of a case, of the newest chunks
 
     def __enter__(self) -> Workers:
         return self
@@ -62,8 +68,9 @@ class Workers:
     def stream(self, function: Callable[[C], R], cases: Iterable[C]) -> Iterator[tuple[int, R]]:
         """Evaluate a function for every case and give each result with its case's number as soon as it is there.
 
-        Only a few cases a worker are taken from `cases` ahead of time. A worker that is killed costs time, not
-        results: the processes are made anew and what was under way is done again.
+        Only a few chunks a worker are taken from `cases` ahead of time: as many cases together as take a quarter of a
+        second (on a cluster 5 s). A worker that is killed costs time, not results: the processes are made anew and what
+        was under way is done again, case by case.
 
         Parameters
         ----------
@@ -103,27 +110,41 @@ class Workers:
             done()
         return [found[k] for k in range(len(cases))]
 
+    def _chunks(self, cases: Iterator[tuple[int, C]], room: int, seconds: float, workers: int) -> Iterator[Chunk[C]]:
+        """Take cases for so many chunks; few of them are spread over all workers."""
+        size = max(1, min(LARGEST, int(seconds / max(self._mean, 1e-6))))
+        taken = list(islice(cases, room * size))
+        size = min(size, -(-len(taken) // workers)) if len(taken) < room * size else size
+        for first in range(0, len(taken), size or 1):
+            yield taken[first : first + size]
+
+    def _told(self, chunk: Chunk[C], answer: tuple[list[R], float]) -> Iterator[tuple[int, R]]:
+        """Give the results of a chunk, with the numbers of its cases."""
+        found, seconds = answer
+        mean = seconds / len(chunk)
+        self._mean = mean if self._mean == math.inf else (self._mean + mean) / 2
+        return zip((k for k, _ in chunk), found, strict=True)
+
     def _on_cores(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
-        waiting: list[tuple[int, C, int]] = []  # number, case, how often its worker died
-        open_: dict[Future[R], tuple[int, C, int]] = {}
+        waiting: list[tuple[Chunk[C], int]] = []  # and how often their worker died
+        open_: dict[Future[tuple[list[R], float]], tuple[Chunk[C], int]] = {}
         while True:
-            room = self._count * AHEAD - len(open_) - len(waiting)
-            waiting += [(k, case, 0) for k, case in islice(cases, max(0, room))]
+            room = max(0, self._count * AHEAD - len(open_) - len(waiting))
+            waiting += [(chunk, 0) for chunk in self._chunks(cases, room, CHUNK, self._count)]
             try:
                 while waiting:
-                    open_[self._submit(function, waiting[0][1])] = waiting[0]
+                    open_[self._submit(function, waiting[0][0])] = waiting[0]
                     waiting.pop(0)
                 if not open_:
                     return
                 for future in wait(open_, return_when=FIRST_COMPLETED).done:
-                    result = future.result()
-                    k = open_.pop(future)[0]
-                    yield k, result
+                    answer = future.result()
+                    yield from self._told(open_.pop(future)[0], answer)
             except BrokenProcessPool:
-                again = [(k, case, died + 1) for k, case, died in open_.values()]
-                worst = max((died for *_, died in again), default=0)
+                again = [([one], died + 1) for chunk, died in open_.values() for one in chunk]
+                worst = max((died for _, died in again), default=0)
                 if worst >= ATTEMPTS:
-                    k = next(k for k, _, died in again if died == worst)
+                    k = next(chunk[0][0] for chunk, died in again if died == worst)
                     raise RuntimeError(f"the worker of case {k} died {worst} times") from None
                 waiting = again + waiting
                 open_.clear()
@@ -131,30 +152,37 @@ class Workers:
                     self._pool.shutdown(wait=False)
                 self._pool = None
 
-    def _submit(self, function: Callable[[C], R], case: C) -> Future[R]:
+    def _submit(self, function: Callable[[C], R], chunk: Chunk[C]) -> Future[tuple[list[R], float]]:
         with _own_imports():
             if self._pool is None:
                 self._pool = ProcessPoolExecutor(self._count, get_context("spawn"), _end_with_parent)
-            return self._pool.submit(function, case)
+            return self._pool.submit(_each, function, [case for _, case in chunk])
 
     def _on_cluster(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
         need("distributed", f"scheduler {self._scheduler}")
         import distributed
 
         self._client = client = self._client or _connected(self._scheduler)
-        numbers: dict[Any, int] = {}
-        size = max(1, sum(client.nthreads().values())) * AHEAD
+        open_: dict[Any, Chunk[C]] = {}
+        workers = max(1, sum(client.nthreads().values()))
         done = distributed.as_completed()
-        for k, case in islice(cases, size):
-            future = client.submit(function, case, pure=False)
-            numbers[future.key] = k
-            done.add(future)
+
+        def submit(room: int) -> None:
+            for chunk in self._chunks(cases, room, FAR, workers):
+                future = client.submit(_each, function, [case for _, case in chunk], pure=False)
+                open_[future.key] = chunk
+                done.add(future)
+
+        submit(workers * AHEAD)
         for future in done:
-            yield numbers.pop(future.key), future.result()
-            for k, case in islice(cases, 1):
-                new = client.submit(function, case, pure=False)
-                numbers[new.key] = k
-                done.add(new)
+            yield from self._told(open_.pop(future.key), future.result())
+            submit(1)
+
+
+def _each(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R], float]:
+    """Evaluate a function for the cases of a chunk, in a worker; gives the results and how long they took, s."""
+    started = time.perf_counter()
+    return [function(case) for case in cases], time.perf_counter() - started
 
 
 def sweep(

@@ -1,5 +1,6 @@
 """Blocks for tests: a first-order plant, a proportional controller, and their ill-behaved relatives."""
 
+import ctypes
 import os
 import signal
 import sys
@@ -330,6 +331,12 @@ class Unreadable:
 
 def unreadable(request, work):
     return Unreadable()
+
+
+def deaf(seconds, work):
+    """Hold Python's lock for so long."""
+    work.best(None)
+    ctypes.PyDLL(None).sleep(seconds)
 
 
 def script():

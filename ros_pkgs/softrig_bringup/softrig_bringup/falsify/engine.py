@@ -15,7 +15,7 @@ from softrig_core.extras import need
 from ..folder import replace
 from ..study.batch import Batch, Log
 from ..study.engine import same
-from ..study.work import LARGE, run, trial
+from ..study.work import LARGE, repeating, run, trial
 from .definition import Falsification
 from .search import Found, Point, needs, search
 from .shrink import Case, shrink
@@ -97,7 +97,7 @@ def prepare(task: Falsification) -> Prepared:
     content = task.model_dump(mode="json", exclude=free) | {"content": scenario.model_dump(mode="json")}
     if package := needs(task.sampler, space.size):
         need(package, "falsify")
-    nominal = run(trial(scenario, {}, names))
+    nominal = repeating(trial(scenario, {}, names))
     if nominal["error"]:
         raise ScenarioError(f"{task.scenario}: the run without changes cannot be judged: {nominal['error']}")
     return Prepared(space, names, nominal["figures"], content)

@@ -18,7 +18,8 @@ from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report.report import write_report
 from ..run.run import checked, execute, illustrate, save, summary
 from ..study.work import LARGE
-from ..terminal.listing import console as make_console
+from ..terminal.listing import console as make_console, styled
+from ..terminal.tables import print_columns
 from .definition import Falsification, falsification_of, list_falsifications
 from .engine import Outcome, falsify, prepare
 from .picture import draw_worst
@@ -171,17 +172,14 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
 
 
 def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Path]) -> None:
-    from rich.table import Table
-
     console = make_console()
     rig_units = {f.name: f.unit for f in figures_of(rig_of(outcome.space.scenario))}
-    table = Table(title=f"{task.name}: {outcome.found.runs} runs", title_justify="left", box=None, pad_edge=False)
-    for name in ("requirement", "nominal margin", "worst", "made small", "unit"):
-        table.add_column(name, justify="left" if name in ("requirement", "unit") else "right", overflow="fold")
+    console.print(styled((f"{task.name}: {outcome.found.runs} runs", "italic")))
+    rows = []
     for name in outcome.names:
         small = number(outcome.small_margins.get(name)) if outcome.small else ""
-        table.add_row(name, number(outcome.nominal[name]), number(outcome.worst.get(name)), small, rig_units[name])
-    console.print(table)
+        rows.append([name, number(outcome.nominal[name]), number(outcome.worst.get(name)), small, rig_units[name]])
+    print_columns(console, ("requirement", "nominal margin", "worst", "made small", "unit"), rows)
     say = [verdict(outcome)]
     if outcome.case is not None:
         say += [f"  {k} = {_shown(v)}" for k, v in (outcome.small or outcome.case)[1].items()]

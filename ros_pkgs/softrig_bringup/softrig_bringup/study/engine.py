@@ -20,7 +20,7 @@ from ..folder import STUDY, ResultsFolder, replace
 from .batch import Batch, Log
 from .definition import Search, Study
 from .draw import Case, _values, cases, count
-from .work import Work, value_of
+from .work import Work, repeating, value_of
 
 
 def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> Log:
@@ -48,6 +48,8 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
     free = {"title", "source", "summaries", "expect", "claims", "name"}  # what the rows do not depend on
     content = same(study.model_dump(mode="json", exclude=free), out / "study.json", "study")
     _check(study)
+    if study.search:
+        repeating(_work(study, next(_first(study, study.search))))
     with folder.alone():
         replace(out / "study.json", content)
         log = Log(out / "rows.jsonl", count(study), None if study.search else cases(study))

@@ -24,6 +24,7 @@ from ..page.citations import cited, sources
 from ..page.html import NONE, e, mark, picture, table, write_page
 from ..page.wording import NEVER, accepted, short
 from ..terminal.listing import console as make_console, styled
+from ..terminal.tables import Cell, print_columns, print_judged
 from .definition import Study, list_studies
 from .engine import beyond, run_study
 from .options import folder_name, study_of
@@ -112,22 +113,19 @@ def _figure(row: Row, name: str) -> str:
 
 
 def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], out: Path) -> None:
-    from rich.table import Table
-
     console = make_console()
-    shown = Table(title=study.title, title_justify="left", box=None)
-    for name in ("summary", "value", "expected", "published", "") if found else ():
-        shown.add_column(name, overflow="fold")
+    console.print(styled((study.title, "italic")))
+    cells: list[list[Cell]] = []
     for r in found:
         verdict = styled(("pass" if r.judged else "", "green")) if r.passed else styled(("MISS", "red"), f" {r.error}")
-        shown.add_row(r.name, short(r.value), accepted(r), short(r.published), verdict)
-    if not found and len(rows) <= FEW:
-        heads = list(dict.fromkeys(name for row in rows for part in ("overrides", "figures") for name in row[part]))
-        for name in heads:
-            shown.add_column(name, overflow="fold")
+        cells.append([r.name, short(r.value), accepted(r), short(r.published), verdict])
+    if found:
+        print_judged(console, ("summary", "value", "expected", "published", ""), cells)
+    elif len(rows) <= FEW:
+        varied, figures = (list(dict.fromkeys(n for row in rows for n in row[k])) for k in ("overrides", "figures"))
         for row in rows:
-            shown.add_row(*(_figure(row, n) if n in row["figures"] else _cell(row["overrides"].get(n)) for n in heads))
-    console.print(shown)
+            cells.append([*(_cell(row["overrides"].get(n)) for n in varied), *(_figure(row, n) for n in figures)])
+        print_columns(console, [*varied, *figures], cells, len(varied))
     for claim in held:
         if claim.holds is False:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import Run, RunError, Scenario, ScenarioError, load_scenario, simulate
+from softrig_core import SECOND, Run, RunError, Scenario, ScenarioError, load_scenario, simulate
 
 from .draw import Case
 
@@ -86,6 +86,42 @@ def run(work: Work) -> dict[str, Any]:
             raise
         row["error"] = str(error)
     return row | {"wall_s": time.perf_counter() - started}
+
+
+def repeating(work: Work) -> dict[str, Any]:
+    """Run a case twice and give its row: what a search goes by.
+
+    Raises
+    ------
+    ScenarioError
+        The second run is another one; names where the two part.
+    """
+    row, again = run(work), run(work)
+    if row["figures"] != again["figures"]:
+        raise ScenarioError(
+            f"{work.case.scenario}: two runs with the same parameters and seed differ{_parting(work)}; a search needs "
+            "blocks that read no clock and draw numbers from their seed only"
+        )
+    return row
+
+
+def _parting(work: Work) -> str:
+    first, second = (
+        simulate(
+            work.scenario or work.case.scenario,
+            seed=work.case.seed,
+            duration=work.duration,
+            overrides=work.case.overrides,
+        ).recording.topics
+        for _ in range(2)
+    )
+    found = [
+        (topic.times[k], name)
+        for name, topic in first.items()
+        for k, (one, two) in enumerate(zip(topic.data, second[name].data, strict=False))
+        if one != two
+    ]
+    return f", first on {min(found)[1]} at t = {min(found)[0] / SECOND:.9g} s" if found else ""
 
 
 def _figures(done: Run, work: Work) -> dict[str, Any]:

@@ -51,7 +51,7 @@ def _run_and_look(verb: Verb) -> None:
         metavar="HOST:PORT",
         help="of the page (this host, a free port); it is seen with the token in its address only",
     )
-    look.add_argument("--running", action="store_true", help="does not begin paused; in real time nothing does")
+    look.add_argument("--running", action="store_true", help="does not begin paused")
     look.add_argument(
         "--pace",
         type=_pace,

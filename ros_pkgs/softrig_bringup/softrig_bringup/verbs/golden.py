@@ -9,6 +9,7 @@ import argparse
 import re
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -27,7 +28,7 @@ from softrig_core.scenario.yaml_file import read_yaml
 from softrig_core.wire.signals import topic_of
 from softrig_optim.sweep import sweep
 
-from ..folder import replace
+from ..folder import alone_in, replace
 from ..page.junit import Case, Suite, write_reports
 from ..run.run import versions
 
@@ -358,7 +359,8 @@ def _one(work: tuple[Path, dict[str, Any], bool]) -> tuple[dict[str, Any], bool,
     golden = load(folder, **changes) if there else create(folder, folder.name, **changes)
     how, others = golden.how if golden.bag.exists() else "", set(golden.others)
     try:
-        result = golden.compare(golden.rerun()) if check else golden.make()
+        with nullcontext() if check else alone_in(folder):
+            result = golden.compare(golden.rerun()) if check else golden.make()
     except RunError as error:
         raise RunError(f"{folder.name}: {error}") from error
     differs = "" if result is None or result.equal else str(result)

@@ -10,6 +10,7 @@ from typing import Any
 
 from softrig_core import LinearView, NoOperatingPoint, linear_view, steady
 
+from ..folder import replace
 from ..options.grammar import settings
 from ..terminal.listing import console
 
@@ -80,7 +81,7 @@ def linearise(options: argparse.Namespace) -> int:
         out.print(f"  {name:20} {text}", markup=False)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
-        (options.out / "linear.json").write_text(json.dumps(numbers(view), indent=1) + "\n")
+        replace(options.out / "linear.json", json.dumps(numbers(view), indent=1) + "\n")
         files = "linear.json"
         if view.link:
             view.plot().savefig(options.out / "linear.png", dpi=120)

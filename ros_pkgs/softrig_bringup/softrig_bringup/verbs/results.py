@@ -26,7 +26,7 @@ from softrig_core.rig.code import fingerprints
 from softrig_core.verdict.findings import Finding, findings, needed, values
 from softrig_optim.sweep import sweep
 
-from ..folder import ResultsFolder, replace
+from ..folder import ResultsFolder, alone_in, replace
 from ..page.junit import Case, Suite, write_reports
 from ..run.run import illustrate, save, summary, versions
 from ..study.definition import list_studies, load_study
@@ -215,16 +215,16 @@ def main(options: argparse.Namespace) -> int:
     scenarios = claiming(systems)
     if not scenarios:
         raise ScenarioError("no scenario has claims")
-    (out / "runs").mkdir(parents=True, exist_ok=True)
-    if not os.access(out, os.W_OK | os.X_OK):  # said before the runs, not after them
-        raise ScenarioError(f"{out}: cannot be written into; choose another --out")
-    rows, measured = gather(scenarios, options.workers, out / "runs")
-    without = "" if options.studies else left_out(systems)
-    if options.studies:
-        more, held = study_findings(systems, out / "studies", options.workers)
-        scenarios, rows = scenarios + more, rows + held
-    replace(out / f"{name}.html", html(scenarios, rows, without, out))
-    replace(out / f"{name}.md", markdown(scenarios, rows, without))
+    with alone_in(out):
+        if not os.access(out, os.W_OK | os.X_OK):  # said before the runs, not after them
+            raise ScenarioError(f"{out}: cannot be written into; choose another --out")
+        rows, measured = gather(scenarios, options.workers, out / "runs")
+        without = "" if options.studies else left_out(systems)
+        if options.studies:
+            more, held = study_findings(systems, out / "studies", options.workers)
+            scenarios, rows = scenarios + more, rows + held
+        replace(out / f"{name}.html", html(scenarios, rows, without, out))
+        replace(out / f"{name}.md", markdown(scenarios, rows, without))
     write_reports(options.junit, suites(rows, measured), options.json, [row.model_dump() for row in rows])
     kept = sum(m.kept for m in measured.values())
     if kept:

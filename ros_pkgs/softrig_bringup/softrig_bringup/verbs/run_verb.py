@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from softrig_core import Run, ScenarioError
 from softrig_core.extras import need
@@ -31,9 +30,12 @@ from ..page.wording import NEVER, accepted, in_words, measured_here, short, span
 from ..run.run import checked, execute, illustrate, save, summary, tripped, turned
 from ..terminal.listing import console as make_console, styled
 from ..terminal.progress import progress
+from ..terminal.tables import Cell, print_judged
 from ..view.beside import page
 
-MARK = len("differs") + 1
+if TYPE_CHECKING:
+    from rich.console import Console
+
 MISSED = 10.0  # per cent of missed deadlines that are worth a word
 
 
@@ -241,18 +243,16 @@ def _too_slow(options: argparse.Namespace, done: Run) -> str:
     if not late:
         return ""
     why = "".join(f", {node}: {text}" for node, text in trips.items())
-    return (
-        f"the machine did not keep up: {', '.join(late)}{why}; the figures are of a slower loop, --mode container "
-        "is faster"
-    )
+    faster = ", --mode container is faster" if options.mode == "processes" else ""
+    return f"the machine did not keep up: {', '.join(late)}{why}; the figures are of a slower loop{faster}"
 
 
 def _missed(status: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """Share of its deadlines that each node has missed in real time, per cent."""
     return {
-        name: 100.0 * s["missed_deadlines"] / s["ticks"]
+        name: 100.0 * s["missed_deadlines"] / (s.get("ticks", 0) + s["missed_deadlines"])
         for name, s in status.items()
-        if s.get("missed_deadlines") and s.get("ticks")
+        if s.get("missed_deadlines")
     }
 
 
@@ -263,35 +263,39 @@ def _announce(text: str) -> None:
 
 
 def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> None:
-    from rich.table import Table
-
     console = make_console()
     changed: Sequence[str] = content["changed"]
     title = f"{content['scenario']}: {content['label'] or content['title']}"
     title += f", changed: {', '.join(changed)}" if changed else ""
-    # on a narrow terminal names are folded and tolerances go on a line of their own; numbers stay whole
     console.print(styled((title, "italic")))  # as wide as the terminal, not as the table
-    table = Table(box=None, pad_edge=False)
-    table.add_column("figure", overflow="fold", min_width=10)
+    _print_table(console, run, bool(changed))
+    _print_remarks(console, run, bool(changed))
+    reached, whole = content["reached_s"], content["duration_s"]
+    speed = "" if run.epoch or not reached else f" ({reached / run.wall_s:.3g} x real time)"
+    of = f" of {whole:g}" if run.stopped else ""
+    console.print(
+        f"{run.mode}: {content['ticks']} ticks, {reached:.6g}{of} s simulated in {run.wall_s:.2f} s with "
+        f"start-up{speed}"
+    )
+    _print_nodes(console, run)
+    if out is not None:
+        console.print(f"results in {_shown(out)}")
+
+
+def _print_table(console: Console, run: Run, changed: bool) -> None:
     published = any(f.published is not None for f in run.results)
     heads = [*(["published"] if published else []), "measured", "expected", "unit"]
-    for name in (*heads, ""):
-        table.add_column(
-            name,
-            justify="left" if name in ("unit", "") else "right",
-            overflow="fold",
-            no_wrap=name in ("published", "measured"),
-        )
-    rows = []
+    rows: list[list[Cell]] = []
     for f in run.results:
         missed = ("MISS", "red") if not changed else ("differs" if measured_here(f) else "", "yellow")
         mark = styled(("pass" if f.judged else "", "green") if f.passed else missed)
         row = [*([short(f.published)] if published else []), in_words(f) or short(f.value), accepted(f), f.unit]
-        rows.append((f.name, row, styled("") if run.stopped else mark))
-    others = sum(max(map(len, column)) + 1 for column in zip(heads, *(row for _, row, _ in rows), strict=True))
-    for name, row, mark in rows:
-        table.add_row(_between_words(name, console.width - others - MARK), *row, mark)
-    console.print(table)
+        rows.append([f.name, *row, styled("") if run.stopped else mark])
+    print_judged(console, ("figure", *heads, ""), rows)
+
+
+def _print_remarks(console: Console, run: Run, changed: bool) -> None:
+    """Say what figures, requirements and claims have to say beside the table."""
     for f in run.results:
         if f.error and f.error != NEVER:
             console.print(f"{f.name}: {f.error}")
@@ -302,13 +306,10 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
     for claim in run.claims:
         if claim.holds is False and not changed:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))
-    reached, whole = content["reached_s"], content["duration_s"]
-    speed = "" if run.epoch or not reached else f" ({reached / run.wall_s:.3g} x real time)"
-    of = f" of {whole:g}" if run.stopped else ""
-    console.print(
-        f"{run.mode}: {content['ticks']} ticks, {reached:.6g}{of} s simulated in {run.wall_s:.2f} s with "
-        f"start-up{speed}"
-    )
+
+
+def _print_nodes(console: Console, run: Run) -> None:
+    """Say what nodes reported, refused and missed."""
     for name, status in run.status.items():
         for _, text, count in status.get("reports", {}).values():
             console.print(f"{name}: {text} ({count} x)")
@@ -317,18 +318,6 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
         if "missed_deadlines" in status:
             figures = {k: v for k, v in status.items() if k.endswith("_ms") or k == "missed_deadlines"}
             console.print(f"{name}: " + ", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
-    if out is not None:
-        console.print(f"results in {_shown(out)}")
-
-
-def _between_words(name: str, width: int) -> str:
-    """Fold a name at its underscores."""
-    lines = [""]
-    for part in re.findall("[^_]*_|[^_]+$", name):
-        if lines[-1] and len(lines[-1] + part) > width:
-            lines.append("")
-        lines[-1] += part
-    return "\n".join(lines)
 
 
 def _shown(path: Path) -> str:

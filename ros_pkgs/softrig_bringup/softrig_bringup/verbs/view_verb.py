@@ -21,7 +21,7 @@ def view(options: argparse.Namespace) -> int:
     path = Path(options.scenario)
     if options.scenario and (path.is_dir() or path.suffix == ".mcap" or is_pack(path)):
         return _recorded(path, options.address)
-    options.view, options.paused = True, not (options.realtime or options.running)
+    options.view, options.paused = True, not options.running
     return run_verb.run(options)
 
 

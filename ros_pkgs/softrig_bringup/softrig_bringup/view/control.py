@@ -99,8 +99,8 @@ class Control:
         Says how the run ended; empty while it goes on.
     held : bool or None
         Whether the run is paused; None where it cannot be.
-    pace : float
-        Simulated by wall-clock time; 0: as fast as it goes.
+    pace : float or None
+        Simulated by wall-clock time; 0: as fast as it goes; None: in real time.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Control:
         now: Callable[[], float],
         over: Callable[[], str],
         held: bool | None = None,
-        pace: float = 0.0,
+        pace: float | None = 0.0,
     ) -> None:
         self._ask, self._now, self._over = ask, now, over
         self.held, self.pace = held, pace

@@ -69,6 +69,8 @@ WIDGETS = """
 .bk-input[disabled] { background: var(--paper); color: var(--soft); }
 .bk-btn-default:hover { background: var(--line); color: var(--ink); }
 .bk-btn-default.bk-active, .bk-btn-primary { background: var(--accent); color: var(--paper); }
+.bk-btn-default[disabled] { background: var(--paper); color: var(--soft); border-color: var(--line); opacity: 1; }
+.bk-btn-default.bk-active[disabled] { background: var(--soft); color: var(--paper); }
 .bk-input-group label, .bk-slider-title, label { color: var(--ink); }
 h2 { font-size: 14px; margin: 14px 0 4px; }
 h1 { font-size: 18px; margin: 0; }

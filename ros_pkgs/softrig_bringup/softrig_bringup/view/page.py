@@ -156,13 +156,17 @@ class Page:
         if self._control.held is not None and self._source.live:
             self._hold = self._button("pause", self._pause, "hold")
             found += [self._hold, self._button("step", lambda: self._control.hold(self._who, "step"))]
-        if self._control.held is not None or not self._source.live:
-            now = _pace(self._control.pace if self._source.live else 1.0)
+        if not self._source.live or (self._control.held is not None and self._control.pace is not None):
+            now = _pace((self._control.pace or 0.0) if self._source.live else 1.0)
             paces = [*PACES, *([] if now in PACES else [now])]
             self._pace = Select(title="pace", value=now, options=paces, width=90, stylesheets=sheet, name="pace")
             if self._source.live:
                 self._pace.on_change("value", self._go)
             found.append(self._pace)
+        if self._source.live and not self._control.goes_back:
+            nodes = self._div("only forward")
+            nodes.text = "<p class=soft>nodes only go on; with <code>--mode inprocess</code> a run goes back, too</p>"
+            found.append(nodes)
         for widget in found:
             widget.align = "end"
         return found
@@ -430,7 +434,8 @@ class Page:
                 slider.value = knob.value
         if control.held is not None and source.live:
             self._hold.label = "resume" if control.held else "pause"
-            self._pace.value = _pace(control.pace)
+            if control.pace is not None:
+                self._pace.value = _pace(control.pace)
         self._head.text = words.head(source, self._how, control)
         return True
 

@@ -276,17 +276,20 @@ def beside(watched: Watched, lines: Any) -> None:
     directory = Path(watched.directory)
     source = Live(rig, directory, watched.realtime)
     remote = Remote(watched.domain, directory, loop.add_callback)
-    held = None if watched.realtime or rig.clock.external else watched.paused
-    control = Control(rig, remote.ask, lambda: source.end, lambda: source.outcome, held, watched.pace)
+    guests = any(m.external for m in rig.members)  # who do not stand with the clock
+    held = None if rig.clock.external or (watched.realtime and guests) else watched.paused
+    pace = None if watched.realtime else watched.pace
+    control = Control(rig, remote.ask, lambda: source.end, lambda: source.outcome, held, pace)
     pages = Pages(source, control, watched.how, watched.address, watched.token, loop)
     say(f"the page is {pages.url}")
-    told, paced = 0, (held, watched.pace)
+    told, paced = 0, (held, pace)
 
     def look() -> None:
         nonlocal told, paced
         source.look()
         now = source.status[control.clock] if held is not None else {}
-        if "pace" in now and paced != (paced := (now["held"], now["pace"])):  # whoever has changed it
+        known = (now["held"], None if watched.realtime else now["pace"]) if "pace" in now else paced
+        if paced != (paced := known):  # whoever has changed it
             control.held, control.pace = paced
         for change in source.changes[told:]:
             control.took_effect(*change)

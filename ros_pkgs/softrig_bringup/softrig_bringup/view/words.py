@@ -49,7 +49,7 @@ def _going(source: Source, control: Control) -> str:
     """Say whether it runs, at what pace, and that the machine does not keep up with it."""
     if control.held:
         return "paused"
-    if control.held is None:
+    if control.held is None or control.pace is None:
         return "running"
     if not control.pace:
         return "running as fast as it goes"

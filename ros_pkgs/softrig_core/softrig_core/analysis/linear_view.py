@@ -12,6 +12,7 @@ is the opened loop of negative feedback, and the rig is it with :math:`v = s`.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -39,7 +40,7 @@ NEARER = 2.0**-8  # of the steps of the columns, how far all states together are
 ROUNDS = 5  # in which sizes of states are found that are at zero in the run
 POINTS = 1000  # frequencies
 MOST = 800  # states
-TRIED = 5000  # numbers that may be moved to see whether they are states
+TRIED = 2000  # numbers that may be moved to see whether they are states
 DEAD = 1e-4  # magnitude of a pole below which it is gone within a period
 
 
@@ -107,8 +108,9 @@ class LinearView:
     worst : str
         Of which state or input.
     variation : float
-        Largest difference between the linear rig and the rig after each of ten periods, both moved a little off; of the
-        largest difference to the run that is not moved. A rig that is another one each period has it large.
+        Largest difference between the linear rig and the rig after each of ten periods, both moved a little off in all
+        states; of the largest difference to the run that is not moved. A rig that is another one each period has it
+        large. Of a loop that is opened: in its own states, since what rests on a limit beside it says nothing of it.
     """
 
     rig: str
@@ -160,7 +162,7 @@ class LinearView:
     def _loop(self) -> tuple[Array, Array, Array, float, list[str]]:
         if not self.link:
             raise ScenarioError(f"{self.rig}: no link is opened")
-        on = _reach(self.a, self.b != 0.0) & _reach(self.a.T, self.c != 0.0)
+        on = _between(self.a, self.b, self.c)
         names = [name for name, there in zip(self.states, on, strict=True) if there]
         return self.a[np.ix_(on, on)], self.b[on], self.c[on], self.d, names
 
@@ -411,20 +413,15 @@ class Differences:
 
     def states(self) -> tuple[list[int], Array, Array]:
         """Give the places of the states, A, and the rows of what is heard: those that what is heard depends on."""
-        m, rounds = self.map, 0
-        for name in [*self.inputs, *([self.link] if self.link else [])]:
+        for name in [self.link] if self.link else []:
             self._signal(name)
-        waiting = {int(i) for i in np.flatnonzero(m.moved & self.finite)}
-        waiting |= {int(i) for column, _ in self.columns.values() for i in np.flatnonzero(column)}
-        while waiting:
-            if len(waiting) + len(self.columns) > TRIED:
-                self._too_many(len(waiting) + len(self.columns))
-            i = waiting.pop()
-            self._number(i)
-            waiting |= {int(j) for j in np.flatnonzero(self.columns[i][0])} - self.columns.keys()
-            if not waiting and rounds < ROUNDS:
-                waiting, rounds = self._dwarfed(), rounds + 1
-        on = sorted(i for i in self.columns if isinstance(i, int))
+        self._explore()
+        if self.link and not self._loops():
+            raise RunError(f"{self.map.rig.scenario.name}: {self._no_loop()}")
+        for name in self.inputs:
+            self._signal(name)
+        self._explore()
+        on = self._on()
         whole = self._square(on)
         heard = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.heard), len(on))
         counts = _reach(whole.T, (heard != 0.0).any(axis=0))
@@ -435,8 +432,31 @@ class Differences:
         counts &= ~held
         kept = [i for i, there in zip(on, counts, strict=True) if there]
         if len(kept) > MOST:
-            self._too_many(len(kept))
+            self._too_many(kept)
         return kept, whole[np.ix_(counts, counts)], heard[:, counts]
+
+    def _explore(self) -> None:
+        """Find the columns of all that has moved, and of all that is moved by what has a column."""
+        waiting = {int(i) for i in np.flatnonzero(self.map.moved & self.finite)}
+        waiting |= {int(i) for column, _ in self.columns.values() for i in np.flatnonzero(column)}
+        waiting -= self.columns.keys()
+        for _ in range(ROUNDS + 1):
+            while waiting:
+                if len(waiting) + len(self.columns) > TRIED:
+                    self._too_many([*waiting, *self._on()])
+                i = waiting.pop()
+                self._number(i)
+                waiting |= {int(j) for j in np.flatnonzero(self.columns[i][0])} - self.columns.keys()
+            waiting = self._dwarfed()
+
+    def _on(self) -> list[int]:
+        return sorted(i for i in self.columns if isinstance(i, int))
+
+    def _loops(self) -> bool:
+        """Whether the link hears of itself, as far as columns tell."""
+        on, (column, direct) = self._on(), self.columns[self.link]
+        c = np.array([self.columns[i][1][-1] for i in on])
+        return bool(direct[-1] or _between(self._square(on), column[on], c).any())
 
     def _dwarfed(self) -> set[int]:
         """Which have been moved by far less than others move them: what rests at zero tells no size of its own."""
@@ -458,10 +478,12 @@ class Differences:
     def _square(self, on: list[int]) -> Array:
         return np.array([self.columns[i][0][on] for i in on]).T.reshape(len(on), len(on))
 
-    def _too_many(self, count: int) -> NoReturn:
+    def _too_many(self, places: list[int]) -> NoReturn:
+        where = Counter(self.map.names[i].partition("[")[0] for i in places)
+        name, most = where.most_common(1)[0]
         raise RunError(
-            f"{self.map.rig.scenario.name}: {count} states, expected at most {MOST}: a long delay has "
-            "one or more for each of its steps; take longer steps by --set"
+            f"{self.map.rig.scenario.name}: {len(places)} numbers move, {most} of them in {name}, expected at most "
+            f"{MOST} states: a long delay has one or more for each of its steps; take longer steps by --set"
         )
 
     def view(self) -> LinearView:
@@ -474,8 +496,6 @@ class Differences:
         if self.link:
             column, direct = self.columns[self.link]
             b, c, d = column[kept], C[-1], float(direct[-1])
-            if not c.any() or not b.any():
-                raise RunError(f"{m.rig.scenario.name}: {self._no_loop()}")
             A = a + np.outer(b, c) / (1.0 - d)
             B = B + np.outer(b, D[-1]) / (1.0 - d)
             C, D = C + np.outer(direct, c) / (1.0 - d), D + np.outer(direct, D[-1]) / (1.0 - d)
@@ -489,7 +509,7 @@ class Differences:
             m.rig.scenario.name, m.t, m.period, tuple(names), tuple(self.inputs), tuple(self.outputs),
             {s: units.get(s, "") for s in m.places}, values, A, B, C[:rows], D[:rows], self.link, a, b, c, d,
             self.errors.get(worst, 0.0), m.names[worst] if isinstance(worst, int) else worst,
-            self._variation(kept, A),
+            self._variation(kept, A, _between(a, b, c) if self.link else np.ones(len(kept), bool)),
         )  # fmt: skip
 
     def _no_loop(self) -> str:
@@ -570,9 +590,9 @@ class Differences:
         self.errors[key] = best[0]
         return best[1], best[2]
 
-    def _variation(self, kept: list[int], A: Array) -> float:
-        """Hold the linear rig against the rig, moved off both ways in all states at once."""
-        if not kept:
+    def _variation(self, kept: list[int], A: Array, judged: NDArray[np.bool_]) -> float:
+        """Hold the linear rig against the rig, moved off both ways in all states at once; judge some of them."""
+        if not judged.any():
             return 0.0
         m = self.map
         signs = np.where(np.arange(len(kept)) % 3 == 1, -1.0, 1.0)
@@ -588,8 +608,8 @@ class Differences:
         for up, down in zip(ups, downs, strict=True):
             off = A @ off
             seen = 0.5 * (up - down)
-            worst = max(worst, float(np.abs((seen - off) / sizes).max()))
-            largest = max(largest, float(np.abs(seen / sizes).max()))
+            worst = max(worst, float(np.abs((seen - off) / sizes)[judged].max()))
+            largest = max(largest, float(np.abs(seen / sizes)[judged].max()))
         return worst / largest if largest else 0.0
 
 
@@ -606,3 +626,8 @@ def _reach(A: Array, start: NDArray[np.bool_]) -> NDArray[np.bool_]:
         if (wider == reached).all():
             return reached
         reached = wider
+
+
+def _between(A: Array, b: Array, c: Array) -> NDArray[np.bool_]:
+    """Which states hear of an input and are heard at an output."""
+    return _reach(A, b != 0.0) & _reach(A.T, c != 0.0)

@@ -210,6 +210,8 @@ class StateMap:
                     break
         self._saved = keep(self._steps.values())
         self.names, self.start = self._read()
+        ends = np.cumsum([len(row) for row in self._now()]).tolist()
+        self._kept, self._slices = self.start, list(map(slice, [0, *ends], ends))
         self._labels = {
             f"{n}.{HEARD}{p.name}{'.data' * p.delayed}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
             for n, s in self._steps.items()
@@ -256,15 +258,17 @@ class StateMap:
                 rows.append(row)
         return names, np.concatenate(rows)
 
+    def _now(self) -> list[Array]:
+        """Give the values alone, those of each member."""
+        return [numbers_of(_Known(step.x, tuple(step.values.values()))) for step in self._steps.values()]
+
     def _write(self, numbers: Array) -> None:
-        """Put other numbers in their place."""
-        at = 0
-        for step in self._steps.values():
-            whole = _Known(step.x, tuple(step.values.values()))
-            size = len(numbers_of(whole))
-            step.x, inputs = put(whole, split(whole, numbers[at : at + size]))
-            step.values.update(zip(step.values, inputs, strict=True))
-            at += size
+        """Put other numbers in the place of those of where the run is."""
+        for step, here in zip(self._steps.values(), self._slices, strict=True):
+            if not np.array_equal(numbers[here], self._kept[here]):
+                whole = _Known(step.x, tuple(step.values.values()))
+                step.x, inputs = put(whole, split(whole, numbers[here]))
+                step.values.update(zip(step.values, inputs, strict=True))
 
     def __call__(
         self, numbers: Array, added: Mapping[str, float], fixed: Mapping[str, float] | None = None
@@ -309,7 +313,7 @@ class StateMap:
             for _ in range(self._every):
                 if next(ticks, None) is None:
                     raise RunError(f"{self.rig.scenario.name}: the run ends before {periods} periods of the whole")
-            found = self._read()[1]
+            found = np.concatenate(self._now())
             if len(found) != len(self.start):
                 raise RunError(
                     f"{self._grown()}: what it remembers has another length one period after {self.t:g} s; "

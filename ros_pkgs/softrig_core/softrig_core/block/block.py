@@ -160,6 +160,14 @@ class Block(Generic[P]):
         """
         return x
 
+    def decides(self, x: Any, t: int) -> bool:
+        """Tell whether native code is to leave a tick to Python.
+
+        For what happens now and then and is no arithmetic, as the next step of a search. What native code cannot do it
+        leaves by itself, but finds out late: it computes the ticks before that one again.
+        """
+        return False
+
     def save(self, x: Any) -> Any:
         """Give what `load` makes x of again, as often as wanted; x itself, unless part of it is opaque.
 

@@ -8,7 +8,7 @@ from itertools import count
 from ..timebase import SECOND
 from ..wire.cdr import Layout, Message, Pick, getter, parse
 from ..wire.stream import CdrError
-from .answer import usual
+from .answer import sum_of_products
 from .port import Port, Refused
 
 
@@ -17,7 +17,8 @@ class Decoder:
 
     def __init__(self, port: Port) -> None:
         self._port = port
-        self._layout = port.layout()
+        self._bound = port.bound
+        self._decode = port.layout().decode  # of the last layout seen
         self._pick: Pick | None = None
         self.kept = port.safe  # of a partial port: what channels that a message leaves out keep; its reader updates it
 
@@ -29,18 +30,20 @@ class Decoder:
         Refused
             Malformed bytes, missing or unknown channels, wrong length, wrong frame, NaN, infinity, beyond a limit.
         """
-        found = self._layout.decode(data)
+        found = self._decode(data)
         if found is None:
             self._learn(data)
-            found = self._layout.decode(data)
+            found = self._decode(data)
             if found is None:  # padding or endianness that no prepared layout has
                 return self._slow(data)
-        stamp, values = found
         if self._pick is not None:
-            values = self._pick(values + self.kept if self._port.partial else values)
-        if not usual(values, self._port.bound):  # one beyond its limit, NaN, infinity; or all are rather large
+            stamp, values = found
+            found = stamp, self._pick(values + self.kept if self._port.partial else values)
+        values = found[1]
+        size = sum_of_products(values, values)
+        if type(size) is not float or not size <= self._bound:  # one beyond its limit, NaN, infinity; or all are large
             self._check(values)
-        return stamp, values
+        return found
 
     def pick(self, layout: Layout) -> Pick | None:
         """Say how the numbers of messages of a layout become those of the port; None when they are the same.
@@ -61,8 +64,9 @@ class Decoder:
         """Adopt the layout of `data` if it carries what the port needs."""
         message = self._parse(data)
         order = self._order(message)  # first: a layout that is refused must not be known the next time
-        self._layout = message.layout(self._port.msgtype)
-        self._pick = None if order == tuple(range(self._layout.size)) and not self._port.partial else getter(order)
+        layout = message.layout(self._port.msgtype)
+        self._decode = layout.decode
+        self._pick = None if order == tuple(range(layout.size)) and not self._port.partial else getter(order)
 
     def _slow(self, data: bytes) -> tuple[int, tuple[float, ...]]:
         message = self._parse(data)

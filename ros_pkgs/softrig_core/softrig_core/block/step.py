@@ -61,23 +61,27 @@ class Step(Held):
     send : callable or None
         Gets (t, rows) of each answer: what carries it out of this process, or records it.
     send_all : callable or None
-        Gets (times, numbers) of many answers at once, shapes (n,) and (n, size); see `send`.
+        Gets (times, numbers) of many answers at once, shapes (n,) and (n, size); see `send`. Of one that is not plain
+        flags of silence are after the numbers, and stamps of delayed outputs come, too, (n, count).
     lacks : callable or None
         Gets t, the tick that is to be answered: whether something that it needs has not come; None: never.
     moved : callable or None
         Called when a plant has moved on.
     native : (int, str)
         How many of its ticks native code answered, and why Python answered the others.
+    tell_native : callable
+        Brings `native` up to date while it runs.
     changed : callable or None
         Gets (t, values by name) of each tick before which parameters were changed, and how.
     """
 
     send: Callable[[int, Rows], object] | None = None
-    send_all: Callable[[Any, Any], object] | None = None
+    send_all: Callable[..., object] | None = None
     lacks: Callable[[int], bool] | None = None
     moved: Callable[[], object] | None = None
     changed: Callable[[int, Mapping[str, Any]], object] | None = None
     native: tuple[int, str] = (0, "")
+    tell_native: Callable[[], object] = bool
 
     say: Callable[[int], None]
     advance: Callable[..., None]

@@ -18,9 +18,11 @@ from ..kit.draws import Draws
 from ..kit.jit import Jit, power
 from ..kit.newest import Newest
 from .expressions import Expressions
+from .reports import CONVERSIONS, EXACT, spec_of, wording
 from .translate import (
     GIVEN_UP,
     LONGEST,
+    NUMBERS,
     TURNS,
     follow,
     is_number_slot,
@@ -31,6 +33,7 @@ from .value import (
     NONE,
     UNKNOWN,
     Dynamic,
+    GivesUp,
     Group,
     Path,
     Record,
@@ -139,8 +142,7 @@ class Calls(Expressions):
                 return self._of_base(node)
             base = self.value(node.func.value)
             if isinstance(base, Static) and isinstance(base.value, Block) and node.func.attr == "report":
-                self._give_up()
-                return NONE
+                return self._reported(base, node)
             if not isinstance(base, Static):
                 return self._method(base, node)
             if isinstance(base.value, Block) and node.func.attr == "age" and base.value.ages is not None:
@@ -182,6 +184,52 @@ class Calls(Expressions):
             else:
                 words[word_.arg] = self.value(word_.value)
         return self.call(function, given, words, node)
+
+    def _reported(self, own: Static, node: ast.Call) -> Value:
+        """Count a report, and keep the numbers of its text."""
+        reports, parts = self.program.reports, wording(node.args[2]) if len(node.args) == 3 else None
+        if reports is None or parts is None or node.keywords:
+            raise GivesUp("a report whose text is not written out")
+        level, key = (self.program.guard(v) for v in map(self.value, node.args[:2]) if isinstance(v, Static))
+        numbers: list[str] = []
+        made_of = [p if isinstance(p, str) else (self._shown(self.value(p.value), numbers, node), p) for p in parts]
+
+        def text(row: Sequence[float]) -> str:
+            return "".join(
+                p if isinstance(p, str) else format(CONVERSIONS[p[1].conversion](p[0](row)), spec_of(p[1]))
+                for p in made_of
+            )
+
+        numbers = numbers or ["0.0"]
+        at = reports.add(self.program.number(own.value), level, key, text, len(numbers))
+        self.program.words.add("reported_")
+        self.arrays.add("told")
+        self.emit(f"reported_(told, {at}, ({''.join(f'{x}, ' for x in numbers)}))")
+        return NONE
+
+    def _shown(self, value: Value, numbers: list[str], node: ast.AST) -> Callable[[Sequence[float]], Any]:
+        """Give what makes a value of the numbers that are kept of it."""
+        if isinstance(value, Static) and not (
+            value.path is not None and isinstance(value.value, (*NUMBERS, tuple, list))
+        ):
+            found = self.program.guard(value)
+            return lambda row: found
+        value = self.dynamic(value) if isinstance(value, Static) else value
+        sample = sample_of(value)
+        if not is_sure(value) or isinstance(value, Record):
+            raise self.unknown("a report of what may be of several kinds", node)
+        if isinstance(sample, tuple):
+            kind, parts = type(sample), [self._shown(v, numbers, node) for v in self.parts(value, node)]
+            return lambda row: (kind if hasattr(kind, "_fields") else lambda *v: v)(*(p(row) for p in parts))
+        number = type(sample)
+        if number not in (float, int, bool):
+            raise self.unknown(f"a report of {kind_of(value)}", node)
+        at, code = len(numbers), self.simple(self.dynamic(value)).code
+        if number is int:
+            self.emit(f"if not -{EXACT} < {code} < {EXACT}:")
+            self.emit(f"    {GIVEN_UP}")
+        numbers.append(f"float({code})")
+        return lambda row: number(row[at])
 
     def _of_base(self, node: ast.Call) -> Value:
         """Call a method of a base class."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib.util
 import math
 import os
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import Any, NamedTuple
@@ -20,13 +22,14 @@ from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
 from .compile import compiled, plain
-from .rig_text import WHEN, Place, RigText, links, rig_text, speakers, taken
+from .rig_text import WHEN, Place, RigText, decides, links, rig_text, speakers, taken
 from .translate import follow
 from .twins import form, packed, unpacked
 from .value import NotNative
 
 SHORTEST, LONGEST = 1 << 10, 1 << 20  # ticks that are answered in one go
 GO = 0.05  # s: so long a go may last; who wants to stop a run waits for it
+SHORT_GO = 0.005  # s: the same where others are to be served in between
 NEVER = -1  # of a time, ns
 SELDOM = 16  # at least so many ticks are native for each that is given up, or the rest stays in Python
 RARE = 8  # ticks of the others for each of a member that Python answers
@@ -35,6 +38,7 @@ WORTH = 4_000_000  # answers of members, which take Python some 2 us each: longe
 QUICK = 2_000  # the same where it is there already
 WRITTEN = 20_000  # the same for a text that Python runs as it is: longer than it is written
 RUNS_A_TEXT = 20  # that ask in vain for each text beyond the first
+LOOK = 64  # ticks in Python between two looks at whether native code may go on
 LATEST = 256  # ticks up to which a state may become what it stays: None until something has come
 TRIES = 3
 KEPT = 8  # texts that are kept for rigs to come
@@ -50,14 +54,16 @@ class Native:
         Those that it answers.
     reason : str
         Why it does not answer the others, or any.
-    ticks, given_up : int
-        Of the clock: answered by native code, and left to Python in between.
+    ticks, given_up, decided : int
+        Of the clock: answered by native code, and left to Python in between: where it went no further, and where a
+        member wants it so (`Block.decides`).
     """
 
     members: tuple[str, ...] = ()
     reason: str = ""
     ticks: int = 0
     given_up: int = 0
+    decided: int = 0
 
 
 @dataclass
@@ -65,7 +71,8 @@ class _Kept:
     kinds: tuple[Any, ...]
     text: RigText
     function: Callable[..., Any] = field(repr=False)
-    go: int = SHORTEST  # ticks that are answered in one go
+    go: int  # ticks that are answered in one go
+    made: bool = False  # whether it is compiled, or about to be
 
 
 _texts: list[_Kept] = []
@@ -82,14 +89,25 @@ class Engine:
         As for `Runner`; wired, none of them waits for anything.
     make : callable
         Makes the function of a text: `compiled` or `plain`.
+    alone : callable, optional
+        Whether nobody else has a part in the ticks to come: none of the steps waits for anything, and nobody hears each
+        answer as it is given. Without it that is always so. With it, ticks go on in Python while a text is compiled,
+        and what native code answers at a time is short.
 
     Attributes
     ----------
     native : Native
     """
 
-    def __init__(self, steps: Sequence[Step], make: Callable[[RigText], Callable[..., Any]] = compiled) -> None:
+    def __init__(
+        self,
+        steps: Sequence[Step],
+        make: Callable[[RigText], Callable[..., Any]] = compiled,
+        alone: Callable[[], bool] | None = None,
+    ) -> None:
         self.steps, self._make, self._typed = tuple(steps), make, make is not plain
+        self._alone, self._longest = alone, GO if alone is None else SHORT_GO
+        self._compiling: threading.Thread | None = None
         self.runner = Runner(self.steps)
         self.native = Native()
         watchers = [s for s in self.steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
@@ -99,19 +117,25 @@ class Engine:
         self._every = {id(s): s.schedule.every // stride for s in self.steps}
         self._aside: dict[str, str] = {}  # members that are seldom due, so that Python may run their ticks, and why
         self._share()
+        self._said: list[tuple[Callable[..., Any], Any, Any]] | None = None  # in a tick that is handed out later
+        for s in self.steps if self._deciding else ():
+            if s.send is not None:
+                s.send = self._held_back(s.send)
+        self._cut = False  # whether native code gave up the last tick that it began
+        self._smooth = False  # whether all who watch take what is recorded at once
         self._time = self.runner.schedule.time
         self._kept: _Kept | None = None
         self._newest: list[Any] = []  # what is made anew at times, and for which keys the constants are
         self._keys: list[Any] = []
         self._fits: list[Any] = []
 
-    def run(self) -> Iterator[int]:
+    def run(self) -> Iterator[int | None]:
         """Answer all ticks of a run that has an end; then the steps know what of them was native.
 
         Yields
         ------
-        int
-            The time that has been reached, ns, now and then.
+        int or None
+            The time that has been reached, ns, now and then; None while the next tick lacks something.
 
         Raises
         ------
@@ -121,25 +145,42 @@ class Engine:
         try:
             yield from self._run()
         finally:
-            given_up = self.native.given_up
-            reason = self.native.reason or (f"{given_up} of its ticks were given up" if given_up else "")
-            for s in self.steps if self._typed else ():
-                why = "it watches what is recorded" if s in self._watchers else self._aside.get(s.name, reason)
-                s.native = s.native[0], why
+            self.tell()
 
-    def _run(self) -> Iterator[int]:
+    def tell(self) -> None:
+        """Have the steps know what of them was native, as far as it goes."""
+        found = self.native
+        ticks = {"were given up": found.given_up, "decided something": found.decided}
+        left = [f"{count:,} of its ticks {what}" for what, count in ticks.items() if count]
+        reason = found.reason or ", ".join(left)
+        for s in self.steps if self._typed else ():
+            why = "it watches what is recorded" if s in self._watchers else self._aside.get(s.name, reason)
+            s.native = s.native[0], why
+
+    def _run(self) -> Iterator[int | None]:
         assert self.runner.ticks is not None
         last = self.runner.ticks
         k, failures = 0, 0
         fits, fresh = False, True  # whether there is a text, and it is to be looked at again
         while k <= last:
+            if k and not self._free():
+                for t in self._not_free(k):
+                    k += t is not None
+                    yield t
+                fresh = True
+                continue
             if k and fresh:
                 fits, fresh = self._fitted(), False
                 failures += not fits
+                if fits and self._compile_beside(k):
+                    fresh = True
+                    continue
             if k and not fits and (k > LATEST or failures > TRIES):
                 break
             go = self._kept.go if self._kept else SHORTEST
-            until = min(last, k + go, self._next_stop(k)) if fits else 0
+            decided = fits and k < last and self._decided(k)
+            self.native.decided += decided
+            until = min(last, k + go, self._next_stop(k)) if fits and not decided else 0
             if until > k:
                 started = time.perf_counter()
                 try:
@@ -150,33 +191,71 @@ class Engine:
                     continue
                 if self._kept and reached == until and until == k + go:
                     took = time.perf_counter() - started
-                    if took < GO / 2:
+                    if took < self._longest / 2:
                         self._kept.go = min(LONGEST, go * 2)
-                    elif took > GO:
+                    elif took > self._longest:
                         self._kept.go = max(SHORTEST, go // 2)
-                self.native.ticks += reached - k
                 k = reached
                 yield self._time(k - 1) if k else 0
                 if k == until and k < last and k < self._next_stop(k):
                     continue
-                if k < until:
+                if k < until and not self._cut:
+                    self.native.decided += self._decided(k)
+                elif k < until:
                     self.native.given_up += 1
                     if self._often():
                         self.native.reason = "many ticks are given up"
                         break
             fresh = fresh or (bool(k) and self._next_change(k) <= k)
-            yield self._python(k)
-            k += 1
-            fresh = fresh or self._forms() != self._fits or [one.key for one in self._newest] != self._keys
-        if k <= last:
             for t in self.runner.run(k):
-                yield t or 0
+                yield t
+                if t is not None:
+                    break
+            k += 1
+            fresh = fresh or self._others()
+        if k <= last:
+            yield from self.runner.run(k)
+
+    def _free(self) -> bool:
+        """Whether native code may answer the next ticks."""
+        if self._compiling is not None and self._compiling.is_alive():
+            return False
+        return self._alone is None or self._alone()
+
+    def _not_free(self, k: int) -> Iterator[int | None]:
+        """Answer ticks in Python until native code may go on."""
+        compiling = self._compiling is not None and self._compiling.is_alive()
+        outside = "somebody outside of this process, or a person, has a part in its ticks"
+        self.native.reason = "its text is being compiled" if compiling else outside
+        for number, t in enumerate(self.runner.run(k), 1):
+            yield t
+            if number % LOOK == 0 and t is not None and self._free():
+                return
+
+    def _compile_beside(self, k: int) -> bool:
+        """Have the text compiled in a thread, where somebody is to be served meanwhile; whether that is under way."""
+        kept = self._kept
+        assert kept is not None
+        if self._alone is None or kept.made or not self._typed:
+            return False
+        kept.made = True
+        arguments = k, k, *self._handed(k, k)[0]
+
+        def compile_() -> None:
+            with suppress(Exception):  # said when it is called
+                kept.function(*arguments)
+
+        self._compiling = threading.Thread(target=compile_, daemon=True)
+        self._compiling.start()
+        return True
 
     def _often(self) -> bool:
         return self.native.given_up > PATIENCE and self.native.ticks < SELDOM * self.native.given_up
 
-    def _python(self, k: int) -> int:
-        return next(self.runner.run(k)) or 0
+    def _decided(self, k: int) -> bool:
+        """Whether a member wants a tick to be Python's."""
+        t = self._time(k)
+        return any(k % self._every[id(s)] == 0 and s.block.decides(s.x, t) for s in self._deciding)
 
     def _next_change(self, k: int) -> int:
         """Give the first tick, from k on, by whose time parameters are to change."""
@@ -195,6 +274,8 @@ class Engine:
         """Say which members are to be native."""
         self._core = [s for s in self.steps if s not in self._watchers and s.name not in self._aside]
         self._links, self._speakers = links(self._core), speakers(self._core)
+        self._deciding = [s for s in self._core if decides(s)]
+        self._core_alone = Runner(self._core)
 
     # the text -----------------------------------------------------------------------------------------------------
 
@@ -221,8 +302,11 @@ class Engine:
                 if not _worth_another(kinds):
                     self.native.reason = "what is varied chooses another text each time"
                     return False
-                text = rig_text(core, recorded, self._typed)
-                kept = _Kept(kinds, text, self._make(text))
+                try:
+                    text = rig_text(core, recorded, self._typed)
+                except NotNative:
+                    text = rig_text(core, recorded, self._typed, reports=False)
+                kept = _Kept(kinds, text, self._make(text), SHORTEST)
                 _texts.insert(0, kept)
                 del _texts[KEPT:]
             self._kept = kept
@@ -253,6 +337,10 @@ class Engine:
         forms = [(tuple(map(form, s.values.values())), form(s.x)) for s in self._core]
         return [*forms, tuple(link.form for link in self._links)]
 
+    def _others(self) -> bool:
+        """Whether states or constants are of other types, or made anew: the text may be another."""
+        return self._forms() != self._fits or [one.key for one in self._newest] != self._keys
+
     def _drawn(self, draws: Any, count: int) -> Any:
         found = draws.first(count)
         return found if self._typed else found.tolist()
@@ -270,6 +358,8 @@ class Engine:
         reached, after, rows = self._called(first, last)
         if after is None:
             return first
+        if self._smooth and self._decided(reached):
+            return self._on(first, reached, last, after, rows)
         begun = [(w.save(), dict(w.values)) for w in self._watchers]
         spoken = [s.spoken for s in self._core]
         try:
@@ -285,40 +375,102 @@ class Engine:
                 _, after, rows = self._called(first, reached)
                 self._watch(first, reached, rows)
         if reached > first:
-            self._take(first, reached, after, rows)
+            self._take(first, reached, after)
+            self._hand_out(first, reached, rows)
+            one_clock = self._core_alone.schedule.clock == self.runner.schedule.clock
+            self._smooth = self._typed and one_clock and not self._tick_by_tick and self._alone is None
         return reached
+
+    def _on(self, first: int, reached: int, last: int, after: Any, rows: dict[int, Answers]) -> int:
+        """Go on where members want a tick to be Python's; all that was said is handed out at the end, at once."""
+        at, parts = first, {key: [answers] for key, answers in rows.items()}
+
+        def hand_out() -> None:
+            whole = {key: Answers(*map(np.concatenate, zip(*found, strict=True))) for key, found in parts.items()}
+            try:
+                self._watch(first, reached, whole)
+            finally:
+                self._hand_out(first, reached, whole)
+
+        while True:
+            self._take(at, reached, after)
+            if reached == last or not self._decided(reached):
+                break
+            said = self._said = []
+            try:
+                next(self._core_alone.run(reached))
+            except RunError:
+                hand_out()
+                for send, t, found in said:
+                    send(t, found)
+                raise
+            finally:
+                self._said = None
+            self.native.decided += 1
+            for s in self._recorded:
+                if reached % self._every[id(s)] == 0:
+                    parts[id(s)].append(Answers(np.array([_numbers(s)]), np.array([_stamps(s)], np.int64)))
+            reached = at = reached + 1
+            if reached == last or self._others():
+                break
+            reached, after, rows = self._called(at, last)
+            if after is None:
+                break
+            for key, answers in rows.items():
+                parts[key].append(answers)
+        hand_out()
+        return reached
+
+    def _held_back(self, send: Callable[..., Any]) -> Callable[..., Any]:
+        def later(t: int, rows: Any) -> Any:
+            return send(t, rows) if self._said is None else self._said.append((send, t, rows))
+
+        return later
+
+    def _handed(self, first: int, last: int) -> tuple[tuple[Any, ...], dict[int, Answers]]:
+        """Give what the function is handed after its ticks, and what it writes answers into."""
+        kept = self._kept
+        assert kept is not None
+        before = (
+            *(packed(s.x, self._typed) for s in self._core),
+            *(_numbers(s) for s in self._core),
+            *(_stamps(self._core[k]) for k in kept.text.stamped),
+            *(packed(link.value) for link in self._links),
+        )
+        spoken = [self._core[k].spoken[j] for k, j in self._speakers]
+        times = [0, *(link.stamp for link in self._links), *(NEVER if t is None else t for t in spoken)]
+        self._when = np.array(times, np.int64) if self._typed else times
+        size = kept.text.program.reports.size if kept.text.program.reports else 0
+        self._told: Any = np.zeros(size) if self._typed else [0.0] * size
+        rows: dict[int, Answers] = {}
+        named = self._tables | {WHEN: self._when, "told": self._told}
+        for s in self._recorded:
+            k, count = self._core.index(s), len(self._own(s, first, last))
+            rows[id(s)] = Answers([], [])
+            if self._typed:
+                size, stamps = len(_numbers(s)), len(_stamps(s))
+                # column after column in memory: so they are read
+                rows[id(s)] = Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
+            named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
+        n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
+        return (n, self._constants, before, *(named[name] for name in kept.text.arrays)), rows
 
     def _called(self, first: int, last: int) -> tuple[int, Any, dict[int, Answers]]:
         kept = self._kept
         assert kept is not None
+        self._cut = False
+        kept.made = True
         while True:
-            before = (
-                *(packed(s.x, self._typed) for s in self._core),
-                *(_numbers(s) for s in self._core),
-                *(_stamps(self._core[k]) for k in kept.text.stamped),
-                *(packed(link.value) for link in self._links),
-            )
-            n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
-            spoken = [self._core[k].spoken[j] for k, j in self._speakers]
-            times = [0, *(link.stamp for link in self._links), *(NEVER if t is None else t for t in spoken)]
-            self._when = np.array(times, np.int64) if self._typed else times
-            rows, named = {}, self._tables | {WHEN: self._when}
-            for s in self._recorded:
-                k, count = self._core.index(s), len(self._own(s, first, last))
-                rows[id(s)] = Answers([], [])
-                if self._typed:
-                    size, stamps = len(_numbers(s)), len(_stamps(s))
-                    # column after column in memory: so they are read
-                    rows[id(s)] = Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
-                named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
-            handed = [named[name] for name in kept.text.arrays]
+            handed, rows = self._handed(first, last)
+            n = handed[0]
             try:
-                after = kept.function(first, last, n, self._constants, before, *handed)
+                after = kept.function(first, last, *handed)
             except NATIVE:
                 if n[1]:
                     for name, draws in self._sources.items():
                         self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
                     continue
+                self._cut = True
                 if n[0] <= first:
                     return first, None, {}
                 last = int(n[0])
@@ -328,16 +480,24 @@ class Engine:
                     raise
                 _texts[:] = [other for other in _texts if other is not kept]
                 raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
-            return last, after, rows
+            reached = int(n[0])
+            if self._typed and reached < last:
+                for s in self._recorded:
+                    count = len(self._own(s, first, reached))
+                    rows[id(s)] = Answers(*(table[:count] for table in rows[id(s)]))
+            return reached, after, rows
 
     def _own(self, step: Step, first: int, last: int) -> range:
         """Give the ticks of a step among those of the clock from `first` up to `last`, by its own numbers."""
         every = self._every[id(step)]
         return range((first + every - 1) // every, (last + every - 1) // every)
 
-    def _take(self, first: int, last: int, after: Any, rows: dict[int, Answers]) -> None:
+    def _take(self, first: int, last: int, after: Any) -> None:
         """Make what native code has found that of the steps."""
+        self.native.ticks += last - first
         assert self._kept is not None
+        if (reports := self._kept.text.program.reports) is not None and self._told[0]:
+            reports.take_down(self._told, [s.block for s in self._core])
         count = len(self._core)
         stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=False))
         spoken = dict(zip(self._speakers, map(int, self._when[1 + len(self._links) :]), strict=True))
@@ -353,9 +513,17 @@ class Engine:
             for link, value in zip(self._links, after[len(after) - len(self._links) :], strict=True):
                 if link.source == k and newest.get(link.j, s.t) >= self._time(first):
                     link.values[link.name] = unpacked(value)
+
+    def _hand_out(self, first: int, last: int, rows: dict[int, Answers]) -> None:
+        """Hand out what the steps have said to those who record it."""
+        for s in self._core:
+            own = self._own(s, first, last)
+            if not own:
+                continue
             if s.send_all is not None:
                 times = s.schedule.times(own.start, own.stop)
-                s.send_all(times, np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0)))
+                numbers = np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0))
+                s.send_all(times, numbers, *(() if s.plain else (np.asarray(rows[id(s)].stamps, np.int64),)))
             elif s.send is not None and s.outputs:
                 for number, row, z in zip(own, *rows[id(s)].listed(), strict=True):
                     said = _parted(s, tuple(row), z)
@@ -419,6 +587,8 @@ class Engine:
             self._tick_by_tick.add(watcher.name)
             return False
         watcher.x, watcher.t = x, t
+        if watcher.send_all is not None:
+            watcher.send_all(watcher.schedule.times(ticks.start, ticks.stop), np.empty((len(ticks), 0)))
         return True
 
 
@@ -532,6 +702,35 @@ def _worth_another(kinds: Any) -> bool:
     worth = asked >= made * RUNS_A_TEXT
     _counts[kinds] = (asked + 1, made + worth)
     return worth
+
+
+def ticks_of(
+    steps: Sequence[Step], runs: int = 1, alone: Callable[[], bool] | None = None
+) -> tuple[Iterator[int | None], Callable[[], object]]:
+    """Give what answers all ticks of a rig's steps: native code or one text where that pays, else one by one.
+
+    Parameters
+    ----------
+    steps, runs
+        See `unwanted`.
+    alone : callable, optional
+        See `Engine`.
+
+    Returns
+    -------
+    ticks : iterator
+        As `Runner.run`; a run without end goes one by one.
+    tell : callable
+        Has the steps know what of them was native so far.
+    """
+    endless = "a run without an end" if steps[0].schedule.ticks is None else ""
+    reason = endless or unwanted(steps, runs)
+    for step in steps if reason else ():
+        step.native = 0, reason
+    if reason and (endless or not writes(steps)):
+        return Runner(steps).run(), bool
+    engine = Engine(steps, plain if reason else compiled, alone)
+    return engine.run(), engine.tell
 
 
 def writes(steps: Sequence[Step]) -> bool:

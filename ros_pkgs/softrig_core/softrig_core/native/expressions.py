@@ -125,6 +125,8 @@ class Expressions(Ways):
                     return made(self.program, found.fget, [base], {}, self.arrays)
                 if not callable(found):
                     return Static(getattr(own, name))
+            if not self.program.typed and hasattr(base.sample, "native"):  # of an object that is a value, in Python
+                return Dynamic(f"{base.code}.{name}", getattr(base.sample, name))
             if name in ("real", "imag") and isinstance(base.sample, (complex, float)):
                 return Dynamic(f"{self.simple(base).code}.{name}", getattr(base.sample, name))
             if name in ("shape", "size") and isinstance(base.sample, np.ndarray):

@@ -8,8 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ..block.block import Block
 from ..block.port import Port, Sample
 from ..block.step import Step
+from .reports import Reports
 from .translate import GIVEN_UP, LONGEST, Program, made
 from .twins import form, packed
 from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
@@ -118,7 +120,7 @@ def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
     return [(k, j) for k, s in enumerate(steps) for j, p in enumerate(s.outputs) if p.sporadic]
 
 
-def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True) -> RigText:
+def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True, reports: bool = True) -> RigText:
     """Make the text of the members that are native.
 
     Parameters
@@ -129,6 +131,8 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         Those whose answers are written into tables.
     typed : bool
         Whether a state keeps its type and a table its shape, as numba needs it; else tables are lists of rows.
+    reports : bool
+        Whether ticks in which something is reported are answered, too.
 
     Raises
     ------
@@ -139,6 +143,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
     kept, spoken = links(steps), speakers(steps)
     silent = [(k, steps[k].outputs[j]) for k, j in spoken]
     program = Program([s.block for s in steps], Writer, _ages(steps, kept), silent, typed)
+    program.reports = Reports() if reports else None
     stride = math.gcd(*(s.schedule.every for s in steps))
     arrays: set[str] = set()
     time = steps[0].schedule
@@ -189,7 +194,8 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         f"        t = {_time('k', ns)}",
         *([f"        {WHEN}[0] = t"] if WHEN in arrays else []),
     ]
-    rig = "\n".join([*head, *(f"        {line}" for line in body), f"    return ({state},)"])
+    body = [*_decided(program, steps, state, stride, arrays), *body]
+    rig = "\n".join([*head, *(f"        {line}" for line in body), "    n[0] = last", f"    return ({state},)"])
     words = [TEXTS[w] for w in sorted(program.words)]
     text = "\n\n".join([*words, *_reached(program.functions, rig), rig]) + "\n"
     return RigText(text, program, tuple(handed), stamped)
@@ -317,7 +323,24 @@ def _handed_on(
 def _asked(program: Program, step: Step, k: int, name: str, inputs: Mapping[str, Value], arrays: set[str]) -> Value:
     method = getattr(type(step.block), name)
     state: Value = Dynamic(f"x{k}", packed(step.x, program.typed))
+    program.aside = decides(step)  # what it remembers may be what it decides by: no way is the one of most ticks
     return made(program, method, [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)], inputs, arrays)
+
+
+def _decided(program: Program, steps: Sequence[Step], state: str, stride: int, arrays: set[str]) -> list[str]:
+    """Go no further where a member has its tick left to Python."""
+    lines: list[str] = []
+    for k, step in enumerate(steps):
+        if decides(step):
+            writer = Writer(program, _decided, {})  # type: ignore[arg-type]
+            test = writer.truth(_asked(program, step, k, "decides", {}, arrays))
+            lines += _due(step, stride, [*writer.lines, f"if {test}:", f"    return ({state},)"])
+    return lines
+
+
+def decides(step: Step) -> bool:
+    """Whether there are ticks that a member has left to Python."""
+    return type(step.block).decides is not Block.decides
 
 
 def _answered(

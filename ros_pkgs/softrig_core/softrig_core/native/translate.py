@@ -3,7 +3,8 @@
 A method is read with the values that its block has now. What is fixed chooses the text (texts, switches, whole
 numbers) or becomes a constant that is handed in (numbers, tables: *slots*), so that one text serves all variants of a
 block; what was used to choose is kept as a *guard*. Objects and methods are followed to the functions that they mean.
-What is not understood is refused by `NotNative`; `report` and `raise` give the tick up.
+What is not understood is refused by `NotNative`; `raise` gives the tick up, and so does `report` where its text is not
+written out.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 
 from ..kit.compiled import Compiled
 from ..kit.jit import Jit
+from .reports import Reports
 from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, Static, Value
 
 LONGEST = 64  # parts of a tuple that is written out, or indexed
@@ -84,6 +86,8 @@ class Program:
         Outputs that say nothing at some ticks, with the number of the block.
     typed : bool
         Whether objects in a state are as native code takes them (`twins.packed`).
+    reports : Reports, optional
+        Takes what is reported; without it a report gives the tick up.
     """
 
     roots: Sequence[Any]
@@ -104,7 +108,9 @@ class Program:
     callers: dict[str, str] = field(default_factory=dict)
     known: dict[Any, Made] = field(default_factory=dict)
     seldom: list[str] = field(default_factory=list)
+    aside: bool = False  # what is being read is on no way that the samples take: what is unknown there gives a tick up
     under_way: set[Any] = field(default_factory=set)
+    reports: Reports | None = None
 
     def name(self, thing: Any, hint: str) -> str:
         """Give the name by which the text calls a thing of Python."""
@@ -315,7 +321,7 @@ def made(
             arguments[name] = Static(parameter.default)
     inner: dict[str, Value] = {}
     outer: list[str] = []
-    key: list[Any] = [function]
+    key: list[Any] = [function, program.aside]
     parameters: list[str] = []
 
     def handed(value: Value, name: str) -> Value:

@@ -10,16 +10,21 @@ from __future__ import annotations
 import dataclasses
 import importlib
 from collections import namedtuple
+from collections.abc import Hashable
 from functools import cache
 from typing import Any
 
+NUMBERS = frozenset({float, int, bool})
 MARK = "__"
 OF = "twin_of_"  # attribute of a twin: its dataclass
 
 
-def is_twinned(kind: type) -> bool:
+@cache
+def is_twinned(kind: Hashable) -> bool:
     """Whether a class has a twin: a frozen dataclass that any module can find."""
-    frozen = dataclasses.is_dataclass(kind) and kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    if not isinstance(kind, type) or not dataclasses.is_dataclass(kind):
+        return False
+    frozen: bool = kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
     return frozen and "<" not in kind.__qualname__ and "." not in kind.__qualname__
 
 
@@ -42,17 +47,21 @@ def __getattr__(name: str) -> Any:  # native code in the cache names its types b
 
 def packed(value: Any, typed: bool = True) -> Any:
     """Give a state as native code takes it, where arrays are copies; `typed` false: objects as Python has them."""
+    if type(value) in NUMBERS:
+        return value
     if isinstance(value, tuple):
         parts = [packed(v, typed) for v in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-    if is_twinned(type(value)):
-        kind: Any = type(value)
+    kind: Any = type(value)
+    if is_twinned(kind):
         return twin(kind)(*(packed(getattr(value, f.name), typed) for f in dataclasses.fields(value)))
     return value.native() if typed and hasattr(value, "native") else value
 
 
 def unpacked(value: Any) -> Any:
     """Give a state as Python has it."""
+    if type(value) in NUMBERS:
+        return value
     if hasattr(value, "python"):
         return value.python()
     if isinstance(value, tuple):

@@ -54,6 +54,7 @@ class Ways:
         self._temporaries = 0
         self._inside = 0  # loops of native code
         self.sampled: Any = UNKNOWN  # what the test read last was, by the samples
+        self.left = False  # whether the way that they take through the last `if` does not come back
 
     def unknown(self, what: str, node: ast.AST | None = None) -> NotNative:
         """Say what native code does not know, and where."""
@@ -255,25 +256,32 @@ class Ways:
 
     def _fork(self, test: str, taken: Any, one: Callable[[], Any], other: Callable[[], Any]) -> tuple[Any, Any]:
         """Write both ways of a test, and join what is known after them."""
+        taken = taken if taken is UNKNOWN else bool(taken)
         before, lines = dict(self.env), self.lines
         ways: list[tuple[list[str], dict[str, Value], bool]] = []
         found = []
+        aside = self.program.aside
         for way, wanted in ((one, True), (other, False)):
             self.env, self.lines, self.ended = dict(before), [], False
+            self.program.aside, returned = aside or taken is (not wanted), len(self.returned)
             try:
                 found.append(way())
             except GivesUp:
                 found.append(None)
                 self._give_up()
             except NotNative as reason:
-                if taken is UNKNOWN or bool(taken) is wanted:  # the way that is gone, as far as anybody knows
+                if not aside and taken is not (not wanted):  # the way that is gone, as far as anybody knows
                     raise
                 self.program.seldom.append(str(reason))
                 self.env, self.lines = dict(before), []
+                del self.returned[returned:]
                 found.append(None)
                 self._give_up()
+            finally:
+                self.program.aside = aside
             ways.append((self.lines, self.env, self.ended))
         (then, env_then, over_then), (orelse, env_else, over_else) = ways
+        self.left = taken is not UNKNOWN and (over_then if taken else over_else)
         if over_then and over_else:
             env = env_then
         elif over_then or over_else:

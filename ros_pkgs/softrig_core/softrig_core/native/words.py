@@ -49,6 +49,9 @@ TEXTS: dict[str, str] = {
     "bisect_left": "def bisect_left(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"
     "        middle = (low + high) // 2\n        if a[middle] < x:\n            low = middle + 1\n"
     "        else:\n            high = middle\n    return low\n",
+    "reported_": "def reported_(told, at, numbers):\n    told[0] += 1.0\n    if told[at] == 0.0:\n"
+    "        told[at + 1] = told[0]\n    told[at] += 1.0\n    told[at + 2] = told[0]\n"
+    "    for k in range(len(numbers)):\n        told[at + 3 + k] = numbers[k]\n",
     "drawn_": "def drawn_(row, n, k):\n    if k >= len(row):\n        n[1] = k + 1\n        raise IndexError\n"
     "    return float(row[k])\n",
 }

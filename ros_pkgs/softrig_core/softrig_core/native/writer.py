@@ -54,17 +54,52 @@ class Writer(Calls):
         return Dynamic("", known[0].sample if known else UNKNOWN, sure, first.keys, first.parts)
 
     def run(self, statements: Sequence[ast.stmt]) -> None:
-        """Write statements, as far as they are reached; those that surely lead to a report give the tick up at once."""
+        """Write statements, as far as they are reached; those that surely lead to a report may give the tick up."""
+        aside = self.program.aside
+        try:
+            self._run(statements)
+        finally:
+            self.program.aside = aside
+
+    def _run(self, statements: Sequence[ast.stmt]) -> None:
+        left: tuple[int, int] | None = None  # where the way that the samples take has left, as far as anybody knows
         for k, statement in enumerate(statements):
             if self.ended:
                 return
             if _reporting(statements[k:]):
-                self._give_up()
+                self._reporting(statements[k:])
                 return
             try:
-                self.statement(statement)
-            except GivesUp:
+                self._one(statement)
+            except NotNative as reason:
+                if left is None:
+                    raise
+                self.program.seldom.append(str(reason))
+                del self.lines[left[0] :], self.returned[left[1] :]
                 self._give_up()
+            if isinstance(statement, ast.If) and self.left and left is None:
+                left = len(self.lines), len(self.returned)
+                self.program.aside = True
+
+    def _one(self, statement: ast.stmt) -> None:
+        try:
+            self.statement(statement)
+        except GivesUp:
+            self._give_up()
+
+    def _reporting(self, statements: Sequence[ast.stmt]) -> None:
+        """Write statements that report; where native code does not know them, they give the tick up at once."""
+        env, lines = dict(self.env), list(self.lines)
+        try:
+            if self.program.reports is None:
+                raise self.unknown("a report", statements[0])
+            for statement in statements:
+                if not self.ended:
+                    self._one(statement)
+        except NotNative as reason:
+            self.program.seldom.append(str(reason))
+            self.env, self.lines[:] = env, lines
+            self._give_up()
 
     def statement(self, node: ast.stmt) -> None:
         """Write one."""
@@ -166,11 +201,13 @@ class Writer(Calls):
         self.assign(node.target, self.binary(node.op, left, self.value(node.value), node))
 
     def _if(self, node: ast.If) -> None:
+        self.left = False
         test = self.test(node.test)
         if self.ended:
             return
         if isinstance(test, bool):
             self.run(node.body if test else node.orelse)
+            self.left = False
             return
         taken = self.sampled
         self._fork(test, taken, lambda: self.run(node.body), lambda: self.run(node.orelse))

@@ -1,4 +1,8 @@
-"""The nodes of one process: they tell each other numbers, and in lockstep one runner takes their ticks."""
+"""The nodes of one process: they tell each other numbers, and in lockstep one runner takes their ticks.
+
+While no other process and no person has a part in them, native code answers those ticks where it can; what is recorded
+of them is written in stretches.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ from ..block.codec import selection
 from ..block.port import Refused
 from ..block.runner import Runner
 from ..errors import RunError
+from ..native.engine import ticks_of
 from ..wire.cdr import Pick
 from .adapter.adapter import Adapter
 from .lockstep.lockstep import Lockstep
@@ -53,7 +58,13 @@ class Group:
         links = _links(nodes)
         _feed(links)
         self._steps = steps
-        self._ticks = Runner([n.step for n in _in_order(nodes, links)]).run()
+        members = [n.step for n in _in_order(nodes, links)]
+        if len(nodes) > 1 and all(n.middleware.mute for n in nodes):
+            self._ticks, tell = ticks_of(members, alone=lambda: all(step.alone for step in steps))
+            for member in members:
+                member.tell_native = tell
+        else:
+            self._ticks = Runner(members).run()
         for step in steps:
             step.join(names - {step.node.middleware.name}, self._begin, self._ticks)
 
@@ -69,12 +80,14 @@ class Group:
         for node in self.nodes:
             if node.state in ("starting", "failed"):
                 return
-        until = time.monotonic_ns() + SLICE
+        until = 0
         try:
             for t in self._ticks:
                 if t is None:
                     return
-                if time.monotonic_ns() > until:  # by hand one may wait for nobody and have no end
+                if not until:
+                    until = time.monotonic_ns() + SLICE
+                elif time.monotonic_ns() > until:  # by hand one may wait for nobody and have no end
                     self.nodes[0].middleware.post(self.turn)
                     return
         except RunError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,7 @@ from ..block.block import Block, Plant
 from ..block.params import Declaration, build, declarations, flatten
 from ..guard import secure_streams, tell
 from ..interrupt import interrupt
-from ..processes.executables import LOOPBACK
+from ..processes.executables import LOOPBACK, given_profile
 from ..rig.options import RunOptions
 from ..solver.rehearsal import rehearse
 from .adapter.adapter import Adapter
@@ -28,7 +27,7 @@ from .face.tuning import Tuning
 from .group import Group
 from .ros.leave import leave
 from .ros.messages import range_descriptor
-from .ros.profile import VARIABLE, joining
+from .ros.profile import joining
 from .ros.ros import RosMiddleware, ServingNode
 from .seam.middleware import Middleware
 
@@ -66,7 +65,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
             adapter = make_adapter(node, block_class, RosMiddleware(node))
         Group([adapter])
         if not adapter.options.links:
-            reach = HERE if os.environ[VARIABLE] == str(LOOPBACK) else ""
+            reach = HERE if given_profile() == LOOPBACK else ""
             node.get_logger().info(introduction(adapter.block, adapter.options) + reach)
     except KeyboardInterrupt:
         leave([node] if node else [], 0)

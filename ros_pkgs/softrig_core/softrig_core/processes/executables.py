@@ -44,6 +44,11 @@ def find_executable(package: str, executable: str) -> Path:
     )
 
 
+def given_profile() -> Path:
+    """Give the profile of this process: the one of its environment, or the default."""
+    return Path(os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE") or default_profile())
+
+
 def default_profile() -> Path:
     """Give the profile of a process that is given none: only who asks for other hosts is reached from them."""
     asked = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("SUBNET", "SYSTEM_DEFAULT")
@@ -70,9 +75,9 @@ def environment(
     }
     variables.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
     profile = LOOPBACK if discovery == "LOCALHOST" else PROFILE
-    if silence is not None and "FASTRTPS_DEFAULT_PROFILES_FILE" not in variables:
-        profile = _patient(profile, directory, silence)
-    variables.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+    if not variables.get("FASTRTPS_DEFAULT_PROFILES_FILE"):
+        chosen = profile if silence is None else _patient(profile, directory, silence)
+        variables["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(chosen)
     return variables
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -11,7 +12,6 @@ from typing import Any
 
 from ..errors import ScenarioError
 from ..guard import need_ros
-from ..rig.members import Member
 from ..rig.rig import Rig
 from ..wire.recording import Recording
 from .children import Child, last_line, read_status, stop
@@ -22,9 +22,9 @@ from .peers import starter
 from .placement import NOBODY, PROCESSES, Listener, Placement
 from .restarting import Restarts, check_restart
 from .shared_memory import lacking, remove_leftovers
-from .spawning import groups, start
+from .spawning import Started, groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
-from .supervision import supervise
+from .supervision import set_back, supervise
 
 
 @dataclass
@@ -84,7 +84,7 @@ def run_processes(
     external = [m for m in rig.members if m.external]
     if wait is None:
         wait = 0.0 if external else rig.scenario.start_timeout
-    error, stopped = "", 0
+    error, stopped, ahead = "", 0, time.time() - time.monotonic()
     with ExitStack() as stack:
         own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
@@ -104,23 +104,14 @@ def run_processes(
             "run.pace": placement.pace,
         }
 
-        def begin(group: list[Member], again: bool = False) -> list[Child]:
-            return start(
-                rig,
-                group,
-                seed,
-                directory,
-                options,
-                placement.record,
-                variables,
-                None if own_domain else (),
-                returns=placement.restart > 0,
-                again=again,
-            )
+        recorders = None if own_domain else ()
+        run = Started(
+            rig, seed, directory, options, placement.record, variables, recorders, returns=placement.restart > 0
+        )
 
         def restart(k: int) -> None:
             with unstopped():
-                old, (children[k],) = children[k], begin([children[k].member], again=True)
+                old, (children[k],) = children[k], start(run, [children[k].member], again=True)
                 os.close(old.end)
 
         restarts = Restarts(placement.restart, restart, listener.announce)
@@ -135,7 +126,7 @@ def run_processes(
                         # A signal waits until it is known who has been started; what Python does at a fork would
                         # swallow it with a traceback, besides.
                         with unstopped():
-                            children += begin(group)
+                            children += start(run, group)
                     error = supervise(
                         rig, children, listener.progress, guests, placement.clock == "realtime", stopping, restarts
                     )
@@ -153,6 +144,7 @@ def run_processes(
         for name, count in restarts.counts.items():
             status[name]["restarts"] = count
         stopped = next((number for number in (stopped, *late, *later) if number), 0)
+    error += set_back(ahead) if error else ""
     refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:
         raise ScenarioError(last_line(refused.log))

@@ -108,8 +108,7 @@ class Ears:
 
     def lost(self) -> str:
         """Name a port of ours that was taken away; empty when there is none."""
-        if self._good and all(_inode(path) == inode for path, inode in self._good.items()):
-            self._since.clear()
+        if self._good and not self._since and all(_inode(path) == inode for path, inode in self._good.items()):
             return ""
         try:
             own, mapped = _own(), _mapped()

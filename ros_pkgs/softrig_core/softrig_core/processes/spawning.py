@@ -8,7 +8,7 @@ import signal
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..block.change import dumps
 from ..block.params import flatten
@@ -59,28 +59,28 @@ def node_parameters(
     }
 
 
-def start(
-    rig: Rig,
-    group: list[Member],
-    seed: int,
-    directory: Path,
-    options: dict[str, Any],
-    record: bool,
-    variables: dict[str, str],
-    recorders: Sequence[str] | None = None,
-    *,
-    returns: bool = False,
-    again: bool = False,
-) -> list[Child]:
+class Started(NamedTuple):
+    """With what all processes of a run are started; `recorders` and `returns` as `node_parameters` takes them."""
+
+    rig: Rig
+    seed: int
+    directory: Path
+    options: dict[str, Any]
+    record: bool
+    variables: dict[str, str]
+    recorders: Sequence[str] | None
+    returns: bool
+
+
+def start(run: Started, group: list[Member], *, again: bool = False) -> list[Child]:
     """Start a node, or several in a container.
 
     Parameters
     ----------
-    recorders, returns
-        As `node_parameters` takes them.
     again : bool
         It has died, and comes back.
     """
+    rig, seed, directory, options, record, variables, recorders, returns = run
     log = directory / f"{'+'.join(m.name for m in group)[:200]}.log"
     given = {}
     for member in group:

@@ -60,8 +60,10 @@ def supervise(
         busy = any(states[c.member.name].get("busy") for c in running)
         if realtime:
             if late == math.inf and state.get("epoch"):
-                to_start = state["epoch"] / 1e9 - time.time()
+                to_start = _to_start(state["epoch"], rig.scenario.start_timeout)
                 late = time.monotonic() + to_start + rig.scenario.duration + rig.scenario.timeout
+            if state.get("held"):
+                late = max(late, time.monotonic() + rig.scenario.duration + rig.scenario.timeout)
         elif restarts.most:
             if (now := {name: (s.get("t"), s.get("state")) for name, s in states.items()}) != before or busy:
                 before, late = now, time.monotonic() + max(rig.scenario.timeout, rig.scenario.start_timeout)
@@ -78,6 +80,22 @@ def supervise(
         # A child's end wakes the wait; otherwise look at the progress ten times a second. (Popen.wait with a limit
         # wakes up all the time, and each time takes a node's core.)
         select.select([c.end for c in running], [], [], 0.1)
+
+
+def _to_start(epoch: int, most: float) -> float:
+    """Seconds to the start at an instant of the wall clock, ns; the system's clock may have been set since."""
+    return min(max(0.0, epoch / 1e9 - time.time()), most)
+
+
+def set_back(ahead: float) -> str:
+    """Say that the system's clock was set back since it was so many s ahead of the steady one; empty if it was not.
+
+    Fast DDS waits by that clock: until it is there again nobody is found, nor is what was lost sent again.
+    """
+    back = ahead - (time.time() - time.monotonic())
+    return (
+        f"; the system's clock was set back by {back:.0f} s meanwhile, and Fast DDS waits by it" if back > 1.0 else ""
+    )
 
 
 def _asleep(children: list[Child]) -> str:

@@ -36,7 +36,7 @@ class RunOptions(Params):
         0, "realtime: wall-clock time in ns that is t = 0, 0 = when all nodes of the rig are up", ge=0, le=2**63 - 1
     )
     links: str = param("", "JSON of `Links`, written by the runner", max_length=1 << 20)
-    paused: bool = param(False, "lockstep, the node of the clock: holds the run at t = 0 until it is resumed")
+    paused: bool = param(False, "the node of the clock: holds the run at t = 0 until it is resumed")
     pace: float = param(
         0.0,
         "lockstep, the node of the clock: simulated by wall-clock time, 0 = as fast as it goes",

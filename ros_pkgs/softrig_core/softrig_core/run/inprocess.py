@@ -7,21 +7,24 @@ import gc
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..block.block import Block, Observer
 from ..block.codec import encoder
 from ..block.port import CLOCK, Port, Sample
-from ..block.runner import YOUNG, Runner
+from ..block.runner import YOUNG
 from ..block.step import Rows, Step
 from ..errors import ScenarioError
-from ..native.compile import plain
-from ..native.engine import Engine, unwanted, writes
+from ..native.engine import ticks_of
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..solver.solver import Solver
 from ..wire import parameter_event
 from ..wire.recording import Sink
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 def run_inprocess(
@@ -64,7 +67,7 @@ def run_inprocess(
     due, end = 0, rig.clock.schedule.end or 0
     try:
         with _searched_seldom():
-            for t in _ticks(list(steps.values()), runs):
+            for t in ticks_of(list(steps.values()), runs)[0]:
                 if progress is not None and t is not None and (t >= due or t == end):
                     progress(t)
                     due = t + end // 100
@@ -81,16 +84,6 @@ def check_here(rig: Rig) -> None:
     for member in rig.members:
         if member.external:
             raise ScenarioError(f"node {member.name} is external: in-process runs have no place for it")
-
-
-def _ticks(steps: list[Step], runs: int) -> Iterator[int | None]:
-    """Answer all ticks of a run: natively or by one text of its members where that pays, else one by one."""
-    reason = unwanted(steps, runs)
-    if not reason:
-        return Engine(steps).run()
-    for step in steps:
-        step.native = 0, reason
-    return Engine(steps, plain).run() if writes(steps) else Runner(steps).run()
 
 
 @cache
@@ -146,6 +139,8 @@ def record(rig: Rig, steps: Mapping[str, Step], sink: Sink, said: Mapping[str, i
         step.send = keeper(sink, step, ports, [numbers[p.topic] for p in ports], said)
         if step.plain:
             step.send_all = sink.rows({numbers[p.topic]: p.layout() for p in ports})
+        elif not any(p.layout().numbered for p in ports):
+            step.send_all = many_keeper(sink, ports, [numbers[p.topic] for p in ports])
         step.changed = noter(sink, step.name)
 
 
@@ -179,5 +174,26 @@ def keeper(
         for number, encode, row in zip(numbers, encoders, (*rows, *silent), strict=True):
             if row is not None:
                 sink.add(number, t, encode(row.stamp, row.data) if isinstance(row, Sample) else encode(t, row))
+
+    return record
+
+
+def many_keeper(sink: Sink, ports: Sequence[Port], numbers: Sequence[int]) -> Callable[..., object]:
+    """Give what records many answers of a step that is not plain at once; see `keeper` and `Step.send_all`."""
+    layouts, size = [p.layout() for p in ports], sum(p.size for p in ports)
+
+    def record(times: NDArray[np.int64], values: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
+        first, late, flag = 0, 0, size
+        for port, layout, number in zip(ports, layouts, numbers, strict=True):
+            part, marks, said = values[:, first : first + port.size], times, times
+            first += port.size
+            if port.delayed:
+                marks, late = stamps[:, late], late + 1
+            if port.sporadic:
+                spoke, flag = values[:, flag] != 0.0, flag + 1
+                part, marks, said = part[spoke], marks[spoke], times[spoke]
+            raw, n = layout.encode_block(marks, part).tobytes(), layout.length
+            for k, t in enumerate(said.tolist()):
+                sink.add(number, t, raw[n * k : n * (k + 1)])
 
     return record

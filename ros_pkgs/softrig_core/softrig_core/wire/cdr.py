@@ -16,8 +16,10 @@ import re
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import count, islice
 from operator import itemgetter
+from types import CodeType
 from typing import Any
 
 import numpy as np
@@ -76,7 +78,19 @@ class Layout:
         Shape of a Float64MultiArray.
     numbered : bool
         Whether an array says its number.
+
+    Attributes
+    ----------
+    encode : callable
+        Gets the stamp in ns and all numbers in wire order, field by field: gives the bytes of the message. Of an array
+        that is numbered the first one is its number on its topic, from 0; it is ignored where a message has neither.
+    decode : callable
+        Gets bytes: gives (stamp in ns, numbers), or None when they have another layout; for the stamp see
+        `Message.mark`.
     """
+
+    encode: Callable[[int, Sequence[float]], bytes]
+    decode: Callable[[bytes], tuple[int, tuple[float, ...]] | None]
 
     def __init__(
         self,
@@ -137,7 +151,7 @@ class Layout:
         self.size = sum(n for _, n in self.fields)
         self.slots = slots
         self._fixed = [(a, b, bytes(out.data[a:b])) for a, b in [(0, 2), *_merge(out.written)]]
-        # One struct for the whole message. Its items in wire order are picked from (s, ns, *values, *constants);
+        # One struct for the whole message. Its items in wire order are those of (s, ns, *values, *constants);
         # of an array the first one is the text of its number.
         spans = [(a, f"{b - a}s") for a, b, _ in self._fixed]
         stamp = [] if self.stamp_offset is None else [(self.stamp_offset, "iI")]
@@ -156,43 +170,7 @@ class Layout:
             else:
                 wire += [0, 1] if code == "iI" else islice(values, int(code[:-1]))
         whole = struct.Struct(f"{form}{self.length - at}x")
-        self._pack, self._unpack = whole.pack, whole.unpack
-        self._wire = getter(wire)
-        self._constants = tuple(data for _, _, data in self._fixed)
-        place = {item: i for i, item in enumerate(wire)}
-        self._constants_of = getter([place[2 + self.size + i] for i in range(len(self._fixed))])
-        self._values_of = getter([place[2 + i] for i in range(self.size)])
-        self._seconds, self._nanoseconds = place.get(0, -1), place.get(1, -1)
-
-    def encode(self, stamp: int, values: Sequence[float]) -> bytes:
-        """Give the message bytes for a stamp in ns and all numbers in wire order.
-
-        Parameters
-        ----------
-        stamp : int
-            ns; of an array that is numbered its number on its topic, from 0; ignored where a message has neither.
-        values : sequence of float
-            All numbers of the message in wire order, field by field.
-        """
-        if len(values) != self.size:
-            raise ValueError(f"{len(values)} values, expected {self.size}")
-        if self.numbered:
-            return self._pack(*self._wire((_digits(stamp), 0, *values, *self._constants)))
-        return self._pack(*self._wire((stamp // SECOND, stamp % SECOND, *values, *self._constants)))
-
-    def decode(self, data: bytes) -> tuple[int, tuple[float, ...]] | None:
-        """Give (stamp in ns, numbers) or None when the bytes have another layout; for the stamp see `Message.mark`."""
-        if len(data) != self.length:
-            return None
-        found = self._unpack(data)
-        if self._constants_of(found) != self._constants:
-            return None
-        if self.stamp_offset is not None:
-            return found[self._seconds] * SECOND + found[self._nanoseconds], self._values_of(found)
-        if not self.numbered:
-            return -1, self._values_of(found)
-        digits = found[self._seconds]
-        return (int(digits), self._values_of(found)) if digits.isdigit() else None
+        self.encode, self.decode = _coders(whole, wire, self.size, [data for _, _, data in self._fixed], numbered)
 
     def encode_block(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Give the bytes of n messages as an array of shape (n, length): row by row what `encode` gives.
@@ -234,6 +212,72 @@ class Layout:
             part = np.ascontiguousarray(block[:, offset : offset + n * kind.itemsize]).view(kind)
             found += [np.ascontiguousarray(part[:, i], dtype=np.float64) for i in range(n)]
         return found
+
+
+CODERS = """
+def encode(stamp, values):
+    if len(values) != {size}:
+        raise ValueError(f"{{len(values)}} values, expected {size}")
+    return pack({items})
+
+def decode(data):
+    if len(data) != {length}:
+        return None
+    found = unpack(data)
+    if {differs}:
+        return None
+    return {mark}, {values}
+"""
+SINGLY = 32  # values that are named one by one
+
+
+def _coders(
+    whole: struct.Struct, wire: Sequence[int], size: int, constants: Sequence[bytes], numbered: bool
+) -> tuple[Any, Any]:
+    """Make the functions that write and read messages of a layout: their text names each item of its struct.
+
+    Parameters
+    ----------
+    wire : sequence of int
+        The items: 0 and 1 the stamp in s and ns, or 0 the digits of a number; then `size` values, then the constants.
+    """
+    known: dict[str, Any] = {f"constant{k}": data for k, data in enumerate(constants)}
+    places = {item: k for k, item in enumerate(wire)}
+    at = [places[2 + k] for k in range(size)]
+    written = {0: "stamp // SECOND", 1: "stamp % SECOND"} if not numbered else {0: "digits(stamp)"}
+    written |= {2 + size + k: name for k, name in enumerate(known)}
+    values = []
+    for first, last in _runs(at) if size > SINGLY else [(k, k + 1) for k in range(size)]:
+        one = last == first + 1
+        written[2 + first] = f"values[{first}]" if one else f"*values[{first}:{last}]"
+        values.append(f"found[{at[first]}]" if one else f"*found[{at[first]}:{at[last - 1] + 1}]")
+    items = [written[item] for item in wire if item in written]
+    mark = "-1"
+    if 0 in places:
+        mark = f"found[{places[0]}] * SECOND + found[{places[1]}]" if not numbered else f"int(found[{places[0]}])"
+    differs = [f"found[{places[2 + size + k]}] != {name}" for k, name in enumerate(known)]
+    text = CODERS.format(
+        size=size,
+        length=whole.size,
+        items=", ".join(items),
+        differs=" or ".join(differs + ([f"not found[{places[0]}].isdigit()"] if numbered else [])),
+        mark=mark,
+        values=f"({''.join(f'{value}, ' for value in values)})",
+    )
+    known |= {"pack": whole.pack, "unpack": whole.unpack, "digits": _digits, "SECOND": SECOND}
+    exec(_compiled(text), known)
+    return known["encode"], known["decode"]
+
+
+@lru_cache(maxsize=256)
+def _compiled(text: str) -> CodeType:
+    return compile(text, "<layout>", "exec")
+
+
+def _runs(places: Sequence[int]) -> list[tuple[int, int]]:
+    """Give the spans, first and after the last, in which each place follows the one before."""
+    starts = [k for k in range(len(places)) if k == 0 or places[k] != places[k - 1] + 1]
+    return list(zip(starts, [*starts[1:], len(places)], strict=True))
 
 
 def getter(places: Sequence[int]) -> Pick:

@@ -99,6 +99,15 @@ class ShardWriter:
         if len(buffer) > self._limit:
             self.flush()
 
+    def add_rows(self, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Append many such rows: their times, shape (n,), and their numbers, (n, size of all)."""
+        kind = np.dtype([("t", "<i8"), ("mark", "<u2"), ("values", "<f8", (values.shape[1],))])
+        rows = np.empty(len(times), kind)
+        rows["t"], rows["mark"], rows["values"] = times, _ROW, values
+        self._buffer += rows.tobytes()
+        if len(self._buffer) > self._limit:
+            self.flush()
+
     def flush(self) -> None:
         """Hand everything to the operating system; raises OSError (disk full), never drops silently."""
         while self._buffer:

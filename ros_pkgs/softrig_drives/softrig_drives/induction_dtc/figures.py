@@ -21,6 +21,8 @@ FLUX_ERROR = ("flux_estimate/x", "flux_estimate/y", "flux_true/x", "flux_true/y"
 def slope(t: Array, psi: Vectors) -> complex:
     """Give the slope (per s) of the least-squares line through each component, as alpha + j beta."""
     centred = t - t.mean()
+    if not centred.any():
+        return complex(np.nan, np.nan)
     return complex((centred * (psi - psi.mean())).sum() / (centred**2).sum())
 
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 TYPES = ("ABCG", "AG", "ABG", "AB")
 PLACES = (5.0, 50.0, 100.0, 115.0)  # km
-RESISTANCES = (0.0, 5.0, 15.0)  # ohm
 LENGTH = 120.0  # km, of the published line
 
 _TABLES = {  # ohm: rows (x by WOA, x by GWO, error of WOA in %, error of GWO in %), types by TYPES, places by PLACES

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple, Self
 
@@ -26,7 +26,7 @@ class State(NamedTuple):
     k: int  # sample of the record
     number: int  # of the record, from 0 on
     seed: int  # of its noise
-    rows: Rows  # its samples before this one
+    rows: Rows  # what was measured at the samples before this one, without its noise
     pressed: bool  # whether `run` was
 
 
@@ -101,24 +101,22 @@ class LinePlant(Plant[LinePlantParams]):
         seed = int(self.generator().integers(2**32, size=number + 1)[-1])
         return State(self._begin, 0, number, seed, Rows(self.p.samples), pressed)
 
-    def _read(self, x: State) -> tuple[float, ...]:
-        """Read the instruments."""
-        measured: list[float] = (x.line.measured + 0.0).tolist()
-        if self.p.measurement.noise_snr_db is None:
-            return tuple(measured)
-        normal, at = self._noise(x.seed), CHANNELS * x.k
-        return tuple([u + s * normal(at + c) for c, (u, s) in enumerate(zip(measured, self._level, strict=True))])
-
-    def _row(self, x: State) -> tuple[float, ...]:
-        return (x.k / RATES[self.p.measurement.profile], *self._read(x))
+    def _row(self, k: int, seed: int, measured: Sequence[float]) -> tuple[float, ...]:
+        """Give what the instruments tell of a sample: its time, and their noise on it."""
+        told = [u + 0.0 for u in measured]
+        if self.p.measurement.noise_snr_db is not None:
+            normal, at = self._noise(seed), CHANNELS * k
+            told = [u + s * normal(at + c) for c, (u, s) in enumerate(zip(told, self._level, strict=True))]
+        return (k / RATES[self.p.measurement.profile], *told)
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...] | None]:
         """Give the samples; with the last one of a record the record."""
-        row = self._row(x)
+        row = self._row(x.k, x.seed, x.line.measured.tolist())
         found: dict[str, tuple[float, ...] | None] = {name: row[3 * k + 1 : 3 * k + 4] for k, name in enumerate(GROUPS)}
         found["fault_current"] = tuple(x.line.fault_current.tolist())
         if x.k == self.p.samples - 1:
-            found["record"] = tuple(value for row in x.rows.put(row).newest() for value in row)
+            before = (self._row(k, x.seed, measured) for k, measured in enumerate(x.rows.newest()))
+            found["record"] = tuple(value for told in (*before, row) for value in told)
         return found
 
     def advance(self, x: State, t: int, *, run: tuple[float, ...] | None) -> State:
@@ -129,13 +127,13 @@ class LinePlant(Plant[LinePlantParams]):
             return self._new(x.number + 1, pressed=True)
         line, steps = _copied(x.line), self.p.decimation
         advance(self._line.net, self._line.chain, CLARKE, line, x.k * steps, steps)
-        # as long as the record is not full, what the instruments say is kept
-        rows = x.rows.put(self._row(x)) if x.k < self.p.samples - 1 else x.rows
+        # as long as the record is not full, what the instruments measure is kept
+        rows = x.rows.put(tuple(x.line.measured.tolist())) if x.k < self.p.samples - 1 else x.rows
         return State(line, x.k + 1, x.number, x.seed, rows, pressed)
 
 
 def _copied(line: LineState) -> LineState:
-    return LineState._make(part.copy() for part in line)
+    return LineState._make([part.copy() for part in line])
 
 
 main = executable(LinePlant)

@@ -27,12 +27,12 @@ class Rows:
 
     def put(self, row: Row) -> Rows:
         """Give them with one more; the oldest goes where there are too many."""
-        found = Rows(self.most)
-        found._list = self._list
-        if self._count != len(self._list) or self._count >= 2 * self.most:
-            found._list = self.newest()
-        found._list.append(row)
-        found._count = len(found._list)
+        rows = self._list
+        if self._count != len(rows) or self._count >= 2 * self.most:
+            rows = self.newest()
+        rows.append(row)
+        found = object.__new__(Rows)
+        found.most, found._count, found._list = self.most, len(rows), rows
         return found
 
     def newest(self) -> list[Row]:

@@ -19,7 +19,8 @@ from .operating_point import DeviceParams, conduction, operating_point
 from .ports import DC_LINK, SERIES, SHUNT, STATUS, TRACE, measured
 
 CONVERTERS = ("shunt", "series_1", "series_2")
-VECTORS = {"u1": BUS1, "u2": BUS2, "u4": BUS4, "i_sh": I_SH, "i12": I12, "i34": I34}
+BUSES = 6  # before the branches, where both stand in one row
+VECTORS = {"u1": BUS1, "u2": BUS2, "u4": BUS4, "i_sh": BUSES + I_SH, "i12": BUSES + I12, "i34": BUSES + I34}
 MAGNITUDE_LIMIT = 1.2  # pu, of a series command that can be meant
 FREQUENCY_LIMIT = (0.5, 1.5)  # of nominal, of a command that can be meant
 TRIP = (0.5, 1.3)  # pu, of the DC voltage
@@ -123,20 +124,20 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         """Give the measured vectors, the DC voltage and the status at t."""
         seen = x.seen
         rows = seen.rows
-        bus, current = self._weights(rows.bus), self._weights(rows.current)
-        vectors = {name: complex((bus if name[0] == "u" else current)[k]) for name, k in VECTORS.items()}
+        found = self._weights(np.concatenate((rows.bus, rows.current), axis=1)).tolist()
+        vectors = {name: found[k] for name, k in VECTORS.items()}
         v_dc = float(x.network.v_dc[0])
         s1, s2 = vectors["u2"] * vectors["i12"].conjugate(), vectors["u4"] * vectors["i34"].conjugate()
         limit = self.p.network.series_limit * v_dc
         v12, v34 = (0.0 if x.tripped else limit * math.sin(0.5 * c.sigma) for c in x.commands[1:])
-        found: dict[str, tuple[float, ...]] = {name: (v.real, v.imag, 0.0) for name, v in vectors.items()}
-        found["dc_link"] = (v_dc * self.p.network.dc_voltage,)
-        found["status"] = (s1.real, s1.imag, s2.real, s2.imag, abs(vectors["u1"]), v_dc, *seen.power.tolist(), v12, v34)
+        said: dict[str, tuple[float, ...]] = {name: (v.real, v.imag, 0.0) for name, v in vectors.items()}
+        said["dc_link"] = (v_dc * self.p.network.dc_voltage,)
+        said["status"] = (s1.real, s1.imag, s2.real, s2.imag, abs(vectors["u1"]), v_dc, *seen.power.tolist(), v12, v34)
         if self.p.trace:
             shown = (rows.converter[1:, 0], rows.converter[1:, 1], rows.bus[1:, BUS1], rows.current[1:, I_SH])
             parts = np.column_stack([part for row in shown for part in (row.real, row.imag)])
-            found["trace"] = tuple(parts.ravel().tolist())
-        return found
+            said["trace"] = tuple(parts.ravel().tolist())
+        return said
 
     def advance(
         self, x: State, t: int, *, shunt: tuple[float, ...], series_1: tuple[float, ...], series_2: tuple[float, ...]
@@ -144,10 +145,15 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         """Move by one control period."""
         p, tripped = self.p, x.tripped
         commands = (self._taken(x, 0, shunt), self._taken(x, 1, series_1), self._taken(x, 2, series_2))
-        turning = Turning(*np.array([(c.sigma, c.angle, c.omega) for c in commands]).T.copy())
+        a, b, c = commands
+        turning = Turning(
+            np.array((a.sigma, b.sigma, c.sigma)),
+            np.array((a.angle, b.angle, c.angle)),
+            np.array((a.omega, b.omega, c.omega)),
+        )
         ring, u, i, link = x.network
         network = Network(ring.copy(), u.copy(), i.copy(), link.copy())
-        rows = Rows(*map(np.zeros_like, x.seen.rows))
+        rows = Rows(*[np.zeros(row.shape, row.dtype) for row in x.seen.rows])
         power = advance(self._circuit, self._lines, network, x.steps, turning, p.pulse, tripped, rows)
         v_dc = float(network.v_dc[0])
         if not tripped and not TRIP[0] <= v_dc <= TRIP[1]:

@@ -109,19 +109,19 @@ class ShuntController(Block[ShuntControllerParams]):
         magnitude, v = self._filter(x.magnitude, abs(u))
         q = -(complex(i_sh[0], i_sh[1]) * cmath.rect(1.0, -theta)).imag
         reactive, i_q = self._filter(x.reactive, q)
-        wanted = f"{v_ref:g} pu is asked of a voltage of {v:.4g} pu"
-        voltage, found = self._voltage(x.voltage, v_ref - v)
-        i_q_ref = self._limited(found, p.current_limit, "reactive_current", "pu", wanted)
-        wanted = f"{i_q_ref:.4g} pu is asked of a reactive current of {i_q:.4g} pu"
-        current, found = self._current(x.current, i_q_ref - i_q)
-        alpha = -self._limited(found, p.angle_limit, "angle", "deg", wanted)
-        angle = math.remainder(theta + math.radians(alpha), math.tau)
+        voltage, i_q_ref = self._voltage(x.voltage, v_ref - v)
+        if abs(i_q_ref) > p.current_limit:
+            wanted = f"{v_ref:g} pu is asked of a voltage of {v:.4g} pu"
+            i_q_ref = self._limited(i_q_ref, p.current_limit, "reactive_current", "pu", wanted)
+        current, alpha = self._current(x.current, i_q_ref - i_q)
+        if abs(alpha) > p.angle_limit:
+            wanted = f"{i_q_ref:.4g} pu is asked of a reactive current of {i_q:.4g} pu"
+            alpha = self._limited(alpha, p.angle_limit, "angle", "deg", wanted)
+        angle = math.remainder(theta + math.radians(-alpha), math.tau)
         command = (p.network.shunt_sigma, angle, locked.omega)
         return State(locked, magnitude, reactive, voltage, current, command), {"shunt": command}
 
     def _limited(self, x: float, limit: float, what: str, unit: str, wanted: str) -> float:
-        if -limit <= x <= limit:
-            return x
         text = f"{what.replace('_', ' ')} at its limit of {limit:g} {unit} while {wanted}"
         self.report(Level.WARN, f"{what}_limited", text)
         return math.copysign(limit, x)

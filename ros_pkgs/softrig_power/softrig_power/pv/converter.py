@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import Params, jit, param, rk4_loop
+from softrig_core import Params, jit, param
 
 from .module import Array
 from .string import Characteristic
+
+Line = tuple[float, float, float]  # of a characteristic: its number, current at no voltage (A), slope (S)
 
 
 class ConverterParams(Params):
@@ -80,25 +82,36 @@ class Converter:
         per_C, d_C = 1.0 / p.C_i, d / p.C_i
         d_L, e_L, r_L = d / p.L, (1.0 - d) / p.L, p.r / p.L
         e_o, g_o = (1.0 - d) / p.C_o, 1.0 / (p.R_L * p.C_o)
-        found = np.array(x)
-        _advance(0.0, found, h, n, (*source.segments, per_C, d_C, d_L, e_L, r_L, e_o, g_o))
-        return Circuit(*found.tolist())
+        v, i_L, v_o = x
+        return Circuit(*_advance(v, i_L, v_o, h, n, (*source.segments, per_C, d_C, d_L, e_L, r_L, e_o, g_o)))
 
 
 @jit
-def _slopes(t: float, x: Array, p: Any, dx: Array) -> None:
+def _advance(v: float, i: float, o: float, h: float, n: int, p: Any) -> tuple[float, float, float]:
+    """Advance; `low`, 0.0: the limits of the diodes. All in numbers, which native code keeps in registers."""
+    low, half, third, sixth = p[2], 0.5 * h, h / 3.0, h / 6.0
+    line = (-1.0, 0.0, 0.0)
+    for _ in range(n):
+        dv, di, do, line = _slopes(v, i, o, line, p)
+        v_1, i_1, o_1 = v + sixth * dv, i + sixth * di, o + sixth * do
+        for k in range(3):
+            ahead = h if k == 2 else half
+            at_v, at_i = max(v + ahead * dv, low), max(i + ahead * di, 0.0)
+            dv, di, do, line = _slopes(at_v, at_i, o + ahead * do, line, p)
+            weight = sixth if k == 2 else third
+            v_1, i_1, o_1 = v_1 + weight * dv, i_1 + weight * di, o_1 + weight * do
+        v, i, o = max(v_1, low), max(i_1, 0.0), o_1
+    return v, i, o
+
+
+@jit
+def _slopes(v: float, i: float, o: float, line: Line, p: Any) -> tuple[float, float, float, Line]:
+    """Give the derivatives; looks a line of the characteristic up only where the voltage has left the one before."""
     a, b, low, scale, per_C, d_C, d_L, e_L, r_L, e_o, g_o = p
-    v, i, o = x[0], x[1], x[2]
-    k = min(int((v - low) * scale), a.size - 1)
-    dx[0] = (a[k] + b[k] * v) * per_C - d_C * i
-    dx[1] = d_L * v - e_L * o - r_L * i
-    dx[2] = e_o * i - g_o * o
-
-
-@jit
-def _limits(x: Array, p: Any) -> None:
-    """Diode and bypass diodes: i_L >= 0, v >= the first voltage of the characteristic."""
-    x[0], x[1] = max(x[0], p[2]), max(x[1], 0.0)
-
-
-_advance = rk4_loop(_slopes, _limits)
+    k, at_0, slope = line
+    place = (v - low) * scale
+    if not k <= place < k + 1.0:
+        number = min(int(place), a.size - 1)
+        k, at_0, slope = float(number), a[number], b[number]
+    dv = (at_0 + slope * v) * per_C - d_C * i
+    return dv, d_L * v - e_L * o - r_L * i, e_o * i - g_o * o, (k, at_0, slope)

@@ -106,10 +106,15 @@ def tracking_time(
     level: float = 0.99,
     start: float | None = None,
     end: float | None = None,
+    stay: float = math.inf,
 ) -> float:
-    """Time in s from `start` until the power stayed at `level` of the global maximum or above; inf if it did not."""
+    """Time in s from `start` until the power stayed at `level` of the global maximum or above; inf if it did not.
+
+    To stay means to the end, or for `stay` s: a tracker may look again later at what else there is.
+    """
     run = _Run(signals, module, first, start, end)
     low = np.flatnonzero(run.power < level * run.gmpp)
-    if low.size == 0:
-        return 0.0
-    return float("inf") if low[-1] == run.t.size - 1 else float(run.t[low[-1] + 1] - run.t[0])
+    since, until = np.append(0, low + 1), np.append(low, run.t.size - 1)  # of each stretch between two drops
+    stays = run.t[until] - run.t[np.minimum(since, until)] >= stay
+    stays[-1] |= since[-1] < run.t.size
+    return float(run.t[since[stays][0]] - run.t[0]) if stays.any() else math.inf

@@ -10,7 +10,7 @@ from softrig_core import BlockParams, Level, Plant, Port, check_steps, command, 
 from softrig_core.kit.dense import total
 
 from .array import ArrayParams, possible, split
-from .converter import Converter, ConverterParams, steady_state
+from .converter import Circuit, Converter, ConverterParams, steady_state
 from .ports import array_port, environment
 
 PHASE_STEPS = 8  # Runge-Kutta steps in each of the two circuits of a switching period
@@ -117,7 +117,7 @@ class PvPlant(Plant[PvPlantParams]):
         if d != duty[0]:
             self.report(Level.WARN, "duty", f"the duty {duty[0]:g} is outside [{p.d_min:g}, {p.d_max:g}]: clipped")
         source, move = self._source(conditions), self._converter.step
-        circuit = x[:3]
+        circuit = Circuit(x.v, x.i_L, x.v_o)
         if p.model == "averaged":
             circuit = move(circuit, source, d, p.step, self._steps)
         else:  # one circuit after the other, in every switching period

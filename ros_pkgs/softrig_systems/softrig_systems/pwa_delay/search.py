@@ -10,7 +10,7 @@ import numpy as np
 from softrig_core.kit.dde import trajectory
 
 from .lmi import Array
-from .motion import FREE, PendulumConstants, TankConstants, constants, run_pendulum, run_pwa, run_tank
+from .motion import FREE, TankConstants, constants, run_pwa, run_tank
 from .profiles import Profile, profile
 from .system import TANK_C, PwaSystem
 
@@ -61,12 +61,6 @@ def simulate_tank(h: float, level: float, duration: float, *, steps: int = 400, 
     """Simulate P2 under its own law with a constant delay h (s) from a constant level."""
     p = TankConstants(TANK_C, 0.5, 0.2, 0.1, 1.0, float(pwa), np.array([FREE]), profile("constant", h))
     return _run(run_tank, p, [level, 0.0], h, duration, steps)
-
-
-def simulate_pendulum(h: float, x0: Sequence[float], duration: float, *, steps: int = 100, sine: bool = False) -> Run:
-    """Simulate P3 under its own law with a constant delay h (s) from a constant (theta, omega)."""
-    p = PendulumConstants(float(sine), 1.0, np.array([FREE]), profile("constant", h))
-    return _run(run_pendulum, p, [float(v) for v in (*x0, 0.0)], h, duration, steps)
 
 
 def growth_rate(run: Run) -> float:
@@ -162,20 +156,3 @@ def pwa_margin(
         high,
         width=width,
     )
-
-
-def dry_margin(level: float, low: float, high: float, *, width: float = 1e-3, pwa: bool = False) -> float:
-    """Find the shortest delay (s) at which the tank runs empty from a constant level."""
-
-    def dry(h: float) -> bool:
-        return float(np.min(simulate_tank(h, level, 30.0 * h, steps=4000, pwa=pwa).sizes)) <= 1e-5
-
-    if dry(low) or not dry(high):
-        raise ValueError(f"the tank does not begin to run empty between {low:g} s and {high:g} s")
-    while high - low > max(width, 2.0 * math.ulp(high)):  # numbers between them, too
-        middle = 0.5 * (low + high)
-        if dry(middle):
-            high = middle
-        else:
-            low = middle
-    return 0.5 * (low + high)

@@ -12,6 +12,9 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ...block.block import Block, Level, Plant
 from ...block.change import loads
 from ...block.port import CLOCK, Port, Sample
@@ -130,9 +133,11 @@ class Adapter:
         self._silent = any(p.sporadic for p in outputs)  # at times
         self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
         self._open_record(sink)
-        self._unread = False  # whether nothing of what it says is read in another process, in which case it stays here
+        self.alone = False  # whether nothing of what it says is read in another process, in which case it stays here
+        self._unread = False  # the same of one that says plain numbers: a look at its record is enough
         self.buttons = Buttons(self.values, self._record_press)
-        self.hold = Hold(options.paused, options.pace) if self._owns_clock else Hold()
+        self.pauses = self._owns_clock or self._may_stand()  # whether people pause the run here
+        self.hold = Hold(options.paused, options.pace, self._owns_clock) if self.pauses else Hold()
         self.step.changed = self._record_change
 
     def begin(self, drive: Drive) -> None:
@@ -154,6 +159,12 @@ class Adapter:
     def t(self) -> int:
         """Time of the tick under way, ns."""
         return self.drive.t
+
+    def _may_stand(self) -> bool:
+        """Whether it is the node of a clock in real time that can stand: all nodes go by it, and are ours."""
+        links = self.links
+        own = links.owns_clock and links.starter == self.middleware.name and not links.guests
+        return own and self.options.mode == "realtime" and not self.options.epoch
 
     def _files(self) -> Callable[[], Files] | None:
         links = self.links
@@ -204,8 +215,11 @@ class Adapter:
         return matched
 
     def _look_for_readers(self) -> None:
-        silent = self.middleware.mute and self._plain and not self.links.guests  # a guest gets the first message late
-        self._unread = silent and not any(o.readers for o in (*self.outputs, self.clock_output, self.tick_output))
+        outputs = *self.outputs, self.clock_output, self.tick_output
+        # a guest gets the first message late, who comes back what was said last
+        silent = self.middleware.mute and not (self.links.guests or self.links.returns)
+        self.alone = silent and not any(o.readers for o in outputs)
+        self._unread = self.alone and self._plain
 
     def _record_press(self, port: Port, down: bool) -> None:
         if self.sink is not None and port.name in self.foreign:
@@ -250,6 +264,13 @@ class Adapter:
                 self.sink.add(output.number, stamp, output.layout.encode(mark, values))
             if self._owns_clock:
                 self.sink.add(self.extra_numbers, stamp, CLOCK_LAYOUT.encode(stamp, ()))
+
+    def keep(self, times: NDArray[np.int64], numbers: NDArray[np.float64]) -> None:
+        """Record many answers that nobody hears: their ticks, shape (n,), and all their numbers, (n, size)."""
+        if self.shard is not None and numbers.shape[1]:
+            self.shard.add_rows(self.epoch + times, numbers)
+        for output in self.outputs:
+            output.said += len(times)
 
     def _send_each(self, stamp: int, rows: Rows) -> list[tuple[Output, int, tuple[float, ...]]]:
         """Publish what is said; gives output, stamp or number, and values of each message."""
@@ -358,7 +379,11 @@ class Adapter:
             "pace": self.hold.pace,
             "cpu_s": round(time.process_time(), 3),
             "prompt": self.middleware.prompt,
+            "processor": self.middleware.processor,
         }
+        if self.state != "running" and self.step.tell_native is not bool:  # its group may go natively
+            self.step.tell_native()
+            status["native"] = self.step.native
         status |= self.drive.counts()
         if self.lacking:
             status["published"] = {

@@ -4,13 +4,14 @@ Each node says again and again that it is ready (`READY`, a Header with its name
 all of them and is ready itself: it sets the time of t = 0 and says it (`START`, a Header with that time and that of
 its own clock), again for
 each node that still says that it is ready, or that has been started anew; whose clock differs by more than `CLOCKS`,
-since the host's was set in between, say, goes by the starter's. Readiness need not arrive at the first try; the start
+since the host's was set in between, say, goes by the starter's. With it goes where the clock of the rig stands by
+somebody's hand, if it does (`node.realtime.stand`). Readiness need not arrive at the first try; the start
 is said when all nodes hear it, as the starter's writer sees them, for a run may be over before somebody asks again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Set
+from collections.abc import Callable, Iterable, Sequence, Set
 
 from ...block.port import Port, Refused
 from ...block.schedule import Schedule
@@ -35,13 +36,22 @@ class Departure:
         Other nodes of this process.
     begin : callable
         Called once with the wall-clock time of t = 0 and by how much the clock of the rig is ahead of ours, ns.
+    heard : callable
+        Called with the words of whoever holds the clock of the rig, or lets it go.
     """
 
     def __init__(
-        self, node: Adapter, handshake: Handshake, local: Set[str], begin: Callable[[int, int], object]
+        self,
+        node: Adapter,
+        handshake: Handshake,
+        local: Set[str],
+        begin: Callable[[int, int], object],
+        heard: Callable[[Iterable[str]], object],
     ) -> None:
         self._node = node
         self._begin = begin
+        self._heard = heard
+        self._words: Sequence[str] = ()
         self.handshake = handshake
         self.absent: list[str] = []  # who is not there yet
         self.neighbours: list[Departure] = []  # those of the other nodes of this process
@@ -54,12 +64,12 @@ class Departure:
         self._header, self._read = TickWriter(), TickReader()
         self._since = node.middleware.steady()
         middleware = node.middleware
-        heard = START if not self._is_starter else READY
-        self._input = Input(Port("stamp", heard, TICK))
+        topic = START if not self._is_starter else READY
+        self._input = Input(Port("stamp", topic, TICK))
         node.paces.append(self._input)
         self._send = middleware.publisher(READY if not self._is_starter else START, TICK, self._matched)
         self._hear = self._hear_ready if self._is_starter else self._hear_start
-        middleware.subscribe(heard, TICK, self._hear, lambda count: None)
+        middleware.subscribe(topic, TICK, self._hear, lambda count: None)
         self._timer = middleware.timer(CHECK, self._look)
 
     def _matched(self, count: int) -> None:
@@ -87,16 +97,23 @@ class Departure:
         except Refused as error:
             self._node.refuse(self._input, str(error))
             return
-        if self._epoch or epoch <= 0:
+        if epoch <= 0:
             return
-        self._timer.cancel()
-        self._epoch = epoch
-        clock = next((int(word) for word in said if word.isdigit()), 0)
-        ahead = clock - self._node.middleware.now() if clock else 0
-        self._begin(epoch, ahead if abs(ahead) > CLOCKS else 0)
+        if not self._epoch:
+            self._timer.cancel()
+            self._epoch = epoch
+            clock = next((int(word) for word in said if word.isdigit()), 0)
+            ahead = clock - self._node.middleware.now() if clock else 0
+            self._begin(epoch, ahead if abs(ahead) > CLOCKS else 0)
+        self._heard(said)
+
+    def say(self, words: Sequence[str]) -> None:
+        """Tell all nodes, those that start anew, too, that the clock of the rig is held, or let go."""
+        self._words = words
+        self._say_start()
 
     def _say_start(self) -> None:
-        self._publish(TickWriter()(self._epoch, [str(self._node.middleware.now())]))
+        self._publish(TickWriter()(self._epoch, [str(self._node.middleware.now()), *self._words]))
 
     def _deaf(self) -> str:
         """Name who does not read when the run starts, as far as the graph shows it."""

@@ -36,9 +36,9 @@ class Faces:
         for port in adapter.step.inputs:
             if port.msgtype == "std_msgs/msg/Bool" and port.name not in adapter.links.inputs:
                 node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{port.name}", self._presser(port))
-        if adapter.links.owns_clock and adapter.options.mode == "lockstep":
+        if adapter.pauses:
             offer(node, adapter.hold, message_class("std_srvs/srv/Trigger"))
-            if find_spec("simulation_interfaces") is not None:
+            if adapter.options.mode == "lockstep" and find_spec("simulation_interfaces") is not None:
                 from .simulation import Simulation  # imports actions, which nothing else here has
 
                 Simulation(node, adapter)

@@ -161,6 +161,8 @@ class Paired(Sender):
     ) -> None:
         super().__init__(table.node, port, who)
         self.table = table
+        self.read = self.decode  # type: ignore[method-assign]
+        self._values = table.node.values
         self.schedule = schedule
         self.earlier = earlier
         self.silent = silent
@@ -238,9 +240,28 @@ class Paired(Sender):
 
     # what has come -------------------------------------------------------------------------------------------------
 
-    def came(self, stamp: int, found: Any, data: bytes) -> None:
-        """Take a message at its stamp."""
-        self._accept(stamp, found, stamp, data)
+    def came(self, stamp: int, found: Any, data: bytes, tick: int | None = None) -> None:
+        """Take a message of a tick of its sender: that of its stamp, unless it is given."""
+        position = stamp if tick is None else tick
+        if position == self.want and not self.have and not self.said and not self.silent:  # nearly always
+            if self._number is not None:
+                self.record(self.node.t, data)
+            self._values[self.name] = self.value(stamp, found) if self._valued else found
+            self.stamp = self.used = position
+            self._arrived()
+        elif self.node.links.returns and self._again(position):
+            return
+        elif self._may_come(position):
+            self.table.heard += 1
+            self._put(position, (self.value(stamp, found), data))
+        elif position == self.excused:
+            return  # a better one is too late
+        elif position == 0 and self.node.links.guests:
+            return  # said again for somebody else
+        else:
+            got, want = position / SECOND, self.want / SECOND
+            twice = " (already there)" if self.have else ""
+            self.node.refuse(self, f"stamp {got:.9g} s from {self.who}, expected {want:.9g} s{twice}")
 
     def spoilt(self, data: bytes) -> None:
         """A controller answers a tick with a bad measurement too; a plant waits for a good command."""
@@ -251,27 +272,6 @@ class Paired(Sender):
         """A sporadic sender says whether it has spoken at one of its ticks."""
         if not spoke and self._may_come(position):
             self._put(position, KEEP)
-
-    def _accept(self, stamp: int, values: tuple[float, ...], position: int, data: bytes) -> None:
-        if position == self.want and not self.have and not self.said and not self.silent:  # nearly always
-            if self._number is not None:
-                self.record(self.node.t, data)
-            self.node.values[self.name] = self.value(stamp, values) if self._valued else values
-            self.stamp = self.used = position
-            self._arrived()
-        elif self.node.links.returns and self._again(position):
-            return
-        elif self._may_come(position):
-            self.table.heard += 1
-            self._put(position, (self.value(stamp, values), data))
-        elif position == self.excused:
-            return  # a better one is too late
-        elif position == 0 and self.node.links.guests:
-            return  # said again for somebody else
-        else:
-            got, want = position / SECOND, self.want / SECOND
-            twice = " (already there)" if self.have else ""
-            self.node.refuse(self, f"stamp {got:.9g} s from {self.who}, expected {want:.9g} s{twice}")
 
     def _again(self, position: int) -> bool:
         """Whether a message is one that was there before, or older than one that serves in its place."""
@@ -370,7 +370,7 @@ class Counted(Paired):
             if values is None:
                 self._excuse(position)
             else:
-                self._accept(stamp, values, position, data)
+                super().came(stamp, values, data, position)
 
     def _in_turn(self, number: int) -> bool:
         """Whether an array is the next one; one that is repeated is refused, one that is missing ends the run."""

@@ -29,6 +29,7 @@ from ..seam.middleware import Timer
 from .answering import Answering
 from .live import Live, LiveSenders
 from .sporadic import Sporadic, listen
+from .stand import Stand
 
 AGAIN = 10.0  # s between two times that a silence which lasts is told
 SOON = SECOND // 1000  # ns from the beginning to the first look at the clock
@@ -51,6 +52,7 @@ class Realtime:
         self._started = node.middleware.now()
         node.block.realtime = True
         self.clock = node.middleware.now
+        self._stand = Stand(node, self._go_by)
         self.senders = LiveSenders(node, self.now)
         self._sent: deque[tuple[int, int]] = deque(maxlen=2 * node.block.STALE_PERIODS)  # stamp, when it went out
         # the newest: they are sorted for each status file, between two ticks
@@ -108,7 +110,8 @@ class Realtime:
             awaited = [(i, inputs[i.name].node) for i in node.inputs if i.name in inputs]
             awaited += [(i, i.who) for i in told]
             wanted.append((node.tick_output, node.links.tells))
-            self.departure = Departure(node, Handshake(node, awaited, wanted, local), local, self._begin_at)
+            shake = Handshake(node, awaited, wanted, local)
+            self.departure = Departure(node, shake, local, self._begin_at, self._stand.hear)
         else:
             self._begin_at(node.epoch)
 
@@ -120,8 +123,7 @@ class Realtime:
         The clock of the rig is `ahead` of ours, ns.
         """
         if ahead:
-            own = self.clock
-            self.clock = lambda: own() + ahead
+            self._stand.follow(ahead)
             text = f"the clock of the rig is {ahead / SECOND:+.3f} s from this one: followed"
             self.node.block.note(Level.WARN, "clock", text)
         self.node.epoch = epoch
@@ -131,6 +133,8 @@ class Realtime:
             self.node.middleware.log(Level.OK, f"stays at t = 0 until it is commanded on {topics}")
         assert self._begun is not None
         self._begun()
+        if self.node.pauses and self.departure is not None:
+            self._stand.serve(self.departure.say)
 
     def progress(self) -> None:
         """Tell a silence again while it lasts; end a node whose senders have ended before it, after the run."""
@@ -169,9 +173,12 @@ class Realtime:
         """Ticks that were answered without all that was due."""
         return 0 if self._answering is None else self._answering.incomplete
 
+    def _go_by(self, clock: Callable[[], int]) -> None:
+        self.clock = clock
+
     def busy(self) -> bool:
-        """Nobody waits for anybody."""
-        return False
+        """Whether somebody holds the clock of the rig."""
+        return self.node.hold.held
 
     # messages --------------------------------------------------------------------------------------------------
 

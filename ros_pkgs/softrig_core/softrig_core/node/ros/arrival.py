@@ -72,7 +72,7 @@ class Arrival:
     subscription : rclpy.subscription.Subscription
         One that no executor knows.
     receive : callable
-        Gets the bytes of a message.
+        Gets the bytes of a message; it may publish, in vain when a signal has shut the context down meanwhile.
     matched : callable
         Gets the number of writers when that has changed.
     arrive : callable
@@ -95,11 +95,10 @@ class Arrival:
         allocator = rcl.rcutils_get_default_allocator()
         if rcl.rcutils_uint8_array_init(self._where, ctypes.c_size_t(SIZE), ctypes.byref(allocator)):
             raise MemoryError(f"{SIZE} bytes for messages on {subscription.topic_name}")
-        self._take = rcl.rcl_take_serialized_message
-        self._receive, self._matched = receive, matched
+        self._matched = matched
         self._writers, self._counted = 0, ctypes.c_size_t()
         known: set[int] = set()
-        hand_over = self.hand_over
+        hand_over = self._taking(receive)
 
         def call(nothing: int, count: int) -> None:
             if (thread := threading.get_ident()) not in known:
@@ -132,18 +131,29 @@ class Arrival:
             self._writers = self._counted.value
             self._matched(self._writers)
 
-    def take(self) -> bytes | None:
-        """Give the bytes of the oldest message; None when there is none."""
-        found = self._take(self._reader, self._where, None, None)
-        if not found:
-            return ctypes.string_at(self._bytes.buffer, self._bytes.length)
-        if found != TAKE_FAILED:
-            self._rcl.rcutils_reset_error()
-            raise RCLError(f"{self.subscription.topic_name}: a message cannot be taken (rcl says {found})")
-        return None
+    def _taking(self, receive: Callable[[bytes], object]) -> Callable[[], None]:
+        """Give what takes the oldest message and hands it over; a newer one may have replaced it in a full queue."""
+        take, reader, where = self._rcl.rcl_take_serialized_message, self._reader, self._where
+        bytes_now = memoryview(self._bytes).cast("B").cast("Q")  # where they are, how many, how many there may be
+        room, content = 0, memoryview(b"")
 
-    def hand_over(self) -> None:
-        """Take a message and hand it to who receives it."""
-        data = self.take()
-        if data is not None:  # else a newer one has replaced it in a queue that was full
-            self._receive(data)
+        def hand_over() -> None:
+            nonlocal room, content
+            if found := take(reader, where, None, None):
+                self._failed(found)
+                return
+            if room != bytes_now[2]:  # it has grown, and may be elsewhere
+                room = bytes_now[2]
+                content = memoryview((ctypes.c_uint8 * room).from_address(bytes_now[0])).cast("B")
+            try:
+                receive(bytes(content[: bytes_now[1]]))
+            except RCLError:
+                if rclpy.ok():
+                    raise
+
+        return hand_over
+
+    def _failed(self, code: int) -> None:
+        if code != TAKE_FAILED:
+            self._rcl.rcutils_reset_error()
+            raise RCLError(f"{self.subscription.topic_name}: a message cannot be taken (rcl says {code})")

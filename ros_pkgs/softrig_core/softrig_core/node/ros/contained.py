@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
-from ...wire.cdr import Layout
 from ..seam.exchange import Exchange, ExchangeTimer
-from ..seam.middleware import Matched, Receive, Send
+from ..seam.middleware import Matched, Receive
 from .ros import RosMiddleware
 
 
@@ -22,8 +21,6 @@ class ContainedMiddleware(RosMiddleware):
     exchange : Exchange
         That of the container.
     """
-
-    mute = True
 
     def __init__(self, node: Node, exchange: Exchange) -> None:
         super().__init__(node)
@@ -39,17 +36,6 @@ class ContainedMiddleware(RosMiddleware):
                 carry(to_others, data)
 
         return publish
-
-    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
-        """Offer a topic; its messages become bytes only while somebody in another process reads it."""
-        carry, encode, readers, note = self._exchange.carry, layout.encode, [0], _noting(matched)
-        to_others = super().publisher(topic, layout.msgtype, lambda count: note(readers, count))
-
-        def send(mark: int, values: tuple[float, ...]) -> None:
-            if readers[0]:
-                carry(to_others, encode(mark, values))
-
-        return send
 
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read a topic of other processes."""

@@ -12,10 +12,9 @@ import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from tempfile import NamedTemporaryFile
 
-from ...processes.executables import default_profile
+from ...processes.executables import given_profile
 from ...processes.ports import chosen
 from ...processes.shared_memory import clear_ports, domain_id
 
@@ -41,16 +40,19 @@ def joining(*, exclusive: bool = False) -> Iterator[None]:
         It is no XML, or has no participant.
     """
     clear_ports(domain_id())
-    given = os.environ.get(VARIABLE) or str(default_profile())
-    profile = own(Path(given).read_bytes(), exclusive=exclusive)
+    before = os.environ.get(VARIABLE)
+    profile = own(given_profile().read_bytes(), exclusive=exclusive)
     with NamedTemporaryFile(prefix="softrig-", suffix=".xml") as file:
         file.write(profile)
         file.flush()
         os.environ[VARIABLE] = file.name
         try:
             yield
-        finally:
-            os.environ[VARIABLE] = given
+        finally:  # as it was: a run that this process starts later makes one that fits it
+            if before is None:
+                del os.environ[VARIABLE]
+            else:
+                os.environ[VARIABLE] = before
 
 
 def own(profile: bytes, *, exclusive: bool = False) -> bytes:

@@ -66,6 +66,10 @@ class Remote:
         client = self._parameters.get(node)
         if client is None:
             client = self._parameters[node] = AsyncParameterClient(self._node, node)
+        for value in values.values():
+            for one in value if isinstance(value, list) else [value]:
+                if isinstance(one, int) and not -(2**63) <= one < 2**63:
+                    raise ValueError(f"a whole number of {one.bit_length()} bits, expected at most 63, or a real one")
         parameters = [Parameter(name, value=value) for name, value in values.items()]
         self._when(
             client.services_are_ready,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from ast import literal_eval
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
@@ -19,18 +20,21 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node, NodeNameNonExistentError
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, get_parameter_value
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
+from yaml import YAMLError
 
 from ...block.block import Level
 from ...errors import RunError
-from ...processes.shared_memory import Ears
-from ..seam.middleware import Matched, Middleware, Peer, Receive
+from ...processes.shared_memory import Ears, domain_id
+from ...wire.cdr import Layout
+from ..seam.middleware import Matched, Middleware, Peer, Receive, Send
 from ..seam.monitor import Monitor
 from .arrival import Arrival, library
 from .garbage import Garbage
 from .messages import message_class
+from .processor import Processor
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -47,8 +51,14 @@ POLICIES = (
 LOOK = 20_000_000  # ns: between two looks at who writes
 SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have left
 PATIENCE = 2.0  # s: for a tick under way in another thread at the end
+LAST = 10.0  # s: for readers to have the last messages, which go with their writer; a busy host keeps them waiting
 
 PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is always due
+
+# A number without a point, as 1e-05, is text for YAML 1.1; a list with one of them is one text.
+NUMBERS = (Parameter.Type.INTEGER, Parameter.Type.STRING)
+LISTS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.STRING_ARRAY, Parameter.Type.STRING)
+ARRAYS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.DOUBLE_ARRAY, Parameter.Type.STRING_ARRAY)
 
 SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
 
@@ -153,16 +163,22 @@ class ServingNode(Node):  # type: ignore[misc]
         return result
 
     def _meant(self, message: Any) -> Parameter:
-        """Give what is to be set, a whole number as a real one where that is expected."""
+        """Give what is to be set: numbers as real ones where these are expected, whatever they were taken for."""
         given = Parameter.from_parameter_msg(message)
         known = self._parameters.get(given.name, given)
+        if given.name in self._parameters and message.value == guessed(plain(known)):
+            return known
         real = known.type_ == Parameter.Type.DOUBLE or (
             known.type_ == Parameter.Type.NOT_SET and self._descriptors[given.name].floating_point_range
         )
-        if given.type_ == Parameter.Type.INTEGER and real:
-            return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
-        if given.type_ == Parameter.Type.INTEGER_ARRAY and known.type_ == Parameter.Type.DOUBLE_ARRAY:
-            return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, given.value)])
+        with suppress(ValueError, TypeError, SyntaxError):
+            if real and given.type_ in NUMBERS:
+                return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
+            if known.type_ == Parameter.Type.DOUBLE_ARRAY and given.type_ in LISTS:
+                values = literal_eval(given.value) if isinstance(given.value, str) else given.value
+                return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, values)])
+            if known.type_ in ARRAYS and given.type_ == Parameter.Type.BOOL_ARRAY and not given.value:
+                return Parameter(given.name, known.type_, [])
         return given
 
 
@@ -170,6 +186,13 @@ def plain(parameter: Parameter) -> Any:
     """Give a value as the block's parameters take it: arrays of any kind as lists."""
     value = parameter.value
     return value if value is None or isinstance(value, bool | int | float | str) else list(value)
+
+
+def guessed(value: Any) -> Any:
+    """Give what `ros2 param load` makes of a value's text: of no value 'None', of an empty list one of bools."""
+    with suppress(YAMLError, AssertionError):
+        return get_parameter_value(str(value))
+    return None
 
 
 Arguments = ParamSpec("Arguments")
@@ -214,15 +237,23 @@ class RosMiddleware(Middleware):
 
     def __init__(self, node: ServingNode) -> None:
         self.node = node
+        # else a late reader may be owed what was published before
+        self.mute = not any(name.startswith("qos_overrides.") for name in node._parameter_overrides)
         self.monitor = node.monitor
         self._read: list[tuple[Any, Receive, Matched]] = []  # subscriptions
         self._arrivals: list[Arrival] = []
         self.name: str = node.get_name()
         self.full_name: str = node.get_fully_qualified_name()
+        self._processor: Processor | None = None
         self._posted: list[Callable[[], object]] = []
         self._poster: _RosTimer | None = None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._behind = time.time_ns() - time.monotonic_ns()  # once: a system clock that is set later stalls nothing
+
+    @property
+    def processor(self) -> int | None:  # type: ignore[override]
+        """The processor on which the node works; None: any."""
+        return None if self._processor is None else self._processor.number
 
     def resolve(self, topic: str) -> str:
         """Give the full name of a topic, remapping applied."""
@@ -242,6 +273,25 @@ class RosMiddleware(Middleware):
         # what publish(bytes) ends in, without its type checks: worth 5 % of a lockstep loop
         publish: Callable[[bytes], None] = made.handle.publish_raw
         return publish
+
+    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
+        """Offer a topic; its messages become bytes only while somebody in another process reads it."""
+        if not self.mute:
+            return super().sender(topic, layout, matched)
+        readers = 0
+
+        def count(number: int) -> None:
+            nonlocal readers
+            readers = number
+            matched(number)
+
+        publish, encode = self.publisher(topic, layout.msgtype, count), layout.encode
+
+        def send(mark: int, values: tuple[float, ...]) -> None:
+            if readers:
+                publish(encode(mark, values))
+
+        return send
 
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read the bytes of a topic."""
@@ -288,13 +338,13 @@ class RosMiddleware(Middleware):
             self.node._subscriptions.remove(subscription)  # the executor would ask for its messages and events, too
             for handler in subscription.event_handlers:
                 self.node.remove_waitable(handler)
-            self._arrivals.append(
-                Arrival(rcl, subscription, quiet_after_shutdown(receive), matched, self.monitor.arrive)
-            )
+            self._arrivals.append(Arrival(rcl, subscription, receive, matched, self.monitor.arrive))
         self.prompt = bool(self._arrivals)
         if self.prompt:
             self.timer(LOOK, self._look)
             self.timer(SEARCH, Garbage(off=True).step)
+            self._processor = Processor(domain_id(), lambda: self.monitor.done)
+            self.timer(SEARCH, self._processor.step)
         for arrival in self._arrivals:
             arrival.begin()
 
@@ -399,6 +449,7 @@ class RosMiddleware(Middleware):
             _rclpy.rclpy_logging_rcutils_log(severity, logger.name, text, "", "", 0)
 
     def drain(self) -> None:
-        """Wait until every reader has the last messages, 2 s at most for each publisher."""
+        """Wait until every reader has the last messages, but not for ever: one may be held."""
+        until = time.monotonic() + LAST
         for publisher in self.node.publishers:
-            publisher.wait_for_all_acked(Duration(seconds=2))
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, until - time.monotonic())))

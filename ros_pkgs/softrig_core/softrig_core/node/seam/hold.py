@@ -1,6 +1,7 @@
-"""A lockstep run held by a person, or slowed to a pace: the node of the clock stays at a tick, all others wait for it.
+"""A run held by a person, or slowed to a pace: the node of the clock stays at a tick, all others wait for it.
 
-What is held is only when a tick is taken, never what is in it: the numbers are those of a run that nobody held.
+What is held is only when a tick is taken, never what is in it: the numbers are those of a run that nobody held. In real
+time nobody waits for anybody: there the clock of the rig stands (`node.realtime.stand`), and there is no pace.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ class Hold:
         From the start.
     pace : float
         Simulated time by wall-clock time; 0: as fast as it goes.
+    paced : bool
+        Whether it can have one: in lockstep, where those who wait are told to be patient, too.
 
     Attributes
     ----------
@@ -36,8 +39,9 @@ class Hold:
         Whether a tick waits for the wall clock.
     """
 
-    def __init__(self, held: bool = False, pace: float = 0.0) -> None:
+    def __init__(self, held: bool = False, pace: float = 0.0, paced: bool = True) -> None:
         self.held, self.pace, self.waits = held, pace, False
+        self._paced = paced
         self.steps = 0
         self._turn: Callable[[], object] | None = None
         self._tells = False
@@ -46,7 +50,7 @@ class Hold:
         self._timer: Timer | None = None
 
     def begin(self, middleware: Middleware, turn: Callable[[], object]) -> None:
-        """Serve a node that owns the clock; `turn` has its ticks go on."""
+        """Serve a node that owns the clock; `turn` has its ticks go on, or stay."""
         self._turn, self._middleware = turn, middleware
         if self.held:
             self._tell()
@@ -54,7 +58,7 @@ class Hold:
 
     def go_at(self, pace: float) -> bool:
         """Take another pace from now on; whether this node has one: that of the clock, in lockstep, begun."""
-        if self._turn is None:
+        if self._turn is None or not self._paced:
             return False
         self.pace, self._mark, self._until = pace, None, 0
         if pace:
@@ -76,7 +80,7 @@ class Hold:
 
     def _tell(self) -> None:
         """Have the peers be patient while it is held."""
-        if self._tells:
+        if self._tells or not self._paced:
             return
         self._tells = True
         header = TickWriter()(0, [self._middleware.full_name])
@@ -108,15 +112,14 @@ class Hold:
         if what == "pause":
             self.held = True
             self._tell()
-            return True, "paused"
-        if what == "step":
+        elif what == "step":
             if not self.held:
                 return False, "it runs: pause it first"
             self.steps += steps
         else:
             self.held, self.steps, self._mark, self._until = False, 0, None, 0
         self._middleware.post(self._turn)
-        return True, "one step" if what == "step" else "goes on"
+        return True, {"pause": "paused", "step": "one step"}.get(what, "goes on")
 
 
 def offer(node: Any, hold: Hold, trigger: Any) -> None:

@@ -54,12 +54,15 @@ class Middleware(Protocol):
         Whether what is published goes nowhere while the number of readers that `matched` has got is 0.
     prompt : bool
         Whether messages are taken in the thread that receives them (see `be_prompt`).
+    processor : int or None
+        The one on which the node works; None: any.
     """
 
     name: str
     full_name: str
     mute: bool = False
     prompt: bool = False
+    processor: int | None = None
 
     def resolve(self, topic: str) -> str:
         """Give the full name of a topic, remapping applied."""

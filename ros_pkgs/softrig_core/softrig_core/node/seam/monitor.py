@@ -32,6 +32,8 @@ class Monitor:
 
     Attributes
     ----------
+    done : int
+        Pieces of work that messages were.
     closed : bool
         Whether nothing that has come is worked on any more: it is over, or something was raised.
     """
@@ -43,6 +45,7 @@ class Monitor:
         self._asked = False  # the executor's thread wants it or has it
         self._short = 0  # pieces of work in a row
         self._error: BaseException | None = None
+        self.done = 0
         self.closed = False
 
     def arrive(self, work: Callable[[], object]) -> None:
@@ -75,6 +78,7 @@ class Monitor:
     def _do(self, work: Callable[[], object]) -> None:
         if self.closed:
             return
+        self.done += 1
         begun = self._clock()
         work()
         self._short = self._short + 1 if self._clock() - begun < LONG else 0

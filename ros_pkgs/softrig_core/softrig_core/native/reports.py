@@ -1,0 +1,85 @@
+"""What blocks report in ticks that native code answers: counted there, worded afterwards with the newest numbers."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..block.block import Block, Level
+
+EXACT = 1 << 53  # whole numbers up to it are floats
+HEAD = 3  # of a place: how often, the number of the first one and of the newest among all; its numbers after them
+
+
+@dataclass(frozen=True)
+class Place:
+    """A line that reports: of which block, what, and where its row begins in the table."""
+
+    block: int
+    level: Level
+    key: str
+    text: Callable[[Sequence[float]], str]
+    at: int
+
+
+@dataclass
+class Reports:
+    """The places of a text that report.
+
+    Attributes
+    ----------
+    size : int
+        Of the table; its first number counts all reports.
+    """
+
+    places: list[Place] = field(default_factory=list)
+    size: int = 1
+
+    def add(self, block: int, level: Level, key: str, text: Callable[[Sequence[float]], str], count: int) -> int:
+        """Give a line that reports `count` numbers its place in the table."""
+        self.places.append(Place(block, level, key, text, self.size))
+        self.size += HEAD + count
+        return self.places[-1].at
+
+    def take_down(self, table: Sequence[float], blocks: Sequence[Block]) -> None:
+        """Have the blocks note what a table holds, as if they had been told one by one."""
+        heard = [p for p in self.places if table[p.at]]
+        newest: dict[tuple[int, str], Place] = {}
+        for place in sorted(heard, key=lambda p: table[p.at + 2]):
+            newest[place.block, place.key] = place
+        for place in sorted(heard, key=lambda p: table[p.at + 1]):
+            reports, last = blocks[place.block].reports, newest[place.block, place.key]
+            before = reports[place.key][2] if place.key in reports else 0
+            text = last.text([float(v) for v in table[last.at + HEAD :]])
+            reports[place.key] = last.level, text, before + int(table[place.at])
+
+
+def wording(node: ast.expr) -> list[str | ast.FormattedValue] | None:
+    """Give the parts of a text that is written out; None: it is another one."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return [node.value]
+    if not isinstance(node, ast.JoinedStr):
+        return None
+    found: list[str | ast.FormattedValue] = []
+    for part in node.values:
+        if isinstance(part, ast.FormattedValue):
+            if part.format_spec is not None and (
+                not isinstance(part.format_spec, ast.JoinedStr)
+                or any(not isinstance(one, ast.Constant) for one in part.format_spec.values)
+            ):
+                return None
+            found.append(part)
+        elif isinstance(part, ast.Constant):
+            found.append(str(part.value))
+    return found
+
+
+def spec_of(part: ast.FormattedValue) -> str:
+    """Give how a value is to be written."""
+    parts = part.format_spec.values if isinstance(part.format_spec, ast.JoinedStr) else []
+    return "".join(str(one.value) for one in parts if isinstance(one, ast.Constant))
+
+
+CONVERSIONS: Mapping[int, Callable[[Any], Any]] = {-1: lambda v: v, 115: str, 114: repr, 97: ascii}

@@ -1,0 +1,91 @@
+"""Nodes whose ticks are short stay on one processor, all of a domain on the same; who computes for longer does not."""
+
+import os
+import threading
+
+import pytest
+from softrig_core.node.ros.processor import ENOUGH, LONG, SHORT, Processor
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="Linux")
+
+
+@pytest.fixture
+def allowed():
+    """The processors of this process, which has them back afterwards."""
+    before = os.sched_getaffinity(0)
+    if len(before) < 2:
+        pytest.skip("one processor")
+    yield sorted(before)
+    for thread in os.listdir("/proc/self/task"):
+        os.sched_setaffinity(int(thread), before)
+
+
+class Work:
+    """What a process has done so far."""
+
+    messages = time = 0
+
+    def more(self, messages, each):
+        self.messages += messages
+        self.time += messages * each
+
+
+def placed(domain=0):
+    work = Work()
+    return work, Processor(domain, lambda: work.messages, lambda: work.time)
+
+
+def test_nodes_of_a_domain_share_one_and_the_next_domain_has_another(allowed):
+    numbers = []
+    for domain in range(len(allowed) + 1):
+        _, processor = placed(domain)
+        numbers.append(processor.number)
+        assert os.sched_getaffinity(0) == {processor.number}
+        processor._go(None)
+    assert numbers == [*allowed, allowed[0]]
+
+
+def test_every_thread_stays_until_messages_take_long_and_comes_back(allowed):
+    over, seen = threading.Event(), {}
+    thread = threading.Thread(target=over.wait)
+    thread.start()
+
+    def where():
+        return {frozenset(os.sched_getaffinity(t)) for t in (0, thread.native_id)}
+
+    work, processor = placed(1)
+    own, everywhere = {frozenset({allowed[1 % len(allowed)]})}, {frozenset(allowed)}
+    work.time += 100 * SHORT  # of the start: no message yet
+    processor.step()
+    work.more(1, 50 * SHORT)  # nor are those that come with it judged
+    processor.step()
+    seen["start"] = where()
+    work.more(100, SHORT // 2)
+    processor.step()
+    seen["short"] = where()
+    work.more(3, 2 * SHORT)
+    processor.step()  # too few to tell
+    seen["few"] = where()
+    work.more(1, LONG)
+    processor.step()
+    seen["long"] = where()
+    work.time += 2 * LONG
+    processor.step()  # it is held: nothing is known
+    seen["held"] = where()
+    work.more(10 * ENOUGH, SHORT // 2)
+    processor.step()  # with what it did while it was held
+    seen["after"] = where()
+    work.more(ENOUGH, SHORT // 2)
+    processor.step()
+    seen["short again"] = where()
+    over.set()
+    thread.join()
+    stays, goes = ("start", "short", "few", "short again"), ("long", "held", "after")
+    assert seen == dict.fromkeys(stays, own) | dict.fromkeys(goes, everywhere)
+
+
+def test_who_may_use_one_only_is_left_alone(allowed):
+    os.sched_setaffinity(0, {allowed[-1]})
+    _, processor = placed(len(allowed))
+    assert processor.number is None
+    assert os.sched_getaffinity(0) == {allowed[-1]}

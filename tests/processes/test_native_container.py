@@ -1,0 +1,157 @@
+"""Ticks of a container that native code answers: the same bytes, whoever comes, goes, holds or changes something."""
+
+import math
+import threading
+import time
+
+import pytest
+from conftest import differences, in_process
+from simulated import Endpoint, SimulatedNode, World
+from softrig_core import Recording, rig_of
+from softrig_core.native import engine
+from softrig_core.native.compile import plain
+from softrig_core.native.engine import Engine
+from softrig_core.node import group
+from softrig_core.node.adapter.adapter import Adapter
+from softrig_core.node.group import Group
+from softrig_core.processes.spawning import node_parameters
+from softrig_core.rig.options import RunOptions
+from softrig_core.wire.parameter_event import TOPIC as EVENTS
+
+
+class Container:
+    """The nodes of a rig in one process of a simulated world, at work natively where nobody else has a part."""
+
+    def __init__(self, rig, folder, monkeypatch, make=None):
+        self.expected = in_process(rig, 1)
+        monkeypatch.setattr(engine, "unwanted", lambda steps, runs: "")
+        # its tables are those of numpy all the same
+        monkeypatch.setattr(engine, "compiled", make or (lambda text: plain(text)))
+        monkeypatch.setattr(engine, "SHORTEST", 50)
+        monkeypatch.setattr(engine, "SHORT_GO", -1.0)  # no go is longer
+        monkeypatch.setattr(engine, "_texts", [])
+        if make is None:
+            monkeypatch.setattr(Engine, "_compile_beside", lambda self, k: False)
+        monkeypatch.setattr(engine, "LOOK", 5)
+        monkeypatch.setattr(group, "SLICE", -1)  # a look at the others after each go
+        monkeypatch.setattr(SimulatedNode, "mute", True)
+        self.rig, self.world, self.folder, process = rig, World(), folder, object()
+        self.adapters, self.nodes = {}, {}
+        for m in rig.members:
+            given = node_parameters(rig, m, 1, "lockstep")
+            options = {k.removeprefix("run."): v for k, v in given.items() if k.startswith("run.")}
+            self.nodes[m.name] = SimulatedNode(self.world, m.name, m.remap, process)
+            shard = RunOptions(**{**options, "shard": str(folder / f"{m.name}.shard")})
+            self.adapters[m.name] = Adapter(self.nodes[m.name], m.block(1), shard)
+        Group(list(self.adapters.values()))
+        self.world.match()
+        self.clock = self.adapters[rig.clock.name]
+
+    def on(self, ticks=math.inf):
+        """Go on to so many ticks of the clock, or to the end."""
+
+        def over():
+            return self.clock.ticks >= ticks or all(a.state in ("done", "failed") for a in self.adapters.values())
+
+        self.world.run(self.world.now + 10**12, over)
+
+    def native(self):
+        return self.adapters[self.rig.clock.name].step.native[0]
+
+    def ends_as_in_process(self):
+        self.on()
+        found = Recording((t, p.msgtype) for t, p in self.rig.topics.items())
+        for name, adapter in self.adapters.items():
+            assert (adapter.state, adapter.error) == ("done", None)
+            adapter.shard.close()
+            found.read_shard(self.folder / f"{name}.shard")
+        assert differences(self.expected, found) == []
+        return {name: adapter.status()["native"] for name, adapter in self.adapters.items()}
+
+
+@pytest.mark.parametrize(
+    ("name", "duration"), [("dc_motor_smc", 0.1), pytest.param("induction_dtc", 0.03, marks=pytest.mark.long)]
+)
+def test_while_nobody_has_a_part_native_code_answers(name, duration, tmp_path, monkeypatch):
+    rig = rig_of(name, duration=duration)
+    container = Container(rig, tmp_path, monkeypatch)
+    told = container.ends_as_in_process()
+    ticks = rig.clock.schedule.ticks
+    assert told[rig.clock.name] == (ticks - 1, "")  # the first and the last are Python's
+    assert container.clock.status()["tick_p50_ms"] > 0.0
+
+
+def test_it_is_compiled_while_python_goes_on(tmp_path, monkeypatch):
+    made, go = [], threading.Event()
+
+    def slow(text):
+        function = plain(text)
+
+        def rig(first, last, *handed):
+            if first == last:
+                go.wait(10.0)
+                made.append(threading.current_thread())
+            return function(first, last, *handed)
+
+        return rig
+
+    container = Container(rig_of("dc_motor_smc", duration=0.1), tmp_path, monkeypatch, slow)
+    container.on(300)
+    assert (container.native(), made) == (0, [])
+    go.set()
+    while not made:
+        time.sleep(0.001)
+    made[0].join()
+    container.ends_as_in_process()
+    assert container.native() > 600
+
+
+def test_a_reader_gets_each_message_from_when_it_is_there(tmp_path, monkeypatch):
+    container = Container(rig_of("dc_motor_smc", duration=0.1), tmp_path, monkeypatch)
+    container.on(200)
+    before, heard = container.native(), []
+    assert before >= 199
+    output = container.clock.outputs[0]
+    world = container.world
+    person = SimulatedNode(world, "person", {})
+    world.add(Endpoint(person, output.topic, output.port.msgtype, heard.append, lambda count: None, world.now))
+    world.match()
+    first = container.clock.ticks
+    container.on(400)
+    world.readers.pop()
+    world.match()
+    last = container.clock.ticks
+    told = container.ends_as_in_process()
+    world.run(world.now + 10**7)  # what is under way arrives
+    topic = container.expected.topics[output.topic.removeprefix("/")]
+    assert heard == topic.data[first : first + len(heard)]
+    assert last - first <= len(heard) + 1
+    assert before < told[container.rig.clock.name][0] < 1000 - (last - first) + 10
+
+
+def test_who_holds_or_changes_is_obeyed(tmp_path, monkeypatch):
+    rig = rig_of("dc_motor_smc", duration=0.1)
+    container = Container(rig, tmp_path, monkeypatch)
+    clock = container.clock
+    container.on(200)
+    clock.hold.ask("pause")
+    world, at = container.world, clock.ticks
+    world.run(world.now + 10**9)
+    assert clock.ticks <= at + 1
+    at = clock.ticks
+    clock.hold.ask("step")
+    world.run(world.now + 10**9)
+    assert clock.ticks == at + 1
+    clock.hold.ask("resume")
+    container.on(at + 100)
+    law = container.adapters["dc_motor_smc"]
+    law.step.set({"delta": 0.5})
+    changed = law.step.t
+    container.on()
+    events = Recording((t, p.msgtype) for t, p in rig.topics.items())
+    law.shard.close()
+    events.read_shard(tmp_path / "dc_motor_smc.shard")
+    (t,) = events.topics[EVENTS].times
+    assert changed < t <= changed + 200_000
+    assert law.step.params.delta == 0.5
+    assert container.native() > 800
