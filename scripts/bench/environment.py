@@ -1,4 +1,4 @@
-"""Steps a second of a rig as an environment of an agent, beside gym-electric-motor's comparable one."""
+"""Steps a second of a rig as an environment of an agent, beside gym-electric-motor's and one in JAX."""
 
 from __future__ import annotations
 
@@ -59,13 +59,17 @@ def rates(seconds: float = SECONDS) -> dict[str, float]:
 
 
 def print_table() -> None:
-    """Steps a second of the induction motor drive as an environment, beside gym-electric-motor's where installed.
+    """Steps a second of the induction drive as an environment, beside gym-electric-motor's and JAX where installed.
 
-    ``SOFTRIG_PEERS`` in the environment: an interpreter that has it.
+    ``SOFTRIG_PEERS`` in the environment: an interpreter that has them.
     """
     found: dict[str, float | None] = {**rates()}
     vectors, _ = switching(SECONDS)
-    theirs = peer("gym-electric-motor", vectors, os.environ.get("SOFTRIG_PEERS", sys.executable))
-    found["gym-electric-motor, Finite-SC-SCIM-v0, Euler"] = None if theirs is None else len(vectors) / theirs["cpu_s"]
+    for name, title, times in (
+        ("gym-electric-motor", "gym-electric-motor, Finite-SC-SCIM-v0, Euler", 1),
+        ("jax", f"JAX, the same plants written for it, {MANY} of them", MANY),
+    ):
+        theirs = peer(name, vectors, os.environ.get("SOFTRIG_PEERS", sys.executable))
+        found[title] = None if theirs is None else times * len(vectors) / theirs["cpu_s"]
     for name, rate in found.items():
-        console.print(f"{name:48} " + ("not installed" if rate is None else f"{rate:10,.0f} steps/s"))
+        console.print(f"{name:52} " + ("not installed" if rate is None else f"{rate:10,.0f} steps/s"))

@@ -24,10 +24,6 @@ class Replay:
     def __init__(self, vectors: Sequence[int]) -> None:
         self._vectors = iter(vectors)
 
-    def get_enable(self) -> bool:
-        """The gates are never blocked."""
-        return True
-
     def __call__(self, model: Any) -> tuple[float, Sequence[float]]:
         """Give the sampling period and the duty ratios; past the end, V0."""
         return T_S, [float(s) for s in LEGS[next(self._vectors, 0)]]
@@ -37,23 +33,24 @@ class Replay:
 
 
 def motulator(vectors: Sequence[int], rtol: float = 1e-3) -> dict[str, float]:
-    """Feed motulator's drive model with the vectors, without PWM; its default solver RK45, or a tighter one."""
-    from motulator.common.model._simulation import SolverCfg
-    from motulator.drive import model
+    """Feed motulator's drive model (0.5) with the vectors, without PWM; its solver RK45 as it is, or a tighter one."""
+    from functools import partial
 
-    machine = model.InductionMachine(
-        model.InductionMachineInvGammaPars(n_p=2, R_s=3.7, R_R=2.1, L_sgm=0.021, L_M=0.224)
-    )
-    mechanics = model.MechanicalSystem(J=0.015)
+    from motulator.common.model import _simulation
+    from motulator.drive import model, utils
+
+    machine = utils.InductionMachineInvGammaPars(n_p=2, R_s=3.7, R_R=2.1, L_sgm=0.021, L_M=0.224)
+    motor = model.InductionMachine(utils.InductionMachinePars.from_inv_gamma_model_pars(machine))
     load_from = 0.6 - 1e-9
-    mechanics.set_external_load_torque(lambda t: 10.0 * (t >= load_from))
-    drive = model.Drive(machine, mechanics, model.VoltageSourceConverter(u_dc=540.0), delay=0)
-    config = SolverCfg(rtol=rtol, atol=1e-3 * rtol)
-    simulation = model.Simulation(drive, Replay(vectors), show_progress=False, cfg=config)
+    mechanics = model.StiffMechanicalSystem(J=0.015, tau_L=lambda t: 10.0 * (t >= load_from))
+    drive = model.Drive(model.VoltageSourceConverter(u_dc=540.0), motor, mechanics)
+    drive.delay = lambda duty: duty
+    _simulation.solve_ivp = partial(_simulation.solve_ivp, rtol=rtol, atol=1e-3 * rtol)
+    simulation = model.Simulation(drive, Replay(vectors))
     start = time.process_time()
     simulation.simulate(t_stop=len(vectors) * T_S - 1.5 * T_S)
     found = time.process_time() - start
-    psi = machine.state.psi_s_ab
+    psi = motor.state.psi_ss
     return {
         "cpu_s": found,
         "periods": round(drive.t0 / T_S),
@@ -61,26 +58,6 @@ def motulator(vectors: Sequence[int], rtol: float = 1e-3) -> dict[str, float]:
         "psi_beta": psi.imag,
         "speed": mechanics.state.w_M.real,
     }
-
-
-def motulator_own(vectors: Sequence[int]) -> dict[str, float]:
-    """Run motulator's own example: flux-vector control every 125 us, voltage averaged over the period."""
-    from math import pi
-
-    from motulator.drive import control, model
-
-    pars = model.InductionMachineInvGammaPars(n_p=2, R_s=3.7, R_R=2.1, L_sgm=0.021, L_M=0.224)
-    mechanics = model.MechanicalSystem(J=0.015)
-    mechanics.set_external_load_torque(lambda t: 10.0 * (t >= 0.6))
-    drive = model.Drive(model.InductionMachine(pars), mechanics, model.VoltageSourceConverter(u_dc=540.0))
-    config = control.im.FluxVectorControllerCfg(psi_s_nom=0.9, i_s_max=14.0, sensorless=False)
-    vector = control.im.FluxVectorController(pars, config)
-    system = control.im.VectorControlSystem(vector, control.im.SpeedController(J=0.015, alpha_s=2 * pi * 4))
-    system.set_speed_ref(lambda t: 100.0 * (t > 0.2))
-    simulation = model.Simulation(drive, system, show_progress=False)
-    start = time.process_time()
-    simulation.simulate(t_stop=len(vectors) * T_S)
-    return {"cpu_s": time.process_time() - start}
 
 
 def gym_electric_motor(vectors: Sequence[int]) -> dict[str, float]:
@@ -96,11 +73,60 @@ def gym_electric_motor(vectors: Sequence[int]) -> dict[str, float]:
     return {"cpu_s": time.process_time() - start}
 
 
+def jax_environments(vectors: Sequence[int], many: int = 256) -> dict[str, float]:
+    """Step so many of the drive's plants in JAX, one compiled call for all: the same machine, step and converters."""
+    import jax
+    import jax.numpy as jnp
+
+    jax.config.update("jax_enable_x64", True)
+    legs = jnp.array(LEGS, dtype=float)
+    phases = legs - legs.mean(axis=1, keepdims=True)
+    voltages = 540.0 * jnp.stack([phases[:, 0], (phases[:, 1] - phases[:, 2]) / 3.0**0.5], axis=1)
+    R_s, R_R, L_sigma, L_M, p, J, lsb = 3.7, 2.1, 0.021, 0.224, 2, 0.015, 16.0 / 2**9
+
+    def current(x: Any) -> Any:
+        return (x[:2] - x[2:4]) / L_sigma
+
+    def derivative(x: Any, u: Any, load: Any) -> Any:
+        i, psi = current(x), x[2:4]
+        torque = 1.5 * p * (x[0] * i[1] - x[1] * i[0])
+        turned = jnp.array([-psi[1], psi[0]]) * p * x[4]
+        rest = jnp.array([(torque - load) / J, x[4]])
+        return jnp.concatenate([u - R_s * i, R_R * i - R_R / L_M * psi + turned, rest])
+
+    def one(x: Any, vector: Any, key: Any, load: Any) -> Any:
+        u = voltages[vector]
+        k1 = derivative(x, u, load)
+        k2 = derivative(x + 0.5 * T_S * k1, u, load)
+        k3 = derivative(x + 0.5 * T_S * k2, u, load)
+        k4 = derivative(x + T_S * k3, u, load)
+        x = x + T_S / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        i = current(x)
+        true = jnp.array([i[0], -0.5 * i[0] + 0.75**0.5 * i[1]])
+        shown = (jnp.floor(true / lsb) + (jax.random.uniform(key, (2,)) < 0.5)) * lsb
+        return x, jnp.concatenate([shown, x[4:6]]), -jnp.abs(x[4])
+
+    def all_of_them(states: Any, vectors: Any, key: Any, load: Any) -> Any:
+        key, use = jax.random.split(key)
+        found = jax.vmap(one, (0, 0, 0, None))(states, vectors, jax.random.split(use, many), load)
+        return (*found, key)
+
+    moves = [jnp.full(many, vector) for vector in vectors]
+    states, key = jnp.zeros((many, 6)), jax.random.key(1)
+    step = jax.jit(all_of_them)
+    step(states, moves[0], key, 0.0)
+    start = time.process_time()
+    for action in moves:
+        states, _, reward, key = step(states, action, key, 0.0)
+        reward.block_until_ready()
+    return {"cpu_s": time.process_time() - start, "speed": float(states[0, 4])}
+
+
 PEERS: dict[str, Callable[[Sequence[int]], dict[str, float]]] = {
     "motulator": motulator,
     "motulator-tight": lambda vectors: motulator(vectors, rtol=1e-8),
-    "motulator-own": motulator_own,
     "gym-electric-motor": gym_electric_motor,
+    "jax": jax_environments,
 }
 
 

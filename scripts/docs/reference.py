@@ -43,7 +43,9 @@ def write(site: Path) -> None:
 
 
 def _cell(text: object) -> str:
-    return str(text).replace("|", "\\|").replace("\n", " ").replace("<", "&lt;")
+    """Text of a cell as it is: what Markdown takes for marks is none, but in code."""
+    parts = str(text).replace("|", "\\|").replace("\n", " ").split("`")
+    return "`".join(p if k % 2 else p.replace("<", "&lt;").replace("*", "\\*") for k, p in enumerate(parts))
 
 
 def verbs() -> str:
@@ -100,7 +102,7 @@ def _verb(name: str, parser: argparse.ArgumentParser, text: str, mark: str) -> l
         )
         value = " ".join(value) if isinstance(value, tuple) else value
         shown = " ".join(filter(None, (", ".join(action.option_strings), value)))
-        rows.append(f"| `{_cell(shown)}` | {_cell((action.help or '') % _defaults(action, parser))} |")
+        rows.append(f"| {_cell(f'`{shown}`')} | {_cell((action.help or '') % _defaults(action, parser))} |")
     if rows:
         parts += ["| | |", "|---|---|", *rows, ""]
     for group in nested:

@@ -69,7 +69,7 @@ def test_a_row_for_each_work_of_the_systems(capsys):
 
 
 def test_the_induction_motor_beside_its_peers(monkeypatch, capsys):
-    times = {"ours": 0.5, "theirs": 2.0, "absent": None}
+    times = {"softrig natively, everything recorded": 0.5, "theirs": 2.0, "absent": None}
     monkeypatch.setattr(induction, "simulated_second", lambda python: times)
     monkeypatch.setattr(induction, "agreement", lambda python: (1e-9, 2e-8))
     assert main(["induction"]) == 0

@@ -33,7 +33,7 @@ SOURCES = {  # modules that another name brings
 COMMON = configparser.ConfigParser()
 COMMON.read(ROOT / "ros_pkgs/softrig_core/setup.cfg")
 STYLE = (ROOT / "ros_pkgs/softrig_core/test/test_style.py").read_text()
-OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
+OTHERS = {"motulator", "gym_electric_motor", "jax"}  # compared with where somebody has installed them
 
 
 TEMPLATE = ROOT / "ros_pkgs/softrig_bringup/softrig_bringup/template/package.xml.template"

@@ -79,6 +79,8 @@ def test_the_reference_has_everything_that_there_is():
     assert {n.split()[0] for n in re.findall(r"^##+ (.+)$", verbs, re.M)} == names
     heads = re.findall(r"^#+ (.+)$", verbs, re.M)
     assert len(heads) == len(set(heads))
+    assert "| `--subject-to 'FIGURE <= X'` |" in verbs
+    assert "HIGH\\*N" in verbs
     for option in ("--mode", "--junit FILE", "--rel", "--rate"):
         assert re.search(rf"^\| `[^`]*{option}\b", verbs, re.M), option
     assert re.findall(r"^## (\w+)$", reference.figures(), re.M) == registered()

@@ -162,13 +162,35 @@ def test_corners_come_first_and_a_climb_finds_the_one_that_violates():
         asked.extend(points)
         return corner_climbs(points)
 
-    found = search([4, 8], measure, 200, seed=3)
+    found = search([12], measure, 200, seed=3)
     low, high = (0.0,) * 12, (1.0,) * 12
-    assert asked[:4] == [low, high, (1.0,) * 4 + (0.0,) * 8, (0.0,) * 4 + (1.0,) * 8]  # together, then each profile
+    assert asked[:2] == [low, high]
     assert all(u in (0.0, 1.0) for p in asked[:20] for u in p)  # a tenth of the budget
     assert any(0.0 < u < 1.0 for u in asked[20])
     assert len(set(asked[:20])) == 20
     assert found.least == -0.5
+    asked.clear()
+    search([4, 8], measure, 200, seed=3)
+    assert asked[:4] == [low, high, (1.0,) * 4 + (0.0,) * 8, (0.0,) * 4 + (1.0,) * 8]  # together, then each profile
+
+
+def test_profiles_are_held_constant_before_they_are_searched_piece_by_piece():
+    """Two inputs that a system violates between their bounds: seldom anywhere, often where both are constant."""
+
+    def asked_until(groups, seed):
+        asked = []
+
+        def measure(points):
+            asked.extend(points)
+            return [max(abs(u - (0.4 if k < groups[0] else 0.7)) for k, u in enumerate(p)) - 0.1 for p in points]
+
+        found = search(groups, measure, 200, seed=seed, enough=0.0)
+        return found.runs if found.least < 0.0 else 1000, asked
+
+    runs, asked = asked_until([6, 6], 0)
+    held = [len(set(p[:6])) == 1 and len(set(p[6:])) == 1 for p in asked]
+    assert all(held[8:40][: runs - 8])  # after eight corners, to a fifth of the budget
+    assert sorted(asked_until([6, 6], seed)[0] for seed in range(9))[4] <= 40
 
 
 @pytest.mark.parametrize(("groups", "sampler"), [([1], "tpe"), ([2], "cmaes"), ([3, 2], "cmaes"), ([1], "random")])

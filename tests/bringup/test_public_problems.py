@@ -111,7 +111,39 @@ def test_the_aircraft_flies_as_in_the_public_python_version(bench, start, altitu
     assert [found[20 * t] for t in (1, 2, 3, 5, 8, 15)] == pytest.approx(altitudes, abs=0.1)
 
 
+def test_no_steam_violates_the_condenser(bench):
+    """It answers 1 % of steam as good as linearly: its worst inputs are at their bounds, by the signs of its slopes."""
+    s = bench[4]
+    n, window = s.SEGMENTS, slice(round(30 / s.PERIOD), round(35 / s.PERIOD) + 1)
+
+    def pressure(u):
+        return s.condense(3.99 + 0.02 * u)[window]
+
+    middle, step = pressure(np.full(n, 0.5)), 0.05
+    slopes = np.array([(pressure(np.full(n, 0.5) + step * e) - middle) / step for e in np.eye(n)])
+    margins = [
+        min(y.min() - 87.0, 87.5 - y.max())
+        for k in range(slopes.shape[1])
+        for sign in (1, -1)
+        for y in [pressure((sign * slopes[:, k] > 0.0).astype(float))]
+    ]
+    assert min(margins) == pytest.approx(0.02029, abs=1e-4)  # kPa; a search of 3,000 runs ends there, too
+
+
+def test_no_start_of_the_box_violates_the_aircraft(problems):
+    grid = np.linspace(0.0, 1.0, 9)
+    least = min(problems["F16"].margin((a, b, c)) for a in grid for b in grid for c in grid)
+    assert least == pytest.approx(4.11, abs=0.01)  # ft; 4.07 after 3,000 runs of a search
+
+
 @pytest.mark.parametrize("name", ["AT1", "AT2", "CC1", "CC2", "CC3"])
 def test_what_is_at_a_corner_is_found_with_a_tenth_of_the_budget(problems, bench, name):
     _, methods, *_ = bench
     assert max(methods.runs_to_violation(problems[name], "softrig", 300, seed) for seed in range(3)) <= 30
+
+
+@pytest.mark.parametrize("name", ["AT6a", "AT6b", "AT6c", "CC5"])
+def test_what_is_between_the_bounds_is_found_with_inputs_that_are_constant(problems, bench, name):
+    _, methods, *_ = bench
+    runs = sorted(methods.runs_to_violation(problems[name], "softrig", 300, seed) for seed in range(200, 209))
+    assert runs[4] <= 40

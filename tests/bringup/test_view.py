@@ -148,7 +148,9 @@ def test_two_pages_turn_one_knob(mode, tmp_path):
             pages[k % 2].press("step")
             for page in (pages[k % 2], pages[k % 2 - 1]):  # what one sends goes out while it is looked at
                 page.until(lambda page=page, k=k: f">{mode}: {k * 1e-4:.6g} of 0.5 s, paused<" in page["state"].text)
-                page.until(lambda page=page, turned=turned: float(page["dc_motor_smc.k"].value) == float(turned))
+                page.until(
+                    lambda page=page, turned=turned: float(page["dc_motor_smc.k"].value or "nan") == float(turned)
+                )
         pages[1].press("hold")
         for k in range(6):
             pages[k % 2]["dc_motor_smc.delta"].value = str(1.0 + k)

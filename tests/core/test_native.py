@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import linecache
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -442,6 +444,13 @@ def test_what_is_not_known_is_named() -> None:
     blocks = {"plant": Oscillator(), "law": Texts()}
     with pytest.raises(NotNative, match=r"test_native\.Texts\.update, line \d+: str"):
         rig_text(core(Rig.from_blocks(blocks, 0.1)), [])
+
+
+def test_a_debugger_shows_the_text_of_a_rig() -> None:
+    function = plain(rig_text(core(rig()), []))
+    code, shown = function.__code__, inspect.getsource(function)
+    assert shown.startswith("def rig(first, last, n, c, s")
+    assert linecache.getline(code.co_filename, code.co_firstlineno) == shown.splitlines(keepends=True)[0]
 
 
 def test_a_rig_that_gives_up_often_stays_in_python(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from conftest import replay
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_bringup.cli import main
-from softrig_core import ByHand, Level, ParameterError, Recording, feed, run_processes, simulate
+from softrig_core import ByHand, Level, ParameterError, Recording, feed, load_scenario, run_processes, simulate
 from softrig_core.block.params import build
 from softrig_power.fault_location import pictures, study, study_tool
 from softrig_power.fault_location.cases import PUBLISHED, Case
@@ -280,6 +280,15 @@ def test_small_swarms(record, algorithm, within):
     errors = [abs(located(record, algorithm=algorithm, n_pop=10, n_iter=20, seed=s).x_km - best) for s in range(20)]
     assert max(errors) < within
     assert len(set(errors)) == 20  # the seed acts
+
+
+@pytest.mark.long
+def test_the_band_of_the_wolves_is_that_of_their_seeds(record):
+    """How far they end from Brent falls off about exponentially; one seed of a thousand is beyond the band."""
+    best, band = located(record).x_km, load_scenario("fault_location_gwo").expect["error"].tolerance
+    off = [1e3 * abs(located(record, algorithm="gwo", seed=s).x_km - best) for s in range(80, 120)]
+    assert max(off) < band
+    assert math.log(1000.0) * np.mean(off) == pytest.approx(band, rel=0.25)
 
 
 @pytest.mark.parametrize("case", [AG, Case("AG", 115.0, 15.0), Case("AB", 100.0, 5.0)])

@@ -1,8 +1,9 @@
-"""The table: median runs to a violation over ten seeds, for each problem and method."""
+"""The table: median runs to a violation over twenty seeds, for each problem and method."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from statistics import median
 
 import numpy as np
@@ -15,7 +16,8 @@ from . import cars, f16, steam, transmission
 from .linear import worst_linear_loop
 from .methods import METHODS, Problem, runs_to_violation
 
-BUDGET, SEEDS = 300, 10
+BUDGET = 300
+SEEDS = range(200, 220)  # the search was chosen on others (0 to 9)
 SCALE = {"rpm": 100.0}  # rpm, beside mph, so that margins can be compared
 
 
@@ -39,18 +41,18 @@ def problems() -> list[Problem]:
     return found
 
 
-def print_table(wanted: tuple[str, ...] = (), budget: int = BUDGET, seeds: int = SEEDS) -> None:
-    """Runs until falsify violates public problems (ARCH-COMP), beside other searches, median of ten seeds."""
-    print(f"at most {budget} runs, median of {seeds} seeds (found in how many of them)")
+def print_table(wanted: tuple[str, ...] = (), budget: int = BUDGET, seeds: Sequence[int] = SEEDS) -> None:
+    """Runs until falsify violates public problems (ARCH-COMP), beside other searches, median of twenty seeds."""
+    print(f"at most {budget} runs, median of {len(seeds)} seeds (found in how many of them)")
     print(f"  {'':8}" + "".join(f"{method:>16}" for method in METHODS), flush=True)
     for problem in problems():
         if wanted and problem.name not in wanted:
             continue
         cells = []
         for method in METHODS:
-            runs = [runs_to_violation(problem, method, budget, seed) for seed in range(seeds)]
+            runs = [runs_to_violation(problem, method, budget, seed) for seed in seeds]
             middle = median(runs)
             cells.append(
-                f"{'> ' + str(budget) if math.isinf(middle) else f'{middle:g}'} ({seeds - runs.count(math.inf)})"
+                f"{'> ' + str(budget) if math.isinf(middle) else f'{middle:g}'} ({len(runs) - runs.count(math.inf)})"
             )
         print(f"  {problem.name:8}" + "".join(f"{cell:>16}" for cell in cells), flush=True)

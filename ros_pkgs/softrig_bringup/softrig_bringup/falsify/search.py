@@ -1,4 +1,4 @@
-"""The search: corners first, a maintained optimiser, then climbs along the bounds until the budget ends."""
+"""The search: corners, then profiles held constant, a maintained optimiser, climbs along the bounds to the end."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ Sampler = Literal["cmaes", "tpe", "random"]
 
 MANY = 1000  # corners that are drawn
 BATCH = 4  # points asked for at a time, whatever the number of cores: the result does not depend on it
-CORNERS, POLISH = 0.1, 0.25  # shares of the budget
+CORNERS, HELD, POLISH = 0.1, 0.1, 0.25  # shares of the budget
+FEW = 2 * BATCH  # corners at least
 WORST = 1e300  # told of a point that could not be measured
 
 
@@ -71,6 +72,11 @@ def search(
     Corners come first, then the sampler; what is left of the budget goes to climbs from corner
     to corner, from the best point on and then from other corners.
 
+    Where there are several things and one of them is a list or a profile, CMA-ES comes between, over as many
+    coordinates as there are things, each constant: most violations of a system that forgets need no more, and those
+    between the bounds, which no corner finds, are found in few coordinates sooner than in many. It takes most of the
+    corners' share and another tenth.
+
     Parameters
     ----------
     groups : sequence of int
@@ -103,9 +109,18 @@ def search(
         _sample("random", size, seed, tell, over, found)
         return found
     rng = np.random.default_rng(seed)
-    first = max(2 * BATCH, round(CORNERS * budget))
-    _corners(groups, rng, tell, lambda: over() or found.runs >= first, first)
+    first = max(FEW, round(CORNERS * budget))
+    held = sampler == "cmaes" and 1 < len(groups) < size
+    few = FEW if held else first
+    _corners(groups, rng, tell, lambda: over() or found.runs >= few, few)
     found.corners = found.least
+    if held:
+
+        def constant(points: Sequence[Point]) -> list[float]:
+            return tell([tuple(np.repeat(point, groups).tolist()) for point in points])
+
+        few = first + round(HELD * budget)
+        _cmaes(len(groups), seed, constant, lambda: over() or found.runs >= few, found)
     left = budget - round(POLISH * budget)
     _sample(sampler, size, seed, tell, lambda: over() or found.runs >= left, found)
     start = found.point or (0.0,) * size
@@ -151,7 +166,7 @@ def _cmaes(
                 return
             asked.tell([(p, m if math.isfinite(m) else WORST) for p, m in zip(points, margins, strict=True)])
         seed += 1  # it has converged: again from the best point, with other random numbers
-        mean = np.array(found.point) if found.point else mean
+        mean = np.array(found.point) if len(found.point) == size else mean
 
 
 def _tpe(size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool]) -> None:

@@ -52,9 +52,14 @@ def trial(
 
 
 @lru_cache(maxsize=64)
+def _scenario(name: str) -> Scenario:
+    """Give a scenario, read once."""
+    return load_scenario(name)
+
+
 def seed_of(scenario: str) -> int:
-    """Give the seed of a scenario, read once."""
-    return load_scenario(scenario).seed
+    """Give the seed of a scenario."""
+    return _scenario(scenario).seed
 
 
 def run(work: Work) -> dict[str, Any]:
@@ -78,7 +83,11 @@ def run(work: Work) -> dict[str, Any]:
     started = time.perf_counter()
     try:
         done = simulate(
-            work.scenario or case.scenario, seed=seed, duration=work.duration, overrides=case.overrides, runs=work.runs
+            work.scenario or _scenario(case.scenario),
+            seed=seed,
+            duration=work.duration,
+            overrides=case.overrides,
+            runs=work.runs,
         )
         row |= _margins(done, work.figures) if work.margins else _figures(done, work)
     except (RunError, ScenarioError) as error:

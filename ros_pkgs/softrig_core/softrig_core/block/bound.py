@@ -5,8 +5,10 @@ A function that goes through tables of ports at each tick takes a third longer t
 
 from __future__ import annotations
 
+import linecache
+import zlib
 from collections.abc import Callable, Iterable
-from functools import cache
+from functools import lru_cache
 from keyword import iskeyword
 from types import CodeType
 from typing import Any
@@ -122,11 +124,14 @@ def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[.
         "RunError": RunError,
         "sum_of_products": sum_of_products,
     }
-    exec(_compiled(text), known)
+    exec(code_of(text, "tick"), known)
     found: Callable[..., None] = known[name]
     return found
 
 
-@cache
-def _compiled(text: str) -> CodeType:
-    return compile(text, "<tick>", "exec")
+@lru_cache(maxsize=256)
+def code_of(text: str, name: str) -> CodeType:
+    """Compile a text that was made here, so that a debugger and a traceback show its lines."""
+    where = f"<{name} {zlib.crc32(text.encode()):08x}>"
+    linecache.cache[where] = len(text), None, text.splitlines(keepends=True), where
+    return compile(text, where, "exec")

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..block.bound import code_of
 from ..kit.compiled import Compiled
 from ..kit.jit import Jit, our_numba, tokens_of
 from .rig_text import RigText
@@ -52,7 +53,7 @@ def compiled(made: RigText) -> Callable[..., Any]:
         scope[name] = thing
         for token in tokens_of(thing, set()):
             content.update(token.encode())
-    exec(compile(made.text, "<native text>", "exec"), scope)
+    exec(code_of(made.text, "rig"), scope)
     for name, thing in list(scope.items()):
         if callable(thing) and getattr(thing, "__globals__", None) is scope:
             scope[name] = numba.njit(**options, **({} if name == "rig" else inner))(thing)
@@ -73,7 +74,7 @@ def plain(made: RigText) -> Callable[..., Any]:
     """
     names = made.program.names
     scope = {"same_": same, **BASE, **names}
-    exec(compile(made.text, "<native text>", "exec"), scope)
+    exec(code_of(made.text, "rig"), scope)
     for name, thing in names.items():
         if isinstance(thing, Compiled):
             scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)
