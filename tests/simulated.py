@@ -436,7 +436,7 @@ class SimulatedRig:
             self.coming.discard(name)
             self._start([next(m for m in self.rig.members if m.name == name)], *self.again, files)
 
-        self.world.at(self.world.now + rng.randrange(2_000_000_000), start)  # its record is gone, its process not yet up
+        self.world.at(self.world.now + rng.randrange(2_000_000_000), start)  # its record is gone meanwhile
 
     def _ended(self):
         over = [self.nodes[name].dead or a.state in ("done", "failed") for name, a in self.adapters.items()]
