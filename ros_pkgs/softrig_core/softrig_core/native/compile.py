@@ -63,7 +63,7 @@ def compiled(made: RigText) -> Callable[..., Any]:
     from ..kit._jit_cache import Cache
 
     found: Any = scope["rig"]
-    # a class that cannot be imported would be another one in the next process, and its states no longer of the block's type
+    # a class that cannot be imported would be another one in the next process
     found._cache = Cache("rig", content.hexdigest(), (b"__main__", b"<locals>"))
     return found  # type: ignore[no-any-return]
 
