@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import inspect
 import linecache
+import os
+import subprocess
+import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from conftest import PATIENCE
 from softrig_core import (
     Block,
     BlockParams,
@@ -508,6 +513,29 @@ def test_a_rig_that_gives_up_often_stays_in_python(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("name", KNOWN)
 def test_scenarios_by_numba(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     the_same(lambda: rig_of(name, duration=KNOWN[name]), monkeypatch, engine.compiled)
+
+
+TWICE = """
+from softrig_core import simulate
+from softrig_core.native import engine
+for name in ("dc_motor_smc", "dc_motor_smc_b6_pid"):  # two texts whose functions have the same names
+    done = simulate(name, duration=0.2, runs=10000)
+    found = engine._texts[0].function.stats
+    print(name, sum(found.cache_hits.values()), [r.number for r in done.results])
+"""
+
+
+@pytest.mark.long
+def test_another_process_takes_native_code_from_the_cache(tmp_path: Path) -> None:
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+
+    def run() -> list[str]:
+        command = [sys.executable, "-c", TWICE]
+        return subprocess.check_output(command, env=environment, text=True, timeout=PATIENCE).splitlines()
+
+    first, second = run(), run()
+    assert [line.split()[1] for line in first + second] == ["0", "0", "1", "1"]
+    assert [line.split(" ", 2)[2] for line in first] == [line.split(" ", 2)[2] for line in second]
 
 
 @pytest.mark.parametrize(
