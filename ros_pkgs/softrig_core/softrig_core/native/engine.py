@@ -758,8 +758,12 @@ def ticks_of(
         _say_why(steps, reason)
         yield from engines[0].run(first)
 
+    def tell() -> None:
+        for engine in engines:
+            engine.tell()
+
     _say_why(steps, forbidden() or SHORT)
-    return run(), lambda: [engine.tell() for engine in engines]
+    return run(), tell
 
 
 def _say_why(steps: Sequence[Step], reason: str) -> None:
