@@ -113,6 +113,7 @@ def test_every_bound_of_every_executable_holds_at_its_edge():
         assert floats == set(re.findall(r"parameter ([^ ;]+) = nan: ", said)), (model, out)
         tried += len(names)
     assert tried > 300
+    assert RunOptions().duration == 0.0  # by hand a node runs until it is stopped
     for values in ({"seed": 2**63 - 1}, {"seed": 126}, {"duration": 1e9, "timeout": 1e6}):
         assert build(RunOptions, values).model_dump().items() >= values.items()
 
