@@ -413,14 +413,14 @@ class SimulatedRig:
         self.coming.add(name)
         node.lost = rng.random() < 0.5
         self.world.discovery.kill(node)
-        self._come_back(name, None)
+        self._come_back(name, None, rng)
         return True
 
-    def _come_back(self, name, before):
+    def _come_back(self, name, before, rng):
         others = {n: a for n, a in self.adapters.items() if n != name}
         stand = [(a.t, a.state, self.nodes[n].stalled < self.world.now) for n, a in others.items()]
         if len(self.adapters) < self.expected or stand != before or not all(awake for _, _, awake in stand):
-            self.world.at(self.world.now + 250_000_000, partial(self._come_back, name, stand))
+            self.world.at(self.world.now + 250_000_000, partial(self._come_back, name, stand, rng))
             return
         own, died = self.adapters[name].recorded, self.recording.before(1 << 62)
         for topic, _ in own:
@@ -429,11 +429,14 @@ class SimulatedRig:
         def files():
             now = {n: a for n, a in self.adapters.items() if n != name}
             gone = frozenset(n for n, a in now.items() if a.state == "done")
-            answered = {n: math.inf if n in gone else float(a.t) for n, a in now.items()}
+            answered = {n: math.inf if n in gone else 0.0 if n in self.coming else float(a.t) for n, a in now.items()}
             return Files(self.recording.before(1 << 62), died, answered, gone)
 
-        self.coming.discard(name)
-        self._start([next(m for m in self.rig.members if m.name == name)], *self.again, files)
+        def start():
+            self.coming.discard(name)
+            self._start([next(m for m in self.rig.members if m.name == name)], *self.again, files)
+
+        self.world.at(self.world.now + rng.randrange(2_000_000_000), start)  # its record is gone meanwhile
 
     def _ended(self):
         over = [self.nodes[name].dead or a.state in ("done", "failed") for name, a in self.adapters.items()]

@@ -12,6 +12,7 @@ generated part of its page too (parameters, published values, titles), or is nam
     0.0193: paper Table 2                       printed there
     2.5: bench gupfc                            time, memory or speed, by that command on the machine it names
     rest: bench placements                      all others of the section
+    11.4: study dc_motor_smc --draw ...         time or memory of that command
     3.11: version of Python
     -->
 
@@ -32,7 +33,7 @@ from typing import Any
 from softrig_bringup.study.definition import list_studies, load_study
 from softrig_core import list_scenarios, load_scenario
 
-FORMS = "scenario.figure, test_file.py::test, scenario NAME, = ..., paper ..., bench ... or version ..."
+FORMS = "scenario.figure, test_file.py::test, scenario NAME, = ..., paper ..., bench ..., study ... or version ..."
 DIGITS = 3  # a number of fewer may stand without its source
 _GENERATED = re.compile(r"<!-- (\w+): [^>]*? -->.*?<!-- end -->", re.DOTALL)
 _COMMENT = re.compile(r"<!-- numbers\n(.*?)-->", re.DOTALL)
@@ -157,7 +158,7 @@ def _wrong(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs
 
 def _differs(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs | None) -> str:
     kind, _, rest = tie.source.partition(" ")
-    if kind in ("paper", "bench", "version") and rest:
+    if kind in ("paper", "bench", "study", "version") and rest:
         return ""
     if kind == "=":
         return "" if tie.near(_computed(rest)) else f"{rest} is {_computed(rest):g}"

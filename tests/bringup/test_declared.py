@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import pytest
 import softrig_core
 import yaml
+from softrig_core.extras import EXTRAS
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = sorted(p.parent for p in ROOT.glob("ros_pkgs/*/package.xml"))
@@ -19,6 +20,7 @@ KEYS = yaml.safe_load(Path(__file__).with_name("rosdep_keys.yaml").read_text())
 PAGE = (ROOT / "ros_pkgs/softrig_bringup/doc/set_up.md").read_text()
 (LINE,) = re.findall(r"pip install ((?:.*\\\n)*.*pydantic(?:.*\\\n)*.*)", PAGE)
 FROM_PIP = {re.match(r"[\w.-]+", word).group() for word in LINE.replace("'", "").split() if word != "\\"}
+BRINGUP = ROOT / "ros_pkgs/softrig_bringup/softrig_bringup"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 OWN = yaml.safe_load((ROOT / "config/rosdep.yaml").read_text())  # keys that rosdistro has not
 SOURCES = {  # modules that another name brings
@@ -79,6 +81,35 @@ def test_every_import_is_declared(folder):
     assert {name for name in used if not keys(name) & declared} == set()
     python = {key for key in declared if key in {*KEYS["system"], *KEYS["pip"], *OWN}}
     assert python <= set().union(*map(keys, used))
+
+
+def above(file):
+    """Modules that a file imports as it is loaded, as full names; a name taken from one may be a module, too."""
+    package = file.relative_to(BRINGUP.parent).with_suffix("").parts[:-1]
+    for node in ast.parse(file.read_text()).body:
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            start = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            module = ".".join(filter(None, (start, node.module or "")))
+            yield module
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def test_no_verb_needs_an_extra_before_it_asks_for_it():
+    """A checkout adds it when `need` asks; an import at the head of a verb's module comes sooner and fails."""
+    targets = re.findall(r'"([\w.]+):\w+"', (BRINGUP / "verbs/declared.py").read_text())
+    waiting = {f"softrig_bringup.{target}" for target in targets}
+    assert len(waiting) > 10
+    seen = set(waiting)
+    while waiting:
+        name = waiting.pop()
+        file = BRINGUP.parent.joinpath(*name.split(".")).with_suffix(".py")
+        if file.is_file():
+            new = set(above(file))
+            assert not {n.partition(".")[0] for n in new} & EXTRAS.keys(), f"{name} needs an extra as it is loaded"
+            waiting |= {n for n in new if n.startswith("softrig_bringup.")} - seen
+            seen |= new
 
 
 def test_our_own_keys_say_what_the_project_asks_of_pip():

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import inspect
 import linecache
+import os
+import subprocess
+import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from conftest import PATIENCE
 from softrig_core import (
     Block,
     BlockParams,
@@ -58,7 +63,9 @@ def _no_text_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "_counts", {})
 
 
-def ran(rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None) -> tuple[Recording, Any, str, Native]:
+def ran(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None, timed: bool = False
+) -> tuple[Recording, Any, str, Native]:
     """Run a rig in Python, or as `make` makes its text; give messages, steps, error and what was native."""
     engines: list[Engine] = []
 
@@ -66,8 +73,9 @@ def ran(rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None) -> tuple[Re
         engines.append(Engine(steps, make))
         return engines[-1]
 
-    monkeypatch.setattr(engine, "unwanted", lambda steps, runs: "" if make else "a test")
-    monkeypatch.setattr(engine, "writes", lambda steps: False)
+    monkeypatch.setattr(engine, "cost", lambda steps: None if timed else 0.0)
+    monkeypatch.setattr(engine, "writes", lambda left: False)
+    monkeypatch.setattr(engine, "unwanted", lambda steps, left, runs: "" if make else "a test")
     monkeypatch.setattr(engine, "Engine", build)
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     steps, error = {}, ""
@@ -111,6 +119,7 @@ def test_numba_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_figures_of_many_runs_are_those_of_single_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bit for bit, and what one run leaves behind does not reach the next."""
     monkeypatch.setattr(engine, "_texts", [])
+    monkeypatch.setattr(engine, "cost", lambda steps: 1e-5)
     variants = [{"dc_motor_plant.J": inertia} for inertia in (3e-4, 4e-4, 5e-4, 3e-4)]
     single, many = (
         [simulate("dc_motor_smc_c1", duration=20.0, overrides=v, runs=n) for v in variants] for n in (1, 10**6)
@@ -263,11 +272,50 @@ def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.Mon
 def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = core(rig())
     monkeypatch.setattr(engine, "_texts", [])
-    assert engine.unwanted(steps) == "750 answers a run, native code is worth its making from 4,000,000 on"
-    assert engine.unwanted(steps, 10**6).endswith("from 2,000 on")
-    assert engine.unwanted(core(rig(duration=2.0)), 10**6) == ""
+    assert engine.unwanted(steps, 5.9) == engine.SHORT
+    assert engine.unwanted(steps, 6.1) == engine.unwanted(steps, 0.061, 100) == ""
+    assert engine.unwanted(steps, 0.009, 10**6) == engine.SHORT
+    assert engine.writes(0.2)
     monkeypatch.setenv("SOFTRIG_JIT", "0")
-    assert engine.unwanted(steps, 10_000) == "SOFTRIG_JIT=0"
+    assert not engine.writes(0.2)
+    assert engine.unwanted(steps, 6.1) == "SOFTRIG_JIT=0"
+
+
+class Ticking:
+    """A clock by which from one look to the next it takes so long, and in the first tick some seconds."""
+
+    def __init__(self, tick: float) -> None:
+        self.tick, self.now, self.looks = tick, 0.0, 0
+
+    def __call__(self) -> float:
+        self.looks += 1
+        self.now += 5.0 if self.looks == 2 else self.tick
+        return self.now
+
+
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize(
+    ("left", "runs", "way"),
+    [(0.1, 1, None), (0.1, 50, None), (0.2, 1, plain), (5.9, 1, plain), (6.1, 1, engine.compiled)]
+    + [(0.1, 70, engine.compiled), (0.009, 10**6, None)],
+)
+def test_the_time_that_is_left_says_how_a_run_goes_on(left, runs, way, timed, monkeypatch):
+    """What a tick costs is measured in the first ones, by a clock of the test's own, or known; same messages."""
+    with monkeypatch.context() as usual:
+        wanted = ran(rig(), usual)[0]
+    made: list[Any] = []
+    monkeypatch.setattr(engine, "_texts", [])
+    monkeypatch.setattr(engine, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, plain))
+    clock = Ticking(left / ((500 - 64) if timed else 501))
+    monkeypatch.setattr(engine.time, "thread_time", clock)
+    classes = (Oscillator, Pusher, Watcher) if runs == 1 else (Oscillator, Pusher)
+    monkeypatch.setattr(engine, "_costs", {} if timed else {classes: clock.tick})
+    found = Recording((topic, port.msgtype) for topic, port in rig().topics.items())
+    inprocess.run_inprocess(rig(), rig().scenario.seed, found, runs=runs)
+    assert made == ([way] if way else [])
+    assert engine._costs == {classes: pytest.approx(clock.tick)}
+    assert clock.looks == (130 if timed else 0)
+    assert found.topics == wanted.topics
 
 
 def test_changes_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -467,6 +515,29 @@ def test_scenarios_by_numba(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     the_same(lambda: rig_of(name, duration=KNOWN[name]), monkeypatch, engine.compiled)
 
 
+TWICE = """
+from softrig_core import simulate
+from softrig_core.native import engine
+for name in ("dc_motor_smc", "dc_motor_smc_b6_pid"):  # two texts whose functions have the same names
+    done = simulate(name, duration=0.2, runs=10000)
+    found = engine._texts[0].function.stats
+    print(name, sum(found.cache_hits.values()), [r.number for r in done.results])
+"""
+
+
+@pytest.mark.long
+def test_another_process_takes_native_code_from_the_cache(tmp_path: Path) -> None:
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+
+    def run() -> list[str]:
+        command = [sys.executable, "-c", TWICE]
+        return subprocess.check_output(command, env=environment, text=True, timeout=PATIENCE).splitlines()
+
+    first, second = run(), run()
+    assert [line.split()[1] for line in first + second] == ["0", "0", "1", "1"]
+    assert [line.split(" ", 2)[2] for line in first] == [line.split(" ", 2)[2] for line in second]
+
+
 @pytest.mark.parametrize(
     ("window", "period", "asked"),
     [
@@ -490,12 +561,13 @@ def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked
     assert len(calls) == round(0.3 / period) + 1 + asked
 
 
-def test_long_runs_go_by_one_text_and_short_ones_one_by_one(monkeypatch):
-    made: list[Any] = []
-    monkeypatch.setattr(engine, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, make))
-    monkeypatch.setattr(engine, "WRITTEN", 1_000)
-    for duration in (0.02, 0.05):
-        inprocess.run_inprocess(rig_of("dc_motor_smc", duration=duration), 0)
-    monkeypatch.setenv("SOFTRIG_JIT", "0")
-    inprocess.run_inprocess(rig_of("dc_motor_smc", duration=0.05), 0)
-    assert made == [plain]
+def test_a_run_that_has_begun_in_python_goes_on_natively(monkeypatch):
+    """Also one whose members decide now and then, whose messages are then handed out later."""
+    monkeypatch.setattr(engine, "_costs", {})
+    wanted, found = (
+        ran(rig_of("pv_mppt_certified", duration=0.2), monkeypatch, make, timed=True)
+        for make in (None, lambda text: plain(text))
+    )
+    assert found[0].topics == wanted[0].topics
+    assert found[3].ticks > 100
+    assert found[3].decided

@@ -91,6 +91,7 @@ class Contained:
             get_fully_qualified_name=lambda: f"/{member.name}",
             resolve_topic_name=resolve,
             monitor=Monitor(lambda: None),
+            _parameter_overrides={},
         )
         given = {
             k.removeprefix("run."): v

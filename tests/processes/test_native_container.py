@@ -24,7 +24,8 @@ class Container:
 
     def __init__(self, rig, folder, monkeypatch, make=None):
         self.expected = in_process(rig, 1)
-        monkeypatch.setattr(engine, "unwanted", lambda steps, runs: "")
+        monkeypatch.setattr(engine, "cost", lambda steps: 0.0)
+        monkeypatch.setattr(engine, "unwanted", lambda steps, left, runs: "")
         # its tables are those of numpy all the same
         monkeypatch.setattr(engine, "compiled", make or (lambda text: plain(text)))
         monkeypatch.setattr(engine, "SHORTEST", 50)

@@ -11,6 +11,7 @@ from softrig_bringup.cli import main
 from softrig_core import rig_of, run_processes, simulate
 from softrig_core.processes import processes
 from softrig_core.processes.placement import Listener, Placement
+from test_comeback import fieldbus
 
 pytestmark = [pytest.mark.processes, pytest.mark.long]
 NODES = {"plant": "plant", "source": "source", "gain": {"executable": "gain", "parameters": {"noise": 0.3}}}
@@ -52,6 +53,19 @@ def test_a_node_killed_at_any_tick_comes_back_and_the_bag_is_the_same(seed, kill
     assert len(said) == 1
     assert said[0].startswith(f"node {name} was killed by SIGKILL after t = ")
     assert outcome.status[name]["restarts"] == 1
+    assert not any(status["refused"] for status in outcome.status.values())
+    assert not differences(in_process(rig, 7), outcome.recording)
+
+
+@pytest.mark.parametrize("name", ["plant", "bus", "gain"])
+def test_who_says_or_reads_messages_that_are_late_comes_back(name, killer, tmp_path):
+    """What is counted has its number where nodes come back; the bag has it without."""
+    bus = fieldbus("state", "late_state", delay=0.02, jitter=0.03, loss=0.3)
+    rig = rig_of(make_scenario({**NODES, "gain": "late_gain", "bus": bus}, 100.0))
+    acts = [(rig.end // 10, lambda: killer(name)), (rig.end // 2, lambda: killer("bus"))]
+    outcome = run_processes(rig, 7, tmp_path, Placement(restart=2), Listener(from_then_on(acts)))
+    assert outcome.error == ""
+    assert sum(status.get("restarts", 0) for status in outcome.status.values()) == 2
     assert not any(status["refused"] for status in outcome.status.values())
     assert not differences(in_process(rig, 7), outcome.recording)
 

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from softrig_core.processes.placement import Placement
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument("scenario", nargs="?", default="", help="name or YAML file")
+def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML file") -> None:
+    """Declare the options; `scenario` says what may be named."""
+    parser.add_argument("scenario", nargs="?", default="", help=scenario)
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
         "--like",

@@ -9,9 +9,9 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
-from softrig_core import ScenarioError, list_scenarios
+from softrig_core import ScenarioError
 from softrig_core.command_line import named
-from softrig_core.scenario.scenario_file import locate
+from softrig_core.scenario.scenario_file import find, locate
 from softrig_core.scenario.yaml_file import read_yaml
 
 from ..options.grammar import NUMBER, span, values
@@ -34,7 +34,7 @@ def study_of(options: Namespace) -> Study:
     file = path.suffix in (".yaml", ".yml") and isfile(path)
     if name in list_studies() or (file and "scenario" in (read_yaml(path.read_text(), path.name) or {})):
         return make_study(load_study(name).model_dump() | changes)
-    if not file and name not in list_scenarios():
+    if not file and find(name) is None:
         raise ScenarioError(
             f"{name!r} is neither a study nor a scenario; `softrig study list`, `softrig list` show them"
         )

@@ -44,7 +44,7 @@ def _run_and_look(verb: Verb) -> None:
         "verbs.view_verb:view",
         "look at a run or a bag in the browser, or run a scenario that begins paused there",
     )
-    run_options.arguments(look)
+    run_options.arguments(look, "name or YAML file; or a run: its folder, its bag, or a file of `pack`")
     look.add_argument(
         "--address",
         default="127.0.0.1:0",

@@ -11,8 +11,6 @@ from softrig_core.processes.stopping import stoppable
 
 from ..options.packed import is_pack
 from ..report.redraw import rig_of_run
-from ..view.serve import serve
-from ..view.sources import Recorded
 from . import run_verb
 
 
@@ -27,6 +25,8 @@ def view(options: argparse.Namespace) -> int:
 
 def _recorded(path: Path, address: str) -> int:
     need("bokeh", "view")
+    from ..view.serve import serve
+    from ..view.sources import Recorded
 
     rig, signals = rig_of_run(path)
     directory = path if (path / "metrics.json").is_file() else path.absolute().parent

@@ -135,13 +135,16 @@ class Page:
     def _div(self, name: str, visible: bool = True) -> Div:
         return Div(name=name, visible=visible, sizing_mode="stretch_width", stylesheets=[self._sheet])
 
-    def _button(self, label: str, call: Callable[[], object], name: str = "") -> Button:
-        found = Button(label=label, name=name or label, stylesheets=[self._sheet], width=90)
+    def _button(self, label: str, call: Callable[[], object], name: str = "", width: int | None = 90) -> Button:
+        found = Button(label=label, name=name or label, stylesheets=[self._sheet], width=width)
         found.on_click(call)
         return found
 
     def _press(self, node: str, name: str) -> Button:
-        return self._button(f"{node}: {name}", lambda: self._control.press(self._who, node, name), f"{node}/{name}")
+        def press() -> None:
+            self._control.press(self._who, node, name)
+
+        return self._button(f"{node}: {name}", press, f"{node}/{name}", width=None)  # as wide as its words
 
     def _bar(self) -> list[Any]:
         """Window of time, follow; pause and step where the run can be held."""

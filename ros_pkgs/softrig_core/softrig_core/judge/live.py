@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .arithmetic import Array, Tree
 from .formula import FUTURE, PAST
@@ -29,9 +30,9 @@ class Opened(NamedTuple):
     next: float = 0.0
     """Instants before this one are in `sure`, ns."""
 
-    times: tuple[float, ...] = ()
-    rows: tuple[tuple[Mapping[str, Any], ...], ...] = ()
-    """Samples, truths, late of each."""
+    times: Array = np.empty(0)
+    columns: tuple[Mapping[str, NDArray[Any]], ...] = ({}, {}, {})
+    """Samples, truths and late at each of these; nobody writes into them."""
 
 
 class Live:
@@ -123,12 +124,15 @@ class _Part:
 
     def push(self, x: Opened, t: float, *given: Mapping[str, Any]) -> Opened:
         """Take an instant in."""
-        sure, _, over, after, instants, rows = x
+        sure, _, over, after, before, columns = x
         if over:
             return x
-        instants, rows = (*instants, t), (*rows, given)
-        times = np.array(instants)
-        samples, truths, late = ({n: np.array([row[k][n] for row in rows]) for n in given[k]} for k in range(3))
+        times = np.append(before, t)
+        columns = tuple(
+            {name: np.append(old[name], value) if name in old else np.array([value]) for name, value in new.items()}
+            for old, new in zip(columns, given, strict=True)
+        )
+        samples, truths, late = columns
         record = Record(times, samples, truths=truths, late=late, ended=False)
         values = [record.bounds(tree) for tree in self.trees]
         begin = int(np.searchsorted(times, after))
@@ -146,7 +150,8 @@ class _Part:
             else:
                 value[1] = np.maximum(value[1], held[1])
         gone = int(np.searchsorted(times, after - self.back))
-        return Opened(sure, value, over, after, instants[gone:], rows[gone:])
+        left = tuple({name: values[gone:] for name, values in each.items()} for each in columns)
+        return Opened(sure, value, over, after, times[gone:], left)
 
     def _fold(self, sure: Any, times: Array, values: list[Array], begin: int, end: int) -> Any:
         """Go on from what is sure with the instants from `begin` to before `end`."""

@@ -30,15 +30,17 @@ class Cache:
         Of the function, for people who look into the folder.
     digest : str
         Of all that decides what the code does, save the types of the arguments and the processor.
+    unnamed : tuple of bytes
+        Native code in whose file one of these stands is not kept.
     """
 
-    def __init__(self, name: str, digest: str) -> None:
+    def __init__(self, name: str, digest: str, unnamed: tuple[bytes, ...] = ()) -> None:
         try:
             self.cache_path = str(cache_folder() / "numba")
         except OSError:
             self.cache_path = os.devnull  # no folder: nothing is found and nothing is kept
         self._name = "".join(c if c.isalnum() or c in "._" else "" for c in name)
-        self._digest = digest
+        self._digest, self._unnamed = digest, unnamed
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Give the compiled function; None when the cache does not have it or cannot be read."""
@@ -60,13 +62,16 @@ class Cache:
         # a function among the arguments has no name that holds in another process
         if compiled.library.has_dynamic_globals or "Dispatcher" in str(signature):
             return
+        content = dumps(compiled._reduce())  # type: ignore[no-untyped-call]
+        if any(word in content for word in self._unnamed):
+            return
         path = self._file(signature, compiled.target_context)
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             descriptor, scratch = tempfile.mkstemp(dir=path.parent)
             try:
                 with os.fdopen(descriptor, "wb") as file:
-                    file.write(dumps(compiled._reduce()))  # type: ignore[no-untyped-call]
+                    file.write(content)
                 os.replace(scratch, path)
             except BaseException:
                 os.unlink(scratch)

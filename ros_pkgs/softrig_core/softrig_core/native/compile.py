@@ -53,14 +53,18 @@ def compiled(made: RigText) -> Callable[..., Any]:
         scope[name] = thing
         for token in tokens_of(thing, set()):
             content.update(token.encode())
+    scope["__name__"] = __name__  # numba's cache looks for the module of what it finds
     exec(code_of(made.text, "rig"), scope)
     for name, thing in list(scope.items()):
         if callable(thing) and getattr(thing, "__globals__", None) is scope:
+            # its symbol: two texts from the cache in one process must not share one
+            thing.__qualname__ = f"{name}_{content.hexdigest()[:32]}"
             scope[name] = numba.njit(**options, **({} if name == "rig" else inner))(thing)
     from ..kit._jit_cache import Cache
 
     found: Any = scope["rig"]
-    found._cache = Cache("rig", content.hexdigest())
+    # a class that cannot be imported would be another one in the next process
+    found._cache = Cache("rig", content.hexdigest(), (b"__main__", b"<locals>"))
     return found  # type: ignore[no-any-return]
 
 

@@ -7,7 +7,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import accumulate
@@ -34,9 +34,10 @@ NEVER = -1  # of a time, ns
 SELDOM = 16  # at least so many ticks are native for each that is given up, or the rest stays in Python
 RARE = 8  # ticks of the others for each of a member that Python answers
 PATIENCE = 64  # given up before that is judged
-WORTH = 4_000_000  # answers of members, which take Python some 2 us each: longer than native code is made
-QUICK = 2_000  # the same where it is there already
-WRITTEN = 20_000  # the same for a text that Python runs as it is: longer than it is written
+MAKING = 6.0  # s of Python that have to be left: native code is compiled sooner
+READY = 0.01  # s: the same where it is there already
+WRITING = 0.15  # s: the same for a text that Python runs as it is, which saves less
+ROUND, ROUNDS = 16, 4  # ticks that are timed together, how often: the least is what they cost
 RUNS_A_TEXT = 20  # that ask in vain for each text beyond the first
 LOOK = 64  # ticks in Python between two looks at whether native code may go on
 LATEST = 256  # ticks up to which a state may become what it stays: None until something has come
@@ -78,6 +79,7 @@ class _Kept:
 _texts: list[_Kept] = []
 _refused: dict[Any, str] = {}  # kinds that only go without those of their members that are seldom due, and why
 _counts: dict[Any, tuple[int, int]] = {}  # of each kind: rigs that asked for another text, texts
+_costs: dict[Any, float] = {}  # of a tick in Python, s, by the classes of the blocks: as the first of such rigs took
 
 
 class Engine:
@@ -120,7 +122,7 @@ class Engine:
         self._said: list[tuple[Callable[..., Any], Any, Any]] | None = None  # in a tick that is handed out later
         for s in self.steps if self._deciding else ():
             if s.send is not None:
-                s.send = self._held_back(s.send)
+                s.send, s.say = self._held_back(s.send), s._first_say
         self._cut = False  # whether native code gave up the last tick that it began
         self._smooth = False  # whether all who watch take what is recorded at once
         self._time = self.runner.schedule.time
@@ -129,8 +131,13 @@ class Engine:
         self._keys: list[Any] = []
         self._fits: list[Any] = []
 
-    def run(self) -> Iterator[int | None]:
+    def run(self, first: int = 0) -> Iterator[int | None]:
         """Answer all ticks of a run that has an end; then the steps know what of them was native.
+
+        Parameters
+        ----------
+        first : int
+            As for `Runner.run`.
 
         Yields
         ------
@@ -143,7 +150,7 @@ class Engine:
             As `Runner.run`.
         """
         try:
-            yield from self._run()
+            yield from self._run(first)
         finally:
             self.tell()
 
@@ -157,10 +164,10 @@ class Engine:
             why = "it watches what is recorded" if s in self._watchers else self._aside.get(s.name, reason)
             s.native = s.native[0], why
 
-    def _run(self) -> Iterator[int | None]:
+    def _run(self, k: int) -> Iterator[int | None]:
         assert self.runner.ticks is not None
         last = self.runner.ticks
-        k, failures = 0, 0
+        failures = 0
         fits, fresh = False, True  # whether there is a text, and it is to be looked at again
         while k <= last:
             if k and not self._free():
@@ -693,6 +700,7 @@ def _stamps(step: Step) -> tuple[int, ...]:
     return tuple(getattr(step.said.get(p.name), "stamp", 0) for p in step.outputs if p.delayed)
 
 
+SHORT = "Python is through before native code is made"
 NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, TypeError)  # what gives a tick up
 
 
@@ -709,10 +717,14 @@ def ticks_of(
 ) -> tuple[Iterator[int | None], Callable[[], object]]:
     """Give what answers all ticks of a rig's steps: native code or one text where that pays, else one by one.
 
+    Which it is depends on the time that Python would take (`cost`); messages, reports and errors do not.
+
     Parameters
     ----------
-    steps, runs
-        See `unwanted`.
+    steps : sequence of Step
+        As for `Engine`.
+    runs : int
+        So many such runs are to come.
     alone : callable, optional
         See `Engine`.
 
@@ -723,26 +735,72 @@ def ticks_of(
     tell : callable
         Has the steps know what of them was native so far.
     """
-    endless = "a run without an end" if steps[0].schedule.ticks is None else ""
-    reason = endless or unwanted(steps, runs)
-    for step in steps if reason else ():
-        step.native = 0, reason
-    if reason and (endless or not writes(steps)):
-        return Runner(steps).run(), bool
-    engine = Engine(steps, plain if reason else compiled, alone)
-    return engine.run(), engine.tell
+    runner = Runner(steps)
+    if runner.ticks is None:
+        _say_why(steps, "a run without an end")
+        return runner.run(), bool
+    ticks = runner.ticks
+    engines: list[Engine] = []
+
+    def run() -> Iterator[int | None]:
+        first, tick = 0, cost(steps)
+        if tick is None:
+            first, tick = yield from _timed(runner)
+            if first <= ticks:  # else it was over before one knew
+                _costs[_classes(steps)] = tick
+        left = (ticks + 1 - first) * tick
+        reason = unwanted(steps, left, runs)
+        if reason and not writes(left):
+            _say_why(steps, reason)
+            yield from runner.run(first)
+            return
+        engines.append(Engine(steps, plain if reason else compiled, alone))
+        _say_why(steps, reason)
+        yield from engines[0].run(first)
+
+    def tell() -> None:
+        for engine in engines:
+            engine.tell()
+
+    _say_why(steps, forbidden() or SHORT)
+    return run(), tell
 
 
-def writes(steps: Sequence[Step]) -> bool:
-    """Whether a run is long enough for one text of all its members that Python runs; ``SOFTRIG_JIT=0`` forbids it."""
-    return os.environ.get("SOFTRIG_JIT", "1") != "0" and _answers(steps) > WRITTEN
-
-
-def _answers(steps: Sequence[Step]) -> int:
-    answers = 0
+def _say_why(steps: Sequence[Step], reason: str) -> None:
     for step in steps:
-        answers += (step.schedule.ticks or 0) // step.schedule.every
-    return answers
+        step.native = 0, reason
+
+
+def _classes(steps: Sequence[Step]) -> Any:
+    return tuple(type(s.block) for s in steps)
+
+
+def cost(steps: Sequence[Step]) -> float | None:
+    """Give what a tick of a rig costs in Python, s; None where none of such blocks has run here yet."""
+    return _costs.get(_classes(steps))
+
+
+def _timed(runner: Runner) -> Generator[int | None, None, tuple[int, float]]:
+    """Answer the first ticks one by one; give how many they were, and what one costs, s of this thread."""
+    count, took, spent = 0, [], 0.0
+    began = time.thread_time()
+    for t in runner.run():
+        spent += time.thread_time() - began
+        if t is not None:
+            if count % ROUND == 0:  # the first of them is one tick, in which much is made
+                took.append(spent)
+                spent = 0.0
+            count += 1
+        yield t
+        if count > ROUND * ROUNDS:
+            break
+        began = time.thread_time()
+    return count, min(took[1:], default=0.0) / ROUND
+
+
+def writes(left: float) -> bool:
+    """Whether a run is long enough for one text of all its members that Python runs; ``SOFTRIG_JIT=0`` forbids it."""
+    return os.environ.get("SOFTRIG_JIT", "1") != "0" and left > WRITING
 
 
 def forbidden() -> str:
@@ -752,19 +810,19 @@ def forbidden() -> str:
     return "" if importlib.util.find_spec("numba") else "numba is not installed"
 
 
-def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
+def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:
     """Say why native code is not worth its making, which takes seconds, once; empty where it is.
 
     Parameters
     ----------
     steps : sequence of Step
+    left : float
+        What Python would take for the ticks that are left, s.
     runs : int
         So many such runs are to come.
     """
     if reason := forbidden():
         return reason
-    ticks = _answers(steps)
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
     known = any(kinds == tuple(k[0] for k in kept.kinds[:-3]) for kept in _texts if kept.kinds[-1] is compiled)
-    least = QUICK if known else max(QUICK, WORTH // max(1, runs))
-    return "" if ticks > least else f"{ticks:,} answers a run, native code is worth its making from {least:,} on"
+    return "" if left > READY and (known or left * runs > MAKING) else SHORT

@@ -75,7 +75,7 @@ class Restarts:
             code = child.process.poll()
             if code in (None, 0):
                 continue
-            if code > 0 or counted(child.member) or self.counts.get(child.member.name, 0) >= self.most:
+            if code > 0 or self.counts.get(child.member.name, 0) >= self.most:
                 lost.append(child)
             elif self._stand(child, children):
                 self._restart(children, k, code)
@@ -113,11 +113,4 @@ class Restarts:
         """Say why a node that was killed is not started again; empty where none is."""
         if not self.most:
             return ""
-        if counted(member):
-            return "; it cannot come back: it says or reads messages with acquisition times, which are counted"
         return f"; it was started again {self.counts.get(member.name, 0)} of {self.most} times"
-
-
-def counted(member: Member) -> bool:
-    """Whether a member says or hears what is counted: nobody could tell what is said again from what is said next."""
-    return any(port.delayed for port in member.outputs) or any(link.port.delayed for link in member.links.values())

@@ -31,6 +31,7 @@ from ..seam.endpoint import Input, Output
 from ..seam.health import StatusFile, figures, peak_memory
 from ..seam.hold import Hold
 from ..seam.middleware import Matched, Middleware, other_types
+from ..seam.numbering import Numbering
 from ..seam.tick import TICK, TickWriter
 from .files import Files, read_files
 
@@ -149,7 +150,11 @@ class Adapter:
         for port in self.step.inputs:
             self._subscribe(drive.row(port))
         for output in self.outputs:
-            output.send = middleware.sender(output.port.topic, output.layout, self._noting(output))
+            topic, layout, matched = output.port.topic, output.layout, self._noting(output)
+            if self.links.returns and output.port.delayed:
+                output.send = Numbering(middleware.publisher(topic, layout.msgtype, matched), layout)
+            else:
+                output.send = middleware.sender(topic, layout, matched)
         if self._owns_clock:
             self.clock_output.send = middleware.sender(CLOCK.topic, CLOCK_LAYOUT, self._noting(self.clock_output))
         self._look_for_readers()

@@ -22,6 +22,7 @@ from ...wire.recording import relative
 from ..adapter.adapter import WATCH_PERIOD, Adapter
 from ..adapter.files import Files
 from ..adapter.sender import Sender
+from ..seam.numbering import Numbering
 from .paired import Counted, Pace, Paired, Ticks
 
 Drive = Any  # `lockstep.Lockstep`, which imports this
@@ -45,13 +46,15 @@ class Spoken:
         self.silent = False
         self._kept: list[tuple[Callable[..., None], deque[tuple[Any, ...]]]] = []
         for output in [*node.outputs, *([node.clock_output] if node.links.owns_clock else [])]:
-            # what bears another time than its tick's is counted: nobody could tell that it was there before
-            output.send = self._keeping(output.send, 0 if output.port.delayed else SAID)
+            if isinstance(output.send, Numbering):  # a message has its number for good
+                output.send.publish = self._keeping(output.send.publish)
+            else:
+                output.send = self._keeping(output.send)
         if node.acknowledge is not None:
-            node.acknowledge = self._keeping(node.acknowledge, SAID)
+            node.acknowledge = self._keeping(node.acknowledge)
 
-    def _keeping(self, send: Callable[..., None], most: int) -> Callable[..., None]:
-        kept: deque[tuple[Any, ...]] = deque(maxlen=most)
+    def _keeping(self, send: Callable[..., None]) -> Callable[..., None]:
+        kept: deque[tuple[Any, ...]] = deque(maxlen=SAID)
         self._kept.append((send, kept))
 
         def keep(*message: Any) -> None:
@@ -98,9 +101,9 @@ class _Heard:
             if self._outside:
                 row.record(node.t, self.data[k])
 
-    def rest(self) -> list[bytes]:
-        """Give those that are not used."""
-        return self.data[self.next :]
+    def rest(self) -> Iterator[tuple[int, bytes]]:
+        """Give number and bytes of those that are not used."""
+        return enumerate(self.data[self.next :], self.next)
 
 
 class Comeback:
@@ -183,9 +186,9 @@ class Comeback:
             if row.port.partial:
                 row.decode.kept = node.values[row.name]
         drive.await_tick(node.t)
-        for heard in self._paired.values():
-            for data in [] if isinstance(heard.row, Pace) else heard.rest():
-                heard.row.receive(data)
+        for row, heard in self._paired.items():
+            for k, data in () if isinstance(row, Pace) else heard.rest():
+                row.recall(k, data)
 
     def look(self) -> bool:
         """Learn from the files, as they are now, what was said before this node was known; whether nodes have left."""
@@ -202,7 +205,7 @@ class Comeback:
                     if isinstance(row, Counted) and row.silent:
                         row.told(t, True)
                     if k >= row.received if isinstance(row, Counted) else t > row.used:
-                        row.receive(data)
+                        row.recall(k, data)
             if row.silent or isinstance(row, Pace):
                 row.learn(self._answered(row))
         return bool(new)

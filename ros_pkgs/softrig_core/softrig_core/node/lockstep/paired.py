@@ -13,6 +13,7 @@ from ...rig.options import InputLink
 from ...timebase import SECOND
 from ..adapter.adapter import Adapter
 from ..adapter.sender import Sender
+from ..seam.numbering import numbered, split
 from ..seam.tick import TICK, TickReader
 
 KEEP = object()  # a sporadic sender was silent at a tick
@@ -59,7 +60,8 @@ class PairedSenders:
             row = Newest(node, port)
         else:
             # stamps that are acquisition times, and messages without one, are paired by counting
-            kind = Counted if port.delayed or not port.stamped else Paired
+            late = port.delayed if link is None else link.delayed
+            kind = Counted if late or not port.stamped else Paired
             if link is None:
                 row = kind(self, port, "another node", Schedule(node.schedule.period))
             else:
@@ -263,6 +265,10 @@ class Paired(Sender):
             twice = " (already there)" if self.have else ""
             self.node.refuse(self, f"stamp {got:.9g} s from {self.who}, expected {want:.9g} s{twice}")
 
+    def recall(self, number: int, data: bytes) -> None:
+        """Take the bytes of a message from the record of its sender: its number there, from 0."""
+        self.receive(data)
+
     def spoilt(self, data: bytes) -> None:
         """A controller answers a tick with a bad measurement too; a plant waits for a good command."""
         if not self.node.is_plant:
@@ -326,6 +332,7 @@ class Counted(Paired):
         self._queue: deque[tuple[int, tuple[float, ...] | None, bytes]] = deque()  # None: refused
         self._announced: deque[int] = deque()  # the ticks at which they were sent
         self._told = -1  # the newest tick of which the sender has said whether it has spoken
+        self._behind = self.port.delayed and self.node.links.returns  # its number is behind a message
 
     def resume(self, used: int, reached: int) -> None:
         """See `Paired.resume`."""
@@ -336,6 +343,18 @@ class Counted(Paired):
         """Go on with so many messages used, and those of some ticks told of and still to be heard."""
         self.received = received
         self._announced.extend(announced)
+
+    def receive(self, data: bytes) -> None:
+        """Take the bytes of a message, without the number behind them."""
+        if self._behind and not self.deaf():
+            number, data = split(data)
+            if not self._in_turn(number):
+                return
+        super().receive(data)
+
+    def recall(self, number: int, data: bytes) -> None:
+        """See `Paired.recall`."""
+        self.receive(numbered(number, data) if self._behind else data)
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:
         """Take a message, None for a refused one, at its number."""
@@ -373,11 +392,13 @@ class Counted(Paired):
                 super().came(stamp, values, data, position)
 
     def _in_turn(self, number: int) -> bool:
-        """Whether an array is the next one; one that is repeated is refused, one that is missing ends the run."""
+        """Whether a message is the next one; one that is repeated is refused, one that is missing ends the run."""
         node, expected = self.node, self.received
         if number in (-1, expected):
             return True
-        if number > expected:
+        if number > expected and node.files is not None:
+            pass  # it has come back: those between are in the record of a sender that has, too, or are said again
+        elif number > expected:
             lost = f"{number - expected} lost"
             node.fail(f"{self.port.topic}: number {number} from {self.who}, expected {expected} ({lost})")
         elif not node.links.returns and (number or not node.links.guests):  # else it is said again for somebody else
