@@ -1,14 +1,17 @@
 """Bags that rosbag2 has compressed, file by file or message by message, and what is left of them after a crash."""
 
 import os
+import random
 import sqlite3
 
+import lz4.frame
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 from softrig_bags.cli import main_bag
 from softrig_bags.errors import BagError
+from softrig_bags.mcap_recover import inflate
 from softrig_bags.read import read_bag
 from softrig_bags.reader import BagReader
 from softrig_bags.repair import repair
@@ -105,3 +108,12 @@ def test_what_is_beyond_repair_is_said_in_a_line(tmp_path, capsys, suffix):
     assert said.count("\n") == 1
     assert "not one whole message" in said
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("size", range(65512, 65526))
+def test_a_chunk_that_ends_about_a_piece_is_whole_at_its_limit(size):
+    """It is decompressed in pieces of 65,536 bytes: the end of the stream may come after the last byte of content."""
+    content = random.Random(1).randbytes(size)
+    data = lz4.frame.compress(content)
+    assert inflate(data, "lz4", size) == (content, True)
+    assert inflate(data, "lz4", size - 1) == (content[:-1], False)

@@ -436,8 +436,11 @@ def test_columns_that_say_nothing_are_left_out(make_run):
 
 
 def test_report_shows_parameters_with_units_versions_and_command(make_run):
-    page = Page(make_run() / "report.html")
+    file = make_run() / "report.html"
+    page = Page(file)
     assert page.tags.count("details") == len(BLOCKS)
+    assert all(f"<summary><code>{node}</code>" in file.read_text() for node in BLOCKS)
+    assert " · softrig</title>" in file.read_text()
     assert "Repeat this runsoftrig run flux_demo --set" in page.text  # not by the path of whoever ran it
     for text in ("J0.02 kg m²", "period0.001 s", platform.python_version(), "seed3", "ticks200"):
         assert text in page.text

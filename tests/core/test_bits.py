@@ -114,6 +114,7 @@ def test_sines_and_hypot_of_arrays_are_the_c_librarys_at_every_level(features):
 def test_the_digest_tells_another_math_library(monkeypatch):
     found = bits.math_digest.__wrapped__
     assert found() == found() == bits.math_digest()
+    assert all(low < high for low, high in bits.FUNCTIONS.values())  # its arguments differ
     exact, calls = math.log1p, []
 
     def nearly(x):

@@ -112,6 +112,7 @@ def test_a_slow_sender_is_not_sent_twice():
     changes = [k for k in range(1, 400) if stamps[k] != stamps[k - 1]]
     assert all(k % 10 == 3 for k in changes)
     assert 10 < len(changes) < 30  # half of the forty messages are lost, each as a whole
+    assert not link.reports  # a message that is held is none that comes too late
 
 
 def test_out_of_order_input_is_dropped_and_reported():

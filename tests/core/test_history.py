@@ -220,6 +220,18 @@ def test_limit_holds_in_the_history_too():
     assert delayed(past, 0.3, 0) == pytest.approx(0.25)
 
 
+@jit
+def draining(t, x, past, p, dx):
+    p[0] = min(p[0], x[0])
+    dx[0] = -1.0
+
+
+def test_limit_holds_at_each_stage():
+    past, x, least = trajectory(0.1, 1.0, 0.01), np.array([0.01]), np.array([1.0])
+    integrator(draining, floor)(past, 0.0, x, 0.1, 1, least)
+    assert least[0] == 0.0
+
+
 def test_bits_without_numba():
     code = (
         "import math, sys, numpy as np, test_history as t\n"

@@ -1,5 +1,6 @@
 """Hostile numbers and files: bounds of every parameter, set-ups that fail, absurd lengths, and a short campaign."""
 
+import itertools
 import math
 import re
 import sys
@@ -31,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 
 import driver
 import messages
-from parameters import executables
+from parameters import blocks
 
 import bags
 
@@ -53,7 +54,7 @@ class Size(Block[SizeParams]):
 
 
 def test_every_number_of_every_executable_has_bounds():
-    for package, name, block in executables():
+    for package, name, block in blocks():
         for d in declarations(block.Params):
             if d.type in (int, float):
                 assert d.lower is not None, (package, name, d)
@@ -63,10 +64,10 @@ def test_every_number_of_every_executable_has_bounds():
     assert all(d.upper is not None for d in declarations(RunOptions) if d.type in (int, float))
 
 
-def refusal(model, name, value):
-    """What is said of one value of a parameter; beside an unknown one, so that nothing is worked out of all."""
+def refusal(model, values):
+    """What is said of values of parameters; beside an unknown one, so that nothing is worked out of all."""
     with pytest.raises(ParameterError) as error:
-        build(model, {name: value, "unheard_of": 0})
+        build(model, values | {"?": 0})
     return str(error.value)
 
 
@@ -85,30 +86,45 @@ def edges(model, prefix=""):
 
 def test_every_bound_of_every_executable_holds_at_its_edge():
     """Accepted up to it, refused by name beyond, as declared; what a check of all of them says is no matter here."""
-    models = {block.Params for _, _, block in executables()} | {RunOptions}
+    models = {block.Params for _, _, block in blocks()} | {RunOptions}
     tried = 0
-    for model in models:
-        for name, bound, out, within, whole in edges(model):
-            beyond = bound + out if whole else math.nextafter(bound, out * math.inf)
-            inside = bound - out if whole else math.nextafter(bound, -out * math.inf)
-            wrong = re.compile(rf"parameter {re.escape(name)} = .*: input should be (greater|less) than")
-            assert wrong.search(refusal(model, name, beyond)), (model, name, beyond)
-            assert bool(wrong.search(refusal(model, name, bound))) is not within, (model, name, bound)
-            assert within or not wrong.search(refusal(model, name, inside)), (model, name, inside)
-            assert whole or f"parameter {name} = nan: " in refusal(model, name, math.nan), (model, name)
-            tried += 1
+    for model, out in itertools.product(models, (-1, 1)):
+        found = [edge for edge in edges(model) if edge[2] == out]
+
+        def refused(sign, out=out, found=found, model=model):
+            """Names refused for their range: so many steps beyond the bound, or NaN."""
+            values = {
+                name: bound
+                if sign == 0
+                else bound + sign * out
+                if whole
+                else math.nextafter(bound, sign * out * math.inf)
+                for name, bound, _, _, whole in found
+            }
+            said = refusal(model, values)
+            return set(re.findall(r"parameter ([^ ;]+) = [^;]*: input should be (?:greater|less) than", said))
+
+        names = {edge[0] for edge in found}
+        assert refused(1) == names, (model, out)
+        assert refused(0) == {edge[0] for edge in found if not edge[3]}, (model, out)
+        assert refused(-1) <= names - refused(0), (model, out)
+        floats = {edge[0] for edge in found if not edge[4]}
+        said = refusal(model, dict.fromkeys(floats, math.nan))
+        assert floats == set(re.findall(r"parameter ([^ ;]+) = nan: ", said)), (model, out)
+        tried += len(names)
     assert tried > 300
+    assert RunOptions().duration == 0.0  # by hand a node runs until it is stopped
     for values in ({"seed": 2**63 - 1}, {"seed": 126}, {"duration": 1e9, "timeout": 1e6}):
         assert build(RunOptions, values).model_dump().items() >= values.items()
 
 
 def test_every_choice_of_every_executable_names_its_words():
     tried = 0
-    for model in {block.Params for _, _, block in executables()}:
+    for model in {block.Params for _, _, block in blocks()}:
         for name, field in model.model_fields.items():
             if get_origin(field.annotation) is Literal:
                 words = f"parameter {name} = 'nonsense': input should be {get_args(field.annotation)[0]!r}"
-                assert words in refusal(model, name, "nonsense"), (model, name)
+                assert words in refusal(model, {name: "nonsense"}), (model, name)
                 tried += 1
     assert tried > 30
 
@@ -311,7 +327,7 @@ def test_every_bound_that_a_node_tells_holds_at_its_edge():
         node = Node("edges", context=context, enable_rosout=False, start_parameter_services=False)
         try:
             tried = 0
-            for number_, model in enumerate({block.Params for _, _, block in executables()}):
+            for number_, model in enumerate({block.Params for _, _, block in blocks()}):
                 for d in declarations(model):
                     if not d.live or d.type not in (int, float) or isinstance(d.default, tuple):
                         continue

@@ -72,8 +72,8 @@ def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
              "sem.fastrtps_port7411_mutex", "fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el",
              "fastrtps_port7661", "fastrtps_port7001", "sem.fastrtps_port7001_mutex", "other"]  # fmt: skip
     for name in names:
-        # of what another domain has, a port that is whole stays, one that its maker left half-made goes
-        (tmp_path / name).write_bytes(bytes(8) if "7001" in name else MADE)
+        # of what another domain has, a whole port stays, one that its maker left half-made goes; locks are empty
+        (tmp_path / name).write_bytes(b"" if name.endswith("_el") else bytes(8) if "7001" in name else MADE)
         os.utime(tmp_path / name, (0, 0))
     (tmp_path / "fastrtps_port7002").touch()  # just begun
     os.utime(tmp_path / "fastrtps_00cc_el")  # just made: its owner may be about to lock it

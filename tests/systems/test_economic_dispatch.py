@@ -209,6 +209,8 @@ def test_no_chord_lowered_is_above_the_cost():
                 assert (chord - down <= cost + 1e-9).all()
     assert worst > 1.0
     assert chord_excess(units.table[26], *units.valve_points(26)[:2]) > 1.0
+    # cost p^2 + 10 |sin p|: concave in each arch, whatever the sign of its sine
+    assert [chord_excess((0.0, 9.0, 1.0, 0.0, 0.0, 10.0, 1.0), k * np.pi, (k + 1) * np.pi) for k in range(2)] == [0, 0]
 
 
 def test_the_bound_holds_for_random_units():
