@@ -217,6 +217,16 @@ def changed(draw: st.DrawFn, names: tuple[str, ...]) -> Scenario:
     return found
 
 
+def test_a_text_made_elsewhere_is_in_the_report() -> None:
+    """A reason that a method is handed, and puts into what it reports: the tick is Python's."""
+    held(scenario("rectifier_mpc_l1", changes=[{"at": 0.0015625, "set": {"gpc_controller.set_point": 600.0}}]))
+
+
+def test_an_array_that_has_grown_joins_the_one_before() -> None:
+    fault = {"link": "axis/state", "from": 0.5, "kind": "delay", "delay": 0.03}
+    held(scenario("dc_motor_fsfb_s1", faults={"fault": fault}), typed)
+
+
 @given(changed(SOME))
 @settings(max_examples=6, deadline=None, derandomize=True)
 def test_what_changes_while_it_runs(case: Scenario) -> None:

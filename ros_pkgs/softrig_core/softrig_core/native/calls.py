@@ -40,6 +40,7 @@ from .value import (
     Static,
     Value,
     computed,
+    is_made_text,
     is_sure,
     kind_of,
     sample_of,
@@ -190,7 +191,10 @@ class Calls(Expressions):
         reports, parts = self.program.reports, wording(node.args[2]) if len(node.args) == 3 else None
         if reports is None or parts is None or node.keywords:
             raise GivesUp("a report whose text is not written out")
-        level, key = (self.program.guard(v) for v in map(self.value, node.args[:2]) if isinstance(v, Static))
+        head = [self.value(a) for a in node.args[:2]]
+        if any(is_made_text(v) or not isinstance(v, Static) for v in head):
+            raise GivesUp("a report whose level or key is made in the tick")
+        level, key = (self.program.guard(v) for v in head if isinstance(v, Static))
         numbers: list[str] = []
         made_of = [p if isinstance(p, str) else (self._shown(self.value(p.value), numbers, node), p) for p in parts]
 
@@ -209,6 +213,8 @@ class Calls(Expressions):
 
     def _shown(self, value: Value, numbers: list[str], node: ast.AST) -> Callable[[Sequence[float]], Any]:
         """Give what makes a value of the numbers that are kept of it."""
+        if is_made_text(value):
+            raise self.unknown("a report of a text that is made elsewhere", node)
         if isinstance(value, Static) and not (
             value.path is not None and isinstance(value.value, (*NUMBERS, tuple, list))
         ):

@@ -25,6 +25,7 @@ from .translate import (
 )
 from .twins import class_of
 from .value import (
+    MADE_TEXT,
     NONE,
     UNKNOWN,
     Dynamic,
@@ -56,7 +57,7 @@ class Expressions(Ways):
         return Static(node.value)
 
     def _value_joinedstr(self, node: ast.JoinedStr) -> Value:
-        return Static("")
+        return MADE_TEXT
 
     def _value_name(self, node: ast.Name) -> Value:
         if node.id in self.env:

@@ -67,6 +67,7 @@ class Record:
 
 Value = Static | Dynamic | Group | Record
 NONE = Static(None)
+MADE_TEXT = Static("a text that is made in a tick")  # any of them: native code has no texts
 
 
 def sample_of(value: Value) -> Any:
@@ -101,6 +102,11 @@ def computed(function: Callable[..., Any], *values: Any) -> Any:
 
 def _unknown(value: Any) -> bool:
     return value is UNKNOWN or (type(value) is tuple and any(_unknown(v) for v in value))
+
+
+def is_made_text(value: Value) -> bool:
+    """Whether a value stands for a text that is made in a tick."""
+    return isinstance(value, Static) and value.value is MADE_TEXT.value
 
 
 def forms(value: Dynamic) -> Any:

@@ -314,7 +314,7 @@ class Ways:
         return env
 
     def _join(self, name: str, a: Value, b: Value, then: list[str], orelse: list[str], taken: Any) -> Value | None:
-        if a is b or a == b or (isinstance(a, Static) and isinstance(b, Static) and a.value is b.value):
+        if a is b or _same(a, b) or (isinstance(a, Static) and isinstance(b, Static) and a.value is b.value):
             return a
         if isinstance(a, Group) and isinstance(b, Group) and len(a.items) == len(b.items):
             parts = [
@@ -392,6 +392,14 @@ def _plain(value: Any) -> Any:
         return as_slot(value)
     except NotNative:
         return value
+
+
+def _same(a: Value, b: Value) -> bool:
+    """Whether two values are one; those with arrays in their samples count as two."""
+    try:
+        return a == b
+    except ValueError:
+        return False
 
 
 def alike(a: Any, b: Any) -> bool:
