@@ -207,6 +207,24 @@ def test_a_row_tells_how_to_repeat_its_run(folder, undrawn):
     assert "k 2.5" in page
 
 
+def test_a_shared_value_is_a_parameter_of_a_study(folder):
+    text = LAG.replace("nodes:", "shared: {k: 2.0}\nnodes:", 1)
+    text = text.replace("executable: gain}", "executable: gain, parameters: {k: $k}}", 1)
+    (folder / "scenarios" / "lag.yaml").write_text(text)
+    rows = rows_of(study(grid={"k": [1.0, 2.0]}, duration=0.25), folder / "shared")
+    singly = rows_of(study(grid={"gain.k": [1.0, 2.0]}, duration=0.25), folder / "singly")
+    assert [r["figures"] for r in rows] == [r["figures"] for r in singly]
+    assert rows[0]["figures"] != rows[1]["figures"]
+
+
+def test_each_study_reads_its_scenario_anew(folder):
+    first, again = (rows_of(study(), folder / name) for name in ("first", "again"))
+    (folder / "scenarios" / "lag.yaml").write_text(LAG.replace("  last:", "  end:") + "seed: 5\n")
+    changed = rows_of(study(), folder / "changed")
+    assert again[0]["figures"] == first[0]["figures"]
+    assert (changed[0]["seed"], changed[0]["figures"]) == (5, {"end": first[0]["figures"]["last"], "never": None})
+
+
 def test_a_run_that_breaks_is_a_row_with_its_reason(folder, capsys, undrawn):
     assert main(["study", "lag_breaks", "--grid", "plant.gain=1,2", "--workers", "1", "--out", "out"]) == 3
     rows = [json.loads(line) for line in (folder / "out" / "rows.jsonl").read_text().splitlines()]

@@ -15,7 +15,7 @@ from softrig_core.guard import naming, say
 from softrig_optim.sweep import Workers, progress
 
 from .draw import Case
-from .work import Work, run, seed_of
+from .work import Work, run
 
 
 class Batch:
@@ -191,7 +191,6 @@ def _row(line: bytes) -> dict[str, Any] | None:
 
 
 def _content(run: Mapping[str, Any]) -> bytes:
-    """Give a digest of what a run is; a case without a seed of its own has that of its scenario."""
-    seed = seed_of(run["scenario"]) if run["seed"] is None else run["seed"]
-    what = json.dumps([run["scenario"], run["case"], seed, run["overrides"]])
+    """Give a digest of what a run is."""
+    what = json.dumps([run["scenario"], run["case"], run["seed"], run["overrides"]])
     return hashlib.blake2b(what.encode(), digest_size=16).digest()

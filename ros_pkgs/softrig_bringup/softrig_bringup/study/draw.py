@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core import load_scenario
 
 from .definition import Distribution, Draws, Study
 
@@ -21,17 +22,17 @@ class Case(NamedTuple):
     scenario: str
     case: str
     overrides: dict[str, Any]
-    seed: int | None
+    seed: int
 
 
 def cases(study: Study) -> Iterator[Case]:
     """Give the runs of a study one by one: cases outermost, then grid, draws, seeds."""
     number = 0
     points = draw(study.draws) if study.draws else [{}]
-    seeds: list[int | None] = [*study.seeds] if study.seeds else [None]
     for name, changes in (study.cases or {"": {}}).items():
         own = dict(changes)
         scenario = own.pop("scenario", study.scenario)
+        seeds = study.seeds or [load_scenario(scenario).seed]
         for values in itertools.product(*study.grid.values()):
             at = dict(zip(study.grid, values, strict=True))
             for point in points:

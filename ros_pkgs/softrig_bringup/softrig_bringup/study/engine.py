@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from softrig_core import ScenarioError, figures_of, rig_of
+from softrig_core import ScenarioError, figures_of, load_scenario, rig_of
 from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.judge.expectation import Expectation
@@ -117,7 +117,7 @@ def _check(study: Study) -> None:
 
 def _first(study: Study, search: Search) -> Iterator[Case]:
     middle = {name: _suggest_middle(d) for name, d in search.parameters.items()}
-    yield Case(0, study.scenario, "", middle, None)
+    yield Case(0, study.scenario, "", middle, load_scenario(study.scenario).seed)
 
 
 def _suggest_middle(d: Any) -> Any:
@@ -137,7 +137,7 @@ def _search(study: Study, search: Search, batch: Batch) -> None:
     direction: Literal["minimize", "maximize"] = "minimize" if search.aim == "minimise" else "maximize"
     asked = optuna.create_study(direction=direction, sampler=samplers[search.sampler]())
     space = {name: _optuna(name, d) for name, d in search.parameters.items()}
-    seeds: list[int | None] = [*study.seeds] if study.seeds else [None]
+    seeds = study.seeds or [load_scenario(study.scenario).seed]
     worst = math.inf if search.aim == "minimise" else -math.inf
     for start in range(0, search.count, search.batch):
         trials = [asked.ask(space) for _ in range(min(search.batch, search.count - start))]

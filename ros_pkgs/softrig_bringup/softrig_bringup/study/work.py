@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Mapping
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import SECOND, Run, RunError, Scenario, ScenarioError, load_scenario, simulate
+from softrig_core import SECOND, Run, RunError, Scenario, ScenarioError, simulate
 
 from .draw import Case
 
@@ -51,17 +50,6 @@ def trial(
     return Work(case, figures=tuple(requirements), runs=runs, scenario=scenario, margins=True)
 
 
-@lru_cache(maxsize=64)
-def _scenario(name: str) -> Scenario:
-    """Give a scenario, read once."""
-    return load_scenario(name)
-
-
-def seed_of(scenario: str) -> int:
-    """Give the seed of a scenario."""
-    return _scenario(scenario).seed
-
-
 def run(work: Work) -> dict[str, Any]:
     """Run one case in this process and give its row; a run that broke gives a row with its error.
 
@@ -73,18 +61,16 @@ def run(work: Work) -> dict[str, Any]:
         Bad input: no run of such a study can work.
     """
     case = work.case
-    seed = seed_of(case.scenario) if case.seed is None else case.seed
     row = case._asdict() | {
-        "seed": seed,
         "figures": dict.fromkeys(work.figures if work.margins else ()),
         "passed": False,
         "error": "",
     }
     started = time.perf_counter()
     try:
-        done = simulate(
-            work.scenario or _scenario(case.scenario),
-            seed=seed,
+        done = simulate(  # by its name: a shared value can be changed only before the file is filled with it
+            work.scenario or case.scenario,
+            seed=case.seed,
             duration=work.duration,
             overrides=case.overrides,
             runs=work.runs,
