@@ -276,7 +276,8 @@ class Expressions(Ways):
             sample = x.sample
         if isinstance(sample, np.ndarray):
             raise self.unknown("arithmetic of whole arrays", node)
-        if text == "*" and all(isinstance(v, int) and not isinstance(v, bool) for v in (x.sample, y.sample)):
+        whole = all(isinstance(v, int) and not isinstance(v, bool) for v in (x.sample, y.sample))
+        if text == "*" and whole and self.program.typed:
             self.program.words.add("times_")
             return Dynamic(f"times_({x.code}, {y.code})", sample)
         return Dynamic(f"({x.code} {text} {y.code})", sample, is_sure(x) and is_sure(y))
