@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 
+from ..seam.awaited import Awaited
 from ..seam.endpoint import Input, Output
 from ..seam.middleware import Peer, other_types
-from ..seam.recorders import Recorders
 from .adapter import Adapter
 
 CHECK = 1_000_000_000 // 50  # ns between two checks
@@ -49,7 +49,7 @@ class Handshake:
         self.lacking: list[str] = []
         self.missing: list[str] = []
         alone = not node.options.links  # in a domain where others live, as what is launched is
-        self._recorders = Recorders(node.middleware, node.links.recorders) if alone or node.links.public else None
+        self._awaited = Awaited(node.middleware, node.links.recorders) if alone or node.links.public else None
 
     def absent(self) -> list[str]:
         """Describe the peers that are not there yet; nothing when the node may begin."""
@@ -66,7 +66,7 @@ class Handshake:
             found += [(o.topic, peer.name) for o, _ in self._wanted if o.topic in topics]
         for output, known in self._wanted:
             names = known + [name for topic, name in found if topic == output.topic and name not in known]
-            names += self._recorders.of(output.topic) if self._recorders else []
+            names += self._awaited.of(output.topic) if self._awaited else []
             there = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
             there = [name for name in there if name not in self._local]
             unmatched = [name for name in names if name not in there]
