@@ -123,7 +123,8 @@ class Engine:
         self._said: list[tuple[Callable[..., Any], Any, Any]] | None = None  # in a tick that is handed out later
         for s in self.steps if self._deciding else ():
             if s.send is not None:
-                s.send, s.say = self._held_back(s.send), s._first_say
+                s.send = self._held_back(s.send)
+                s.make_anew()
         self._cut = False  # whether native code gave up the last tick that it began
         self._smooth = False  # whether all who watch take what is recorded at once
         self._time = self.runner.schedule.time

@@ -85,7 +85,7 @@ class Expressions(Ways):
             if key is None:
                 more = self.value(one)
                 if isinstance(more, Dynamic) and more.keys is not None:
-                    more = self._unfolded(more)
+                    more = self.unfolded(more)
                 if not isinstance(more, Record):
                     raise self.unknown("a mapping that is not written out", node)
                 items |= more.items
@@ -146,7 +146,7 @@ class Expressions(Ways):
     def item(self, base: Value, index: Value, node: ast.AST) -> Value:
         """Read an item."""
         if isinstance(base, Dynamic) and base.keys is not None:
-            base = self._unfolded(base)
+            base = self.unfolded(base)
         if isinstance(index, Static):
             key = index.value
             if isinstance(base, Record):

@@ -364,7 +364,7 @@ def _answered(
             x = writer.dynamic(first)
             writer.emit(f"y{k} = {x.code}")
         if isinstance(value, Dynamic) and value.keys is not None:
-            value = writer._unfolded(value)
+            value = writer.unfolded(value)
         numbers: list[str] = []
         stamps: list[str] = []
         found: Any = value.items if isinstance(value, Record) else {}

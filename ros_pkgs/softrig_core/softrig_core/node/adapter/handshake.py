@@ -49,7 +49,7 @@ class Handshake:
         self.lacking: list[str] = []
         self.missing: list[str] = []
         alone = not node.options.links  # in a domain where others live, as what is launched is
-        self._awaited = Awaited(node.middleware, node.links.recorders) if alone or node.links.public else None
+        self._recorders = Awaited(node.middleware, node.links.recorders) if alone or node.links.public else None
 
     def absent(self) -> list[str]:
         """Describe the peers that are not there yet; nothing when the node may begin."""
@@ -66,7 +66,7 @@ class Handshake:
             found += [(o.topic, peer.name) for o, _ in self._wanted if o.topic in topics]
         for output, known in self._wanted:
             names = known + [name for topic, name in found if topic == output.topic and name not in known]
-            names += self._awaited.of(output.topic) if self._awaited else []
+            names += self._recorders.of(output.topic) if self._recorders else []
             there = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
             there = [name for name in there if name not in self._local]
             unmatched = [name for name in names if name not in there]
