@@ -84,6 +84,11 @@ class Jit:
         """Call with positional arguments."""
         return self._run(*arguments)
 
+    @property
+    def direct(self) -> Callable[..., Any]:
+        """What a call comes to, from the first one on; before it the object itself."""
+        return self if self._run == self._first else self._run
+
     def _first(self, *arguments: Any) -> Any:
         if os.environ.get("SOFTRIG_JIT", "1") == "0" or (numba := our_numba()) is None:
             self._run = self.py_func

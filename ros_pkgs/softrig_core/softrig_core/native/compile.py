@@ -82,7 +82,9 @@ def plain(made: RigText) -> Callable[..., Any]:
     scope = {"same_": same, "sum_of_products": sum_of_products, **BASE, **OWN, **names}
     exec(code_of(made.text, "rig"), scope)
     for name, thing in names.items():
-        if isinstance(thing, Compiled):
+        if isinstance(thing, Jit):
+            scope[name] = thing.direct
+        elif isinstance(thing, Compiled):
             scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)
     return scope["rig"]  # type: ignore[no-any-return]
 
