@@ -25,7 +25,7 @@ from softrig_bringup.options.grammar import values
 from softrig_bringup.study import pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
-from softrig_bringup.study.draw import cases, count, draw, drafts_of
+from softrig_bringup.study.draw import cases, count, drafts_of, draw
 from softrig_bringup.study.engine import _check, run_study
 from softrig_bringup.study.options import folder_name, study_of
 from softrig_bringup.study.page import best
