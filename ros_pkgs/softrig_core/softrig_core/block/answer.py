@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Row = tuple[float, ...] | Sample  # what an output says at a tick
+MAPPINGS = (dict, Mapping)  # the first is told at once
 
 
 def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
@@ -42,7 +43,7 @@ def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
     try:
         given: Any = found[port.name]
     except (KeyError, TypeError):
-        if port.sporadic and isinstance(found, dict | Mapping):  # the first is told at once
+        if port.sporadic and isinstance(found, MAPPINGS):
             return None
         raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s") from None
     if type(given) is tuple and len(given) == port.size and usual(given, port.bound):  # nearly always
