@@ -11,8 +11,8 @@ from conftest import differences, in_process, make_scenario
 from simulated import Discovery, SimulatedNode, SimulatedRig, SimulatedTimer, World, some
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
+from softrig_core.node.seam.awaited import RECORDER, left_out
 from softrig_core.node.seam.endpoint import Output
-from softrig_core.node.seam.recorders import RECORDER, left_out
 from softrig_core.node.seam.tick import TICK
 from softrig_core.processes.supervision import blamed
 from test_ports import RIGS as PORT_RIGS

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 
+from ..seam.awaited import Awaited
 from ..seam.endpoint import Input, Output
 from ..seam.middleware import Peer, other_types
-from ..seam.recorders import Recorders
 from .adapter import Adapter
 
 CHECK = 1_000_000_000 // 50  # ns between two checks
@@ -49,7 +49,7 @@ class Handshake:
         self.lacking: list[str] = []
         self.missing: list[str] = []
         alone = not node.options.links  # in a domain where others live, as what is launched is
-        self._recorders = Recorders(node.middleware, node.links.recorders) if alone or node.links.public else None
+        self._recorders = Awaited(node.middleware, node.links.recorders) if alone or node.links.public else None
 
     def absent(self) -> list[str]:
         """Describe the peers that are not there yet; nothing when the node may begin."""
