@@ -138,10 +138,10 @@ def distortion(
 def _first_cycle(signals: SignalMap, axis: str, cycle: float) -> Array:
     """One component of the generator's voltage over the first cycle."""
     t, x = signals[f"pulses/voltage/{axis}"]
-    samples = round(cycle / (t[1] - t[0]))
-    if x.size < samples:
-        raise ValueError(f"pulses/voltage has {x.size} samples, a cycle is {samples}")
-    return x[:samples]
+    half = 0.5 * float(t[1] - t[0])  # stamps are whole ns: no sample is counted that is nearer to the next cycle
+    if t[-1] < cycle - 3.0 * half:
+        raise ValueError(f"pulses/voltage is recorded to {t[-1]:g} s, a cycle lasts {cycle:g} s")
+    return x[: int(np.searchsorted(t, cycle - half))]
 
 
 @figure("%", ("pulses/voltage/x", "pulses/voltage/y"), CYCLE)
