@@ -420,7 +420,8 @@ def wanted(rig):
             yield ("formulas", name), value
     plants = [m.name for m in rig.members if m.is_plant]
     for monitor in (m for m in rig.members if issubclass(m.block_class, Observer) and m.executable != "figures"):
-        for name in set(nodes.all[monitor.name]) - set(OWN):
+        own = set(OWN) | ({"inertia"} if nodes.all[monitor.name].get("problem") != "spacecraft" else set())  # unused
+        for name in set(nodes.all[monitor.name]) - own:
             yield from (((monitor.name, name), nodes.all[p][name]) for p in plants if name in nodes.all[p])
 
 
@@ -484,7 +485,9 @@ def changes(rig):
     parts = list({id(part): part for part in group.values()}.values())
     values |= rig.scenario.shared
 
-    def beside(name, share):  # periods are multiples of each other
+    def beside(name, share):  # periods are multiples of each other; a cycle is not longer than its record
+        if name.endswith("command_period"):
+            return 0.5 * values[name]
         return 2.0 * values[name] if name.endswith("period") else nudged(values[name], share)
 
     moved = [{n: beside(n, 0.01 + 1e-5 * k) for n in sorted(names)} for k, names in enumerate(parts)]
@@ -498,13 +501,13 @@ def held_against_the_nodes(scenario):
     -------
     moved : set of (figure, argument)
         What has been seen to follow.
-    refused : list of str
+    refused : dict of str to str
         What cannot be changed alone, and why.
     speakers : dict of str to set of str
         Common quantities, and the parameters that move them.
     """
     rig = rig_of(scenario)
-    before, moved, refused = dict(wanted(rig)), set(), []
+    before, moved, refused = dict(wanted(rig)), set(), {}
 
     def judge(parts):
         over = {name: value for part in parts for name, value in part.items()}
@@ -515,7 +518,7 @@ def held_against_the_nodes(scenario):
             found = dict(had(other))
         except ScenarioError as error:
             if len(parts) == 1:
-                refused.append(f"{over}: {error}")
+                refused.update(dict.fromkeys(over, str(error)))
             else:
                 judge(parts[: len(parts) // 2])
                 judge(parts[len(parts) // 2 :])
@@ -539,11 +542,12 @@ def follows(scenario):
     shared = raw(scenario).get("shared") or {}
     for figure, entry in (raw(scenario).get("figures") or {}).items():
         agreed = getattr(find(entry.get("function") or figure), "agreed", {})
-        asked = [k for k, quantity in agreed.items() if quantity in speakers]
+        asked = {k: speakers[quantity] for k, quantity in agreed.items() if quantity in speakers}
         for k, given in (entry.get("arguments") or {}).items():
             value, _ = followed(given, shared)
-            asked += [k] if isinstance(value, str) and re.fullmatch(r"\$\w+\.[\w.]+", value) else []
-        stuck = [k for k in asked if (figure, k) not in moved]
+            if isinstance(value, str) and re.fullmatch(r"\$\w+\.[\w.]+", value):
+                asked[k] = {re.sub(r"\.\d+$", "", value[1:])}  # an element of a list: the list
+        stuck = [k for k, names in asked.items() if (figure, k) not in moved and not names <= set(refused)]
         assert not stuck, f"{scenario}: {figure}: nothing moves {stuck}; refused: {refused}"
 
 
@@ -665,7 +669,7 @@ RECORDED = {  # scenario: functions that must move there with what they take
     "fault_location_m4k": {"fault_location_error", "fault_location_error_percent"},
     "gupfc": {"gupfc_drift"},
     "gupfc_s2": set(),  # gupfc_distortion takes a frequency that the pulses fix
-    "gupfc_s5": {"gupfc_voltage_harmonic", "gupfc_voltage_levels"},
+    "gupfc_s5": {"gupfc_voltage_harmonic"},  # half a cycle has all levels
     "induction_dtc_s2": {"dtc_converter_error"},
     "lsrm_fuzzy_1khz": {"lsrm_mean_force", "lsrm_force_ripple"},
     "pv_mppt_switched": {"pv_gmpp", "pv_efficiency"},
