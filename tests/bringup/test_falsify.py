@@ -356,4 +356,5 @@ def test_a_scenario_without_requirements_says_what_it_needs(tmp_path, capsys):
         (next(n for n in scenario.figures if n not in scenario.expect), "no expectation"),
     ):
         assert main([*asked, name]) == 2
-        assert f"figure {name} has {why}, no bound that a run could violate; it needs an entry" in capsys.readouterr().err
+        told = capsys.readouterr().err
+        assert f"figure {name} has {why}, no bound that a run could violate; it needs an entry" in told
