@@ -28,7 +28,7 @@ def theme(name: str) -> dict[str, Any]:
                  "major_label_text_font_size": "11px", "axis_label_text_font_size": "12px"},
         "Title": {**text, "text_font_size": "13px", "text_font_style": "bold"},
         "Legend": {"label_text_color": ink, "label_text_font_size": "11px", "background_fill_alpha": 0.0,
-                   "border_line_alpha": 0.0, "spacing": 0, "padding": 2, "glyph_height": 14},
+                   "border_line_alpha": 0.0, "spacing": 8, "padding": 2, "glyph_height": 14},
     }}  # fmt: skip
 
 

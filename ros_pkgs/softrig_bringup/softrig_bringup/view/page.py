@@ -413,6 +413,7 @@ class Page:
             words.figures(results, so_far),
             words.health(source.status),
             words.log(control.said),
+            words.head(source, self._how, control),
             tuple(repr(k.value) for k in control.knobs.values()),
             control.held,
             control.pace,
@@ -439,7 +440,7 @@ class Page:
             self._hold.label = "resume" if control.held else "pause"
             if control.pace is not None:
                 self._pace.value = _pace(control.pace)
-        self._head.text = words.head(source, self._how, control)
+        self._head.text = texts[3]
         return True
 
 

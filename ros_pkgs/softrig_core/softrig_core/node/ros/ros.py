@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from ast import literal_eval
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from functools import wraps
@@ -21,12 +21,12 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter, get_parameter_value
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from yaml import YAMLError
 
 from ...block.block import Level
-from ...errors import RunError
+from ...errors import RunError, closest
 from ...processes.shared_memory import Ears, domain_id
 from ...wire.cdr import Layout
 from ..seam.middleware import Matched, Middleware, Peer, Receive, Send
@@ -156,6 +156,10 @@ class ServingNode(Node):  # type: ignore[misc]
             text = f"more is set than fits between the ticks, expected a pause of {wait:.1f} s"
             return SetParametersResult(successful=False, reason=text)
         now = {p.name: self._parameters[p.name] for p in wanted if p.name in self._parameters}
+        strange = next((p.name for p in wanted if p.name not in self._descriptors), None)
+        if strange is not None:  # rclpy would not name it
+            reason = f"{strange} is no parameter of {self.get_name()}{closest(strange, self._descriptors)}"
+            return SetParametersResult(successful=False, reason=reason)
         new = [p for p in wanted if p.name not in now or now[p.name].type_ != p.type_ or plain(now[p.name]) != plain(p)]
         self.remark = ""
         result = self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
@@ -193,6 +197,10 @@ def guessed(value: Any) -> Any:
     with suppress(YAMLError, AssertionError):
         return get_parameter_value(str(value))
     return None
+
+
+def _peer(endpoint: Mapping[str, Any]) -> Peer:
+    return Peer(endpoint["node_name"], endpoint["node_namespace"], endpoint["topic_type"])
 
 
 Arguments = ParamSpec("Arguments")
@@ -413,17 +421,27 @@ class RosMiddleware(Middleware):
 
     def publishers(self, topic: str) -> list[Peer]:
         """Writers of a topic, as the graph shows them."""
-        return self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)
+        return [_peer(i) for i in self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)]
 
     def subscribers(self, topic: str) -> list[Peer]:
         """Readers of a topic, as the graph shows them."""
-        return self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic)
+        return [_peer(i) for i in self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic)]
 
-    def _endpoints(self, ask: Callable[..., list[dict[str, Any]]], topic: str) -> list[Peer]:
+    def unfit(self, topic: str, msgtype: str) -> list[tuple[str, str]]:
+        """Name the readers of a topic of ours that ask for more than it offers."""
+        writers = self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)
+        offered = [QoSProfile(**i["qos_profile"]) for i in writers if _peer(i).full_name == self.full_name]
+        found = []
+        for reader in self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic) if offered else ():
+            fits, why = qos_check_compatible(offered[0], QoSProfile(**reader["qos_profile"]))
+            if fits == QoSCompatibility.ERROR and reader["topic_type"] == msgtype:
+                found.append((_peer(reader).name, str(why).replace("ERROR: ", "").strip("; ")))
+        return found
+
+    def _endpoints(self, ask: Callable[..., list[dict[str, Any]]], topic: str) -> list[dict[str, Any]]:
         # rclpy's own method would apply this node's remaps to a name that is one already
         with self.node.handle:
-            found = ask(self.node.handle, topic, False)
-        return [Peer(i["node_name"], i["node_namespace"], i["topic_type"]) for i in found]
+            return ask(self.node.handle, topic, False)
 
     def subscriptions_of(self, peer: Peer) -> list[str]:
         """Topics that a node reads."""
