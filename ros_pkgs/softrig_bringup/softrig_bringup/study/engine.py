@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from softrig_core import ScenarioError, figures_of, load_scenario, rig_of
+from softrig_core import Scenario, ScenarioError, figures_of, load_scenario, rig_of
 from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.judge.expectation import Expectation
@@ -58,13 +58,26 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
                 if study.search:
                     _search(study, study.search, batch)
                 else:
-                    deque(batch.run(_work(study, case) for case in cases(study)), 0)
+                    read: dict[str, Scenario] = {}
+                    deque(batch.run(_work(study, case, _as_read(case, read)) for case in cases(study)), 0)
             return log
         finally:
             folder.close()
 
 
-def _work(study: Study, case: Case) -> Work:
+def _as_read(case: Case, read: dict[str, Scenario]) -> Scenario | None:
+    """Give the scenario of a case, read once for the study, where only parameters of its nodes are others.
+
+    Shared values are filled in as the file is read, so that they can be changed only before: None for these.
+    """
+    if case.scenario not in read:
+        read[case.scenario] = load_scenario(case.scenario)
+    nodes = read[case.scenario].nodes
+    parameters = (key.partition(".") for key in case.overrides)
+    return read[case.scenario] if all(node in nodes and name for node, _, name in parameters) else None
+
+
+def _work(study: Study, case: Case, scenario: Scenario | None = None) -> Work:
     sought = (study.search.figure, *study.search.subject_to) if study.search and study.figures else ()
     return Work(
         case,
@@ -73,6 +86,7 @@ def _work(study: Study, case: Case) -> Work:
         tuple(study.signals),
         study.samples,
         count(study) // max(1, len(study.cases)),
+        scenario,
     )
 
 

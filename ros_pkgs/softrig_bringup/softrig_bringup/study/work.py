@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import SECOND, Run, RunError, Scenario, ScenarioError, simulate
+from softrig_core import SECOND, Run, RunError, Scenario, ScenarioError, evaluate, simulate
 
 from .draw import Case
 
@@ -27,7 +27,7 @@ class Work(NamedTuple):
     runs : int
         So many of the kind are to come, in all workers.
     scenario : Scenario, optional
-        Where it is none that the case could name.
+        Where it is none that the case could name, or need not be read again.
     margins : bool
         Whether of `figures`, requirements or figures of which a bound is expected, the margins are wanted.
     """
@@ -132,8 +132,9 @@ def _figures(done: Run, work: Work) -> dict[str, Any]:
     } | ({"signals": sampled} if sampled else {})
 
 
-def _margins(done: Run, names: Iterable[str]) -> dict[str, Any]:
-    found, scenario = {r.name: r for r in done.results}, done.rig.scenario
+def _margins(done: Run, names: Collection[str]) -> dict[str, Any]:
+    wanted = [f for f in done.wanted or () if f.name in names]  # a search asks for these alone
+    found, scenario = {r.name: r for r in evaluate(done.rig, done.signals, wanted)}, done.rig.scenario
     margins: dict[str, float | None] = {}
     error = ""
     for name in names:

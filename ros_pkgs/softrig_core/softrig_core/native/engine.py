@@ -523,14 +523,16 @@ class Engine:
 
     def _hand_out(self, first: int, last: int, rows: dict[int, Answers]) -> None:
         """Hand out what the steps have said to those who record it."""
+        times: dict[tuple[Any, range], Any] = {}
         for s in self._core:
             own = self._own(s, first, last)
             if not own:
                 continue
             if s.send_all is not None:
-                times = s.schedule.times(own.start, own.stop)
-                numbers = np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0))
-                s.send_all(times, numbers, *(() if s.plain else (np.asarray(rows[id(s)].stamps, np.int64),)))
+                if (ticks := (s.schedule.period, own)) not in times:
+                    times[ticks] = s.schedule.times(own.start, own.stop)
+                numbers = np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(own), 0))
+                s.send_all(times[ticks], numbers, *(() if s.plain else (np.asarray(rows[id(s)].stamps, np.int64),)))
             elif s.send is not None and s.outputs:
                 for number, row, z in zip(own, *rows[id(s)].listed(), strict=True):
                     said = _parted(s, tuple(row), z)

@@ -277,7 +277,7 @@ def simulate(
     0.6941...
     >>> t, speed = run.signals["motor/state/shaft/velocity"]
     """
-    rig = rig_of(what, duration=duration, overrides=overrides)
+    rig = rig_of(what, duration=duration, overrides=overrides, live=runs == 1)  # of many, they are left out
     number = rig.scenario.seed if seed is None else seed
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     wanted = figures_of(rig)  # what does not fit is found before the run, not after it
