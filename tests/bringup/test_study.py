@@ -25,8 +25,8 @@ from softrig_bringup.options.grammar import values
 from softrig_bringup.study import pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
-from softrig_bringup.study.draw import cases, count, draw
-from softrig_bringup.study.engine import _check, run_study
+from softrig_bringup.study.draw import Case, cases, count, draw
+from softrig_bringup.study.engine import _as_read, _check, run_study
 from softrig_bringup.study.options import folder_name, study_of
 from softrig_bringup.study.page import best
 from softrig_bringup.study.table import summarise, without_signals
@@ -115,6 +115,15 @@ def test_a_latin_hypercube_has_one_point_in_each_slice():
     draws = study(draws={"count": 50, "parameters": {"u": {"uniform": [0, 1]}, "w": {"uniform": [0, 1]}}}).draws
     for name in "uw":
         assert sorted(int(p[name] * 50) for p in draw(draws)) == list(range(50))
+
+
+def test_a_latin_hypercube_is_that_of_scipy():
+    from scipy.stats import qmc
+
+    parameters = {"u": {"uniform": [[0.0] * 3, [1.0] * 3]}}
+    found = draw(study(draws={"count": 70, "seed": 5, "parameters": parameters}).draws)
+    wanted = qmc.LatinHypercube(3, rng=np.random.default_rng(5)).random(70)
+    assert [point["u"] for point in found] == wanted.tolist()
 
 
 @pytest.mark.parametrize(
@@ -215,6 +224,13 @@ def test_a_shared_value_is_a_parameter_of_a_study(folder):
     singly = rows_of(study(grid={"gain.k": [1.0, 2.0]}, duration=0.25), folder / "singly")
     assert [r["figures"] for r in rows] == [r["figures"] for r in singly]
     assert rows[0]["figures"] != rows[1]["figures"]
+
+
+def test_a_study_reads_its_scenario_once_where_parameters_of_nodes_are_varied():
+    read = {}
+    one, two = (Case(k, "lag", "", {"gain.k": float(k)}, 0) for k in (1, 2))
+    assert _as_read(one, read) is _as_read(two, read) is read["lag"]
+    assert _as_read(Case(3, "lag", "", {"shared_gain": 2.0}, 0), read) is None
 
 
 def test_each_study_reads_its_scenario_anew(folder):

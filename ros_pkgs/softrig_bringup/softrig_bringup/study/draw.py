@@ -55,8 +55,10 @@ def draw(draws: Draws) -> list[dict[str, Any]]:
     sizes = {name: size(d) for name, d in draws.parameters.items()}
     dimensions = sum(sizes.values())
     generator = np.random.default_rng(draws.seed)
-    unit = generator.random((draws.count, dimensions))
     if draws.method == "latin_hypercube":  # as scipy's `qmc.LatinHypercube` gives it, whose import takes 0.7 s
+        (generator,) = generator.spawn(1)
+    unit = generator.random((draws.count, dimensions))
+    if draws.method == "latin_hypercube":
         cells = np.tile(np.arange(1, draws.count + 1), (dimensions, 1))
         for row in cells:
             generator.shuffle(row)

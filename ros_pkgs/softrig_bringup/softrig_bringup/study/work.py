@@ -74,6 +74,7 @@ def run(work: Work) -> dict[str, Any]:
             duration=work.duration,
             overrides=case.overrides,
             runs=work.runs,
+            signals=work.signals,
         )
         row |= _margins(done, work.figures) if work.margins else _figures(done, work)
     except (RunError, ScenarioError) as error:
