@@ -15,7 +15,7 @@ from ..block.port import CLOCK, Port, Sample
 from ..block.runner import YOUNG
 from ..block.step import Rows, Step
 from ..errors import ScenarioError
-from ..native.engine import ticks_of
+from ..native.choice import ticks_of
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..solver.solver import Solver
