@@ -1,12 +1,22 @@
-"""Nodes whose ticks are short stay on one processor, all of a domain on the same; who computes for longer does not."""
+"""A plant and its law stay on one processor while their ticks are short; no other rig does."""
 
 import os
 import threading
 
 import pytest
+from conftest import make_scenario
+from simulated import SimulatedRig, World
+from softrig_core import rig_of
 from softrig_core.node.ros.processor import ENOUGH, LONG, SHORT, Processor
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="Linux")
+
+
+def motor(executable, **entry):
+    return {"package": "softrig_drives", "executable": executable, "parameters": {"period": 0.001}, **entry}
+
+
+PAIR = {"plant": motor("dc_motor_plant"), "law": motor("dc_motor_smc")}
 
 
 @pytest.fixture
@@ -89,3 +99,18 @@ def test_who_may_use_one_only_is_left_alone(allowed):
     _, processor = placed(len(allowed))
     assert processor.number is None
     assert os.sched_getaffinity(0) == {allowed[-1]}
+
+
+@pytest.mark.parametrize(
+    ("more", "in_turn"),
+    [
+        ({}, True),
+        ({"other": motor("dc_motor_smc", remap={"motor/command": "other/command"})}, False),  # works while the law does
+        ({"other": motor("dc_motor_smc", remap={"motor/command": "other/command"}, external=True)}, False),
+    ],
+)
+def test_a_plant_and_its_law_and_nobody_else_work_in_turn(more, in_turn):
+    run = SimulatedRig(rig_of(make_scenario(PAIR | more, 0.01)), World(), "lockstep")
+    run.run(0.2)
+    assert {name: node.takes_turns for name, node in run.nodes.items()} == dict.fromkeys(run.nodes, in_turn)
+    assert run.nodes

@@ -119,7 +119,7 @@ class Links(BaseModel):
     starter : str
         Realtime: the node that says when t = 0 is.
     starts : list of str
-        Realtime: the nodes that it waits for.
+        All nodes of the rig that are ours: in real time it waits for them.
     grid : str
         Longest period of the rig in s, of which t = 0 in real time is a multiple.
     public : bool

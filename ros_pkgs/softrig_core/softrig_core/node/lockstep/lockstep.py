@@ -123,7 +123,7 @@ class Lockstep:
         self._stalls.handshake = self.handshake
         self._begin = begin
         if self.solving is None:  # whose timers belong to the executor's thread
-            node.middleware.be_prompt()
+            node.middleware.be_prompt(in_turn=len(links.starts) == 2 and not links.guests)
         self._starter = node.middleware.timer(CHECK, self._start)
 
     # peers -----------------------------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ class ContainedMiddleware(RosMiddleware):
 
         super().subscribe(topic, msgtype, lambda data: exchange.hand(receive, data), count)
 
-    def be_prompt(self) -> None:
+    def be_prompt(self, *, in_turn: bool) -> None:
         """The exchange takes what has come: its loop does not sleep."""
 
     def post(self, call: Callable[[], object]) -> None:

@@ -1,9 +1,12 @@
-"""The processor on which the nodes of a lockstep rig take turns.
+"""The processor on which the two nodes of a lockstep rig take turns.
 
-They wait for each other, so that there is seldom work for two at a time. But the system wakes who gets a message on a
-processor that is idle, and to wake that one takes longer than a short tick; what the tick needs is in the caches of
-another one then. So nodes whose ticks are short stay on one, by the number of their domain: all nodes of a rig on the
-same, rigs that run beside each other on others. Who computes for longer goes where there is room.
+One plant and one law wait for each other, so that there is never work for two at a time. But the system wakes who gets
+a message on a processor that is idle, and to wake that one takes longer than a short tick; what the tick needs is in
+the caches of another one then. So they stay on one, by the number of their domain: both on the same, rigs that run
+beside each other on others. Who computes for longer goes where there is room.
+
+With a third node there is work for two: what that shares saves more than the way between processors costs. Whether it
+is a rig of two is known to the rig alone, and comes from there.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ class Middleware(Protocol):
     prompt : bool
         Whether messages are taken in the thread that receives them (see `be_prompt`).
     processor : int or None
-        The one on which the node works; None: any.
+        The one on which a node works that works in turn with another; None: any.
     """
 
     name: str
@@ -73,10 +73,15 @@ class Middleware(Protocol):
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read a topic; `matched` gets the number of writers at each change."""
 
-    def be_prompt(self) -> None:
+    def be_prompt(self, *, in_turn: bool) -> None:
         """Take messages of what is subscribed so far where they arrive, if that is possible; for ticks of some us.
 
         They come one at a time, and never while anything else calls the node.
+
+        Parameters
+        ----------
+        in_turn : bool
+            Whether the node and one other work in turn, and nobody else has a part in their ticks.
         """
 
     def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
