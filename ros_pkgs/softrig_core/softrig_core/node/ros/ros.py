@@ -29,7 +29,7 @@ from ...block.block import Level
 from ...errors import RunError
 from ...processes.shared_memory import Ears, domain_id
 from ...wire.cdr import Layout
-from ..seam.middleware import Matched, Middleware, Peer, Receive, Send
+from ..seam.middleware import Matched, Middleware, Peer, Place, Receive, Send
 from ..seam.monitor import Monitor
 from .arrival import Arrival, library
 from .garbage import Garbage
@@ -332,7 +332,7 @@ class RosMiddleware(Middleware):
 
     # answers where messages arrive -------------------------------------------------------------------------------
 
-    def be_prompt(self, *, in_turn: bool) -> None:
+    def be_prompt(self, place: Place) -> None:
         """Take the messages of what is subscribed so far in the thread that receives them."""
         rcl = library()
         if rcl is None:
@@ -349,8 +349,8 @@ class RosMiddleware(Middleware):
         if self.prompt:
             self.timer(LOOK, self._look)
             self.timer(SEARCH, Garbage(off=True).step)
-            if in_turn:
-                self._processor = Processor(domain_id(), lambda: self.monitor.done)
+            if place != "anywhere":
+                self._processor = Processor(domain_id(), place == "beside", lambda: self.monitor.done)
                 self.timer(SEARCH, self._processor.step)
         for arrival in self._arrivals:
             arrival.begin()
