@@ -16,6 +16,7 @@ def motor(executable, **entry):
     return {"package": "softrig_drives", "executable": executable, "parameters": {"period": 0.001}, **entry}
 
 
+SOURCE = {"package": "softrig_control", "executable": "reference_source", "remap": {"reference": "motor/reference"}}
 PAIR = {"plant": motor("dc_motor_plant"), "law": motor("dc_motor_smc")}
 
 
@@ -119,9 +120,6 @@ def other(number, **entry):
     return {f"other_{number}": motor("dc_motor_smc", remap={"motor/command": f"other/command_{number}"}, **entry)}
 
 
-REFERENCE = {"reference": motor("motor_reference")}
-
-
 @pytest.mark.parametrize(
     ("more", "places"),
     [
@@ -129,7 +127,7 @@ REFERENCE = {"reference": motor("motor_reference")}
         (other(1), ["together"] * 2 + ["beside"]),
         (other(1) | other(2), ["together"] * 2 + ["beside"] * 2),
         (other(1) | other(2) | other(3), ["anywhere"] * 5),  # more than another processor could do meanwhile
-        (REFERENCE, ["anywhere"] * 3),  # works while the plant does
+        ({"reference": SOURCE}, ["anywhere"] * 3),  # works while the plant does
         (other(1, external=True), ["anywhere"] * 2),  # nobody knows what it reads
     ],
 )
