@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from ast import literal_eval
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from functools import wraps
@@ -21,7 +21,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter, get_parameter_value
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from yaml import YAMLError
 
@@ -197,6 +197,10 @@ def guessed(value: Any) -> Any:
     with suppress(YAMLError, AssertionError):
         return get_parameter_value(str(value))
     return None
+
+
+def _peer(endpoint: Mapping[str, Any]) -> Peer:
+    return Peer(endpoint["node_name"], endpoint["node_namespace"], endpoint["topic_type"])
 
 
 Arguments = ParamSpec("Arguments")
@@ -420,17 +424,27 @@ class RosMiddleware(Middleware):
 
     def publishers(self, topic: str) -> list[Peer]:
         """Writers of a topic, as the graph shows them."""
-        return self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)
+        return [_peer(i) for i in self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)]
 
     def subscribers(self, topic: str) -> list[Peer]:
         """Readers of a topic, as the graph shows them."""
-        return self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic)
+        return [_peer(i) for i in self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic)]
 
-    def _endpoints(self, ask: Callable[..., list[dict[str, Any]]], topic: str) -> list[Peer]:
+    def unfit(self, topic: str, msgtype: str) -> list[tuple[str, str]]:
+        """Name the readers of a topic of ours that ask for more than it offers."""
+        writers = self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)
+        offered = [QoSProfile(**i["qos_profile"]) for i in writers if _peer(i).full_name == self.full_name]
+        found = []
+        for reader in self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic) if offered else ():
+            fits, why = qos_check_compatible(offered[0], QoSProfile(**reader["qos_profile"]))
+            if fits == QoSCompatibility.ERROR and reader["topic_type"] == msgtype:
+                found.append((_peer(reader).name, str(why).replace("ERROR: ", "").strip("; ")))
+        return found
+
+    def _endpoints(self, ask: Callable[..., list[dict[str, Any]]], topic: str) -> list[dict[str, Any]]:
         # rclpy's own method would apply this node's remaps to a name that is one already
         with self.node.handle:
-            found = ask(self.node.handle, topic, False)
-        return [Peer(i["node_name"], i["node_namespace"], i["topic_type"]) for i in found]
+            return ask(self.node.handle, topic, False)
 
     def subscriptions_of(self, peer: Peer) -> list[str]:
         """Topics that a node reads."""

@@ -109,6 +109,10 @@ class Middleware(Protocol):
     def subscribers(self, topic: str) -> list[Peer]:
         """Readers of a topic, by its full name, as the graph shows them."""
 
+    def unfit(self, topic: str, msgtype: str) -> list[tuple[str, str]]:
+        """Name the readers of a topic of ours that are never matched, with why: they ask for more than it offers."""
+        return []
+
     def subscriptions_of(self, peer: Peer) -> list[str]:
         """Topics that a node reads; empty while the graph does not know the node."""
 
