@@ -4,17 +4,19 @@ import json
 import math
 import platform
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.plots import pictures as plots
 from softrig_bringup.page.wording import spans
+from softrig_bringup.plots import pictures as plots
 from softrig_bringup.plots.curves import envelope
 from softrig_bringup.plots.pictures import OVERVIEW, plot_name, plot_run
 from softrig_bringup.report.report import write_report
+from softrig_bringup.report.run_page import _changes
 from softrig_bringup.run.run import illustrate, save, summary
 from softrig_core import (
     Block,
@@ -326,6 +328,13 @@ def test_envelope_keeps_extremes_and_ends(values, columns):
 def test_a_signal_that_has_room_is_drawn_as_it_is():
     x = np.arange(8.0)
     assert envelope(x, x, 2)[0] is x
+
+
+def test_a_table_of_changes_is_there_when_something_was_changed():
+    change = SimpleNamespace(at_s=0.25, node="gain", set={"k": 2.0})
+    (table,) = _changes(SimpleNamespace(changes=[change], units={"gain": {"k": "1/s"}}))
+    assert "".join(table.itertext()).endswith("0.25gain.k2.0 1/s")
+    assert list(_changes(SimpleNamespace(changes=[], units={}))) == []
 
 
 def test_of_many_intervals_the_first_are_written():
