@@ -358,3 +358,12 @@ def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(undra
 def test_a_scenario_without_requirements_says_what_it_needs(tmp_path, capsys):
     assert main(["falsify", "dc_motor_smc_b6", "--over", "dc_motor_plant.R=1..2", "--out", str(tmp_path)]) == 2
     assert "has no requirements" in capsys.readouterr().err
+    asked = ["falsify", "dc_motor_smc_b6", "--over", "dc_motor_plant.R=1..2", "--out", str(tmp_path), "--requirement"]
+    scenario = load_scenario("dc_motor_smc_b6")
+    for name, why in (
+        (next(n for n in scenario.expect if n in scenario.figures), "an expectation on both sides"),
+        (next(n for n in scenario.figures if n not in scenario.expect), "no expectation"),
+    ):
+        assert main([*asked, name]) == 2
+        told = capsys.readouterr().err
+        assert f"figure {name} has {why}, no bound that a run could violate; it needs an entry" in told
