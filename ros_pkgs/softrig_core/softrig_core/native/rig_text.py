@@ -387,7 +387,7 @@ def _answered(
     lines = writer.lines
     if numbers:
         bound = min(p.bound for p in step.outputs) * EDGE
-        lines += _checked(f"q{k}", numbers, flags, size, bound, typed)
+        lines += _row_of(f"q{k}", numbers, flags, size, bound, typed)
         lines.append(f"r{k} = q{k}")
     if stamps:
         lines.append(f"z{k} = ({''.join(f'{z}, ' for z in stamps)})")
@@ -402,7 +402,7 @@ def _answered(
     return lines
 
 
-def _checked(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bound: float, typed: bool) -> list[str]:
+def _row_of(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bound: float, typed: bool) -> list[str]:
     """Write what takes all numbers of an answer, flags of silence after them; beyond the bound they are Python's."""
     told = "".join(f"{flag}, " for flag in flags)
     if typed or size < FEW:

@@ -26,7 +26,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from yaml import YAMLError
 
 from ...block.block import Level
-from ...errors import RunError
+from ...errors import RunError, closest
 from ...processes.shared_memory import Ears, domain_id
 from ...wire.cdr import Layout
 from ..seam.middleware import Matched, Middleware, Peer, Place, Receive, Send
@@ -160,6 +160,10 @@ class ServingNode(Node):  # type: ignore[misc]
             text = f"more is set than fits between the ticks, expected a pause of {wait:.1f} s"
             return SetParametersResult(successful=False, reason=text)
         now = {p.name: self._parameters[p.name] for p in wanted if p.name in self._parameters}
+        strange = next((p.name for p in wanted if p.name not in self._descriptors), None)
+        if strange is not None:  # rclpy would not name it
+            reason = f"{strange} is no parameter of {self.get_name()}{closest(strange, self._descriptors)}"
+            return SetParametersResult(successful=False, reason=reason)
         new = [p for p in wanted if p.name not in now or now[p.name].type_ != p.type_ or plain(now[p.name]) != plain(p)]
         self.remark = ""
         result = self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
