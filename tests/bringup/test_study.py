@@ -25,8 +25,8 @@ from softrig_bringup.options.grammar import values
 from softrig_bringup.study import pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
-from softrig_bringup.study.draw import Case, cases, count, draw
-from softrig_bringup.study.engine import _as_read, _check, run_study
+from softrig_bringup.study.draw import cases, count, drafts_of, draw
+from softrig_bringup.study.engine import _check, run_study
 from softrig_bringup.study.options import folder_name, study_of
 from softrig_bringup.study.page import best
 from softrig_bringup.study.table import summarise, without_signals
@@ -226,13 +226,6 @@ def test_a_shared_value_is_a_parameter_of_a_study(folder):
     assert rows[0]["figures"] != rows[1]["figures"]
 
 
-def test_a_study_reads_its_scenario_once_where_parameters_of_nodes_are_varied():
-    read = {}
-    one, two = (Case(k, "lag", "", {"gain.k": float(k)}, 0) for k in (1, 2))
-    assert _as_read(one, read) is _as_read(two, read) is read["lag"]
-    assert _as_read(Case(3, "lag", "", {"shared_gain": 2.0}, 0), read) is None
-
-
 def test_each_study_reads_its_scenario_anew(folder):
     first, again = (rows_of(study(), folder / name) for name in ("first", "again"))
     (folder / "scenarios" / "lag.yaml").write_text(LAG.replace("  last:", "  end:") + "seed: 5\n")
@@ -261,6 +254,38 @@ def test_an_interrupted_study_goes_on_where_it_was(folder):
     assert (part / "rows.jsonl").read_bytes().splitlines(keepends=True)[:3] == kept
     with pytest.raises(ScenarioError, match="holds another study"):
         run_study(study(grid={"gain.k": [1.0]}), part, workers=1)
+
+
+def test_rows_of_another_scenario_or_code_are_not_taken_over(folder, monkeypatch):
+    file, out = folder / "scenarios" / "lag.yaml", folder / "out"
+    demo = study(grid={"gain.k": [1.0, 2.0]}, seeds=[0])
+    first = rows_of(demo, out)
+    file.write_text(LAG.replace("title: First-order lag", "title: Renamed") + "# a remark\n")
+    assert rows_of(demo, out) == first
+    file.write_text(LAG.replace("executable: plant}", "executable: plant, parameters: {gain: 3.0}}"))
+    with pytest.raises(ScenarioError, match=r"another study \(scenario lag has changed\); choose another --out"):
+        run_study(demo, out, workers=1)
+    file.write_text(LAG)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("softrig_bringup.study.engine.fingerprints", lambda *_: {"faultrig": "edited"})
+        with pytest.raises(ScenarioError, match=r"another study \(the code of faultrig, .* has changed\)"):
+            run_study(demo, out, workers=1)
+    assert rows_of(demo, out) == first
+    assert [r["figures"] for r in rows_of(demo, folder / "anew")] == [r["figures"] for r in first]
+
+
+def test_an_edit_while_a_study_runs_does_not_change_it(folder, monkeypatch):
+    demo = study(cases={"a": {}, "b": {"plant.gain": 2.0}})
+    whole = rows_of(demo, folder / "whole")
+    add, file = Log.add, folder / "scenarios" / "lag.yaml"
+
+    def edited(self, row):
+        add(self, row)
+        file.write_text(LAG.replace("duration: 0.5", "duration: 0.1\nseed: 5"))
+
+    monkeypatch.setattr(Log, "add", edited)
+    there = rows_of(demo, folder / "there", workers=1)
+    assert [(r["seed"], r["figures"]) for r in there] == [(r["seed"], r["figures"]) for r in whole]
 
 
 def test_a_log_without_rows_is_empty(folder):
@@ -564,6 +589,18 @@ def test_pictures_follow_from_the_form(folder, request, keys, pictures):
         assert any(name in d for d in drawn), drawn
     page = (folder / "out" / "report.html").read_text()
     assert page.count("data:image/png") == len(drawn)
+    assert re.findall(r'alt="(plot [^"_]*)"', page) == [Path(name).stem.replace("_", " ") for name in drawn]
+
+
+def test_the_history_of_a_search_holds_the_best_so_far():
+    search = {"figure": "settling", "count": 3, "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}
+    rows = [a_row(0, 1.0, 0.5), a_row(1, 2.0, 0.7), a_row(2, 3.0, 0.3)]
+    for aim, found in (("minimise", [0.5, 0.5, 0.3]), ("maximise", [0.5, 0.7, 0.7])):
+        (ax,) = pictures._history(study(search=search | {"aim": aim}).search, rows, {}).axes
+        assert [line.get_xydata().tolist() for line in ax.lines] == [
+            [[0.0, 0.5], [1.0, 0.7], [2.0, 0.3]],
+            [[float(number), value] for number, value in enumerate(found)],
+        ]
 
 
 def test_an_unknown_name_or_option_is_one_line(capsys):
@@ -602,7 +639,7 @@ def test_every_shipped_study_can_run(monkeypatch):
     names = list_studies()
     assert {"dc_motor_gains", "pv_mppt_hits"} <= set(names)
     for name in names:
-        _check(load_study(name))
+        _check(shipped := load_study(name), drafts_of(shipped))
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..block.answer import Heard, Row
+from ..block.answer import Heard, Messages, Row
 from ..block.block import Observer
 from ..block.port import Sample
 from ..block.step import Step
@@ -99,6 +99,13 @@ class Answers(NamedTuple):
         if isinstance(self.numbers, list):
             return self.numbers, self.stamps or [()] * len(self.numbers)
         return self.numbers.tolist(), self.stamps.tolist()
+
+    @staticmethod
+    def joined(parts: Sequence[Answers]) -> Answers:
+        """Give what was said in ticks that follow one another."""
+        if isinstance(parts[0].numbers, list):
+            return Answers(*([row for part in parts for row in part[k]] for k in (0, 1)))
+        return Answers(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def numbers_of(step: Step) -> tuple[float, ...]:
@@ -199,30 +206,18 @@ class Audience:
         self, watcher: Step, recorded: Sequence[Step], first: int, last: int, said: Mapping[int, Answers]
     ) -> bool:
         """Let one who watches have all that its ticks see, if it takes that so."""
-        ticks, every = self.own(watcher, first, last), self.every[id(watcher)]
+        ticks = self.own(watcher, first, last)
         if watcher.name in self.tick_by_tick:
             return False
         if not ticks:
             return True
-        messages: dict[str, Heard] = {}
+        messages: dict[str, Messages] = {}
         for s in recorded:
-            readings, own = _readings(s, watcher), self.own(s, first, last)
-            if readings and max(every, self.every[id(s)]) % min(every, self.every[id(s)]):
+            found = self._seen(s, watcher, self.own(s, first, last), said[id(s)].numbers)
+            if found is None:
                 self.tick_by_tick.add(watcher.name)
                 return False
-            step = max(1, every // self.every[id(s)])  # of its messages, one is seen
-            seen = slice(-own.start % step, None, step)
-            for _, name, take, (low, high, stamp, flag) in readings:
-                row, stamped = taken(high - low, stamp is not None, take)
-                if stamped or (flag is not None and step > 1):
-                    self.tick_by_tick.add(watcher.name)
-                    return False
-                stamps = s.schedule.times(own.start, own.stop)[seen]
-                table = np.reshape(said[id(s)].numbers, (len(own), len(numbers_of(s))))[seen]
-                if flag is not None:
-                    stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
-                values = [table[:, low + p] if type(p) is Place else np.full(len(table), float(p)) for p in row]
-                messages[name] = Heard(stamps, np.array(values).T)
+            messages |= found
         t = watcher.schedule.time(ticks[-1])
         x = watcher.block.at_once(watcher.x, t, messages)  # type: ignore[attr-defined]
         if x is None:
@@ -232,3 +227,28 @@ class Audience:
         if watcher.send_all is not None:
             watcher.send_all(watcher.schedule.times(ticks.start, ticks.stop), np.empty((len(ticks), 0)))
         return True
+
+    def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
+        """Give what one who watches sees of a member, by its inputs; None where it has to be asked at each tick."""
+        found: dict[str, Messages] = {}
+        every, often = self.every[id(watcher)], self.every[id(source)]
+        readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen
+        if readings and max(every, often) % min(every, often):
+            return None
+        seen = slice(-own.start % step, None, step)
+        for _, name, take, (low, high, stamp, flag) in readings:
+            row, stamped = taken(high - low, stamp is not None, take)
+            if stamped or (flag is not None and step > 1):
+                return None
+            stamps, table = source.schedule.times(own.start, own.stop)[seen], numbers[seen]
+            if isinstance(table, list):
+                said = (
+                    (t, n[low:high]) for t, n in zip(stamps.tolist(), table, strict=True) if flag is None or n[flag]
+                )
+                found[name] = tuple(said if take is None else ((t, take(n)) for t, n in said))
+                continue
+            if flag is not None:
+                stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
+            values = [table[:, low + p] if type(p) is Place else np.full(len(table), float(p)) for p in row]
+            found[name] = Heard(stamps, np.array(values).T)
+        return found

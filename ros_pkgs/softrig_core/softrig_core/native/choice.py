@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import os
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -21,6 +22,7 @@ ROUND, ROUNDS = 16, 4  # ticks that are timed together, how often: the least is 
 SHORT = "Python is through before native code is made"
 
 _costs: dict[Any, float] = {}  # of a tick in Python, s, by the classes of the blocks: as the first of such rigs took
+_spent: dict[Any, float] = {}  # on runs of such rigs that were too short for a text, s: more of them may well come
 
 
 def ticks_of(
@@ -61,13 +63,16 @@ def ticks_of(
                 _costs[_classes(steps)] = tick
         left = (ticks + 1 - first) * tick
         reason = unwanted(steps, left, runs)
-        if reason and not writes(left):
+        if reason and not writes(steps, left):
+            _spent[_classes(steps)] = _spent.get(_classes(steps), 0.0) + left
             _say_why(steps, reason)
             yield from runner.run(first)
             return
         engines.append(Engine(steps, plain if reason else compiled, alone))
         _say_why(steps, reason)
         yield from engines[0].run(first)
+        if not engines[0].native.members:  # there is no text of such members: none is looked for again
+            _spent[_classes(steps)] = -math.inf
 
     def tell() -> None:
         for engine in engines:
@@ -109,9 +114,19 @@ def _timed(runner: Runner) -> Generator[int | None, None, tuple[int, float]]:
     return count, min(took[1:], default=0.0) / ROUND
 
 
-def writes(left: float) -> bool:
-    """Whether a run is long enough for one text of all its members that Python runs; ``SOFTRIG_JIT=0`` forbids it."""
-    return os.environ.get("SOFTRIG_JIT", "1") != "0" and left > WRITING
+def writes(steps: Sequence[Step], left: float) -> bool:
+    """Whether one text of all members that Python runs is worth its making, for a run or for such runs so far.
+
+    ``SOFTRIG_JIT=0`` forbids it.
+    """
+    enough = READY if _known(steps, plain) else WRITING - _spent.get(_classes(steps), 0.0)
+    return os.environ.get("SOFTRIG_JIT", "1") != "0" and left > enough
+
+
+def _known(steps: Sequence[Step], make: Callable[..., Any]) -> bool:
+    """Whether there is a text of such members."""
+    kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
+    return known(kinds, make)
 
 
 def forbidden() -> str:
@@ -134,5 +149,4 @@ def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:
     """
     if reason := forbidden():
         return reason
-    kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
-    return "" if left > READY and (known(kinds, compiled) or left * runs > MAKING) else SHORT
+    return "" if left > READY and (_known(steps, compiled) or left * runs > MAKING) else SHORT

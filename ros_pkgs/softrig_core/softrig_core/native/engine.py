@@ -108,7 +108,8 @@ class Engine:
         self._said: list[tuple[Callable[..., Any], Any, Any]] | None = None  # in a tick that is handed out later
         for s in self.steps if self._deciding else ():
             if s.send is not None:
-                s.send, s.say = self._held_back(s.send), s._first_say
+                s.send = self._held_back(s.send)
+                s.make_anew()
         self._cut = False  # whether native code gave up the last tick that it began
         self._smooth = False  # whether all who watch take what is recorded at once
         self._time = self.runner.schedule.time
@@ -373,7 +374,7 @@ class Engine:
             self._take(first, reached, after)
             self._audience.hand_out(self._core, first, reached, rows)
             one_clock = self._core_alone.schedule.clock == self.runner.schedule.clock
-            self._smooth = self._typed and one_clock and not self._audience.tick_by_tick and self._alone is None
+            self._smooth = one_clock and not self._audience.tick_by_tick and self._alone is None
         return reached
 
     def _on(self, first: int, reached: int, last: int, after: Any, rows: dict[int, Answers]) -> int:
@@ -381,7 +382,7 @@ class Engine:
         at, parts = first, {key: [answers] for key, answers in rows.items()}
 
         def hand_out() -> None:
-            whole = {key: Answers(*map(np.concatenate, zip(*found, strict=True))) for key, found in parts.items()}
+            whole = {key: Answers.joined(found) for key, found in parts.items()}
             try:
                 self._audience.watch(self._recorded, first, reached, whole)
             finally:
@@ -404,7 +405,10 @@ class Engine:
             self.native.decided += 1
             for s in self._recorded:
                 if reached % self._every[id(s)] == 0:
-                    parts[id(s)].append(Answers(np.array([numbers_of(s)]), np.array([stamps_of(s)], np.int64)))
+                    one = [numbers_of(s)], [stamps_of(s)]
+                    parts[id(s)].append(
+                        Answers(np.array(one[0]), np.array(one[1], np.int64)) if self._typed else Answers(*one)
+                    )
             reached = at = reached + 1
             if reached == last or self._others():
                 break
