@@ -24,6 +24,7 @@ from softrig_bringup.view.beside import Beside
 from softrig_bringup.view.control import Control, Knob
 from softrig_bringup.view.here import Here
 from softrig_bringup.view.page import SLOW, Page, reach
+from softrig_bringup.view.pictures import plots_of
 from softrig_bringup.view.serve import OneLine
 from softrig_bringup.view.sources import Live, Recorded
 from softrig_bringup.view.tracks import Track
@@ -377,6 +378,13 @@ def test_the_knobs_of_the_laws_come_first_and_those_of_plants_and_sources_last()
     assert [*dict.fromkeys(control.roles.values())] == ["law", "fault", "source", "plant"]
     assert next(iter(control.roles)) == "dc_motor_smc"
     assert next(iter(control.knobs)).startswith("dc_motor_smc.")
+
+
+def test_a_picture_that_enlarges_another_is_not_shown_twice():
+    rig = rig_of("dc_motor_smc")
+    plots = {p.title: p.window for p in rig.scenario.plots}
+    assert plots["Armature voltage, enlarged"] is not None
+    assert {p.title for p in plots_of(rig)} == plots.keys() - {"Armature voltage, enlarged"}
 
 
 def test_pictures_begin_at_the_length_of_the_run_and_the_drawing_at_rest():

@@ -66,6 +66,10 @@ BESIDE = ".bk-input-group { display: grid; grid-template-columns: minmax(0, 1fr)
 WIDGETS = """
 :host { color: var(--ink); font: inherit; }
 .bk-input, .bk-btn-default, .bk-btn-primary { background: var(--field); color: var(--ink); border-color: var(--line); }
+select:not([multiple]).bk-input { background-image: none; appearance: auto; }
+.noUi-target { background: var(--field); border-color: var(--line); box-shadow: none; }
+.noUi-connect { background: var(--soft) !important; }
+.noUi-handle { background: var(--paper) !important; border-color: var(--soft); box-shadow: none; }
 .bk-input[disabled] { background: var(--paper); color: var(--soft); }
 .bk-btn-default:hover { background: var(--line); color: var(--ink); }
 .bk-btn-default.bk-active, .bk-btn-primary { background: var(--accent); color: var(--paper); }
