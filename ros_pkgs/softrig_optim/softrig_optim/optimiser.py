@@ -388,7 +388,7 @@ class CommandSearch(Block[P], ABC):
         if changed:
             self.report(Level.WARN, "changed", "the plant changed during the search: searching anew")
         else:
-            self.report(Level.WARN, "more", "the look back met a larger value than the search had found: searching anew")
+            self.report(Level.WARN, "more", "the look back met a larger value than the search found: searching anew")
         return self._note(self._begin(x, t, t if changed else x.look)), True
 
     def _withdraw(self, x: State) -> State:
