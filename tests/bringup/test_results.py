@@ -90,7 +90,7 @@ def test_runs_are_kept_until_their_code_or_scenario_changes(folder, capsys, monk
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "reproduced").replace("{gain: 0.5}", "{gain: 0.6}"))
     assert main(["results", "--workers", "1"]) == 0
     assert "1 of 2 runs are kept" in capsys.readouterr().out
-    monkeypatch.setattr("softrig_bringup.verbs.results.fingerprints", lambda *_: {"faultrig": "changed"})
+    monkeypatch.setattr("softrig_bringup.study.engine.fingerprints", lambda *_: {"faultrig": "changed"})
     assert main(["results", "--workers", "1"]) == 0
     assert "are kept" not in capsys.readouterr().out
 
@@ -109,6 +109,10 @@ def test_claims_of_studies_are_named_where_they_are_not_held(folder, capsys, mon
     assert text in (folder / "runs" / "results" / "results.html").read_text()
     assert main(["results", "--workers", "1", "--studies"]) == 0
     assert "4 claims: 3 reproduced" in capsys.readouterr().out
+    lag = (folder / "lag.yaml").read_text()
+    (folder / "lag.yaml").write_text(lag.replace("duration: 1.0", "duration: 0.5"))  # the rows kept are of another one
+    assert main(["results", "--workers", "1", "--studies"]) == 1
+    assert "some: claim mean: the verdict reproduced does not hold: measured 0.15957" in capsys.readouterr().err
 
 
 def test_a_false_verdict_fails_the_page_and_the_run(folder, capsys):

@@ -25,7 +25,7 @@ from softrig_bringup.options.grammar import values
 from softrig_bringup.study import pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
-from softrig_bringup.study.draw import cases, count, draw
+from softrig_bringup.study.draw import cases, count, drafts_of, draw
 from softrig_bringup.study.engine import _check, run_study
 from softrig_bringup.study.options import folder_name, study_of
 from softrig_bringup.study.page import best
@@ -245,6 +245,38 @@ def test_an_interrupted_study_goes_on_where_it_was(folder):
     assert (part / "rows.jsonl").read_bytes().splitlines(keepends=True)[:3] == kept
     with pytest.raises(ScenarioError, match="holds another study"):
         run_study(study(grid={"gain.k": [1.0]}), part, workers=1)
+
+
+def test_rows_of_another_scenario_or_code_are_not_taken_over(folder, monkeypatch):
+    file, out = folder / "scenarios" / "lag.yaml", folder / "out"
+    demo = study(grid={"gain.k": [1.0, 2.0]}, seeds=[0])
+    first = rows_of(demo, out)
+    file.write_text(LAG.replace("title: First-order lag", "title: Renamed") + "# a remark\n")
+    assert rows_of(demo, out) == first
+    file.write_text(LAG.replace("executable: plant}", "executable: plant, parameters: {gain: 3.0}}"))
+    with pytest.raises(ScenarioError, match=r"another study \(scenario lag has changed\); choose another --out"):
+        run_study(demo, out, workers=1)
+    file.write_text(LAG)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("softrig_bringup.study.engine.fingerprints", lambda *_: {"faultrig": "edited"})
+        with pytest.raises(ScenarioError, match=r"another study \(the code of faultrig, .* has changed\)"):
+            run_study(demo, out, workers=1)
+    assert rows_of(demo, out) == first
+    assert [r["figures"] for r in rows_of(demo, folder / "anew")] == [r["figures"] for r in first]
+
+
+def test_an_edit_while_a_study_runs_does_not_change_it(folder, monkeypatch):
+    demo = study(cases={"a": {}, "b": {"plant.gain": 2.0}})
+    whole = rows_of(demo, folder / "whole")
+    add, file = Log.add, folder / "scenarios" / "lag.yaml"
+
+    def edited(self, row):
+        add(self, row)
+        file.write_text(LAG.replace("duration: 0.5", "duration: 0.1\nseed: 5"))
+
+    monkeypatch.setattr(Log, "add", edited)
+    there = rows_of(demo, folder / "there", workers=1)
+    assert [(r["seed"], r["figures"]) for r in there] == [(r["seed"], r["figures"]) for r in whole]
 
 
 def test_a_log_without_rows_is_empty(folder):
@@ -586,7 +618,7 @@ def test_every_shipped_study_can_run(monkeypatch):
     names = list_studies()
     assert {"dc_motor_gains", "pv_mppt_hits"} <= set(names)
     for name in names:
-        _check(load_study(name))
+        _check(shipped := load_study(name), drafts_of(shipped))
 
 
 @pytest.mark.long

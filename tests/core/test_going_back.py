@@ -140,6 +140,7 @@ def test_a_branch_leaves_its_run_alone():
 def test_of_many_ticks_fewer_states_are_kept_and_it_comes_to_any(monkeypatch):
     monkeypatch.setattr(module, "KEPT", 4)
     session = short()
+    session.set({"dc_motor_smc.delta": 0.6})  # where a state has just been kept
     session.go(0.02)
     session.set(SOFTER)
     session.go()

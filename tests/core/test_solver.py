@@ -1,5 +1,6 @@
 """Solver nodes: when a result takes effect is decided by simulated time alone, whatever the work takes."""
 
+import gc
 import itertools
 import multiprocessing
 import os
@@ -221,11 +222,14 @@ def test_what_a_solver_must_give():
 
 @pytest.mark.processes
 def test_nodes_give_the_bits_of_the_blocks_while_the_work_is_longer_than_their_patience(tmp_path):
-    """Plans of 3.5 s against a timeout of 2 s: the others hear that the planner is busy."""
-    wired = rig(0.1, timeout=2.0, work=3.5)
+    """A plan of 3.7 s against a timeout of 3 s: the others hear that the planner is busy.
+
+    The second one: who has not begun yet is given as long as a start may take.
+    """
+    wired = rig(0.2, timeout=3.0, work=3.7, fault="late")
     outcome = run_processes(wired, 0, tmp_path)
     assert outcome.error == ""
-    assert differences(in_process(rig(0.1)), outcome.recording) == []
+    assert differences(in_process(rig(0.2)), outcome.recording) == []
 
 
 @pytest.mark.processes
@@ -277,7 +281,16 @@ def works(queue=None):
     return pid
 
 
-def test_a_fork_leaves_the_idle_processes_of_its_parent_alone(monkeypatch):
+@pytest.fixture
+def no_garbage():
+    """No worker of another test is collected meanwhile: its process would be idle, too, and push out an older one."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+def test_a_fork_leaves_the_idle_processes_of_its_parent_alone(monkeypatch, no_garbage):
     """Python forks by default for `multiprocessing`; closing the parent's pipes would wait for ever."""
     monkeypatch.setattr("softrig_core.solver.worker.MOST_IDLE", 1)
     first = works()

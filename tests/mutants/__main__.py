@@ -25,6 +25,8 @@ from draw import KINDS, Mutant, mutants
 
 ROOT = Path(__file__).resolve().parents[2]
 TRACED = "tests/mutants/traced"
+OURS = ("PYTHONPATH", "AMENT_PREFIX_PATH", "VIRTUAL_ENV", "SOFTRIG_SCENARIOS")  # of this checkout: not for the worktree
+BARE = {name: value for name, value in os.environ.items() if name not in OURS}
 
 
 class Tests:
@@ -77,7 +79,9 @@ class Warm:
 
     def __init__(self, tree: Path) -> None:
         command = ["nice", "scripts/softrig", "python", str(Path(__file__).with_name("warm.py"))]
-        self._process = subprocess.Popen(command, cwd=tree, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._process = subprocess.Popen(
+            command, cwd=tree, env=BARE, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
 
     def __call__(self, arguments: list[str], limit: float) -> int | None:
         """Give pytest's exit status; None when it took more than `limit` s."""
@@ -90,10 +94,13 @@ def trace(tree: Path, what: list[str], out: Path) -> None:
     """Run tests once; a line of JSON each goes to `out`, behind one that says of which commit they are."""
     out.write_text(f"{_head(tree)}\n")
     with tempfile.TemporaryDirectory() as folder:
-        paths = f"{tree / TRACED}:{os.environ.get('PYTHONPATH', '')}"
-        found = {"PYTHONPATH": paths, "SOFTRIG_TRACED": folder, "SOFTRIG_TRACED_TESTS": str(out.resolve())}
+        found = {
+            "PYTHONPATH": str(tree / TRACED),
+            "SOFTRIG_TRACED": folder,
+            "SOFTRIG_TRACED_TESTS": str(out.resolve()),
+        }
         command = ["nice", "scripts/softrig", "python", "-m", "pytest", "-q", "-p", "lines_of_tests", *what]
-        status = subprocess.run(command, cwd=tree, env=os.environ | found, stdout=sys.stderr, check=False).returncode
+        status = subprocess.run(command, cwd=tree, env=BARE | found, stdout=sys.stderr, check=False).returncode
     if status not in (0, 1):
         raise SystemExit("the tests could not be run")
 
@@ -124,6 +131,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=30.0, help="begin no further mutant after")
     parser.add_argument("--under", nargs="+", default=["ros_pkgs/"], metavar="PATH", help="mutants of these files only")
+    parser.add_argument(
+        "--kinds", nargs="+", default=KINDS, choices=KINDS, metavar="KIND", help=f"of {', '.join(KINDS)}"
+    )
     parser.add_argument("--seconds", type=float, default=60.0, help="of tests a mutant, the quickest first")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the worktree goes then, too
@@ -132,7 +142,9 @@ def main() -> int:
         commit = lines.read_text().split("\n", 1)[0] if lines.exists() else "HEAD"
         subprocess.run(["git", "worktree", "add", "--detach", tree, commit], cwd=ROOT, check=True, capture_output=True)
         try:
-            subprocess.run(["nice", "scripts/softrig", "setup", "test"], cwd=tree, check=True, capture_output=True)
+            subprocess.run(
+                ["nice", "scripts/softrig", "setup", "test"], cwd=tree, env=BARE, check=True, capture_output=True
+            )
             if not lines.exists():
                 trace(tree, options.tests, lines)
             known = Tests(lines)
@@ -151,7 +163,7 @@ def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
     generator, tally, started = random.Random(options.seed), Counter(), time.monotonic()
     done, run = set(), Warm(tree)
     while tally["killed"] + tally["survived"] < options.count and time.monotonic() - started < 60 * options.minutes:
-        kind = generator.choice([kind for kind in KINDS if all_of[kind]])
+        kind = generator.choice([kind for kind in KINDS if kind in options.kinds and all_of[kind]])
         place, mutant = generator.choice(all_of[kind])
         if (place, mutant) in done:
             continue

@@ -71,7 +71,8 @@ def test_unusual_units_have_no_arches_or_merged_ones():
     units = Units(("fixed", "no e", "no f", "sliver"), table)
     assert [len(units.valve_points(j)) for j in range(4)] == [1, 2, 2, 3]
     assert units.valve_points(3)[-1] == table[3, 1]
-    assert [len(p) for p in breakpoints(units, 4)] == [1, 5, 5, 9]
+    with np.errstate(all="raise"):
+        assert [len(p) for p in breakpoints(units, 4)] == [1, 5, 5, 9]
     found = Optimiser(units).certified(400.0)
     assert feasible(units, found.P, 400.0)
     assert found.P[0] == 100.0

@@ -507,6 +507,7 @@ def test_profiles():
     assert np.abs(np.diff(d) / np.diff(t)).max() == pytest.approx(0.3, rel=1e-4)
     assert {delay_at(jumps, s) for s in t} == {0.0, 2.0}
     assert delay_at(profile("constant", 2.0), 5.0) == 2.0
+    assert [delay_at(profile(kind, 0.0), 5.0) for kind in ("constant", "sine", "telegraph")] == [0.0] * 3
     for bad in ((-1.0, 0.0), (math.nan, 0.0), (1.0, -0.1)):
         with pytest.raises(ValueError, match="expected finite"):
             profile("sine", *bad)

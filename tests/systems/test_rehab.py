@@ -40,7 +40,7 @@ from softrig_robots.rehab.patient import Patient
 from softrig_robots.rehab.plant import RehabPlant
 from softrig_robots.rehab.prom import PromReference
 from softrig_robots.rehab.stability import alpha_hat_limit
-from softrig_robots.rehab.tuner import Tuner, cost, exercise, tune
+from softrig_robots.rehab.tuner import Tuner, cost, exercise, guarded_limit, tune
 
 URDF = Path(softrig_robots.__file__).parent / "urdf"
 G = 9.81
@@ -493,6 +493,13 @@ def test_guarded_cost_keeps_a_margin():
     found = tune(0, n_pop=6, n_iter=4)
     assert 4.4 <= found.x[0] <= 4.6
     assert exercise(found.x[0]).mse <= 1.8e-5
+
+
+def test_a_guarded_search_has_room_below_its_limit():
+    limit = guarded_limit()
+    with pytest.raises(ValueError, match=f"expected less than {limit:.3g}"):
+        build(Tuner.Params, {"lower": limit})
+    assert build(Tuner.Params, {"lower": limit, "guarded": False}).lower == limit
 
 
 def test_tuner_node_waits_for_its_trigger_and_repeats_itself():

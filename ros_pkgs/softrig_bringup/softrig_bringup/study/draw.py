@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import load_scenario
+from softrig_core.scenario.scenario import Draft, read_draft
 
 from .definition import Distribution, Draws, Study
 
@@ -25,14 +25,32 @@ class Case(NamedTuple):
     seed: int
 
 
-def cases(study: Study) -> Iterator[Case]:
-    """Give the runs of a study one by one: cases outermost, then grid, draws, seeds."""
+def drafts_of(study: Study) -> dict[str, Draft]:
+    """Read the scenarios of a study, by the names that it gives them."""
+    names = [study.scenario, *(str(own["scenario"]) for own in study.cases.values() if "scenario" in own)]
+    return {name: read_draft(name) for name in dict.fromkeys(names)}
+
+
+def seeds_of(study: Study, draft: Draft) -> list[int]:
+    """Give the seeds of the runs of a scenario."""
+    return study.seeds or [draft.filled().seed]
+
+
+def cases(study: Study, drafts: Mapping[str, Draft] | None = None) -> Iterator[Case]:
+    """Give the runs of a study one by one: cases outermost, then grid, draws, seeds.
+
+    Parameters
+    ----------
+    drafts : mapping, optional
+        What `drafts_of` gave; read when absent.
+    """
+    drafts = drafts or drafts_of(study)
     number = 0
     points = draw(study.draws) if study.draws else [{}]
     for name, changes in (study.cases or {"": {}}).items():
         own = dict(changes)
         scenario = own.pop("scenario", study.scenario)
-        seeds = study.seeds or [load_scenario(scenario).seed]
+        seeds = seeds_of(study, drafts[scenario])
         for values in itertools.product(*study.grid.values()):
             at = dict(zip(study.grid, values, strict=True))
             for point in points:

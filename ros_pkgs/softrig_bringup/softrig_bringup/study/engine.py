@@ -5,21 +5,23 @@ from __future__ import annotations
 import json
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from softrig_core import ScenarioError, figures_of, load_scenario, rig_of
+from softrig_core import Rig, Scenario, ScenarioError, figures_of, rig_of
 from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.judge.expectation import Expectation
+from softrig_core.rig.code import fingerprints
+from softrig_core.scenario.scenario import Draft
 from softrig_core.wire.signals import full_name
 
 from ..folder import STUDY, ResultsFolder, replace
 from .batch import Batch, Log
 from .definition import Search, Study
-from .draw import Case, _values, cases, count
+from .draw import Case, _values, cases, count, drafts_of, seeds_of
 from .work import Work, repeating, value_of
 
 
@@ -45,26 +47,29 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
         work there.
     """
     folder = ResultsFolder(out, STUDY)
+    drafts = drafts_of(study)  # an edit while it runs does not change it
+    rigs = _check(study, drafts)
     free = {"title", "source", "summaries", "expect", "claims", "name"}  # what the rows do not depend on
-    content = same(study.model_dump(mode="json", exclude=free), out / "study.json", "study")
-    _check(study)
+    scenarios = {name: draft.filled() for name, draft in drafts.items()}
+    given = study.model_dump(mode="json", exclude=free) | made_of(scenarios, rigs)
+    content = same(given, out / "study.json", "study")
     if study.search:
-        repeating(_work(study, next(_first(study, study.search))))
+        repeating(_work(study, next(_first(study, study.search, drafts)), drafts))
     with folder.alone():
         replace(out / "study.json", content)
-        log = Log(out / "rows.jsonl", count(study), None if study.search else cases(study))
+        log = Log(out / "rows.jsonl", count(study), None if study.search else cases(study, drafts))
         try:
             with Batch(study.name, log, workers, scheduler) as batch:
                 if study.search:
-                    _search(study, study.search, batch)
+                    _search(study, study.search, batch, drafts)
                 else:
-                    deque(batch.run(_work(study, case) for case in cases(study)), 0)
+                    deque(batch.run(_work(study, case, drafts) for case in cases(study, drafts)), 0)
             return log
         finally:
             folder.close()
 
 
-def _work(study: Study, case: Case) -> Work:
+def _work(study: Study, case: Case, drafts: Mapping[str, Draft]) -> Work:
     sought = (study.search.figure, *study.search.subject_to) if study.search and study.figures else ()
     return Work(
         case,
@@ -73,30 +78,71 @@ def _work(study: Study, case: Case) -> Work:
         tuple(study.signals),
         study.samples,
         count(study) // max(1, len(study.cases)),
+        drafts[case.scenario],
     )
 
 
+class OtherContentError(ScenarioError):
+    """A folder holds rows that are not of this study or search."""
+
+
+def made_of(scenarios: Mapping[str, Scenario], rigs: Iterable[Rig]) -> dict[str, Any]:
+    """Give what rows depend on besides the words of a study: its scenarios, their code, files that blocks read."""
+    # of which a run in process knows nothing
+    free = {"title", "source", "cites", "claims", "plots", "timeout", "start_timeout", "containers", "record"}
+    rigs = list(rigs)
+    members = [member for rig in rigs for member in rig.members if not member.external]
+    return {
+        "scenarios": {name: scenario.model_dump(mode="json", exclude=free) for name, scenario in scenarios.items()},
+        "code": fingerprints(
+            (member.block_class for member in members),
+            (figure.function.__module__ for rig in rigs for figure in figures_of(rig)),
+        ),
+        "files": {m.name: dict(found) for m in members if (found := m.block_class.contents(m.params))},
+    }
+
+
 def same(content: dict[str, Any], file: Path, what: str) -> str:
-    """Make sure that a folder holds this content or none, whose rows are taken over by their number; give its text."""
+    """Make sure that a folder holds this content or none, whose rows are taken over by their number; give its text.
+
+    Raises
+    ------
+    OtherContentError
+        It holds another; says why it does where the words are the same.
+    """
     if file.exists():
         try:
             there = json.loads(file.read_text())
         except ValueError:
             there = None
         if there != content:
-            raise ScenarioError(f"{file.parent} holds another {what}; choose another --out, or remove it")
+            why = _changed(there, content) if isinstance(there, dict) else ""
+            raise OtherContentError(f"{file.parent} holds another {what}{why}; choose another --out, or remove it")
     return json.dumps(content, indent=1) + "\n"
 
 
-def _check(study: Study) -> None:
-    """Build the rig of the first run of each case, so that what is misspelt is said at once."""
-    seen = set()
-    first = _first(study, study.search) if study.search else cases(study)
+def _changed(there: dict[str, Any], here: dict[str, Any]) -> str:
+    """Say what has changed since a study of the same words; nothing when its words are others."""
+    parts = {"scenarios": "scenario", "code": "the code of", "files": "a file of"}
+    if any(there.get(key) != value for key, value in here.items() if key not in parts):
+        return ""
+    for part, words in parts.items():
+        old, new = there.get(part), here[part]
+        if not isinstance(old, dict):  # made before this was kept
+            return ""
+        if names := sorted(name for name in old.keys() | new.keys() if old.get(name) != new.get(name)):
+            return f" ({words} {', '.join(names)} has changed)"
+    return ""
+
+
+def _check(study: Study, drafts: Mapping[str, Draft]) -> list[Rig]:
+    """Build the rig of the first run of each case, so that what is misspelt is said at once; give them."""
+    seen: dict[str, Rig] = {}
+    first = _first(study, study.search, drafts) if study.search else cases(study, drafts)
     for case in first:
         if case.case in seen:
             continue
-        seen.add(case.case)
-        rig = rig_of(case.scenario, duration=study.duration, overrides=case.overrides)
+        rig = seen[case.case] = rig_of(drafts[case.scenario], duration=study.duration, overrides=case.overrides)
         known = [f.name for f in figures_of(rig)]
         wanted = {*study.figures, *(s.figure for s in study.summaries.values())}
         wanted |= {study.search.figure, *study.search.subject_to} if study.search else set()
@@ -112,19 +158,20 @@ def _check(study: Study) -> None:
                     f"{study.name}: no signal {name!r}{closest(name, topics)}; {case.scenario} has {', '.join(topics)}"
                 )
         if len(seen) == max(1, len(study.cases)):
-            return
+            break
+    return list(seen.values())
 
 
-def _first(study: Study, search: Search) -> Iterator[Case]:
+def _first(study: Study, search: Search, drafts: Mapping[str, Draft]) -> Iterator[Case]:
     middle = {name: _suggest_middle(d) for name, d in search.parameters.items()}
-    yield Case(0, study.scenario, "", middle, load_scenario(study.scenario).seed)
+    yield Case(0, study.scenario, "", middle, drafts[study.scenario].filled().seed)
 
 
 def _suggest_middle(d: Any) -> Any:
     return _values(d, np.array([0.5]))[0]
 
 
-def _search(study: Study, search: Search, batch: Batch) -> None:
+def _search(study: Study, search: Search, batch: Batch, drafts: Mapping[str, Draft]) -> None:
     """Ask and tell in batches; rows that are there already are told again in the same order."""
     need("optuna", f"{study.name}: its search")
     import optuna
@@ -137,12 +184,12 @@ def _search(study: Study, search: Search, batch: Batch) -> None:
     direction: Literal["minimize", "maximize"] = "minimize" if search.aim == "minimise" else "maximize"
     asked = optuna.create_study(direction=direction, sampler=samplers[search.sampler]())
     space = {name: _optuna(name, d) for name, d in search.parameters.items()}
-    seeds = study.seeds or [load_scenario(study.scenario).seed]
+    seeds = seeds_of(study, drafts[study.scenario])
     worst = math.inf if search.aim == "minimise" else -math.inf
     for start in range(0, search.count, search.batch):
         trials = [asked.ask(space) for _ in range(min(search.batch, search.count - start))]
         works = [
-            _work(study, Case((start + i) * len(seeds) + k, study.scenario, "", dict(trial.params), seed))
+            _work(study, Case((start + i) * len(seeds) + k, study.scenario, "", dict(trial.params), seed), drafts)
             for i, trial in enumerate(trials)
             for k, seed in enumerate(seeds)
         ]

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import SECOND, Run, RunError, Scenario, ScenarioError, simulate
+from softrig_core.scenario.scenario import Draft
 
 from .draw import Case
 
@@ -26,8 +27,8 @@ class Work(NamedTuple):
         See `Study`.
     runs : int
         So many of the kind are to come, in all workers.
-    scenario : Scenario, optional
-        Where it is none that the case could name.
+    scenario : Draft or Scenario, optional
+        What the case names, read before; absent: read by that name.
     margins : bool
         Whether of `figures`, requirements or figures of which a bound is expected, the margins are wanted.
     """
@@ -38,7 +39,7 @@ class Work(NamedTuple):
     signals: tuple[str, ...] = ()
     samples: int = 0
     runs: int = 1
-    scenario: Scenario | None = None
+    scenario: Draft | Scenario | None = None
     margins: bool = False
 
 
@@ -68,7 +69,7 @@ def run(work: Work) -> dict[str, Any]:
     }
     started = time.perf_counter()
     try:
-        done = simulate(  # by its name: a shared value can be changed only before the file is filled with it
+        done = simulate(
             work.scenario or case.scenario,
             seed=case.seed,
             duration=work.duration,

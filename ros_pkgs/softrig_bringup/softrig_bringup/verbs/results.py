@@ -15,22 +15,20 @@ from softrig_core import (
     RunError,
     Scenario,
     ScenarioError,
-    figures_of,
     list_scenarios,
     load_scenario,
     rig_of,
     simulate,
 )
 from softrig_core.guard import is_quiet, say
-from softrig_core.rig.code import fingerprints
 from softrig_core.verdict.findings import Finding, findings, needed, values
 from softrig_optim.sweep import sweep
 
-from ..folder import ResultsFolder, alone_in, replace
+from ..folder import STUDY, ResultsFolder, alone_in, replace
 from ..page.junit import Case, Suite, write_reports
 from ..run.run import illustrate, save, summary, versions
 from ..study.definition import list_studies, load_study
-from ..study.engine import run_study
+from ..study.engine import OtherContentError, made_of, run_study
 from ..study.table import claims, results, without_signals
 from .results_page import command, counts, html, markdown
 
@@ -87,10 +85,10 @@ def _figures(place: Path) -> Path:
 
 
 def _key(rig: Rig) -> str:
-    """What a run is made of: scenario, code of blocks and figures, libraries, machine."""
-    code = fingerprints((m.block_class for m in rig.members), (f.function.__module__ for f in figures_of(rig)))
+    """What a run is made of: scenario, code of blocks and figures, files that blocks read, libraries, machine."""
+    made = made_of({}, [rig])
     libraries = {k: v for k, v in versions().items() if k != "commit"}
-    whole = json.dumps([rig.scenario.model_dump(mode="json"), code, libraries], sort_keys=True, default=str)
+    whole = json.dumps([rig.scenario.model_dump(mode="json"), made, libraries], sort_keys=True, default=str)
     return hashlib.sha256(whole.encode()).hexdigest()
 
 
@@ -178,7 +176,12 @@ def study_findings(
         scenario = load_scenario(study.scenario)
         if not study.claims or (systems and not any(_belongs(scenario, system) for system in systems)):
             continue
-        done = without_signals(run_study(study, out / study.name, workers=workers).rows())
+        try:
+            log = run_study(study, out / study.name, workers=workers)
+        except OtherContentError:
+            ResultsFolder(out / study.name, STUDY).clear()  # of another scenario or other code: all can be run again
+            log = run_study(study, out / study.name, workers=workers)
+        done = without_signals(log.rows())
         rows += claims(study, results(study, done))
         scenarios.append(scenario.model_copy(update={"name": study.name, "source": study.source or scenario.source}))
     return scenarios, rows

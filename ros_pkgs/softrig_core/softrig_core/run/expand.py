@@ -16,7 +16,7 @@ from ..errors import ScenarioError
 from ..rig.members import signal_units
 from ..rig.rig import Rig, members_of
 from ..scenario.faults import insert
-from ..scenario.scenario import NodeEntry, Scenario, load_scenario
+from ..scenario.scenario import Draft, NodeEntry, Scenario, read_draft
 from ..verdict.figures import told
 from ..verdict.requirements import watched
 
@@ -25,20 +25,20 @@ Classes = Mapping[str, type[Block]]
 
 
 def rig_of(
-    what: str | Path | Scenario | Rig,
+    what: str | Path | Draft | Scenario | Rig,
     *,
     duration: float | None = None,
     overrides: Mapping[str, Any] | None = None,
     classes: Classes | None = None,
 ) -> Rig:
-    """Build the rig of a scenario's name or file, of a scenario, or of a rig with changes.
+    """Build the rig of a scenario's name, file or draft, of a scenario, or of a rig with changes.
 
     Parameters
     ----------
     duration : float, optional
         In s, instead of the scenario's.
     overrides : mapping, optional
-        ``node.parameter``, or for a scenario by its name also a shared value's name, to value.
+        ``node.parameter``, or for a scenario by its name or draft also a shared value's name, to value.
     classes : mapping of node name to type of Block, optional
         Of nodes whose class no executable gives.
 
@@ -51,7 +51,9 @@ def rig_of(
         classes = {m.name: m.block_class for m in what.members} | dict(classes or {})
         what = what.scenario
     if isinstance(what, str | Path):
-        what, overrides = load_scenario(str(what), overrides), None
+        what = read_draft(str(what))
+    if isinstance(what, Draft):
+        what, overrides = what.filled(overrides), None
     if overrides or duration is not None:
         what = what.changed(duration=duration, overrides=overrides)
     return _expanded(what, classes or {})

@@ -18,7 +18,7 @@ from ..extras import need
 from ..judge.claims import NEVER
 from ..rig.members import signal_units
 from ..rig.rig import Rig
-from ..scenario.scenario import Scenario
+from ..scenario.scenario import Draft, Scenario
 from ..timebase import SECOND
 from ..verdict.figures import Figure, Result, evaluate, figures_of
 from ..verdict.findings import Finding, findings, values
@@ -238,7 +238,7 @@ class Run:
 
 
 def simulate(
-    what: str | Scenario | Rig,
+    what: str | Draft | Scenario | Rig,
     *,
     seed: int | None = None,
     duration: float | None = None,
@@ -250,8 +250,8 @@ def simulate(
 
     Parameters
     ----------
-    what : str, Scenario or Rig
-        Name or file of a scenario, a scenario, or a rig (`Rig.from_blocks` wires one from block objects).
+    what : str, Draft, Scenario or Rig
+        Name, file or draft of a scenario, a scenario, or a rig (`Rig.from_blocks` wires one from block objects).
     seed : int, optional
         Instead of the scenario's.
     duration, overrides

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 
@@ -18,7 +18,17 @@ from .places import explain, place
 from .references import fill
 from .scenario_file import list_scenarios, locate, merge, resolve
 
-__all__ = ["FigureEntry", "NodeEntry", "PlotEntry", "Scenario", "list_scenarios", "load_scenario", "merge"]
+__all__ = [
+    "Draft",
+    "FigureEntry",
+    "NodeEntry",
+    "PlotEntry",
+    "Scenario",
+    "list_scenarios",
+    "load_scenario",
+    "merge",
+    "read_draft",
+]
 
 
 # What ROS takes for names; they become names of files and of topics, so nothing else may be in them.
@@ -226,23 +236,53 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
     ScenarioError
         Unknown scenario, YAML error, unknown key or bad value; names file, line and key.
     """
+    return read_draft(name).filled(overrides)
+
+
+class Draft(NamedTuple):
+    """A scenario as its files have it: inheritance and variant are applied, shared values not yet filled in.
+
+    Parameters
+    ----------
+    path : Path
+        For messages; nothing is read any more.
+    """
+
+    name: str
+    path: Path
+    raw: dict[str, Any]
+
+    def filled(self, overrides: Mapping[str, Any] | None = None) -> Scenario:
+        """Make the scenario of it; see `load_scenario`."""
+        name, path, raw = self.name, self.path, dict(self.raw)
+        for key, value in (overrides or {}).items():
+            _override(raw, key, value)
+        try:
+            shared = raw.get("shared") or {}
+            scenario = Scenario.model_validate({**fill(raw, shared if isinstance(shared, dict) else {}), "name": name})
+            check_lengths(scenario.duration, scenario.shared, scenario.requirements)
+            scenario._file = None if overrides else path
+            return scenario
+        except ValidationError as error:
+            at = place(name, path, error.errors()[0]["loc"])
+            raise ScenarioError(f"{at}: {explain(error, Scenario)}") from None
+        except ScenarioError as error:
+            raise ScenarioError(f"{path.name}: {error}") from None
+
+
+def read_draft(name: str) -> Draft:
+    """Read the files of a scenario by name or file, as `load_scenario` does: for one that is filled many times.
+
+    Raises
+    ------
+    ScenarioError
+        Unknown scenario, YAML error or a wrong `extends`.
+    """
     name, path = locate(name)
     raw = resolve(name, path)
     if "name" in raw:
         raise ScenarioError(f"{path.name}: key name: a scenario is named by its file")
-    for key, value in (overrides or {}).items():
-        _override(raw, key, value)
-    try:
-        shared = raw.get("shared") or {}
-        scenario = Scenario.model_validate({**fill(raw, shared if isinstance(shared, dict) else {}), "name": name})
-        check_lengths(scenario.duration, scenario.shared, scenario.requirements)
-        scenario._file = None if overrides else path
-        return scenario
-    except ValidationError as error:
-        at = place(name, path, error.errors()[0]["loc"])
-        raise ScenarioError(f"{at}: {explain(error, Scenario)}") from None
-    except ScenarioError as error:
-        raise ScenarioError(f"{path.name}: {error}") from None
+    return Draft(name, path, raw)
 
 
 def _override(raw: dict[str, Any], key: str, value: Any) -> None:
