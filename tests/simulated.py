@@ -35,6 +35,7 @@ class Endpoint:
     matched: Callable[[int], None]
     born: int
     peers: int = 0  # that are matched, as this end sees it
+    fits: bool = True  # whether its profile is one that anybody meets
     known: dict = field(default_factory=dict)  # of a writer: reader -> time from which that accepts what is sent
 
     @property
@@ -44,7 +45,7 @@ class Endpoint:
     def meets(self, other):
         """Whether the middleware brings two ends together; not those of a process of several nodes."""
         apart = self.node.process is None or self.node.process is not other.node.process
-        return apart and self.topic == other.topic and self.msgtype == other.msgtype
+        return apart and self.topic == other.topic and self.msgtype == other.msgtype and self.fits and other.fits
 
 
 @dataclass
@@ -215,7 +216,8 @@ class SimulatedNode(Middleware):
         self.monitor = Monitor(self._wake, self._clock)
         self.ahead = 0  # ns by which its clock differs
 
-    def be_prompt(self):
+    def be_prompt(self, place):
+        self.place = place
         self.prompt = self.world.prompt is not None and self.process is None
         if self.prompt:
             self.monitor._short = self.world.prompt.choice((0, SHORT_ONES))  # some have been at it for long
@@ -257,8 +259,8 @@ class SimulatedNode(Middleware):
         self.world.add(end)
         return lambda data: self.world.send(end, data)
 
-    def subscribe(self, topic, msgtype, receive, matched):
-        self.world.add(Endpoint(self, self.resolve(topic), msgtype, receive, matched, self.world.now))
+    def subscribe(self, topic, msgtype, receive, matched, fits=True):
+        self.world.add(Endpoint(self, self.resolve(topic), msgtype, receive, matched, self.world.now, fits=fits))
 
     def post(self, call):
         self.world.at(self.world.now, call)  # of the process, which outlives the node
@@ -278,11 +280,17 @@ class SimulatedNode(Middleware):
     def subscribers(self, topic):
         return [r.peer for r in self._seen(self.world.readers) if r.topic == topic]
 
+    def unfit(self, topic, msgtype):
+        readers = [r for r in self._seen(self.world.readers) if r.topic == topic and r.msgtype == msgtype]
+        return [(r.node.name, "its profile") for r in readers if not r.fits]
+
     def _seen(self, ends):
         discovery = self.world.discovery
         return ends if discovery is None else [e for e in ends if discovery.shown(e, self)]
 
     def subscriptions_of(self, peer):
+        if peer.name == "_NODE_NAME_UNKNOWN_":  # of who is no ROS node
+            return []
         return [r.topic for r in self._seen(self.world.readers) if r.node.name == peer.name]
 
     def topics(self):

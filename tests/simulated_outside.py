@@ -20,14 +20,18 @@ class SimulatedOutside:
         The topics that it reads; the fastest one calls for its answers. None: /clock.
     pause : callable
         Gives the ns between making its endpoints, one after the other.
+    bare : bool
+        Whether it is no ROS node: its endpoints have no name.
     realtime : bool
         Whether t = 0 is at the stamp of the first call; what it says is then stamped accordingly. It must be called.
     """
 
-    def __init__(self, rig, member, said, world, reads, pause=lambda: 0, name=None, realtime=False):
+    def __init__(self, rig, member, said, world, reads, pause=lambda: 0, name=None, realtime=False, bare=False):
         self.member, self.world = member, world
         self.epoch = None if realtime else 0
-        self.node = SimulatedNode(world, name or f"others_{member.name}", {})
+        name = "_NODE_NAME_UNKNOWN_" if bare else name or f"others_{member.name}"
+        self.node = SimulatedNode(world, name, {})
+        self.first = {}  # what it has heard first, by topic
         self.said = {p.topic: said.topics[p.topic] for p in member.outputs}
         self.next = dict.fromkeys(self.said, 0)
         self.writers, self.needs, self.heard = {}, {}, set()
@@ -61,6 +65,7 @@ class SimulatedOutside:
         by_order = port.delayed or not (port.stamped or port.topic == "/clock")
 
         def receive(data):
+            self.first.setdefault(port.topic, bytes(data))
             if port is calls:
                 self._called(self.caller.time(next(count)) if by_order else _stamp(data))
 

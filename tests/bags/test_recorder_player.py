@@ -27,7 +27,7 @@ from softrig_bags.cli import main_bag, main_compare, main_play, main_record
 from softrig_bags.compare import compare
 from softrig_bags.holds import Holds, patience
 from softrig_bags.join import Join
-from softrig_bags.player import LockstepPlayer, Sender, span
+from softrig_bags.player import LockstepPlayer, Publishers, span
 from softrig_bags.read import read_bag, signals
 from softrig_bags.reader import BagReader
 from softrig_bags.recorder import Recorder
@@ -405,7 +405,7 @@ def in_lockstep(listener, bag: BagReader) -> LockstepPlayer:
     session = SimpleNamespace(node=listener, stopped=False, spin=lambda seconds: listener.turn())
     session.stop = partial(setattr, session, "stopped", True)
     played = [t for t in bag.topics if t.name == "/plant/state"]
-    return LockstepPlayer(session, bag, Sender(session, bag, played, {}), ["/command"], {}, span(bag, 0.0, None))
+    return LockstepPlayer(session, bag, Publishers(session, bag, played, {}), ["/command"], {}, span(bag, 0.0, None))
 
 
 @pytest.fixture

@@ -72,6 +72,15 @@ def test_the_worst_deviation_of_a_linear_loop_is_the_l1_norm_of_its_impulse_resp
     assert found.trace == sorted(found.trace, reverse=True)
 
 
+def test_one_number_has_no_covariance_and_goes_to_tpe():
+    def measure(points):
+        return [(point[0] - 0.37) ** 2 for point in points]
+
+    found, by_tpe = (search([1], measure, 40, seed=2, sampler=sampler) for sampler in ("cmaes", "tpe"))
+    assert (found.point, found.trace) == (by_tpe.point, by_tpe.trace)
+    assert found.least < 1e-3
+
+
 def test_a_disturbance_laid_on_a_signal_is_a_fault_and_its_worst_course_is_found_too():
     space = space_of(loop([0.0]), [parse("motor/command/armature/effort+", "-0.5..0.5*6")])
     (target,) = space.targets
@@ -349,3 +358,12 @@ def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(undra
 def test_a_scenario_without_requirements_says_what_it_needs(tmp_path, capsys):
     assert main(["falsify", "dc_motor_smc_b6", "--over", "dc_motor_plant.R=1..2", "--out", str(tmp_path)]) == 2
     assert "has no requirements" in capsys.readouterr().err
+    asked = ["falsify", "dc_motor_smc_b6", "--over", "dc_motor_plant.R=1..2", "--out", str(tmp_path), "--requirement"]
+    scenario = load_scenario("dc_motor_smc_b6")
+    for name, why in (
+        (next(n for n in scenario.expect if n in scenario.figures), "an expectation on both sides"),
+        (next(n for n in scenario.figures if n not in scenario.expect), "no expectation"),
+    ):
+        assert main([*asked, name]) == 2
+        told = capsys.readouterr().err
+        assert f"figure {name} has {why}, no bound that a run could violate; it needs an entry" in told

@@ -72,6 +72,25 @@ def test_what_a_killed_run_has_left_stops_no_other(tmp_path):
         ResultsFolder(out)
 
 
+def test_a_killed_run_that_cannot_be_made_again_stays(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "runs" / "dc_motor_smc_b2"
+    for shard in (False, True):
+        folder = ResultsFolder(out)
+        folder.clear("in real time")
+        folder.let_go()
+        if shard:
+            (out / "log").mkdir()
+            (out / "log" / "plant.shard").write_text("an hour of a run that was killed here")
+        assert main([*RUN, "--no-plots", "--no-record"]) == 0  # where nothing was kept yet, in its place
+        assert (out / "metrics.json").is_file() != shard
+    told = f"its run cannot be made again (in real time, and broken off: softrig bag repair {out / 'log'})"
+    assert told in capsys.readouterr().err
+    assert (out.with_name("dc_motor_smc_b2-2") / "metrics.json").is_file()
+    assert main([*RUN, "--no-plots", "--no-record", "--force"]) == 0
+    assert not (out / "log").exists()
+
+
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "out").write_text("")
     with pytest.raises(ScenarioError, match="out is a file, expected a folder"):

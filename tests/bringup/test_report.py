@@ -4,16 +4,19 @@ import json
 import math
 import platform
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from softrig_bringup.folder import ResultsFolder
+from softrig_bringup.page.wording import spans
 from softrig_bringup.plots import pictures as plots
 from softrig_bringup.plots.curves import envelope
 from softrig_bringup.plots.pictures import OVERVIEW, plot_name, plot_run
 from softrig_bringup.report.report import write_report
+from softrig_bringup.report.run_page import _changes
 from softrig_bringup.run.run import illustrate, save, summary
 from softrig_core import (
     Block,
@@ -320,6 +323,24 @@ def test_envelope_keeps_extremes_and_ends(values, columns):
     assert (short_y.min(), short_y.max()) == (y.min(), y.max())
     assert (short_y[0], short_y[-1]) == (y[0], y[-1])
     assert np.all(np.diff(short_x) >= 0)
+
+
+def test_a_signal_that_has_room_is_drawn_as_it_is():
+    x = np.arange(8.0)
+    assert envelope(x, x, 2)[0] is x
+
+
+def test_a_table_of_changes_is_there_when_something_was_changed():
+    change = SimpleNamespace(at_s=0.25, node="gain", set={"k": 2.0})
+    (table,) = _changes(SimpleNamespace(changes=[change], units={"gain": {"k": "1/s"}}))
+    assert "".join(table.itertext()).endswith("0.25gain.k2.0 1/s")
+    assert list(_changes(SimpleNamespace(changes=[], units={}))) == []
+
+
+def test_of_many_intervals_the_first_are_written():
+    pairs = [(0.0, 1.0), (2.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
+    assert spans(pairs[:3]) == "from 0 to 1 s, at 2 s, from 3 to 4 s"
+    assert spans(pairs) == "from 0 to 1 s, at 2 s, from 3 to 4 s and 1 times more, to 6 s"
 
 
 def test_envelope_keeps_a_single_spike_where_it_is():

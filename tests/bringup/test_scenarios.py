@@ -271,6 +271,7 @@ def finding(claim, figures):
         ({"above": "other.last"}, 5.1, True),
         ({"above": "other.last"}, math.inf, True),
         ({"above": "other.last"}, 4.9, False),
+        ({"above": "other.last"}, 5.0, False),
         ({"equals": "other.last", "tolerance": "10 %"}, 5.4, True),
         ({"above": 1.0, "below": "other.last"}, 0.5, False),
     ],

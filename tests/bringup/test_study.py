@@ -580,6 +580,18 @@ def test_pictures_follow_from_the_form(folder, request, keys, pictures):
         assert any(name in d for d in drawn), drawn
     page = (folder / "out" / "report.html").read_text()
     assert page.count("data:image/png") == len(drawn)
+    assert re.findall(r'alt="(plot [^"_]*)"', page) == [Path(name).stem.replace("_", " ") for name in drawn]
+
+
+def test_the_history_of_a_search_holds_the_best_so_far():
+    search = {"figure": "settling", "count": 3, "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}
+    rows = [a_row(0, 1.0, 0.5), a_row(1, 2.0, 0.7), a_row(2, 3.0, 0.3)]
+    for aim, found in (("minimise", [0.5, 0.5, 0.3]), ("maximise", [0.5, 0.7, 0.7])):
+        (ax,) = pictures._history(study(search=search | {"aim": aim}).search, rows, {}).axes
+        assert [line.get_xydata().tolist() for line in ax.lines] == [
+            [[0.0, 0.5], [1.0, 0.7], [2.0, 0.3]],
+            [[float(number), value] for number, value in enumerate(found)],
+        ]
 
 
 def test_an_unknown_name_or_option_is_one_line(capsys):

@@ -23,9 +23,10 @@ from softrig_bringup.cli import main
 from softrig_bringup.view.beside import Beside
 from softrig_bringup.view.control import Control, Knob
 from softrig_bringup.view.here import Here
-from softrig_bringup.view.page import Page, reach
+from softrig_bringup.view.page import SLOW, Page, reach
+from softrig_bringup.view.pictures import plots_of
 from softrig_bringup.view.serve import OneLine
-from softrig_bringup.view.sources import Recorded
+from softrig_bringup.view.sources import Live, Recorded
 from softrig_bringup.view.tracks import Track
 from softrig_core import Recording, Session, Signals, load_scenario, rig_of, simulate
 from softrig_core.processes.placement import Placement
@@ -379,6 +380,13 @@ def test_the_knobs_of_the_laws_come_first_and_those_of_plants_and_sources_last()
     assert next(iter(control.knobs)).startswith("dc_motor_smc.")
 
 
+def test_a_picture_that_enlarges_another_is_not_shown_twice():
+    rig = rig_of("dc_motor_smc")
+    plots = {p.title: p.window for p in rig.scenario.plots}
+    assert plots["Armature voltage, enlarged"] is not None
+    assert {p.title for p in plots_of(rig)} == plots.keys() - {"Armature voltage, enlarged"}
+
+
 def test_pictures_begin_at_the_length_of_the_run_and_the_drawing_at_rest():
     document, rig = Document(), rig_of("dc_motor_smc_b2")
     source = Recorded(rig, Signals(Recording([])), {})
@@ -394,6 +402,31 @@ def test_pictures_begin_at_the_length_of_the_run_and_the_drawing_at_rest():
     echo.text = beat.text
     page.update()
     assert "running at the wall&#x27;s pace" in document.select_one({"name": "state"}).text
+
+
+def test_a_page_says_who_is_awaited_while_a_rig_starts(tmp_path):
+    document, rig = Document(), rig_of("dc_motor_smc_b2")
+    source = Live(rig, tmp_path, False)
+    control = Control(rig, lambda *words: None, lambda: 0.0, lambda: "", True, 1.0)
+    page = Page(document, source, control, lambda: ((), True), "me", "here", "light")
+    head, beat, echo = (document.select_one({"name": name}) for name in ("state", "beat", "echo"))
+
+    def says(text, **states):
+        for name, state in states.items():
+            (tmp_path / f"{name}.status").write_text(json.dumps({"state": state, "epoch": 0}))
+        source.look()
+        for _ in range(SLOW):
+            page.update()
+            echo.text = beat.text
+        assert re.search(text, head.text), head.text
+
+    members = [m.name for m in rig.members]
+    says(rf"0 of 6 s, starting for \d+ s, waits for {', '.join(members)}<")
+    source._complete -= 1000.0
+    says(r"starting for 1\d\d\d s, waits for dc_motor_plant<", **dict.fromkeys(members[1:], "starting"))
+    says(f"waits for {', '.join(members)}<", dc_motor_plant="starting")  # all are there, and look for each other
+    says("0 of 6 s, paused<", **dict.fromkeys(members, "running"))
+    assert source.waited < 1000.0
 
 
 def test_a_page_that_breaks_is_started_again_and_at_last_the_run_is_let_go(tmp_path, capsys, monkeypatch):

@@ -1,5 +1,6 @@
 """What decides a number uses no BLAS, no LAPACK, no transcendental function of numpy: their bits depend on the CPU;
-and no built-in `sum`, whose bits depend on the version of Python.
+and no built-in `sum`, whose bits depend on the version of Python. Numpy's sums of arrays are let pass: they add in one
+order at every level, and on arm64. So are `math.fsum`, which is exact, and `functools.reduce`, whose order is written.
 
 `jit` refuses them in what it compiles; here they are refused in plants, laws and solvers. The same reading of the
 sources finds the functions of the C library that they call: `bits.math_digest` is of those. Not seen by this rule:
@@ -20,8 +21,11 @@ DECIDING = ("core", "control", "optim", "drives", "power", "robots", "systems")
 # numpy.sin and numpy.cos are the C library's at every level (test_bits.py), as are hypot, sqrt and arithmetic
 _REFUSED = """linalg dot vdot inner matmul tensordot einsum convolve correlate polyfit polyval roots poly polynomial cov
 corrcoef exp expm1 exp2 log log1p log2 log10 tan arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh arctanh
-cbrt power float_power angle logspace geomspace"""
+cbrt power float_power angle logspace geomspace fft vecdot matvec vecmat"""
 REFUSED = frozenset(_REFUSED.split())
+OTHERS = frozenset({"dot", "sumprod"})  # of anything else: arrays, math
+NOTHING: frozenset[str] = frozenset()
+OF = {"np": REFUSED, "numpy": REFUSED, "math": OTHERS, "ca": NOTHING, "casadi": NOTHING}
 # modules that judge or show what was recorded
 WHOLE = ("figures", "pictures", "drawing", "study", "study_tool", "cases")
 # the same bits wherever there is IEEE 754
@@ -47,6 +51,7 @@ EXEMPT = {
     "softrig_core.bits.blas_core": "asks which BLAS is loaded",
     "softrig_core.block.answer": "whether values are below a bound",
     "softrig_core.judge.measures.growth_rate": "judges what was recorded",
+    "softrig_core.native.calls": "the word itself: of whole numbers it is translated, of others it stays Python's",
     "softrig_core.node": COUNT,
     "softrig_core.scenario.yaml_file": COUNT,
     "softrig_core.wire": COUNT,
@@ -59,6 +64,7 @@ EXEMPT = {
     "softrig_power.fault_location.ends._least": SCALAR,
     "softrig_power.fault_location.locator.FaultLocator.setup": SCALAR,
     "softrig_power.fault_location.search.brent": SCALAR,
+    "softrig_power.gupfc.steady.start": "numpy's Fourier transform: one build for all x86-64, another for arm64",
     "softrig_robots.driven_robot._equations": CASADI,
     "softrig_robots.rehab.stability": CHECK,
     "softrig_robots.rigid_body": CASADI + "; moments of inertia are checked",
@@ -97,6 +103,7 @@ def counts(call: ast.Call) -> bool:
 def uses(module: str, tree: ast.AST) -> set[str]:
     """Where a module uses what is refused: qualified names of the functions or classes."""
     found: set[str] = set()
+    whole: set[ast.expr] = set()  # sums that count
 
     def walk(node: ast.AST, where: str) -> None:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
@@ -104,24 +111,20 @@ def uses(module: str, tree: ast.AST) -> set[str]:
         if isinstance(node, (ast.BinOp, ast.AugAssign)) and isinstance(node.op, ast.MatMult):
             found.add(where)
         if isinstance(node, ast.Attribute):
-            numpy = isinstance(node.value, ast.Name) and node.value.id in ("np", "numpy")
-            if (
-                (numpy and node.attr in REFUSED)
-                or node.attr == "sumprod"
-                or (node.attr == "dot" and not isinstance(node.value, ast.Name))
-            ):
+            home = node.value.id if isinstance(node.value, ast.Name) else ""
+            if node.attr in OF.get(home, OTHERS):
                 found.add(where)
-        if (
-            isinstance(node, ast.Call)
-            and isinstance(node.func, ast.Name)
-            and node.func.id == "sum"
-            and not counts(node)
-        ):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "sum" and counts(node):
+            whole.add(node.func)
+        if isinstance(node, ast.Name) and node.id == "sum" and node not in whole:  # also handed on: `map(sum, rows)`
             found.add(where)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("scipy", "numpy.linalg")):
-            found.add(where)
-        if isinstance(node, ast.Import) and any(a.name.startswith(("scipy", "numpy.")) for a in node.names):
-            found.add(where)
+        if isinstance(node, ast.ImportFrom):
+            home, names = node.module or "", {a.name for a in node.names}
+            if home.startswith(("scipy", "numpy.linalg", "numpy.fft")) or names & OF.get(home, NOTHING):
+                found.add(where)
+        for a in node.names if isinstance(node, ast.Import) else ():
+            if a.name.startswith(("scipy", "numpy.")) or (a.name == "numpy" and a.asname not in (None, "np")):
+                found.add(where)
         # `except np.linalg.LinAlgError` and raising it compute nothing
         if not (isinstance(node, ast.Attribute) and node.attr == "LinAlgError"):
             for child in ast.iter_child_nodes(node):
@@ -197,6 +200,9 @@ def test_no_exemption_outlives_its_reason():
      ("import numpy.linalg", True), ("y = np.sin(x) + np.sqrt(x) * np.hypot(x, x)", False), ("y = math.exp(x)", False),
      ("try:\n    f()\nexcept np.linalg.LinAlgError:\n    pass", False), ("y = ca.dot(x, x)", False),
      ("y = dense.product(K, x)", False), ("y = sum(a * b for a, b in pairs)", True), ("y = sum(row)", True),
+     ("y = x.dot(z)", True), ("y = np.fft.fft(x)", True), ("from numpy import dot", True), ("y = map(sum, rows)", True),
+     ("from math import sumprod", True), ("import numpy as xp", True), ("from math import fsum, exp", False),
+     ("from numpy import sqrt", False), ("y = x.sum() + np.sum(x)", False), ("n = sum(len(r) for r in x)", False),
      ("y = dense.total(row)", False), ("n = sum(x > 0.0 for x in row)", False), ("y = math.sumprod(a, b)", True)],
 )  # fmt: skip
 def test_the_rule_sees_what_it_should(code, refused):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -226,6 +227,35 @@ def test_functions_in_closures_and_as_arguments():
         return f(f(x))
 
     assert twice(scaled(2.0), 3.0) == 15.0
+
+
+class Line(NamedTuple):
+    slope: float
+    table: np.ndarray
+
+
+class Other(NamedTuple):
+    table: np.ndarray
+    slope: float
+
+
+@jit
+def along(line, at, weights):
+    line.table[0] += weights[1][0]
+    return line.slope * at + line.table[1] * weights[0]
+
+
+def test_tuples_are_handed_over_by_their_parts_and_others_than_the_first_as_they_are():
+    table = np.array([0.0, 3.0])
+    calls = [
+        (Line(2.0, table), 5.0, (10.0, (1.0, 2.0))),  # as later ones most likely are
+        (Other(table, 2.0), 5.0, (10.0, (1.0, 2.0))),  # the same fields in another order
+        (Line(2.0, table), 5.0, (10.0, (1.0,))),
+    ]
+    for k, call in enumerate(calls, 1):
+        assert along(*call) == 40.0, call
+        assert table[0] == k  # the array itself, no copy
+    assert along.py_func(*calls[0]) == 40.0
 
 
 def test_recursion():

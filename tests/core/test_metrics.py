@@ -20,6 +20,12 @@ def second_order(t):
 SECOND_ORDER = {"y": (T, second_order(T))}
 
 
+def test_an_error_settles_at_its_first_sample_its_last_or_never():
+    error = {"y": (np.arange(4.0), np.array([0.0, 2.0, 2.0, 0.5]))}
+    found = [measures.error_settling_time(error, "y", band=band) for band in (2.0, 0.5, 0.4)]
+    assert found == [0.0, 3.0, math.inf]
+
+
 def test_first_order_rise_and_settling():
     assert measures.rise_time(FIRST_ORDER, "y", final=3.0) == pytest.approx(math.log(9.0), abs=1e-6)
     assert measures.settling_time(FIRST_ORDER, "y", final=3.0) == pytest.approx(math.log(50.0), abs=1e-6)

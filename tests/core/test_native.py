@@ -63,6 +63,7 @@ KNOWN = {
 def _no_text_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a text that other tests have pushed out made again."""
     monkeypatch.setattr(engine, "_counts", {})
+    monkeypatch.setattr(engine, "_spent", {})
 
 
 def ran(
@@ -76,7 +77,7 @@ def ran(
         return engines[-1]
 
     monkeypatch.setattr(engine, "cost", lambda steps: None if timed else 0.0)
-    monkeypatch.setattr(engine, "writes", lambda left: False)
+    monkeypatch.setattr(engine, "writes", lambda steps, left: False)
     monkeypatch.setattr(engine, "unwanted", lambda steps, left, runs: "" if make else "a test")
     monkeypatch.setattr(engine, "Engine", build)
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
@@ -277,9 +278,9 @@ def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch
     assert engine.unwanted(steps, 5.9) == engine.SHORT
     assert engine.unwanted(steps, 6.1) == engine.unwanted(steps, 0.061, 100) == ""
     assert engine.unwanted(steps, 0.009, 10**6) == engine.SHORT
-    assert engine.writes(0.2)
+    assert engine.writes(steps, 0.2)
     monkeypatch.setenv("SOFTRIG_JIT", "0")
-    assert not engine.writes(0.2)
+    assert not engine.writes(steps, 0.2)
     assert engine.unwanted(steps, 6.1) == "SOFTRIG_JIT=0"
 
 
@@ -320,6 +321,26 @@ def test_the_time_that_is_left_says_how_a_run_goes_on(left, runs, way, timed, mo
     assert found.topics == wanted.topics
 
 
+def test_short_runs_that_come_again_are_worth_a_text_that_python_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once as much time has gone into them as the text takes, unless there is no such text."""
+    monkeypatch.setattr(engine, "_costs", {(Oscillator, Pusher, Watcher): 0.1 / 501})
+    monkeypatch.setattr(engine, "_texts", [])
+    made: list[Any] = []
+    monkeypatch.setattr(engine, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, make))
+    for count in (0, 1, 2):
+        inprocess.run_inprocess(rig(), 0)
+        assert made == [plain] * count
+    monkeypatch.setattr(engine, "_texts", [])
+
+    def none(*told: Any) -> Any:
+        raise NotNative("a test")
+
+    monkeypatch.setattr(engine, "rig_text", none)
+    for _ in range(2):
+        inprocess.run_inprocess(rig(), 0)
+        assert made == [plain] * 3
+
+
 def test_changes_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     changes = [{"at": 0.1005, "set": {"plant.rate": 0.1}}, {"at": 0.2, "set": {"law.rate": 1.0}}]
     native = the_same(lambda: rig(changes=changes), monkeypatch)
@@ -335,7 +356,7 @@ class AtOnce(Watcher):
 
     def at_once(self, x: Any, t: int, messages: Mapping[str, Any]) -> Any:
         """Count."""
-        return (x[0] + int((messages["signal"].values[:, 0] > 0.0).sum()),)
+        return (x[0] + sum(values[0] > 0.0 for _, values in messages["signal"]),)
 
 
 @pytest.mark.parametrize(

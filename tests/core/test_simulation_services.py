@@ -5,10 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 from conftest import in_process
-from simulated import SimulatedRig, World
-from softrig_core import load_scenario, rig_of
-from softrig_core.node.face import simulation
-from softrig_core.node.face.simulation import FEATURES, Simulation, turned
+from simulated import SimulatedNode, SimulatedRig, World
+from softrig_core import Level, load_scenario, rig_of
+from softrig_core.node.face import faces, simulation
+from softrig_core.node.face.simulation import FEATURES, SERVICES, Simulation, turned
 from softrig_core.node.seam.monitor import Monitor
 
 RESULTS = {
@@ -20,7 +20,8 @@ RESULTS = {
 }
 STOPPED, PLAYING, PAUSED, QUITTING = range(4)
 STATES = {"STATE_STOPPED": STOPPED, "STATE_PLAYING": PLAYING, "STATE_PAUSED": PAUSED, "STATE_QUITTING": QUITTING}
-KINDS = {"Result": SimpleNamespace(**RESULTS), "SimulationState": SimpleNamespace(**STATES)}
+TYPES = {name: name for name in (*SERVICES, "SimulateSteps")}
+TYPES |= {"Result": SimpleNamespace(**RESULTS), "SimulationState": SimpleNamespace(**STATES)}
 Features = type("Features", (), {name: k for k, name in enumerate((*FEATURES, "ENTITY_STATE_GETTING"))})
 
 
@@ -39,9 +40,8 @@ class Caller:
         node = SimpleNamespace(
             create_service=self._create, monitor=Monitor(lambda: None), get_fully_qualified_name=lambda: "/plant"
         )
-        monkeypatch.setattr(simulation, "_kind", lambda name, what="srv": KINDS.get(name, name))
         monkeypatch.setattr(simulation, "ActionServer", lambda node, kind, name, execute: None)
-        self.simulation = Simulation(node, self.adapter)
+        self.simulation = Simulation(node, self.adapter, TYPES)
         self.world.match()
 
     def _create(self, kind, name, answer):
@@ -103,6 +103,17 @@ def test_a_rig_is_paused_stepped_resumed_and_its_bytes_are_those_of_a_run_that_n
     assert call.state() == QUITTING
     ours = in_process(call.rig)
     assert {n: t.data for n, t in call.run.recording.topics.items()} == {n: t.data for n, t in ours.topics.items()}
+
+
+@pytest.mark.parametrize("fault", [ImportError("no library"), Exception("no 'rosidl_typesupport_c'")])
+def test_a_package_whose_libraries_are_not_found_is_told_in_one_line(fault, monkeypatch):
+    def types():
+        raise fault
+
+    monkeypatch.setattr(simulation, "types", types)
+    node = SimulatedNode(World(), "plant", {})
+    faces._offer_simulation(SimpleNamespace(), SimpleNamespace(middleware=node))
+    assert node.logs == [(Level.WARN, f"the services of simulation_interfaces are not offered: {fault}")]
 
 
 def test_quitting_ends_the_run_by_its_reason(monkeypatch):

@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from conftest import differences, in_process, until
+from conftest import PATIENCE, differences, in_process, until
 from launching import launch, nodes_of
 from softrig_bags.read import read_bag
 from softrig_bringup.cli import main
@@ -200,7 +200,7 @@ def test_what_is_external_is_not_launched_and_waited_for_without_limit(lag):
 def test_a_launched_rig_waits_for_a_recorder_that_asks_for_it(topics, lag, tmp_path):
     """What was recorded is what the same run in process gives, from t = 0 on, whatever the recorder leaves out."""
     with free_domain() as domain:
-        variables = environment(domain, tmp_path)
+        variables = environment(domain, tmp_path, silence=PATIENCE)  # a busy host may hold the recorder
         recorder = subprocess.Popen(
             [find_executable("softrig_bags", "recorder"), *topics, "--use-sim-time", "-o", tmp_path / "bag"],
             env=variables,

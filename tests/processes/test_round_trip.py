@@ -8,6 +8,7 @@ import pytest
 import rclpy
 import yaml
 from conftest import until
+from faultrig import Gain
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -110,3 +111,12 @@ def test_tuned_dumped_and_loaded_it_is_the_same(name, block, tmp_path, domain):
         live = {d.name for d in declarations(block.Params) if d.live}
         now = {n: plain(p) for n, p in node._parameters.items()}
         assert {n: now[n] for n in live & now.keys()} == {n: values[n] for n in live & values.keys()}
+
+
+def test_a_parameter_that_is_not_there_is_named_and_the_others_are_set(domain):
+    with started("gain", Gain, domain) as (_, _, client, done):
+        results = done(client.set_parameters([Parameter("k", value=2.0), Parameter("noize", value=1.0)])).results
+        together = done(client.set_parameters_atomically([Parameter("noize", value=1.0)])).result
+    reason = "noize is no parameter of gain (did you mean 'noise'?)"
+    assert [(r.successful, r.reason) for r in results] == [(True, ""), (False, reason)]
+    assert (together.successful, together.reason) == (False, reason)

@@ -6,17 +6,21 @@ from types import SimpleNamespace
 
 import pytest
 import rclpy
-from conftest import differences, in_process, make_scenario
+from conftest import differences, in_process, make_scenario, until
 from faultrig import COMMAND, Gain, Lag
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.context import Context
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 from simulated import Discovery, SimulatedNode, SimulatedRig, World
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
 from softrig_core.node import group as group_module
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.group import Group
-from softrig_core.node.ros.ros import RosMiddleware, quiet_after_shutdown
+from softrig_core.node.ros.ros import RosMiddleware, ServingNode, quiet_after_shutdown
 from softrig_core.processes import supervision
+from softrig_core.processes.domain import free_domain
 from softrig_core.processes.guests import Guests
 from softrig_core.rig.options import RunOptions
 from test_discovery import KINDS, rig_and_record, with_guests
@@ -79,6 +83,53 @@ def test_in_lockstep_a_controller_may_come_after_minutes_and_nothing_is_lost():
     assert set(run.run(100.0).values()) == {"done"}
     assert lacking(run) == []
     assert [t for t in differences(expected, run.recording) if t != "lag/command"] == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nobody_waits_for_an_onlooker_who_can_never_be_matched(seed):
+    """`ros2 topic echo --qos-durability transient_local`, begun before the rig."""
+    world = World()
+    Discovery(world, random.Random(seed))
+    rig, expected = rig_and_record("basic")
+    person = SimulatedNode(world, "person", {})
+    person.subscribe(COMMAND.topic, COMMAND.msgtype, print, lambda count: None, fits=False)
+    world.run(world.now + SECOND)
+    run = SimulatedRig(rig, world, "lockstep", start_timeout=2.0)
+    assert set(run.run(100.0).values()) == {"done"}, {n: str(a.error) for n, a in run.adapters.items()}
+    assert differences(expected, run.recording) == []
+
+
+def test_a_node_of_the_rig_that_can_never_be_matched_is_named_with_the_reason(monkeypatch):
+    subscribe = SimulatedNode.subscribe
+
+    def strange(node, topic, *given):
+        subscribe(node, topic, *given, fits=(node.name, topic) != ("plant", COMMAND.topic))
+
+    monkeypatch.setattr(SimulatedNode, "subscribe", strange)
+    world = World()
+    run = SimulatedRig(rig_and_record("basic")[0], world, "lockstep", start_timeout=2.0)
+    run.run(100.0)
+    assert "plant can never read /lag/command: its profile" in str(run.adapters["gain"].error)
+    assert run.adapters["gain"].waits_for == ["plant"]
+
+
+def test_the_graph_tells_which_readers_ask_for_more_than_a_writer_offers():
+    context, best_effort = Context(), QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    with free_domain() as domain:
+        rclpy.init(context=context, domain_id=domain)
+        node = ServingNode("ours", context=context)
+        try:
+            for profile in (1, best_effort, latched):
+                node.create_subscription(JointState, "lag/command", print, profile)
+            ours = RosMiddleware(node)
+            ours.publisher("lag/command", "sensor_msgs/msg/JointState", lambda count: None)
+            until(lambda: len(ours.subscribers("/lag/command")) == 3)
+            found = ours.unfit("/lag/command", "sensor_msgs/msg/JointState")
+        finally:
+            node.destroy_node()
+            context.shutdown()
+    assert found == [("ours", "Volatile publisher and transient local subscription")]
 
 
 def test_in_real_time_the_start_is_after_the_controller_has_come():

@@ -63,14 +63,14 @@ def a_linear_system(rng, most=3):
     A = rng.normal(size=(n, n)) - rng.uniform(-0.5, 2.5) * np.eye(n)
     Ad = rng.uniform(0.2, 2.0) * rng.normal(size=(n, n))
     delays = np.geomspace(0.02, 6.0, 12) * rng.uniform(0.7, 1.4)
-    signs = [rightmost(A, Ad, h, 16) < 0.0 for h in delays]
+    signs = [rightmost(A, Ad, h, 10) < 0.0 for h in delays]  # where to draw; what is exact is asked afterwards
     ends = [k for k in range(11) if signs[k] != signs[k + 1]]
     if not ends or rng.random() < 0.4:
         return A, Ad, float(delays[rng.integers(12)])
     low, high = delays[(k := ends[int(rng.integers(len(ends)))])], delays[k + 1]
-    for _ in range(14):
+    for _ in range(9):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if (rightmost(A, Ad, middle) < 0.0) == signs[k] else (low, middle)
+        low, high = (middle, high) if (rightmost(A, Ad, middle, 16) < 0.0) == signs[k] else (low, middle)
     off = 10.0 ** rng.uniform(-3.0, -0.7)
     return A, Ad, float(low * (1.0 + off if rng.random() < 0.6 else 1.0 - off))
 
@@ -501,9 +501,9 @@ def bound_of_a_search(rng):
     )
 
 
-# case: draws a day, draws of the long test, least share of them that is certified and that is not
+# case: draws a day, draws of the long test (35 CPU s and less each), least share that is certified and that is not
 CASES = {
-    dual_mode_of_matrices: (60, 2500, 0.1, 0.3),
+    dual_mode_of_matrices: (60, 3500, 0.1, 0.3),
     dual_mode_of_a_model: (10, 400, 0.5, 0.0),
     gains_of_the_arm: (50, 500, 0.3, 0.3),
     level: (10, 700, 0.2, 0.1),
@@ -511,7 +511,7 @@ CASES = {
     bound_of_a_search: (20, 1200, 0.8, 0.0),
     dispatch: (4, 400, 0.5, 0.0),
     dispatch_with_conditions: (4, 200, 0.3, 0.0),
-    constant_delay: (20, 2500, 0.2, 0.3),
+    constant_delay: (20, 1500, 0.2, 0.3),
     constant_delays_of_an_interval: (10, 700, 0.1, 0.3),
     search_of_constant_delays: (1, 60, 0.2, 0.05),
     constant_delay_of_cells: (2, 120, 0.1, 0.2),
@@ -537,6 +537,7 @@ def test_no_certificate_is_false(case):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(1800)  # of the wall, where others compute as well
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
 def test_no_certificate_of_ten_thousand_is_false(case):
     _, draws, valid, refused = CASES[case]

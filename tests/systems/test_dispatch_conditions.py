@@ -111,6 +111,7 @@ def test_thirteen_units_with_losses_are_proven():
     [
         (Conditions.of(THREE, Losses(B, np.zeros(3)), 0.0, np.array([600.0, 200.0, 400.0])), ""),
         (Conditions.of(CASES["ramps"][0], None, 0.0, np.array([300.0, 350.0, 300.0])), "unit 2 is so far outside its"),
+        (Conditions.of(CASES["ramps"][0], None, 0.0, np.array([300.0, 240.0, 300.0])), ""),  # just led into them
         (Conditions.of(CASES["ramps"][0]), "within limits and ramps, less losses, the units give"),
         (Conditions.of(THREE, None, 2000.0), "reserve 2000 MW, but the units have"),
         (Conditions.of(THREE, Losses(100.0 * B, np.zeros(3))), "an incremental loss of 1 or more"),

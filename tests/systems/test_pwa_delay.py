@@ -217,7 +217,7 @@ def test_the_search_of_constant_delays_ends_with_the_first_window():
         for share in (0.0, 0.3, 0.7):
             d = step.shortest + share * (step.h - step.shortest)
             if step.shortest > 0.0:
-                again = bessel(OSCILLATOR.scaled(d), 2).check(step.matrices)
+                again = bessel(OSCILLATOR.scaled(d), 2).eigenvalues(step.matrices)
                 assert all(e.positive for e in again), (step.shortest, d)
     assert covered == found.h
     # beyond the first window: from `low` on where that is asked for and there is nothing from 0 on
@@ -258,12 +258,12 @@ def test_a_damaged_certificate_fails_its_check():
     found = certify(switched(), 0.0185)
     assert found.valid
     problem = theorem1(switched().scaled(0.0185), 0.0)
-    assert all(e.positive for e in problem.check(found.matrices))
+    assert all(e.positive for e in problem.eigenvalues(found.matrices))
     for name in ("R", "L1", "H0"):
         broken = {**found.matrices, name: -found.matrices[name]}
-        assert not all(e.positive for e in problem.check(broken)), name
+        assert not all(e.positive for e in problem.eigenvalues(broken)), name
     # the matrices of one delay are no certificate of another one far beyond
-    assert not all(e.positive for e in theorem1(switched().scaled(0.0300), 0.0).check(found.matrices))
+    assert not all(e.positive for e in theorem1(switched().scaled(0.0300), 0.0).eigenvalues(found.matrices))
 
 
 def test_level_of_the_tank():

@@ -11,7 +11,7 @@ from softrig_core.guard import say
 from softrig_core.node.ros.messages import message_class
 
 from .errors import BagError
-from .player import CHANGES, CLOCK, LockstepPlayer, Player, Sender, span
+from .player import CHANGES, CLOCK, LockstepPlayer, Player, Publishers, span
 from .reader import BagReader
 from .ros import Session
 from .selection import Selection
@@ -47,10 +47,10 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
         if not chosen:
             raise BagError(f"none of the topics of {options.bag} is to be played")
         session = Session("player", ros_arguments, parameters)
-        sender = Sender(session, bag, chosen, remap)
+        publishers = Publishers(session, bag, chosen, remap)
         if answers:
             lockstep = LockstepPlayer(
-                session, bag, sender, answers, remap, part, timeout=options.timeout, paused=options.paused
+                session, bag, publishers, answers, remap, part, timeout=options.timeout, paused=options.paused
             )
             found = lockstep.run()
             counts = ", ".join(f"{len(t.data)} on {t.name}" for t in found.topics.values())
@@ -59,7 +59,14 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
                 write_bag(options.answers, found)
             return 0
         player = Player(
-            session, bag, sender, part, rate=options.rate, loop=options.loop, clock=options.clock, paused=options.paused
+            session,
+            bag,
+            publishers,
+            part,
+            rate=options.rate,
+            loop=options.loop,
+            clock=options.clock,
+            paused=options.paused,
         )
         player.run(options.wait)
         print(f"{player.sent} messages played")

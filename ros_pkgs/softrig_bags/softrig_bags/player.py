@@ -41,7 +41,7 @@ CLOCK_STEP = 0.025  # s: longest wall-clock time between two /clock messages
 WATCH_PERIOD = 0.25  # s
 
 
-class Sender:
+class Publishers:
     """The publishers of the topics that are played, and who listens.
 
     Parameters
@@ -153,7 +153,7 @@ class Player:
         self,
         session: Session,
         bag: BagReader,
-        sender: Sender,
+        publishers: Publishers,
         part: Span,
         *,
         rate: float = 1.0,
@@ -161,7 +161,7 @@ class Player:
         clock: bool = False,
         paused: bool = False,
     ) -> None:
-        self._session, self._bag, self._sender, self._part = session, bag, sender, part
+        self._session, self._bag, self._publishers, self._part = session, bag, publishers, part
         self._rate, self._loop = rate, loop
         self._pauser = Pauser(session, paused)
         self._clock: Callable[[bytes], None] | None = None
@@ -182,7 +182,7 @@ class Player:
         wait : bool
             Do not start before every topic has a subscriber.
         """
-        while wait and not self._session.stopped and self._sender.unheard(list(self._sender.names.values())):
+        while wait and not self._session.stopped and self._publishers.unheard(list(self._publishers.names.values())):
             self._session.spin(0.02)
         gc.collect()
         gc.freeze()
@@ -190,12 +190,12 @@ class Player:
             self._once()
             if not self._loop:
                 break
-        self._sender.finish()
+        self._publishers.finish()
 
     def _once(self) -> None:
         self._wall, self._now = time.monotonic(), self._part.start
-        publish, now = self._sender.publish, -1
-        for i, t, data in self._bag.messages(self._sender.names, self._part.start):
+        publish, now = self._publishers.publish, -1
+        for i, t, data in self._bag.messages(self._publishers.names, self._part.start):
             if t > self._part.end:
                 break
             if t != now:
@@ -295,7 +295,7 @@ class LockstepPlayer:
 
     Parameters
     ----------
-    sender : Sender
+    publishers : Publishers
         Of the topics that are played: none of the answers.
     answers : sequence of str
         Recorded names of the topics that the node under test publishes.
@@ -309,7 +309,7 @@ class LockstepPlayer:
         self,
         session: Session,
         bag: BagReader,
-        sender: Sender,
+        publishers: Publishers,
         answers: Sequence[str],
         remap: Mapping[str, str],
         part: Span,
@@ -317,7 +317,7 @@ class LockstepPlayer:
         timeout: float = 10.0,
         paused: bool = False,
     ) -> None:
-        self._session, self._bag, self._sender, self._part = session, bag, sender, part
+        self._session, self._bag, self._publishers, self._part = session, bag, publishers, part
         self._names, self._remap = answers, remap
         self._timeout = timeout
         self._pauser = Pauser(session, paused, self._step)
@@ -354,7 +354,7 @@ class LockstepPlayer:
         self._step()
         while not session.stopped:
             session.spin(1.0)
-        self._sender.finish()
+        self._publishers.finish()
         if not self._finished:
             raise RunError(f"stopped at t = {self._tick / SECOND:.9g} s")
         answers = [a for a in self._answers.values() if a.name not in self._paces]
@@ -389,7 +389,7 @@ class LockstepPlayer:
     def _absent(self) -> list[str]:
         """Describe what is not matched yet: the answers' publishers, and the node's own subscriptions."""
         node, absent, wanted = self._session.node, [], set()
-        played = set(self._sender.names.values())
+        played = set(self._publishers.names.values())
         for subscription in list(self._heard):
             topic = subscription.topic_name
             publishers = node.get_publishers_info_by_topic(topic)
@@ -409,7 +409,7 @@ class LockstepPlayer:
             absent += self._paced(f"{there.node_namespace.rstrip('/')}/{there.node_name}")
         if not absent and not wanted:
             absent.append(f"the node subscribes none of {', '.join(sorted(played))}")
-        return absent + [f"{name} is not matched" for name in self._sender.unheard(sorted(wanted))]
+        return absent + [f"{name} is not matched" for name in self._publishers.unheard(sorted(wanted))]
 
     def _untuned(self, name: str, namespace: str) -> list[str]:
         """Make ready to set parameters of a node of which the bag has changes; describe what is not matched yet."""
@@ -471,7 +471,7 @@ class LockstepPlayer:
 
     def _send(self, tick: int, messages: Sequence[tuple[int, bytes]]) -> None:
         self._tick = tick
-        publish, sent = self._sender.publish, self.sent
+        publish, sent = self._publishers.publish, self.sent
         for i, data in messages:
             if i in publish:
                 publish[i](data)
@@ -486,7 +486,7 @@ class LockstepPlayer:
 
     def _ticks(self) -> Iterator[tuple[int, list[tuple[int, bytes]]]]:
         """Give the messages of each tick, played and answers, in their recorded order."""
-        part, wanted = self._part, {*self._sender.names, *self._names}
+        part, wanted = self._part, {*self._publishers.names, *self._names}
         stamped = [is_stamped(t) for t in self._bag.topics]
         messages: Iterator[tuple[int, int, bytes]]
         messages = ((t, i, d) for i, t, d in self._bag.messages(wanted, part.start) if t <= part.end)

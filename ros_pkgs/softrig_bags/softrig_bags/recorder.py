@@ -12,7 +12,7 @@ from rclpy.event_handler import QoSSubscriptionEventType as Event, SubscriptionE
 from rclpy.subscription import Subscription
 from softrig_core import RunError
 from softrig_core.node.ros.messages import message_class
-from softrig_core.node.seam.recorders import RECORDER, left_out
+from softrig_core.node.seam.awaited import RECORDER, left_out
 from softrig_core.node.seam.tick import TICK
 
 from .bag import BagWriter

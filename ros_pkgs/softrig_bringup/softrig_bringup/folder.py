@@ -16,7 +16,7 @@ from softrig_core import RunError, ScenarioError
 from softrig_core.guard import keep_traceback, naming
 
 MANIFEST = "softrig_files.json"
-UNDER_WAY = "*"  # in place of a list: a run has begun here and not ended; all that a run may write is its own
+UNDER_WAY = "*"  # for a list: a run has begun here and not ended, all that a run may write is its own; then its `once`
 NEW = ".new"  # where new files lie until all are written
 RUN = re.compile(
     r"bag|log|left_\d+\.yaml|metrics\.json|report\.html|(overview|plot_\d\d_[a-z0-9_]*)\.(png|svg|pdf)|softrig_files\.json"
@@ -61,19 +61,25 @@ class ResultsFolder:
             if not ours.fullmatch(mark) and (path / mark).exists():
                 raise ScenarioError(f"{path} holds a {kind}; choose another --out, or remove it")
         self._old = _listed(path)
-        if UNDER_WAY in self._old:
+        self._broken_off = next((name for name in self._old if name.startswith(UNDER_WAY)), "")
+        if self._broken_off:
+            self._old.discard(self._broken_off)
             self._old |= {f for f in _files(path) if ours.fullmatch(Path(f).parts[0])}
-            self._old.discard(UNDER_WAY)
         self._foreign = {f for f in _files(path) if f not in self._old}
         for file in sorted(self._foreign):
             if ours.fullmatch(Path(file).parts[0]):
                 raise ScenarioError(_foreign(path / file))
         self.replaced = _what(path) if self._old & set(_files(path)) else ""
 
-    def begin(self) -> None:
+    def begin(self, once: str = "") -> None:
         """Make the folder, and write down that something is under way in it.
 
-        What is killed, or refused by one of its nodes, must not stop the next one.
+        What is killed, or refused by one of its nodes, must not stop the next one, unless it cannot be made again.
+
+        Parameters
+        ----------
+        once : str
+            Why what is written here cannot be made again; empty if it can.
 
         Raises
         ------
@@ -83,7 +89,7 @@ class ResultsFolder:
         try:
             if (other := self.hold()) is not None:
                 raise ScenarioError(_writing(self.path, other))
-            self._list([MANIFEST, UNDER_WAY])
+            self._list([MANIFEST, UNDER_WAY + once])
         except OSError as error:
             raise ScenarioError(f"{error.filename}: {error.strerror}; choose another --out") from None
 
@@ -112,13 +118,20 @@ class ResultsFolder:
             content = json.loads((self.path / "metrics.json").read_text())
             reasons, packages = list(content.get("once", ())), list(content.get("code", ()))
         except (OSError, ValueError, AttributeError, TypeError):
-            return ""
+            why, shards = self._broken_off.removeprefix(UNDER_WAY), self.path / "log"
+            return f"{why}, and broken off: softrig bag repair {shards}" if why and any(shards.glob("*.shard")) else ""
         reasons += [f"its package {name} is not installed here" for name in packages if find_spec(str(name)) is None]
         return ", ".join(map(str, reasons))
 
-    def clear(self) -> None:
-        """Remove what the former run listed, and the folders that this leaves empty; never what a link points to."""
-        self.begin()
+    def clear(self, once: str = "") -> None:
+        """Remove what the former run listed, and the folders that this leaves empty; never what a link points to.
+
+        Parameters
+        ----------
+        once : str
+            See `begin`.
+        """
+        self.begin(once)
         try:
             for file in self._old - {MANIFEST}:
                 place = self.path / file

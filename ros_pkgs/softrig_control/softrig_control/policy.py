@@ -174,7 +174,7 @@ class Policy(Block[PolicyParams]):
         """Find where each signal is, and the policy."""
         p = self.p
         places = {f"{port.topic}/{label}": (port, k) for port in p.come for k, label in enumerate(port.labels)}
-        self._observed = [places[signal] for signal in p.observe]
+        self.observed = [places[signal] for signal in p.observe]
         at = {signal: k for k, signal in enumerate(p.act)}
         self._acted = [(port, [at.get(f"{port.topic}/{label}") for label in port.labels]) for port in p.go]
         self._bounds = p.bounds()
@@ -203,7 +203,7 @@ class Policy(Block[PolicyParams]):
     def observation(self, inputs: Mapping[str, Any]) -> tuple[float, ...]:
         """Give the observation that the values of the ports make."""
         found = []
-        for port, k in self._observed:
+        for port, k in self.observed:
             given = inputs[port.name]
             given = port.safe if given is None else given.data if isinstance(given, Sample) else given
             found.append(given[k])

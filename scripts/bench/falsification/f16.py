@@ -6,7 +6,9 @@ aerodynamics", ACC 1998. Inner loop (LQR with three integrators), autopilot (rol
 Collins, Bolender and Bak, "Verification challenges in F-16 ground collision avoidance and other automated maneuvers",
 ARCH 2018; gains and numbers as read in its public Python version, whose code is not used. As there, the table of
 damping is added to the polynomials, which have one of their own. Requirement and ranges: Ernst et al., "ARCH-COMP
-falsification category"; altitude of 2338 ft: the benchmark's script. Written anew; RK4 of 10 ms, modes once a step.
+falsification category"; both, and the altitude of 2338 ft, as in the public MoonLightSuite/arch-comp-benchmarks
+(models/F16, initF16.m). Scripts of other tools begin at 4040 ft, psy-taliro's example at 2330. Written anew; RK4 of
+10 ms, modes once a step.
 """
 
 from __future__ import annotations

@@ -168,6 +168,12 @@ def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
             "--requirement FIGURE of which a bound is expected"
         )
     for name in wanted:
+        if name not in known and name in scenario.figures:
+            told = "has an expectation on both sides" if name in scenario.expect else "has no expectation"
+            raise ScenarioError(
+                f"{scenario.name}: figure {name} {told}, no bound that a run could violate; it needs an entry expect: "
+                f"{name}: at most NUMBER (or at least NUMBER)"
+            )
         if name not in known:
             raise ScenarioError(
                 f"{scenario.name} has no requirement {name!r}{closest(name, known)}; it has "

@@ -106,7 +106,7 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
         return _unpacked(path, parse)
     bag = path / "bag" if (path / "bag").is_dir() else path
     if bag is path and (path / METRICS).is_file():
-        raise ScenarioError(f"--like {path}: that run kept no bag: nobody knows what was changed while it ran")
+        raise ScenarioError(f"{path}: that run kept no bag: nobody knows what was changed while it ran")
     try:
         with BagReader(bag) as reader:
             data = reader.custom_data
@@ -121,10 +121,10 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
         recording = read_bag(bag)
     except (BagError, OSError, ValueError, KeyError, TypeError):
         raise ScenarioError(
-            f"--like {path}: expected the directory of a run, the bag of one that says how it was "
+            f"{path}: expected the directory of a run, the bag of one that says how it was "
             "made, or a file of `softrig pack`"
         ) from None
-    need_packages(f"--like {path}", made_with.get("code", ()))
+    need_packages(path, made_with.get("code", ()))
     return Recalled(path, options, bag.absolute(), recording, epoch, late, made_with)
 
 
@@ -132,7 +132,7 @@ def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> R
     """Recall a run from a pack."""
     folder = opened(path)
     said = about(folder)
-    need_packages(f"--like {path}", [*said.packages, *said.code])
+    need_packages(path, [*said.packages, *said.code])
     options = parse([str(folder / SCENARIO / f"{said.scenario}.yaml")])
     made_with = said.model_dump(include=set(MADE_WITH))
     bag = folder / "bag"
@@ -167,9 +167,7 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
         by_time.setdefault(t / SECOND, {}).update({f"{node}.{name}": value for name, value in values.items()})
     rig = rig_of(scenario.having(changes=[]))
     if rig.clock.external:
-        raise ScenarioError(
-            f"--like {run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat them"
-        )
+        raise ScenarioError(f"{run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat them")
     nodes: dict[str, Any] = {name: entry for name, entry in scenario.nodes.items() if not entry.external}
     nodes |= tape(rig, run)
     return scenario.having(nodes=nodes, changes=[{"at": at, "set": values} for at, values in by_time.items()])

@@ -160,10 +160,7 @@ def _repeated(options: argparse.Namespace) -> Scenario:
         options.recalled = recall(options.like, parser.parse_args)
         return repeated(scenario_of(options.recalled.options), options.recalled)
     path, at = options.origin
-    try:
-        run = options.recalled = recall(path, parser.parse_args)
-    except ScenarioError as error:
-        raise ScenarioError(str(error).replace("--like", word, 1)) from None
+    run = options.recalled = recall(path, parser.parse_args)
     scenario = continued(scenario_of(run.options), run, at, settings(options.set))
     return scenario if options.duration is None else _changed(scenario, {"duration": options.duration})
 

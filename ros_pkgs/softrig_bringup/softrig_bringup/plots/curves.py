@@ -97,8 +97,8 @@ def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
 
     Returns
     -------
-    x, y : float arrays of shape (at most 4 columns,)
-        The signal itself when it is not longer than that.
+    x, y : float arrays of shape (at most 4 columns + 4,)
+        The signal itself when it is not longer than 4 columns; the last sample may stand in a column of its own.
     """
     if len(x) <= 4 * columns:
         return x, y

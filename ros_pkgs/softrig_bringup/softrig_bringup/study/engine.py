@@ -52,13 +52,13 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
     free = {"title", "source", "summaries", "expect", "claims", "name"}  # what the rows do not depend on
     scenarios = {name: draft.filled() for name, draft in drafts.items()}
     given = study.model_dump(mode="json", exclude=free) | made_of(scenarios, rigs)
-    content = same(given, out / "study.json", "study")
+    same(given, out / "study.json", "study")
     if study.search:
         repeating(_work(study, next(_first(study, study.search, drafts)), drafts))
     with folder.alone():
-        replace(out / "study.json", content)
-        log = Log(out / "rows.jsonl", count(study), None if study.search else cases(study, drafts))
         try:
+            replace(out / "study.json", same(given, out / "study.json", "study"))  # another call may have been here
+            log = Log(out / "rows.jsonl", count(study), None if study.search else cases(study, drafts))
             with Batch(study.name, log, workers, scheduler) as batch:
                 if study.search:
                     _search(study, study.search, batch, drafts)

@@ -87,7 +87,7 @@ class Launched:
         self._realtime = self._placement.clock == "realtime"
         remove_leftovers()
         join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
-        self._folder = run_verb.results_folder(options, rig.scenario.name) if self._record else None
+        self._folder = run_verb.results_folder(options, rig) if self._record else None
         if self._folder is not None:
             self._log = self._folder.path / "log"
             self._log.mkdir(exist_ok=True)

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from softrig_core import Run, ScenarioError
+from softrig_core import Rig, Run, ScenarioError
 from softrig_core.extras import need
 from softrig_core.guard import plain, say
 from softrig_core.processes.domain import free_domain
@@ -61,7 +61,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
         from ..run.part import run_part
 
         return run_part(rig, options)
-    folder = results_folder(options, scenario.name)
+    folder = results_folder(options, rig)
     log = folder.path / "log"
     placement = placement_of(options)
     if options.view and options.mode == "inprocess":
@@ -101,9 +101,9 @@ def _how_to_connect(domain: int, directory: Path) -> str:
     return "to connect: export " + " ".join(f"{name}={found[name]}" for name in names)
 
 
-def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:
+def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
     """Clear the folder for the results of a run, and say what it replaces."""
-    out = (options.out or Path("runs") / folder_name(scenario, options)).absolute()
+    out = (options.out or Path("runs") / folder_name(rig.scenario.name, options)).absolute()
     before = options.like if options.origin is None else options.origin[0]
     if before is not None and out in (before.absolute(), before.absolute().parent):
         if options.out is not None:
@@ -120,7 +120,9 @@ def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:
         folder = beside
     if folder.replaced:
         say(f"replacing {folder.replaced} in {_shown(folder.path)}")
-    folder.clear()
+    outside = ", ".join(m.name for m in rig.members if m.external)
+    realtime = placement_of(options).clock == "realtime"
+    folder.clear(f"{outside} from outside" if outside else "in real time" if realtime else "")
     return folder
 
 

@@ -28,7 +28,7 @@ def theme(name: str) -> dict[str, Any]:
                  "major_label_text_font_size": "11px", "axis_label_text_font_size": "12px"},
         "Title": {**text, "text_font_size": "13px", "text_font_style": "bold"},
         "Legend": {"label_text_color": ink, "label_text_font_size": "11px", "background_fill_alpha": 0.0,
-                   "border_line_alpha": 0.0, "spacing": 0, "padding": 2, "glyph_height": 14},
+                   "border_line_alpha": 0.0, "spacing": 8, "padding": 2, "glyph_height": 14},
     }}  # fmt: skip
 
 
@@ -66,6 +66,10 @@ BESIDE = ".bk-input-group { display: grid; grid-template-columns: minmax(0, 1fr)
 WIDGETS = """
 :host { color: var(--ink); font: inherit; }
 .bk-input, .bk-btn-default, .bk-btn-primary { background: var(--field); color: var(--ink); border-color: var(--line); }
+select:not([multiple]).bk-input { background-image: none; appearance: auto; }
+.noUi-target { background: var(--field); border-color: var(--line); box-shadow: none; }
+.noUi-connect { background: var(--soft) !important; }
+.noUi-handle { background: var(--paper) !important; border-color: var(--soft); box-shadow: none; }
 .bk-input[disabled] { background: var(--paper); color: var(--soft); }
 .bk-btn-default:hover { background: var(--line); color: var(--ink); }
 .bk-btn-default.bk-active, .bk-btn-primary { background: var(--accent); color: var(--paper); }

@@ -41,6 +41,7 @@ FRAME = 100  # ms between two states of a page: in between the drawing moves on 
 PACES = ("0.1", "0.5", "1", "2", "10", "full")  # simulated by wall-clock time
 WINDOWS = ("0.1", "0.5", "2", "10", "60", "all")  # s
 WIDE = 20  # times the value (or 1) that a slider spans at most before it shows a part of it
+HUGE = 1e9  # what is written with an exponent from here on: fields are ten digits wide
 SLOW = 10  # frames between two states of the tables
 WHAT = {"law": "", "fault": "fault"}  # beside the name of a node, by its role; others by that
 
@@ -413,6 +414,7 @@ class Page:
             words.figures(results, so_far),
             words.health(source.status),
             words.log(control.said),
+            words.head(source, self._how, control),
             tuple(repr(k.value) for k in control.knobs.values()),
             control.held,
             control.pace,
@@ -439,7 +441,7 @@ class Page:
             self._hold.label = "resume" if control.held else "pause"
             if control.pace is not None:
                 self._pace.value = _pace(control.pace)
-        self._head.text = words.head(source, self._how, control)
+        self._head.text = texts[3]
         return True
 
 
@@ -478,4 +480,6 @@ def _pace(pace: float) -> str:
 
 
 def _text(value: Any) -> str:
+    if isinstance(value, float) and abs(value) >= HUGE and float(f"{value:g}") == value:
+        return f"{value:g}"
     return "" if value is None else str(value)

@@ -171,9 +171,13 @@ class Picture:
 
 
 def plots_of(rig: Rig) -> tuple[PlotEntry, ...]:
-    """Give the plots of a rig's scenario; where it names none, one of each topic."""
-    if rig.scenario.plots:
-        return rig.scenario.plots
+    """Give the plots of a rig's scenario; where it names none, one of each topic.
+
+    Where the reader chooses the window, one that is a part of another is that other once more.
+    """
+    if plots := rig.scenario.plots:
+        whole = [(p.signals, p.x) for p in plots if p.window is None]
+        return tuple(p for p in plots if p.window is None or (p.signals, p.x) not in whole)
     units = signal_units(rig)
     return tuple(
         PlotEntry(title=topic, signals={f"{topic}/{label}": "" for label in port.labels[:MANY]})

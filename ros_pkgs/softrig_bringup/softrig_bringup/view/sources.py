@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,10 @@ class Growing:
         What pictures begin with, s: of the whole run.
     speed : float
         Of late, simulated by wall-clock time.
+    awaited : list of str
+        Nodes that have to be there before the run begins or goes on.
+    waited : float
+        How long they have been waited for, s of the wall.
     """
 
     def __init__(self, rig: Rig, held: bool = True) -> None:
@@ -74,12 +78,24 @@ class Growing:
             if not p.sporadic
         }
         self._marks: deque[tuple[float, float]] = deque(maxlen=LATELY)
+        self._complete = time.monotonic()  # s, when all nodes were last there
 
     @property
     def speed(self) -> float:
         """Simulated by wall-clock time, over the last looks."""
         (first, at), (last, end) = self._marks[0], self._marks[-1]
         return (end - at) / (last - first) if last > first else 0.0
+
+    @property
+    def awaited(self) -> list[str]:
+        """Those that have not said anything yet, or, where all have, those that look for each other."""
+        mute = [name for name, said in self.status.items() if not said]
+        return mute or [name for name, said in self.status.items() if said.get("state") == "starting"]
+
+    @property
+    def waited(self) -> float:
+        """Seconds since all nodes were there."""
+        return time.monotonic() - self._complete
 
     @property
     def thinned(self) -> bool:
@@ -141,6 +157,8 @@ class Live(Growing):
         for name in self._names:
             # half written, or being replaced: what it said before stands
             self.status[name] = read_status(self._directory / f"{name}.status") or self.status[name]
+        if not self.awaited:
+            self._complete = time.monotonic()
 
     def read(self) -> bool:
         """Read a part of what the nodes have recorded; whether there is more."""
@@ -176,7 +194,8 @@ class Recorded:
     """
 
     live = thinned = False
-    speed = 0.0
+    speed = waited = 0.0
+    awaited: Sequence[str] = ()
 
     def __init__(self, rig: Rig, signals: Signals, content: Mapping[str, Any]) -> None:
         self.rig = rig

@@ -46,7 +46,9 @@ def head(source: Source, how: str, control: Control) -> str:
 
 
 def _going(source: Source, control: Control) -> str:
-    """Say whether it runs, at what pace, and that the machine does not keep up with it."""
+    """Say who is awaited; then whether it runs, at what pace, and that the machine does not keep up with it."""
+    if names := source.awaited:
+        return f"starting for {source.waited:.0f} s, waits for {', '.join(names)}"
     if control.held:
         return "paused"
     if control.held is None or control.pace is None:

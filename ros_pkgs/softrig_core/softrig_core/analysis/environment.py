@@ -44,7 +44,7 @@ class Now(Mapping[str, float]):
     def __init__(self, rig: Rig) -> None:
         self._known = {f"{t}/{label}": (t, k) for t, p in rig.topics.items() for k, label in enumerate(p.labels)}
         self._shared = names_of(rig, signal_units(rig))
-        self._rows: dict[str, Any] = {}
+        self.said: dict[str, Any] = {}
 
     def watch(self, step: Step) -> None:
         """Keep what a step says, besides what its `send` does."""
@@ -53,7 +53,7 @@ class Now(Mapping[str, float]):
         def keep(t: int, rows: Rows) -> None:
             for topic, row in zip(topics, rows, strict=True):
                 if row is not None:
-                    self._rows[topic] = row
+                    self.said[topic] = row
             if send is not None:
                 send(t, rows)
 
@@ -77,12 +77,12 @@ class Now(Mapping[str, float]):
         if name in self._shared[0]:
             return self._shared[0][name]
         topic, k = self._known[self.whole(name)]
-        row = self._rows[topic]
+        row = self.said[topic]
         return float((row.data if isinstance(row, Sample) else row)[k])
 
     def __iter__(self) -> Iterator[str]:
         """Go through the signals that have said something."""
-        return (name for name, (topic, _) in self._known.items() if topic in self._rows)
+        return (name for name, (topic, _) in self._known.items() if topic in self.said)
 
     def __len__(self) -> int:
         """Count them."""
@@ -125,6 +125,14 @@ class RigEnv(gym.Env[Array, Array]):
         With the node ``policy`` in the place of the law.
     now : Now
         Of the episode under way.
+    member : Member
+        The node ``policy``.
+    blocks, steps : dict
+        Of the rig's members, by name; `clock` is the step of the one that says what time it is.
+    held : ndarray
+        The observation of the agent's tick.
+    over : callable or None
+        Called after each tick.
 
     Raises
     ------
@@ -162,18 +170,18 @@ class RigEnv(gym.Env[Array, Array]):
         self._reward, self._penalty, self._record = reward, penalty, record
         self._entry = _entry(self._whole, self._law, observe, act)
         self.rig = self._with(self._entry, terminate)
-        self._member = member = next(m for m in self.rig.members if m.name == replace)
+        self.member = member = next(m for m in self.rig.members if m.name == replace)
         params: Any = member.params
         self.observation_space = _box(_bounds(observe, params.observe, _limits(member.inputs)))
         self.action_space = _box(params.bounds())
-        self._blocks: dict[str, Any] = {}
-        self._steps: dict[str, Step] = {}
+        self.blocks: dict[str, Any] = {}
+        self.steps: dict[str, Step] = {}
         self._ticks: Iterator[int | None] | None = None
         self._action: Array | None = None
-        self._held: Array = np.zeros(self.observation_space.shape or (0,))
+        self.held: Array = np.zeros(self.observation_space.shape or (0,))
         self.now = Now(self.rig)
         self.run: Run | None = None
-        self._over: Callable[[], object] | None = None  # called after each tick
+        self.over: Callable[[], object] | None = None  # called after each tick
 
     # Gymnasium's own ----------------------------------------------------------------------------------------------
 
@@ -189,16 +197,17 @@ class RigEnv(gym.Env[Array, Array]):
         """
         super().reset(seed=seed)
         number = int(self.np_random.integers(2**31)) if seed is None else seed
-        if self._blocks:
-            for block in self._blocks.values():
+        if self.blocks:
+            for block in self.blocks.values():
                 block.reset(number)
         else:  # who only watches is seen by nobody, unless all is kept
             members = [
                 m for m in self.rig.members if self._record or m.outputs or not issubclass(m.block_class, Observer)
             ]
-            self._blocks = {m.name: m.block(number) for m in members}
-        self._steps = steps = wired(self.rig, self._blocks)
-        self._agent, self._clock = steps[self._law.name], steps[self.rig.clock.name]
+            self.blocks = {m.name: m.block(number) for m in members}
+        self._number = number
+        self.steps = steps = wired(self.rig, self.blocks)
+        self._agent, self.clock = steps[self._law.name], steps[self.rig.clock.name]
         self._agent.x = self._agent.x._replace(act=self._take)
         for step in steps.values():
             step.lacks = _never
@@ -212,12 +221,12 @@ class RigEnv(gym.Env[Array, Array]):
         for step in steps.values():
             self.now.watch(step)
         self._action, self._started = None, time.perf_counter()
-        self._begin()
-        return self._held.copy(), self._info()
+        self.begin()
+        return self.held.copy(), self._info()
 
-    def _begin(self, tick: int = 0) -> None:
+    def begin(self, tick: int = 0) -> None:
         """Go on from a tick of the runner, before which the steps are as they are, up to the agent."""
-        self._ticks = Runner(list(self._steps.values())).run(tick)
+        self._ticks = Runner(list(self.steps.values())).run(tick)
         ended = self._go_on()
         if ended:
             raise RunError(ended if isinstance(ended, str) else f"{self._law.name} has no tick in this run")
@@ -254,7 +263,7 @@ class RigEnv(gym.Env[Array, Array]):
         reward = float(self._reward(self.now)) + (self._penalty if terminated else 0.0)
         if not math.isfinite(reward):
             raise ValueError(f"the reward became {reward} at t = {info['t']:.9g} s")
-        return self._held.copy(), reward, terminated, ended is True, info
+        return self.held.copy(), reward, terminated, ended is True, info
 
     # the rig around the agent -------------------------------------------------------------------------------------
 
@@ -271,13 +280,13 @@ class RigEnv(gym.Env[Array, Array]):
         outputs = self._law.outputs
         if self.action_space.shape != (sum(p.size for p in outputs),) or any(p.sporadic for p in outputs):
             raise ScenarioError(f"{self._law.name} says more than the actions of this environment can")
-        block = self._law.block(self._blocks[self._law.name]._seed)
+        block = self._law.block(self._number)
         block.ages = self._agent.age
         law = ByHand(block)
         names = [p.name for p in self._law.inputs]
 
         def agent(_: Array) -> Array:
-            said = law.update(self._clock.t, **{name: self._agent.values[name] for name in names})
+            said = law.update(self.clock.t, **{name: self._agent.values[name] for name in names})
             rows = [said[p.name] for p in outputs]
             return np.array([x for row in rows for x in (row.data if isinstance(row, Sample) else row or ())])
 
@@ -328,8 +337,8 @@ class RigEnv(gym.Env[Array, Array]):
                 if t is None:
                     self._observe()
                     return False
-                if self._over is not None:
-                    self._over()
+                if self.over is not None:
+                    self.over()
         except RunError as error:
             return str(error)
         self._observe()
@@ -337,10 +346,10 @@ class RigEnv(gym.Env[Array, Array]):
 
     def _observe(self) -> None:
         block: Any = self._agent.block
-        self._held = np.array(block.observation(self._agent.values), dtype=np.float64)
+        self.held = np.array(block.observation(self._agent.values), dtype=np.float64)
 
     def _info(self) -> dict[str, Any]:
-        return {"t": self._clock.t / SECOND}
+        return {"t": self.clock.t / SECOND}
 
 
 def _never(t: int) -> bool:

@@ -95,7 +95,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         first = RigEnv(what, replace, reward=_nothing, **keys)
         self.envs = [first, *(copy(first) for _ in range(num_envs - 1))]
         for env in self.envs:
-            env._blocks = {}
+            env.blocks = {}
         self.num_envs, self._reward, self._penalty, self._make = num_envs, reward, penalty, make
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
         self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
@@ -166,7 +166,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
             by_python(j)
         if self._text is not None and len(late) < self.num_envs:
             self._moved(given, by_python)
-        observed = np.empty((self.num_envs, len(self.envs[0]._held)))
+        observed = np.empty((self.num_envs, len(self.envs[0].held)))
         for column, place in enumerate(self._observes if len(late) < self.num_envs else ()):
             observed[:, column] = self.now.rows[place] if type(place) is Place else place
         for j, row in late.items():
@@ -188,31 +188,31 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
     def _begun(self, j: int, seed: int | None) -> Any:
         """Begin an episode; gives its observation."""
         env, self._k[j], self._fits[j], self._before[j] = self.envs[j], -1, False, None
-        env._over = None
+        env.over = None
         observation, _ = env.reset(seed=seed)
         if self.now.rows.shape[1] != self.num_envs:
-            sizes = [p.size for s in env._steps.values() for p in s.outputs]
-            topics = [p.topic for s in env._steps.values() for p in s.outputs]
+            sizes = [p.size for s in env.steps.values() for p in s.outputs]
+            topics = [p.topic for s in env.steps.values() for p in s.outputs]
             ends = [0, *accumulate(sizes)]
             self.now.first = dict(zip(topics, ends, strict=False))
             self.now.rows = np.full((ends[-1], self.num_envs), np.nan)
         self.now.rows[:, j] = np.nan
-        env._over = lambda: self._after(j)
+        env.over = lambda: self._after(j)
         self._told(j)
         return observation
 
     def _after(self, j: int) -> None:
         """Keep what an instance remembers after a tick."""
-        steps = list(self.envs[j]._steps.values())
+        steps = list(self.envs[j].steps.values())
         self._before[j] = None if self.reason else [(s.x, s.numbers) for s in steps]
 
     def _told(self, j: int) -> None:
         """Take what an instance has said."""
         now = self.envs[j].now
-        for topic, row in now._rows.items():
+        for topic, row in now.said.items():
             values = row.data if isinstance(row, Sample) else row
             self.now.rows[self.now.first[topic] : self.now.first[topic] + len(values), j] = values
-        self._t[j] = self.envs[j]._clock.t / SECOND
+        self._t[j] = self.envs[j].clock.t / SECOND
 
     def _loaded(self, j: int) -> None:
         """Make an instance go on in Python."""
@@ -220,14 +220,14 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
             return
         env, k = self.envs[j], int(self._k[j])
         states, said = self._form.get(self._numbers[j], self._whole[j])
-        for s, x, numbers in zip(env._steps.values(), states, said, strict=True):
-            if s.name != env._member.name:
+        for s, x, numbers in zip(env.steps.values(), states, said, strict=True):
+            if s.name != env.member.name:
                 s.x = unpacked(x)
             answered(s, (k - 1) // (s.schedule.every // self._stride), numbers)
         self._k[j] = -1
-        env._over = None
-        env._begin(k)
-        env._over = lambda: self._after(j)
+        env.over = None
+        env.begin(k)
+        env.over = lambda: self._after(j)
 
     # native -------------------------------------------------------------------------------------------------------
 
@@ -236,7 +236,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         env = self.envs[j]
         if self.reason or self._before[j] is None:
             return
-        steps, agent = list(env._steps.values()), env._steps[env._member.name]
+        steps, agent = list(env.steps.values()), env.steps[env.member.name]
         try:
             state = remembered(agent, steps, self._before[j])
             if self._text is None or form(state) != self._forms:
@@ -247,12 +247,12 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         if not self._fits[j] and not self._fitted(j):
             return
         self._form.put(state, self._numbers[j], self._whole[j])
-        self._k[j] = self._clock.tick(env._clock.t)
+        self._k[j] = self._clock.tick(env.clock.t)
 
     def _fitted(self, j: int) -> bool:
         """Whether the text is for an instance whose episode has begun; gives that its random numbers."""
         assert self._text is not None
-        program, blocks = self._text.program, [s.block for s in self.envs[j]._steps.values()]
+        program, blocks = self._text.program, [s.block for s in self.envs[j].steps.values()]
         self._fits[j] = not program.differs(blocks) and program.constants(blocks) == self._constants
         for path, name in program.draws.items() if self._fits[j] else ():
             self._tables[name][j] = follow(path, blocks).first(self._tables[name].shape[1])
@@ -269,7 +269,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         for j in np.flatnonzero(self._k >= 0).tolist():
             self._loaded(j)
         self._form, self._forms = Form(state), form(state)
-        params: Any = self.envs[0]._member.params
+        params: Any = self.envs[0].member.params
         bounds = dict(zip(params.act, params.bounds(), strict=True))
         said = []
         for port in agent.outputs:
@@ -305,7 +305,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         first = dict(zip(map(id, steps), [0, *accumulate(len(s.numbers) for s in steps)], strict=False))
         block: Any = agent.block
         found: list[Any] = []
-        for port, k in block._observed:
+        for port, k in block.observed:
             source = _source(agent, port.name)
             if source is None:
                 found.append(float(port.safe[k]))
@@ -363,7 +363,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
             old = self._tables[name]
             self._tables[name] = found = np.zeros((self.num_envs, max(count, 2 * old.shape[1])))
             for j in np.flatnonzero(self._fits):
-                blocks = [s.block for s in self.envs[j]._steps.values()]
+                blocks = [s.block for s in self.envs[j].steps.values()]
                 found[j] = follow(path, blocks).first(found.shape[1])
 
     def _info(self, errors: Mapping[int, str]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Row = tuple[float, ...] | Sample  # what an output says at a tick
+MAPPINGS = (dict, Mapping)  # the first is told at once
 
 
 def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
@@ -42,7 +43,7 @@ def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
     try:
         given: Any = found[port.name]
     except (KeyError, TypeError):
-        if port.sporadic and isinstance(found, Mapping):
+        if port.sporadic and isinstance(found, MAPPINGS):
             return None
         raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s") from None
     if type(given) is tuple and len(given) == port.size and usual(given, port.bound):  # nearly always
@@ -88,7 +89,10 @@ def usual(values: tuple[Any, ...], bound: float) -> bool:
         return False
 
 
-class Heard(Sequence[tuple[int, tuple[float, ...]]]):
+Messages = Sequence[tuple[int, tuple[float, ...]]]  # (stamp in ns, values) of each, the oldest first
+
+
+class Heard(Messages):
     """Messages that came in one go, (stamp in ns, values) each; made when they are looked at.
 
     Parameters
@@ -110,11 +114,6 @@ class Heard(Sequence[tuple[int, tuple[float, ...]]]):
 
     def __iter__(self) -> Iterator[tuple[int, tuple[float, ...]]]:
         return zip(self.stamps.tolist(), map(tuple, self.values.tolist()), strict=True)
-
-    def blocks(self, first: Sequence[tuple[int, Any]], size: int) -> list[Sequence[tuple[int, Any]]]:
-        """Part them into blocks of a size, the first of which has some rows already; the last is never empty."""
-        room = size - len(first)
-        return [(*first, *self[:room]), *(self[k : k + size] for k in range(room, len(self), size))]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, tuple | Heard) and tuple(self) == tuple(other)

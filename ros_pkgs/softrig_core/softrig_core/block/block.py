@@ -18,7 +18,7 @@ from .port import Port, Sample
 if TYPE_CHECKING:
     import numpy as np
 
-    from .answer import Heard
+    from .answer import Messages
     from .marker import Marker
     from .scene import Scene
 
@@ -352,7 +352,7 @@ class Observer(Block[P]):
         """Give name to (value, unit) of the figures so far; gets x."""
         raise NotImplementedError
 
-    def at_once(self, x: Any, t: int, messages: Mapping[str, Heard]) -> Any:
+    def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:
         """Take all that its ticks have seen since the last one, for runs that need not go tick by tick.
 
         Parameters
@@ -360,9 +360,9 @@ class Observer(Block[P]):
         x : named tuple
         t : int
             Its newest tick, ns.
-        messages : mapping of str to Heard
+        messages : mapping of str to sequence of (int, tuple of float)
             By input: stamp in ns and values of each message that its ticks have seen, the oldest first; inputs that
-            nobody fills are missing.
+            nobody fills are missing. A tuple, or `Heard`.
 
         Returns
         -------

@@ -115,7 +115,7 @@ class Step(Held):
         if not self.plant and block.finishes():
             self.respond = self._finish_or_update
         block.ages = self.age
-        self.say, self.advance = self._first_say, self._first_advance  # made when all is wired: with the first tick
+        self.make_anew()  # when all is wired: with the first tick
         self.plan(changes)
 
     # what a tick is -----------------------------------------------------------------------------------------------
@@ -214,6 +214,10 @@ class Step(Held):
     def let_go(self) -> None:
         """Keep nothing of what carried its answers away or recorded them; it may go on without."""
         self.send = self.send_all = self.changed = None
+        self.make_anew()
+
+    def make_anew(self) -> None:
+        """Have `say` and `advance` made again with the next tick: what they are bound to has changed."""
         self.say, self.advance = self._first_say, self._first_advance
 
     # its parts ----------------------------------------------------------------------------------------------------

@@ -130,7 +130,7 @@ class Track:
 
     def after(self, past: Trajectory) -> Track:
         """Give the track with the steps that native loops have put behind this one, in what `open` gave last."""
-        new = Track.__new__(Track)
+        new: Track = Track.__new__(Track)
         new._capacity, new._shared = self._capacity, self._shared
         new._count = new._shared.written = int(past.meta[0])
         return new

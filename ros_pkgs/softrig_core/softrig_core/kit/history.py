@@ -77,7 +77,7 @@ class History:
             line = _Line(line.step, line.longest, line.size, self._newest())
             count = line.size
         line.rows.append(tuple(values))
-        new = _new(History)
+        new: History = _new(History)
         new._line, new._count = line, count + 1
         return new
 
@@ -132,9 +132,15 @@ class History:
 
     def with_numbers(self, row: NDArray[np.float64]) -> History:
         """Give it with other samples, in the order of `numbers`."""
-        line, new = self._line, _new(History)
+        line = self._line
         rows = [tuple(values) for values in row.reshape(line.size, -1).tolist()]
-        new._line, new._count = _Line(line.step, line.longest, line.size, rows), line.size
+        return History.of(line.step, line.longest, rows)
+
+    @classmethod
+    def of(cls, step: float, longest: float, rows: list[tuple[float, ...]]) -> History:
+        """Give the history of samples as they are, as many as it keeps."""
+        new: History = _new(History)
+        new._line, new._count = _Line(step, longest, len(rows), rows), len(rows)
         return new
 
     def native(self) -> HistoryRing:
@@ -220,11 +226,10 @@ class HistoryRing(NamedTuple):
 
     def python(self) -> History:
         """Give it as Python has it."""
-        new, size, width = _new(History), self.size, len(self.newest)
+        size, width = self.size, len(self.newest)
         table = self.ring.reshape(2 * size, width).tolist()
         rows = [tuple(table[k % (2 * size)]) for k in range(self.written - size, self.written)]
-        new._line, new._count = _Line(self.step, self.longest, size, rows), size
-        return new
+        return History.of(self.step, self.longest, rows)
 
 
 @jit

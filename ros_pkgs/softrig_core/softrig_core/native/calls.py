@@ -147,13 +147,7 @@ class Calls(Expressions):
             if not isinstance(base, Static):
                 return self._method(base, node)
             if isinstance(base.value, Block) and node.func.attr == "age" and base.value.ages is not None:
-                wanted = self.value(node.args[0])
-                name = self.program.guard(wanted) if isinstance(wanted, Static) else None
-                age = self.program.age(base.value, name)
-                if isinstance(age, str):
-                    self.arrays.add("when")
-                    return Dynamic(age, 0)
-                return Static(age)
+                return self._age(base.value, self.value(node.args[0]))
             function: Value = self.attribute(base, node.func.attr, node)
         else:
             function = self.value(node.func)
@@ -166,6 +160,18 @@ class Calls(Expressions):
             values = self.listed(node)
             assert values is not None
             return Group(tuple(values))
+        return self.call(function, *self._arguments(node), node)
+
+    def _age(self, block: Block, wanted: Value) -> Value:
+        """Give how old an input is: known, or written."""
+        age = self.program.age(block, self.program.guard(wanted) if isinstance(wanted, Static) else None)
+        if not isinstance(age, str):
+            return Static(age)
+        self.arrays.add("when")
+        return Dynamic(age, 0)
+
+    def _arguments(self, node: ast.Call) -> tuple[list[Value], dict[str, Value]]:
+        """Give what is handed over by place and by name."""
         given: list[Value] = []
         for one in node.args:
             if isinstance(one, ast.Starred):
@@ -184,7 +190,7 @@ class Calls(Expressions):
                 words |= more.items
             else:
                 words[word_.arg] = self.value(word_.value)
-        return self.call(function, given, words, node)
+        return given, words
 
     def _reported(self, own: Static, node: ast.Call) -> Value:
         """Count a report, and keep the numbers of its text."""
@@ -319,40 +325,10 @@ class Calls(Expressions):
                 node,
             )
         if isinstance(called, types.MethodType):
-            own = called.__self__
-            if isinstance(own, Block) and called.__func__ is Block.report:
-                self._give_up()
-                return NONE
-            if called.__name__ == "_make" and isinstance(own, type) and hasattr(own, "_fields"):
-                return self._named(own, self.parts(given[0], node), node)
-            path = None if function.path is None else function.path[:-1]
-            if isinstance(own, Mapping) and called.__name__ == "get":
-                return self._looked_up(Static(own, path), given[0], node)
-            if (
-                path is not None
-                and function.path is not None
-                and function.path[-1][0] == "attr"
-                and own is not follow(function.path[:-1], self.program.roots)
-            ):  # a method that another object has lent
-                path = (*function.path, ("attr", "__self__"))
-            if isinstance(own, type):
-                path = None
-            return made(self.program, called.__func__, [Static(own, path), *given], words, self.arrays)  # type: ignore[arg-type]
+            return self._of_object(called, function.path, given, words, node)
         if isinstance(called, types.BuiltinMethodType) and isinstance(called.__self__, Mapping):
             table = Static(called.__self__, None if function.path is None else function.path[:-1])
-            if called.__name__ in ("items", "values", "keys"):
-                keys = tuple(table.value)
-                values = [
-                    Static(table.value[k], None if table.path is None else (*table.path, ("item", k))) for k in keys
-                ]
-                if table.path is not None:
-                    self.program.guards[table.path] = ("keys", tuple(sorted(keys)))
-                if called.__name__ == "items":
-                    return Group(tuple(Group((Static(k), v)) for k, v in zip(keys, values, strict=True)))
-                return Group(tuple(values)) if called.__name__ == "values" else Static(keys)
-            if isinstance(given[0], Static):
-                return Static(self.program.guard(table).get(*(self.program.guard(v) for v in given)))  # type: ignore[arg-type]
-            return self._looked_up(table, given[0], node)
+            return self._of_mapping(called.__name__, table, given, node)
         if isinstance(called, types.FunctionType):
             return made(self.program, called, given, words, self.arrays)
         if isinstance(called, type) and is_twinned(called):
@@ -435,6 +411,44 @@ class Calls(Expressions):
             computed(lambda *s: function(s), *(sample_of(v) for v in values)),
         )
 
+    def _of_mapping(self, name: str, table: Static, given: Sequence[Value], node: ast.AST) -> Value:
+        """Call a method of a mapping that is fixed: `items`, `values`, `keys` or `get`."""
+        if name in ("items", "values", "keys"):
+            keys = tuple(table.value)
+            values = [Static(table.value[k], None if table.path is None else (*table.path, ("item", k))) for k in keys]
+            if table.path is not None:
+                self.program.guards[table.path] = ("keys", tuple(sorted(keys)))
+            if name == "items":
+                return Group(tuple(Group((Static(k), v)) for k, v in zip(keys, values, strict=True)))
+            return Group(tuple(values)) if name == "values" else Static(keys)
+        if isinstance(given[0], Static):
+            return Static(self.program.guard(table).get(*(self.program.guard(v) for v in given)))  # type: ignore[arg-type]
+        return self._looked_up(table, given[0], node)
+
+    def _of_object(
+        self,
+        called: types.MethodType,
+        path: Path | None,
+        given: Sequence[Value],
+        words: Mapping[str, Value],
+        node: ast.AST,
+    ) -> Value:
+        """Call a method of an object that is fixed."""
+        own = called.__self__
+        if isinstance(own, Block) and called.__func__ is Block.report:
+            self._give_up()
+            return NONE
+        if called.__name__ == "_make" and isinstance(own, type) and hasattr(own, "_fields"):
+            return self._named(own, self.parts(given[0], node), node)
+        home = None if path is None else path[:-1]
+        if isinstance(own, Mapping) and called.__name__ == "get":
+            return self._looked_up(Static(own, home), given[0], node)
+        if path and path[-1][0] == "attr" and own is not follow(path[:-1], self.program.roots):
+            home = (*path, ("attr", "__self__"))  # a method that another object has lent
+        if isinstance(own, type):
+            home = None
+        return made(self.program, called.__func__, [Static(own, home), *given], words, self.arrays)  # type: ignore[arg-type]
+
     def _builtin(self, called: Any, given: list[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
         if words:
             raise self.unknown(f"{getattr(called, '__name__', called)} with words", node)
@@ -465,15 +479,17 @@ class Calls(Expressions):
                 return Static(called(*(self.program.guard(v) for v in fixed)))
             except Exception as error:
                 raise self.unknown(f"{type(error).__name__}: {error}", node) from None
+        return self._computed(called, given, node)
+
+    def _computed(self, called: Any, given: list[Value], node: ast.AST) -> Value:
+        """Call a function of Python's own with something that is computed."""
         samples = [sample_of(v) for v in given]
         if called in (min, max):
             return self._extreme(called, given, node)
-        if called is abs and isinstance(samples[0], (float, int)):
-            return self._written("abs", abs, given)
         if called is float and isinstance(samples[0], bool):
             return Dynamic(f"(1.0 if {self.code(given[0])} else 0.0)", float(samples[0]))
-        if called is float and isinstance(samples[0], (float, int)):
-            return self._written("float", float, given)
+        if called in (abs, float) and isinstance(samples[0], (float, int)):
+            return self._written(called.__name__, called, given)
         if called is bool:
             test = self.truth(given[0])
             return Static(test) if isinstance(test, bool) else Dynamic(f"({test})", self.sampled)

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from ..block.answer import sum_of_products
 from ..block.bound import code_of
 from ..kit.compiled import Compiled
 from ..kit.jit import Jit, our_numba, tokens_of
 from .rig_text import RigText
 from .twins import form
+from .words import OWN
 
 # what every text may name
 BASE: dict[str, Any] = {
@@ -77,10 +79,12 @@ def plain(made: RigText) -> Callable[..., Any]:
         As `compiled`, but its tables are lists.
     """
     names = made.program.names
-    scope = {"same_": same, **BASE, **names}
+    scope = {"same_": same, "sum_of_products": sum_of_products, **BASE, **OWN, **names}
     exec(code_of(made.text, "rig"), scope)
     for name, thing in names.items():
-        if isinstance(thing, Compiled):
+        if isinstance(thing, Jit):
+            scope[name] = thing.direct
+        elif isinstance(thing, Compiled):
             scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)
     return scope["rig"]  # type: ignore[no-any-return]
 

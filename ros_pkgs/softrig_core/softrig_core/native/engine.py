@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..block.answer import Heard, Row
+from ..block.answer import Heard, Messages, Row
 from ..block.block import Observer
 from ..block.port import Sample
 from ..block.runner import Runner
@@ -80,6 +80,7 @@ _texts: list[_Kept] = []
 _refused: dict[Any, str] = {}  # kinds that only go without those of their members that are seldom due, and why
 _counts: dict[Any, tuple[int, int]] = {}  # of each kind: rigs that asked for another text, texts
 _costs: dict[Any, float] = {}  # of a tick in Python, s, by the classes of the blocks: as the first of such rigs took
+_spent: dict[Any, float] = {}  # on runs of such rigs that were too short for a text, s: more of them may well come
 
 
 class Engine:
@@ -122,7 +123,8 @@ class Engine:
         self._said: list[tuple[Callable[..., Any], Any, Any]] | None = None  # in a tick that is handed out later
         for s in self.steps if self._deciding else ():
             if s.send is not None:
-                s.send, s.say = self._held_back(s.send), s._first_say
+                s.send = self._held_back(s.send)
+                s.make_anew()
         self._cut = False  # whether native code gave up the last tick that it began
         self._smooth = False  # whether all who watch take what is recorded at once
         self._time = self.runner.schedule.time
@@ -385,7 +387,7 @@ class Engine:
             self._take(first, reached, after)
             self._hand_out(first, reached, rows)
             one_clock = self._core_alone.schedule.clock == self.runner.schedule.clock
-            self._smooth = self._typed and one_clock and not self._tick_by_tick and self._alone is None
+            self._smooth = one_clock and not self._tick_by_tick and self._alone is None
         return reached
 
     def _on(self, first: int, reached: int, last: int, after: Any, rows: dict[int, Answers]) -> int:
@@ -393,7 +395,7 @@ class Engine:
         at, parts = first, {key: [answers] for key, answers in rows.items()}
 
         def hand_out() -> None:
-            whole = {key: Answers(*map(np.concatenate, zip(*found, strict=True))) for key, found in parts.items()}
+            whole = {key: Answers.joined(found) for key, found in parts.items()}
             try:
                 self._watch(first, reached, whole)
             finally:
@@ -416,7 +418,10 @@ class Engine:
             self.native.decided += 1
             for s in self._recorded:
                 if reached % self._every[id(s)] == 0:
-                    parts[id(s)].append(Answers(np.array([_numbers(s)]), np.array([_stamps(s)], np.int64)))
+                    one = [_numbers(s)], [_stamps(s)]
+                    parts[id(s)].append(
+                        Answers(np.array(one[0]), np.array(one[1], np.int64)) if self._typed else Answers(*one)
+                    )
             reached = at = reached + 1
             if reached == last or self._others():
                 break
@@ -564,30 +569,18 @@ class Engine:
 
     def _at_once(self, watcher: Step, first: int, last: int, said: Mapping[int, Answers]) -> bool:
         """Let one who watches have all that its ticks see, if it takes that so."""
-        ticks, every = self._own(watcher, first, last), self._every[id(watcher)]
+        ticks = self._own(watcher, first, last)
         if watcher.name in self._tick_by_tick:
             return False
         if not ticks:
             return True
-        messages: dict[str, Heard] = {}
+        messages: dict[str, Messages] = {}
         for s in self._recorded:
-            readings, own = _readings(s, watcher), self._own(s, first, last)
-            if readings and max(every, self._every[id(s)]) % min(every, self._every[id(s)]):
+            found = self._seen(s, watcher, self._own(s, first, last), said[id(s)].numbers)
+            if found is None:
                 self._tick_by_tick.add(watcher.name)
                 return False
-            step = max(1, every // self._every[id(s)])  # of its messages, one is seen
-            seen = slice(-own.start % step, None, step)
-            for _, name, take, (low, high, stamp, flag) in readings:
-                row, stamped = taken(high - low, stamp is not None, take)
-                if stamped or (flag is not None and step > 1):
-                    self._tick_by_tick.add(watcher.name)
-                    return False
-                stamps = s.schedule.times(own.start, own.stop)[seen]
-                table = np.reshape(said[id(s)].numbers, (len(own), len(_numbers(s))))[seen]
-                if flag is not None:
-                    stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
-                values = [table[:, low + p] if type(p) is Place else np.full(len(table), float(p)) for p in row]
-                messages[name] = Heard(stamps, np.array(values).T)
+            messages |= found
         t = watcher.schedule.time(ticks[-1])
         x = watcher.block.at_once(watcher.x, t, messages)  # type: ignore[attr-defined]
         if x is None:
@@ -597,6 +590,31 @@ class Engine:
         if watcher.send_all is not None:
             watcher.send_all(watcher.schedule.times(ticks.start, ticks.stop), np.empty((len(ticks), 0)))
         return True
+
+    def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
+        """Give what one who watches sees of a member, by its inputs; None where it has to be asked at each tick."""
+        found: dict[str, Messages] = {}
+        every, often = self._every[id(watcher)], self._every[id(source)]
+        readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen
+        if readings and max(every, often) % min(every, often):
+            return None
+        seen = slice(-own.start % step, None, step)
+        for _, name, take, (low, high, stamp, flag) in readings:
+            row, stamped = taken(high - low, stamp is not None, take)
+            if stamped or (flag is not None and step > 1):
+                return None
+            stamps, table = source.schedule.times(own.start, own.stop)[seen], numbers[seen]
+            if isinstance(table, list):
+                said = (
+                    (t, n[low:high]) for t, n in zip(stamps.tolist(), table, strict=True) if flag is None or n[flag]
+                )
+                found[name] = tuple(said if take is None else ((t, take(n)) for t, n in said))
+                continue
+            if flag is not None:
+                stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
+            values = [table[:, low + p] if type(p) is Place else np.full(len(table), float(p)) for p in row]
+            found[name] = Heard(stamps, np.array(values).T)
+        return found
 
 
 Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, to; its stamp and flag, where it has them
@@ -682,6 +700,13 @@ class Answers(NamedTuple):
             return self.numbers, self.stamps or [()] * len(self.numbers)
         return self.numbers.tolist(), self.stamps.tolist()
 
+    @staticmethod
+    def joined(parts: Sequence[Answers]) -> Answers:
+        """Give what was said in ticks that follow one another."""
+        if isinstance(parts[0].numbers, list):
+            return Answers(*([row for part in parts for row in part[k]] for k in (0, 1)))
+        return Answers(*map(np.concatenate, zip(*parts, strict=True)))
+
 
 def _numbers(step: Step) -> tuple[float, ...]:
     """Give all that the newest answer of a step says, zeros where it is silent; flags of those that may be after it."""
@@ -750,13 +775,16 @@ def ticks_of(
                 _costs[_classes(steps)] = tick
         left = (ticks + 1 - first) * tick
         reason = unwanted(steps, left, runs)
-        if reason and not writes(left):
+        if reason and not writes(steps, left):
+            _spent[_classes(steps)] = _spent.get(_classes(steps), 0.0) + left
             _say_why(steps, reason)
             yield from runner.run(first)
             return
         engines.append(Engine(steps, plain if reason else compiled, alone))
         _say_why(steps, reason)
         yield from engines[0].run(first)
+        if not engines[0].native.members:  # there is no text of such members: none is looked for again
+            _spent[_classes(steps)] = -math.inf
 
     def tell() -> None:
         for engine in engines:
@@ -798,9 +826,19 @@ def _timed(runner: Runner) -> Generator[int | None, None, tuple[int, float]]:
     return count, min(took[1:], default=0.0) / ROUND
 
 
-def writes(left: float) -> bool:
-    """Whether a run is long enough for one text of all its members that Python runs; ``SOFTRIG_JIT=0`` forbids it."""
-    return os.environ.get("SOFTRIG_JIT", "1") != "0" and left > WRITING
+def writes(steps: Sequence[Step], left: float) -> bool:
+    """Whether one text of all members that Python runs is worth its making, for a run or for such runs so far.
+
+    ``SOFTRIG_JIT=0`` forbids it.
+    """
+    enough = READY if _known(steps, plain) else WRITING - _spent.get(_classes(steps), 0.0)
+    return os.environ.get("SOFTRIG_JIT", "1") != "0" and left > enough
+
+
+def _known(steps: Sequence[Step], make: Callable[..., Any]) -> bool:
+    """Whether there is a text of such members."""
+    kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
+    return any(kinds == tuple(k[0] for k in kept.kinds[:-3]) and kept.kinds[-1] is make for kept in _texts)
 
 
 def forbidden() -> str:
@@ -823,6 +861,5 @@ def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:
     """
     if reason := forbidden():
         return reason
-    kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
-    known = any(kinds == tuple(k[0] for k in kept.kinds[:-3]) for kept in _texts if kept.kinds[-1] is compiled)
+    known = _known(steps, compiled)
     return "" if left > READY and (known or left * runs > MAKING) else SHORT

@@ -85,7 +85,7 @@ class Expressions(Ways):
             if key is None:
                 more = self.value(one)
                 if isinstance(more, Dynamic) and more.keys is not None:
-                    more = self._unfolded(more)
+                    more = self.unfolded(more)
                 if not isinstance(more, Record):
                     raise self.unknown("a mapping that is not written out", node)
                 items |= more.items
@@ -146,32 +146,9 @@ class Expressions(Ways):
     def item(self, base: Value, index: Value, node: ast.AST) -> Value:
         """Read an item."""
         if isinstance(base, Dynamic) and base.keys is not None:
-            base = self._unfolded(base)
-        if isinstance(index, Static):
-            key = index.value
-            if isinstance(base, Record):
-                if key not in base.items:
-                    raise self.unknown(f"no {key!r} in a mapping", node)
-                return base.items[self.program.guard(index)]
-            if isinstance(base, Group) and isinstance(key, int):
-                self.program.guard(index)
-                return base.items[key]
-            if isinstance(base, Static):
-                self.program.guard(index)
-                try:
-                    found = base.value[key]
-                except (LookupError, TypeError) as error:
-                    raise self.unknown(f"{error!r}", node) from None
-                if isinstance(base.value, np.ndarray):
-                    base = self.dynamic(base)
-                else:
-                    return Static(found, None if base.path is None else (*base.path, ("item", key)))
-            if isinstance(base, Dynamic) and isinstance(base.sample, tuple) and isinstance(key, int):
-                self.program.guard(index)
-                simple = self.simple(base)
-                if not -len(base.sample) <= key < len(base.sample):
-                    raise self.unknown(f"no item {key} of {len(base.sample)}", node)
-                return self._part(simple, key % len(base.sample))
+            base = self.unfolded(base)
+        if isinstance(index, Static) and (found := self._fixed_item(base, index, node)) is not None:
+            return found
         if isinstance(base, Static) and isinstance(base.value, Mapping):
             return self._looked_up(base, index, node)
         keys = None
@@ -194,6 +171,32 @@ class Expressions(Ways):
         if isinstance(sample, np.integer):
             code, sample = f"int({code})", int(sample)
         return Dynamic(code, sample, True, keys)
+
+    def _fixed_item(self, base: Value, index: Static, node: ast.AST) -> Value | None:
+        """Read an item whose place is fixed; None: it is one of an array."""
+        key = index.value
+        if isinstance(base, Record):
+            if key not in base.items:
+                raise self.unknown(f"no {key!r} in a mapping", node)
+            return base.items[self.program.guard(index)]
+        if isinstance(base, Group) and isinstance(key, int):
+            self.program.guard(index)
+            return base.items[key]
+        if isinstance(base, Static):
+            self.program.guard(index)
+            try:
+                found = base.value[key]
+            except (LookupError, TypeError) as error:
+                raise self.unknown(f"{error!r}", node) from None
+            if not isinstance(base.value, np.ndarray):
+                return Static(found, None if base.path is None else (*base.path, ("item", key)))
+        elif isinstance(base, Dynamic) and isinstance(base.sample, tuple) and isinstance(key, int):
+            self.program.guard(index)
+            simple = self.simple(base)
+            if not -len(base.sample) <= key < len(base.sample):
+                raise self.unknown(f"no item {key} of {len(base.sample)}", node)
+            return self._part(simple, key % len(base.sample))
+        return None
 
     def _looked_up(self, table: Static, key: Value, node: ast.AST) -> Dynamic:
         """Look a computed key up in a fixed mapping; without it the tick is given up."""
@@ -276,7 +279,8 @@ class Expressions(Ways):
             sample = x.sample
         if isinstance(sample, np.ndarray):
             raise self.unknown("arithmetic of whole arrays", node)
-        if text == "*" and all(isinstance(v, int) and not isinstance(v, bool) for v in (x.sample, y.sample)):
+        whole = all(isinstance(v, int) and not isinstance(v, bool) for v in (x.sample, y.sample))
+        if text == "*" and whole and self.program.typed:
             self.program.words.add("times_")
             return Dynamic(f"times_({x.code}, {y.code})", sample)
         return Dynamic(f"({x.code} {text} {y.code})", sample, is_sure(x) and is_sure(y))

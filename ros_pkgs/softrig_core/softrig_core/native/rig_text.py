@@ -16,11 +16,12 @@ from .translate import GIVEN_UP, LONGEST, Program, made
 from .twins import form, packed
 from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
 from .ways import alike
-from .words import TEXTS
+from .words import IN_PYTHON, OWN, TEXTS
 from .writer import Writer
 
 EDGE = 1.0 - 1e-9  # what is nearer to the bound of a port is left to the check of Python
 LARGEST = 1 << 62
+FEW = 3  # squares of fewer numbers are written out
 WHEN = (
     "when"  # table of times, ns: of the tick, of what each link keeps, and at which each that may be silent spoke last
 )
@@ -196,7 +197,8 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
     ]
     body = [*_decided(program, steps, state, stride, arrays), *body]
     rig = "\n".join([*head, *(f"        {line}" for line in body), "    n[0] = last", f"    return ({state},)"])
-    words = [TEXTS[w] for w in sorted(program.words)]
+    texts = TEXTS if typed else {w: text for w, text in IN_PYTHON.items() if w not in OWN}
+    words = [texts[w] for w in sorted(program.words) if w in texts]
     text = "\n\n".join([*words, *_reached(program.functions, rig), rig]) + "\n"
     return RigText(text, program, tuple(handed), stamped)
 
@@ -360,14 +362,14 @@ def _answered(
 ) -> list[str]:
     """Take an answer: its state, its numbers checked, written into the table."""
     writer = Writer(program, _answered, {})  # type: ignore[arg-type]
-    x = Dynamic("")
+    x, size = Dynamic(""), sum(p.size for p in step.outputs)
     try:
         if state is not None:
             first, value = writer.parts(value, _NOWHERE)
             x = writer.dynamic(first)
             writer.emit(f"y{k} = {x.code}")
         if isinstance(value, Dynamic) and value.keys is not None:
-            value = writer._unfolded(value)
+            value = writer.unfolded(value)
         numbers: list[str] = []
         stamps: list[str] = []
         found: Any = value.items if isinstance(value, Record) else {}
@@ -383,16 +385,15 @@ def _answered(
             row = writer.parts(said, _NOWHERE)
             if len(row) != port.size:
                 raise NotNative(f"{port.name} has {len(row)} values, expected {port.size}")
-            for one in row:
-                numbers.append(f"float({writer.code(one)})")
+            whole = size >= FEW and not typed and isinstance(said, Dynamic) and type(said.sample) is tuple
+            numbers += [f"*{writer.code(said)}"] if whole else [f"float({writer.code(one)})" for one in row]
     except (NotNative, AttributeError, KeyError, ValueError) as error:
         raise NotNative(f"{step.name}: its answer: {error}") from None
     lines = writer.lines
     if numbers:
-        lines.append(f"q{k} = ({''.join(f'{x}, ' for x in [*numbers, *flags])})")
         bound = min(p.bound for p in step.outputs) * EDGE
-        squares = " + ".join(f"q{k}[{i}] * q{k}[{i}]" for i, _ in enumerate(numbers))
-        lines += [f"if not ({squares} <= {bound!r}):", f"    {GIVEN_UP}", f"r{k} = q{k}"]
+        lines += _row_of(f"q{k}", numbers, flags, size, bound, typed)
+        lines.append(f"r{k} = q{k}")
     if stamps:
         lines.append(f"z{k} = ({''.join(f'{z}, ' for z in stamps)})")
     if state is not None:
@@ -401,9 +402,27 @@ def _answered(
         lines += [f"o{k}.append(q{k})", *([f"p{k}.append(z{k})"] if stamps else [])]
     elif any(s is step for s in recorded):
         at = f"k // {step.schedule.every // stride} - e{k}"
-        lines += [f"o{k}[{at}, {i}] = q{k}[{i}]" for i, _ in enumerate([*numbers, *flags])]
+        lines += [f"o{k}[{at}, {i}] = q{k}[{i}]" for i in range(size + len(flags))]
         lines += [f"p{k}[{at}, {i}] = z{k}[{i}]" for i, _ in enumerate(stamps)]
     return lines
+
+
+def _row_of(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bound: float, typed: bool) -> list[str]:
+    """Write what takes all numbers of an answer, flags of silence after them; beyond the bound they are Python's."""
+    told = "".join(f"{flag}, " for flag in flags)
+    if typed or size < FEW:
+        squares = " + ".join(f"{q}[{i}] * {q}[{i}]" for i in range(size))
+        return [f"{q} = ({', '.join(numbers)}, {told})", f"if not ({squares} <= {bound!r}):", f"    {GIVEN_UP}"]
+    return [
+        f"{q} = ({', '.join(numbers)},)",
+        f"squares_ = sum_of_products({q}, {q})",
+        "if type(squares_) is not float:",
+        f"    {q} = tuple(map(float, {q}))",
+        f"    squares_ = sum_of_products({q}, {q})",
+        f"if not (squares_ <= {bound!r} and len({q}) == {size}):",
+        f"    {GIVEN_UP}",
+        *([f"{q} = (*{q}, {told})"] if flags else []),
+    ]
 
 
 def _kept(state: str, value: Dynamic, step: Step, typed: bool) -> str:

@@ -300,25 +300,6 @@ def made(
     arrays : set of str
         Takes the names of the arrays that the call hands on.
     """
-    try:
-        bound = inspect.signature(function).bind(*given, **words)
-    except TypeError as error:
-        raise NotNative(f"{function.__qualname__}: {error}") from None
-    arguments: dict[str, Value] = {}
-    for name, parameter in inspect.signature(function).parameters.items():
-        if name in bound.arguments:
-            found = bound.arguments[name]
-            if parameter.kind is parameter.VAR_POSITIONAL:
-                found = Group(tuple(found))
-            elif parameter.kind is parameter.VAR_KEYWORD:
-                found = Record(found)
-            arguments[name] = found
-        elif parameter.kind is parameter.VAR_POSITIONAL:
-            arguments[name] = Group(())
-        elif parameter.kind is parameter.VAR_KEYWORD:
-            arguments[name] = Record({})
-        else:
-            arguments[name] = Static(parameter.default)
     inner: dict[str, Value] = {}
     outer: list[str] = []
     key: list[Any] = [function, program.aside]
@@ -349,7 +330,7 @@ def made(
         key.append((name, "record", tuple(value.items)))
         return Record({k: handed(v, f"{name}__{k}") for k, v in value.items.items()})
 
-    for name, value in arguments.items():
+    for name, value in _arguments(function, given, words).items():
         inner[name] = handed(value, name)
     whole = tuple(key)
     if whole in program.under_way:
@@ -368,6 +349,24 @@ def made(
     arrays.update(done.arrays)
     code = f"{done.name}({', '.join(['c', 'n', *done.arrays, *outer])})"
     return Dynamic(code, done.result.sample, done.result.sure, done.result.keys, done.result.parts)
+
+
+def _arguments(function: types.FunctionType, given: Sequence[Value], words: Mapping[str, Value]) -> dict[str, Value]:
+    """Give the arguments of a call by the names that the function has for them."""
+    signature = inspect.signature(function)
+    try:
+        bound = signature.bind(*given, **words).arguments
+    except TypeError as error:
+        raise NotNative(f"{function.__qualname__}: {error}") from None
+    found: dict[str, Value] = {}
+    for name, parameter in signature.parameters.items():
+        if parameter.kind is parameter.VAR_POSITIONAL:
+            found[name] = Group(tuple(bound.get(name, ())))
+        elif parameter.kind is parameter.VAR_KEYWORD:
+            found[name] = Record(bound.get(name, {}))
+        else:
+            found[name] = bound[name] if name in bound else Static(parameter.default)
+    return found
 
 
 def is_number_slot(value: Any) -> bool:

@@ -154,7 +154,7 @@ class Ways:
             return getattr(builtins, name)
         raise self.unknown(f"{name} is not known", node)
 
-    def _unfolded(self, value: Dynamic) -> Record:
+    def unfolded(self, value: Dynamic) -> Record:
         """Give a mapping that a function has answered by its parts."""
         assert value.keys is not None
         base = self.simple(value)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import builtins
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from typing import Any
 
@@ -55,15 +56,25 @@ TEXTS: dict[str, str] = {
     "drawn_": "def drawn_(row, n, k):\n    if k >= len(row):\n        n[1] = k + 1\n        raise IndexError\n"
     "    return float(row[k])\n",
 }
+# what of them a text that Python runs has from Python itself: that raises by itself
+OWN: dict[str, Callable[..., Any]] = {
+    **{n: getattr(math, n) for n in TEXTS if hasattr(math, n)},
+    "int_": int,
+    "round_": round,
+    "bisect_right": bisect_right,
+    "bisect_left": bisect_left,
+}
+IN_PYTHON = TEXTS | {
+    "drawn_": "def drawn_(row, n, k):\n    try:\n        return row[k]\n    except IndexError:\n"
+    "        n[1] = k + 1\n        raise\n",
+}
 PLAIN = {name: f"math.{name}" for name in ("atan", "atan2", "tanh", "copysign", "fabs", "isfinite", "isnan", "isinf",
                                            "radians", "degrees", "asinh")}  # fmt: skip
 
 
 def word(function: Callable[..., Any]) -> str | None:
     """Give the name under which native code has a function of the standard library; None: it has none."""
-    import bisect
-
-    if function in (bisect.bisect_right, bisect.bisect_left):
+    if function in (bisect_right, bisect_left):
         return function.__name__
     name = getattr(function, "__name__", "")
     if function is getattr(math, name, None):

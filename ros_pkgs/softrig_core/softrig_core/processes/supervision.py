@@ -51,9 +51,8 @@ def supervise(
             return ""
         states = {c.member.name: read_status(c.status) for c in children}
         guests.look(states)
-        if time.monotonic() > comes_up and (mute := [n for n, state in states.items() if not state]):
-            names, patience = ", ".join(mute), rig.scenario.start_timeout
-            return f"node {names} has said nothing of itself within {patience:g} s of its start"
+        if time.monotonic() > comes_up and (mute := _mute(states, rig.scenario.start_timeout)):
+            return mute
         plant = next((c for c in children if c.member is first), children[0])  # the first may run on another machine
         state = states[plant.member.name]
         t = state.get("t", 0)
@@ -70,10 +69,9 @@ def supervise(
         elif t != last or busy or (len(running) == len(children) and not any(is_held(c) for c in running)):
             late = time.monotonic() + rig.scenario.timeout
         if time.monotonic() > late:
-            if asleep := _asleep(running):
-                return asleep
             names = ", ".join(c.member.name for c in running)
-            return f"node {names} did not reach the end of the run within {rig.scenario.timeout:g} s after it"
+            lost = f"node {names} did not reach the end of the run within {rig.scenario.timeout:g} s after it"
+            return _asleep(running) or lost
         if t != last and progress is not None:
             progress(t)
         last = t
@@ -96,6 +94,12 @@ def set_back(ahead: float) -> str:
     return (
         f"; the system's clock was set back by {back:.0f} s meanwhile, and Fast DDS waits by it" if back > 1.0 else ""
     )
+
+
+def _mute(states: Mapping[str, Mapping[str, Any]], patience: float) -> str:
+    """Name the nodes that have said nothing yet; empty without any."""
+    names = ", ".join(name for name, state in states.items() if not state)
+    return f"node {names} has said nothing of itself within {patience:g} s of its start" if names else ""
 
 
 def _asleep(children: list[Child]) -> str:

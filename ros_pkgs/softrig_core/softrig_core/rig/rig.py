@@ -47,7 +47,7 @@ class Rig(Members):
         if scenario.clock is not None or not any(m.is_plant for m in members):
             members.append(_clock(scenario, members))
         clock = min((m for m in members if m.is_plant), key=lambda m: m.schedule.period)
-        return cls(scenario, (), clock)._with(scenario, members, members)
+        return cls(scenario, (), clock).having(scenario, members, members)
 
     def listened(self, scenario: Scenario, names: Iterable[str]) -> Rig:
         """Give the rig with more nodes of a scenario, or others in the place of those of their names, that only listen.
@@ -65,9 +65,9 @@ class Rig(Members):
         new = {m.name: m for m in members_of(scenario, {m.name: m.block_class for m in self.members}, names)}
         members = [new.get(m.name, m) for m in self.members]
         members += [m for m in new.values() if m not in members]
-        return self._with(scenario, members, list(new.values()))
+        return self.having(scenario, members, list(new.values()))
 
-    def _with(self, scenario: Scenario, members: list[Member], new: list[Member]) -> Rig:
+    def having(self, scenario: Scenario, members: list[Member], new: list[Member]) -> Rig:
         """Give the rig of all these members, of which the new ones are to be linked."""
         clock = self.clock
         for m in new:

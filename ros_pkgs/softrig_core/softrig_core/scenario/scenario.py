@@ -160,6 +160,11 @@ class Scenario(_Model):
 
     _file: Path | None = PrivateAttr(None)  # where all that is in it was written; for messages alone
 
+    def written_in(self, file: Path | None) -> Scenario:
+        """Remember where all that is in it is written."""
+        self._file = file
+        return self
+
     def written(self, *keys: str) -> str:
         """Say where one of its keys is written, as the end of a message; empty where that is not known."""
         at = place(self.name, self._file, keys) if self._file else ""
@@ -204,8 +209,7 @@ class Scenario(_Model):
         for key, value in (overrides or {}).items():
             _override(raw, key, value)
         new = self.having(**({} if duration is None else {"duration": duration}), **(raw if overrides else {}))
-        new._file = None if overrides else self._file
-        return new
+        return new.written_in(None if overrides else self._file)
 
     def having(self, **keys: Any) -> Scenario:
         """Give the scenario with other values of some keys, checked; a ScenarioError says what does not fit."""
@@ -261,8 +265,7 @@ class Draft(NamedTuple):
             shared = raw.get("shared") or {}
             scenario = Scenario.model_validate({**fill(raw, shared if isinstance(shared, dict) else {}), "name": name})
             check_lengths(scenario.duration, scenario.shared, scenario.requirements)
-            scenario._file = None if overrides else path
-            return scenario
+            return scenario.written_in(None if overrides else path)
         except ValidationError as error:
             at = place(name, path, error.errors()[0]["loc"])
             raise ScenarioError(f"{at}: {explain(error, Scenario)}") from None

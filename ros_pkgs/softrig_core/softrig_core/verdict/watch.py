@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from itertools import chain, islice
+from itertools import chain, islice, pairwise
 from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from ..block.answer import Heard
+from ..block.answer import Messages
 from ..block.block import Observer
 from ..block.params import BlockParams, param
 from ..block.port import Port
@@ -69,12 +69,14 @@ class Kept(NamedTuple):
                 oldest = blocks[0] if blocks else newest
         return Kept(blocks, newest, begin, forgot)
 
-    def taken_at_once(self, messages: Heard, since: int) -> Kept:
+    def taken_at_once(self, messages: Messages, since: int) -> Kept:
         """Take new messages in, the oldest first; what `taken` would give that gets one after the other.
 
         No two of them, nor the newest that is kept, are further apart than what is kept reaches back from `since` on.
         """
-        blocks = [*self.blocks, *messages.blocks(self.newest, BLOCK)]
+        room = BLOCK - len(self.newest)
+        more = (messages[k : k + BLOCK] for k in range(room, len(messages), BLOCK))
+        blocks = [*self.blocks, (*self.newest, *messages[:room]), *more]  # the last is never empty
         gone = 0
         while blocks[gone] and blocks[gone][-1][0] < since:
             gone += 1
@@ -123,17 +125,18 @@ class Watch(Observer[W]):
             found.append(kept if values is None else kept.taken(t - (age(name) or 0), values, since))
         return tuple(found)
 
-    def at_once(self, x: Any, t: int, messages: Mapping[str, Heard]) -> Any:
+    def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:
         """See `Observer.at_once`."""
         if type(self).update is not Watch.update:
             return None
         found, since = [], t - self._reach
         for name, kept in zip(self._ports, x.seen, strict=True):
             new = messages.get(name)
-            if new is None:
+            if not new:
                 found.append(kept)
                 continue
-            if np.diff([*(m[0] for m in kept.newest[-1:]), *new.stamps, t]).max(initial=0) > self._reach:
+            before, *_ = kept.newest[-1] if kept.newest else new[0]
+            if t - before > self._reach < max(b - a for a, b in pairwise((before, *(m[0] for m in new), t))):
                 return None
             found.append(kept.taken_at_once(new, since))
         return Window(tuple(found))

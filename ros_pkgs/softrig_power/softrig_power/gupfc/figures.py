@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 STATUS = "gupfc/status"
 POWERS = tuple(f"{STATUS}/{name}/position" for name in ("p_sh", "p12", "p34"))
 FREQUENCY = {"frequency": "gupfc/network.frequency"}
+CYCLE = {"cycle": "gupfc/pulses.command_period"}
 ANGLE, U1_ALPHA, U1_BETA = "shunt/command/angle/effort", "u1/x", "u1/y"
 
 
@@ -134,33 +135,35 @@ def distortion(
     return float(100.0 * math.sqrt(max(0.0, float(np.square(spectrum).sum() - first**2))) / first)
 
 
-def _voltage_spectrum(signals: SignalMap, end: float | None) -> NDArray[np.float64]:
-    """Amplitudes of the generator's voltage over the window, which is to be one cycle; index n is order n."""
-    _, alpha = window(signals, "pulses/voltage/x", None, end)
-    _, beta = window(signals, "pulses/voltage/y", None, end)
-    found: NDArray[np.float64] = np.abs(np.fft.fft(alpha + 1j * beta)) / alpha.size
-    return found
+def _first_cycle(signals: SignalMap, axis: str, cycle: float) -> Array:
+    """One component of the generator's voltage over the first cycle."""
+    t, x = signals[f"pulses/voltage/{axis}"]
+    half = 0.5 * float(t[1] - t[0])  # stamps are whole ns: no sample is counted that is nearer to the next cycle
+    if t[-1] < cycle - 3.0 * half:
+        raise ValueError(f"pulses/voltage is recorded to {t[-1]:g} s, a cycle lasts {cycle:g} s")
+    return x[: int(np.searchsorted(t, cycle - half))]
 
 
-@figure("%", ("pulses/voltage/x", "pulses/voltage/y"))
-def voltage_harmonic(signals: SignalMap, *, order: int, end: float | None = None) -> float:
+@figure("%", ("pulses/voltage/x", "pulses/voltage/y"), CYCLE)
+def voltage_harmonic(signals: SignalMap, *, order: int, cycle: float) -> float:
     """Amplitude of one order of the sampled 48-step voltage in % of its fundamental, by FFT.
 
     Parameters
     ----------
     order : int
         Negative for what turns against the fundamental; 1 gives the fundamental itself in % of the DC voltage.
-    end : float
-        End of the first cycle, s.
+    cycle : float
+        s; what one command of the pulse generator lasts.
     """
-    spectrum = _voltage_spectrum(signals, end)
+    alpha, beta = (_first_cycle(signals, axis, cycle) for axis in "xy")
+    spectrum = np.abs(np.fft.fft(alpha + 1j * beta)) / alpha.size
     return float(100.0 * spectrum[order] / (1.0 if order == 1 else spectrum[1]))
 
 
-@figure("", ("pulses/voltage/x",))
-def voltage_levels(signals: SignalMap, *, end: float | None = None) -> float:
-    """Number of different values of phase a."""
-    return float(np.unique(np.round(window(signals, "pulses/voltage/x", None, end)[1], 9)).size)
+@figure("", ("pulses/voltage/x",), CYCLE)
+def voltage_levels(signals: SignalMap, *, cycle: float) -> float:
+    """Number of different values of phase a over the first cycle (s)."""
+    return float(np.unique(np.round(_first_cycle(signals, "x", cycle), 9)).size)
 
 
 @figure("rad", ("pulses/quality/thd/position", "shunt/command/sigma/effort"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softrig_core import Block, BlockParams, Level, array, executable, param, scalars, vector3
 
@@ -51,6 +51,11 @@ class PulseGenerator(Block[PulseGeneratorParams]):
         array("spectrum", "pulses/spectrum", {"harmonic": len(ORDERS), "quantity": 2}, ["", "%"] * len(ORDERS)),
         scalars("quality", "pulses/quality", {"fundamental": "pu", "thd": "%", "thd_50": "%"}),
     )
+
+    @classmethod
+    def agreed(cls, params: PulseGeneratorParams) -> Mapping[str, Any]:
+        """How long a command turns on: the cycle over which its figures look."""
+        return {"gupfc/pulses.command_period": params.command_period}
 
     def setup(self) -> None:
         """Ticks of a command."""

@@ -70,8 +70,8 @@ class Record:
 
     Attributes
     ----------
-    sums, complete : bytes
-        Of the window under way and of the last whole one, see `quality`.
+    sums : bytes
+        Of the window under way, see `quality`.
     figures : tuple
         As `FIGURES`.
     trace : tuple
@@ -79,7 +79,6 @@ class Record:
     """
 
     sums: bytes
-    complete: bytes
     figures: tuple[float, ...]
     trace: tuple[float, ...]
 
@@ -162,7 +161,10 @@ class RectifierPlant(Plant[RectifierPlantParams]):
 
     def setup(self) -> None:
         """Prepare the constants."""
+        import numpy as np
+
         p = self.p
+        self._no_trace = np.empty((0, len(ports.WAVEFORM_CHANNELS)))
         self._circuit = Circuit(p.omega, p.L, p.R, p.C, p.phi)
         self._reach = INJECTION if p.injection else SPWM
         self._forward = 1.0 if p.feedforward == "instantaneous" else 0.0
@@ -178,7 +180,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         abc = phases(p.i_first, 0.0, 0.0)
         i = (p.i_first, 0.0) if p.model == "averaged_dq" else abc
         trace = (*abc, 0.0, p.v_start) * p.steps if p.waveform else ()
-        record = Record(empty().tobytes(), empty().tobytes(), (0.0,) * len(FIGURES), trace)
+        record = Record(empty().tobytes(), (0.0,) * len(FIGURES), trace)
         applied = (p.i_first,) if p.structure == "decoupled" else ()
         return self._kind(*i, p.v_start, applied, Events(p.R_L, p.V_g, 0.0), 0, False, record)
 
@@ -243,10 +245,11 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         import numpy as np
 
         p, record, start = self.p, x.record, t / 1e9
-        moving, complete = self._moving(x), opened(record.complete)
+        moving = self._moving(x)
         # time does not go on where it was (realtime after a pause of the host): the sums begin anew
         sums = self._begun(start) if 2 * abs(t - x.end) > self._period else opened(record.sums)
-        trace = np.empty((p.steps if p.waveform else 0, len(ports.WAVEFORM_CHANNELS)))
+        windows, complete = sums[PLAIN, WINDOWS], np.empty_like(sums)
+        trace = np.empty((p.steps, len(ports.WAVEFORM_CHANNELS))) if p.waveform else self._no_trace
         both = (self._circuit, self._period_at(x, events, start, command))
         if command == 0.0:
             moving = self._rectified(moving, start, both, (sums, complete, trace))
@@ -254,10 +257,10 @@ class RectifierPlant(Plant[RectifierPlantParams]):
             switched.advance(moving, p.steps, self._window, both, p.carrier_hz, p.injection, sums, complete, trace)
         else:
             averaged.advance(moving, p.steps, self._window, both, sums, complete, trace)
-        found, plain = record.figures, complete[PLAIN]
-        if plain[WINDOWS] != found[0] and plain[TIME] > 0.999 * self._window:
+        found = record.figures
+        if sums[PLAIN, WINDOWS] != windows and complete[PLAIN, TIME] > 0.999 * self._window:
             found = tuple(figures(complete).values())
-        return moving, Record(sums.tobytes(), complete.tobytes(), found, tuple(trace.ravel().tolist()))
+        return moving, Record(sums.tobytes(), found, tuple(trace.ravel().tolist()) if p.waveform else ())
 
     def _begun(self, start: float) -> Array:
         """Give sums without samples of the window that `start` (s) is in."""

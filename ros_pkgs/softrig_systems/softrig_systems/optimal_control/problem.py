@@ -96,7 +96,7 @@ class Problem:
             made = replace(made, horizon=float(horizon))
         if len(R):
             made = replace(made, R=tuple(map(float, R)))
-            made._weight()
+            made.weight()
         return made
 
     def _state(self, name: str, given: Sequence[float]) -> tuple[float, ...]:
@@ -104,7 +104,8 @@ class Problem:
             raise ProblemError(f"{name} = {tuple(given)}: expected {len(self.states)} finite numbers")
         return tuple(map(float, given))
 
-    def _weight(self) -> NDArray[np.float64]:
+    def weight(self) -> NDArray[np.float64]:
+        """Give R as a matrix, shape (m, m); a ProblemError where it is none or not positive definite."""
         m = len(self.controls)
         if len(self.R) != m * m:
             raise ProblemError(f"R: expected {m * m} numbers, row by row, not {len(self.R)}")
@@ -122,7 +123,7 @@ class Problem:
         L = ca.SX(self.cost(x, u))
         if self.R:
             hessian = ca.hessian(L, u)[0]
-            L = L - ca.dot(u, hessian @ u) / 2 + ca.dot(u, ca.DM(self._weight()) @ u) / 2
+            L = L - ca.dot(u, hessian @ u) / 2 + ca.dot(u, ca.DM(self.weight()) @ u) / 2
         if dx.numel() != len(self.states):
             raise ProblemError(f"ode: expected {len(self.states)} derivatives, not {dx.numel()}")
         return x, u, dx, L

@@ -105,7 +105,7 @@ def certify(
         require_no_sliding(system, h)
     problem = criterion.problem(system.scaled(h), covered / h)
     found = problem.solve()
-    eigenvalues = problem.check(found.matrices)
+    eigenvalues = problem.eigenvalues(found.matrices)
     valid = found.status == "Solved" and found.t > 0.0 and all(e.positive for e in eigenvalues)
     seconds = time.perf_counter() - begin
     return Certificate(h, valid, found.t, found.matrices, eigenvalues, found.status, seconds, covered)

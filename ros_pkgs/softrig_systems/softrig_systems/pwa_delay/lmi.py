@@ -194,7 +194,7 @@ class Problem:
                 found[name] = values.reshape(u.shape)
         return found
 
-    def check(self, matrices: Mapping[str, Array]) -> list[Eigenvalues]:
+    def eigenvalues(self, matrices: Mapping[str, Array]) -> list[Eigenvalues]:
         """Evaluate every inequality from given matrices alone, in float64, without the solver.
 
         An unknown with negative entries that must not have any counts as an inequality that does not hold.

@@ -112,16 +112,17 @@ class PwaSystem:
 
     def _check_cover(self) -> None:
         """Draw points; each must be inside one cell, and in no other."""
-        rng = np.random.default_rng(1)
-        for z in rng.normal(size=(600, 2 * self.n)):
-            inside = [i for i in range(self.cells) if np.all(self.E[i] @ z + self.e[i] > 1e-12)]
-            near = [i for i in range(self.cells) if np.all(self.E[i] @ z + self.e[i] >= -1e-12)]
-            if near and len(inside) <= 1:
-                continue
-            where = f"x = {np.round(z[: self.n], 3)}, x_d = {np.round(z[self.n :], 3)}"
-            if not near:
+        points = np.random.default_rng(1).normal(size=(600, 2 * self.n))
+        least = np.array(
+            [np.min(points @ E.T + e, axis=1, initial=np.inf) for E, e in zip(self.E, self.e, strict=True)]
+        )
+        inside, near = least > 1e-12, least >= -1e-12
+        for k in np.flatnonzero(~near.any(axis=0) | (inside.sum(axis=0) > 1))[:1]:
+            where = f"x = {np.round(points[k, : self.n], 3)}, x_d = {np.round(points[k, self.n :], 3)}"
+            if not near[:, k].any():
                 raise BadSystem(f"no cell holds {where}: the cells leave a gap")
-            raise BadSystem(f"cells {inside[0]} and {inside[1]} overlap at {where}")
+            one, other = np.flatnonzero(inside[:, k])[:2]
+            raise BadSystem(f"cells {one} and {other} overlap at {where}")
 
     def faces(self) -> list[tuple[int, int, int]]:
         """Give the common faces as (cell, row, other cell): the row of E that is an equality there."""

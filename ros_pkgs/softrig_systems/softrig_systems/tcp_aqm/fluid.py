@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 from softrig_core import jit
 from softrig_core.kit.dde import Trajectory, delayed, integrator
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
@@ -75,6 +75,27 @@ def limit(x: Array, c: Constants) -> None:
 
 
 advance = integrator(slopes, limit)
+Four = tuple[float, float, float, float]
+
+
+@jit
+def stepped(
+    past: Trajectory, t: float, x: Four, h: float, steps: int, net: Four, given: Four
+) -> tuple[float, float, float]:
+    """Give window, queue and packets served some steps after t (s).
+
+    Parameters
+    ----------
+    x : (float, float, float, float)
+        The state at t, see `slopes`.
+    net, given : (float, float, float, float)
+        N, C, tau_p and d; q_max, w_min, w_max and input_delay, see `Constants`.
+    """
+    N, C, tau_p, d = net
+    q_max, w_min, w_max, input_delay = given
+    now = np.array(x)
+    advance(past, t, now, h, steps, Constants(N, C, tau_p, q_max, w_min, w_max, d, input_delay))
+    return float(now[WINDOW]), float(now[QUEUE]), float(now[SERVED])
 
 
 @jit

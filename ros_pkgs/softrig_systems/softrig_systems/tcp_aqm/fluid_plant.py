@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple, Self
 
-import numpy as np
 from pydantic import model_validator
 from softrig_core import Level, check_steps, executable, param
 from softrig_core.kit.dde import Track, trajectory
 
-from .fluid import Constants, advance, look_back
+from .fluid import look_back, stepped
 from .network import Net, Network, NetworkParams, Seen
 
 
@@ -54,6 +53,7 @@ class TcpFluid(Network[TcpFluidParams]):
         p = self.p
         self._steps = round(p.period / p.h)
         self._h = p.period / self._steps
+        self._given = p.q_max, p.w_min, p.w_max, float(p.input_delay)
         super().setup()
 
     def begin(self, net: Net) -> State:
@@ -66,28 +66,18 @@ class TcpFluid(Network[TcpFluidParams]):
         w, q, served, step, net, past = x
         k = step - self._change
         k = k if 0 <= k < self._steps else self._steps
-        now = (step - k) * self._h + k * self._h  # rounded as `advance` has come there
+        now = (step - k) * self._h + k * self._h  # rounded as `stepped` has come there
         then = now - q / net.capacity - net.propagation
         return Seen(w, q, served, *look_back(past.open(), then))
 
     def moved(self, x: State, steps: int, p: float) -> State:
         """Integrate."""
         w, q, served, step, net, track = x
-        given = self.p
-        c = Constants(
-            float(net.flows),
-            net.capacity,
-            net.propagation,
-            given.q_max,
-            given.w_min,
-            given.w_max,
-            net.rate,
-            float(given.input_delay),
-        )
-        past, now = track.open(steps), np.array((w, q, p, served))
-        advance(past, step * self._h, now, self._h, steps, c)
-        w, q, _, served = now.tolist()
-        if c.N * w + c.d * (q / c.C + c.tau_p) >= 2.0 * (q + c.C * c.tau_p):
+        N, C, tau_p, d = float(net.flows), net.capacity, net.propagation, net.rate
+        past = track.open(steps)
+        x_now = w, q, p, served
+        w, q, served = stepped(past, step * self._h, x_now, self._h, steps, (N, C, tau_p, d), self._given)
+        if N * w + d * (q / C + tau_p) >= 2.0 * (q + C * tau_p):
             self.report(Level.WARN, "fast_delay", "the delay grows as fast as time or faster, N w/R >= 2 C")
         return State(w, q, served, step + steps, net, track.after(past))
 

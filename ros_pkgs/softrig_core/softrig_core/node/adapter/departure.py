@@ -55,7 +55,7 @@ class Departure:
         self.handshake = handshake
         self.absent: list[str] = []  # who is not there yet
         self.neighbours: list[Departure] = []  # those of the other nodes of this process
-        self._is_starter = node.links.starter == node.middleware.name
+        self.is_starter = node.links.starter == node.middleware.name
         self._silent = set(node.links.starts) - {node.middleware.name}
         self._others = len(self._silent - local)  # nodes of other processes
         self._unheard = self._others  # those that do not hear the starter yet
@@ -64,12 +64,12 @@ class Departure:
         self._header, self._read = TickWriter(), TickReader()
         self._since = node.middleware.steady()
         middleware = node.middleware
-        topic = START if not self._is_starter else READY
+        topic = START if not self.is_starter else READY
         self._input = Input(Port("stamp", topic, TICK))
         node.paces.append(self._input)
-        self._send = middleware.publisher(READY if not self._is_starter else START, TICK, self._matched)
-        self._hear = self._hear_ready if self._is_starter else self._hear_start
-        middleware.subscribe(topic, TICK, self._hear, lambda count: None)
+        self._send = middleware.publisher(READY if not self.is_starter else START, TICK, self._matched)
+        self.hear = self._hear_ready if self.is_starter else self._hear_start
+        middleware.subscribe(topic, TICK, self.hear, lambda count: None)
         self._timer = middleware.timer(CHECK, self._look)
 
     def _matched(self, count: int) -> None:
@@ -78,8 +78,8 @@ class Departure:
     def _publish(self, data: bytes) -> None:
         self._send(data)
         for other in self.neighbours:
-            if other._is_starter is not self._is_starter:
-                self._node.middleware.post(lambda other=other: other._hear(data))  # type: ignore[misc]
+            if other.is_starter is not self.is_starter:
+                self._node.middleware.post(lambda other=other: other.hear(data))  # type: ignore[misc]
 
     def _hear_ready(self, data: bytes) -> None:
         try:
@@ -124,7 +124,7 @@ class Departure:
     def _look(self) -> None:
         self.absent = self.handshake.absent()
         self._checks += 1
-        if self._is_starter:
+        if self.is_starter:
             self.absent += [f"{name} is not ready" for name in sorted(self._silent)]
             if self._unheard > 0:
                 self.absent.append(f"{self._deaf()} does not hear {START} yet")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 
+from ..seam.awaited import Awaited
 from ..seam.endpoint import Input, Output
 from ..seam.middleware import Peer, other_types
-from ..seam.recorders import Recorders
 from .adapter import Adapter
 
 CHECK = 1_000_000_000 // 50  # ns between two checks
@@ -45,11 +45,11 @@ class Handshake:
         self._wanted = [(output, [name for name in names if name not in local]) for output, names in wanted]
         self._local = local
         self._settled = 0
-        self._seen: list[tuple[str, str]] = []
+        self._seen: list[tuple[str, str | int]] = []
         self.lacking: list[str] = []
         self.missing: list[str] = []
         alone = not node.options.links  # in a domain where others live, as what is launched is
-        self._recorders = Recorders(node.middleware, node.links.recorders) if alone or node.links.public else None
+        self._recorders = Awaited(node.middleware, node.links.recorders) if alone or node.links.public else None
 
     def absent(self) -> list[str]:
         """Describe the peers that are not there yet; nothing when the node may begin."""
@@ -74,11 +74,17 @@ class Handshake:
             absent += [f"{name} does not subscribe {output.topic}" for name in unmatched]
             # The graph knows a reader before the writer is matched with it; only what the writer says counts.
             if names and output.readers < len(there):
-                absent.append(f"{output.topic} has {output.readers} readers of {len(there)}")
+                unfit = node.middleware.unfit(output.topic, output.port.msgtype)
+                never = [(name, why) for name, why in unfit if name in names]
+                self.missing += [name for name, _ in never]
+                absent += [f"{name} can never read {output.topic}: {why}" for name, why in never]
+                if not never and output.readers < len(there) - len(unfit):
+                    absent.append(f"{output.topic} has {output.readers} readers of {len(there) - len(unfit)}")
         unread = [] if node.options.links or self._local else [o.topic for o in node.outputs if not o.readers]
-        seen = [*found, *((topic, "") for topic in unread)]
         # A node announces its endpoints one by one, and by hand nobody says who reads what: what is seen counts when
-        # all senders have come and it has not changed for a while.
+        # all senders have come and it has not changed for a while. Who is no ROS node has no name: of it only the
+        # matched readers tell.
+        seen: list[tuple[str, str | int]] = [*found, *((output.topic, output.readers) for output, _ in self._wanted)]
         self._settled = self._settled + 1 if seen == self._seen and not absent else 0
         self._seen = seen
         if absent or self._settled >= SETTLED or self._knows_all():

@@ -39,9 +39,7 @@ class Faces:
         if adapter.pauses:
             offer(node, adapter.hold, message_class("std_srvs/srv/Trigger"))
             if adapter.options.mode == "lockstep" and find_spec("simulation_interfaces") is not None:
-                from .simulation import Simulation  # imports actions, which nothing else here has
-
-                Simulation(node, adapter)
+                _offer_simulation(node, adapter)
         self._looks = 0
         adapter.middleware.timer(WATCH_PERIOD, self._look)
 
@@ -79,6 +77,19 @@ class Faces:
         values |= {key: f"{count} x {text}" for key, (_, text, count) in reports.items()}
         values |= {key: str(value) for key, value in adapter.drive.statistics().items()} | dict(adapter.step.health())
         self._diagnostics.publish(diagnostic_array(time.time_ns(), self._name, level, text, values))
+
+
+def _offer_simulation(node: ServingNode, adapter: Adapter) -> None:
+    """Offer what other simulators answer; a run does not fail for a package that it could do without."""
+    from . import simulation  # imports actions, which nothing else here has
+
+    try:
+        types = simulation.types()
+    except Exception as error:  # rosidl raises a bare one
+        text = f"the services of simulation_interfaces are not offered: {error}"
+        adapter.middleware.log(Level.WARN, text)
+    else:
+        simulation.Simulation(node, adapter, types)
 
 
 def _read(publisher: Any) -> bool:

@@ -7,12 +7,13 @@ bodies of the node's scene are. What a run cannot do, begin anew, is answered as
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from rclpy.action import ActionServer
 from rclpy.task import Future
+from rclpy.type_support import check_for_type_support
 
 from ...block.scene import Pose
 from ...timebase import SECOND
@@ -34,8 +35,30 @@ FEATURES = (
 ONCE = "a run begins once: quit it and start another"
 
 
-def _kind(name: str, what: str = "srv") -> Any:
-    return message_class(f"{PACKAGE}/{what}/{name}")
+SERVICES = (
+    "GetSimulatorFeatures",
+    "GetSimulationState",
+    "SetSimulationState",
+    "ResetSimulation",
+    "GetEntities",
+    "GetEntityState",
+    "StepSimulation",
+)
+
+
+def types() -> dict[str, Any]:
+    """Import the types of the package, by name, with the libraries that they need.
+
+    Raises
+    ------
+    Exception
+        Of Python or of rosidl, which raises a bare one: some cannot be had.
+    """
+    names = {"Result": "msg", "SimulationState": "msg", **dict.fromkeys(SERVICES, "srv"), "SimulateSteps": "action"}
+    found = {name: message_class(f"{PACKAGE}/{kind}/{name}") for name, kind in names.items()}
+    for one in found.values():
+        check_for_type_support(one)
+    return found
 
 
 @dataclass
@@ -55,29 +78,31 @@ class Simulation:
     ----------
     adapter : Adapter
         Of the node that owns the clock, in lockstep.
+    types : mapping of str to class
+        See `types`.
     """
 
-    def __init__(self, node: ServingNode, adapter: Adapter) -> None:
+    def __init__(self, node: ServingNode, adapter: Adapter, types: Mapping[str, Any]) -> None:
         self._node, self._adapter = node, adapter
         self._scene = adapter.block.scene(adapter.block.p)
-        self._result, self._state = _kind("Result", "msg"), _kind("SimulationState", "msg")
+        self._result, self._state, self._simulating = (types[n] for n in ("Result", "SimulationState", "SimulateSteps"))
         self._steps: list[_Steps] = []
         self._late: dict[int, tuple[Any, Any]] = {}  # answers that are not given yet: response, header
         self._timer = adapter.middleware.timer(LOOK, self._look)
         self._timer.cancel()
-        for name, answer in (
-            ("GetSimulatorFeatures", self._features),
-            ("GetSimulationState", self._get_state),
-            ("SetSimulationState", self._set_state),
-            ("ResetSimulation", self._reset),
-            ("GetEntities", self._entities),
-            ("GetEntityState", self._entity),
-        ):
-            node.create_service(_kind(name), re.sub("(?<=.)([A-Z])", r"_\1", name).lower(), answer)
-        self._stepping = node.create_service(_kind("StepSimulation"), "step_simulation", self._step)
-        self._send = self._stepping.send_response
-        self._stepping.send_response = self._send_unless_late
-        self._action = ActionServer(node, _kind("SimulateSteps", "action"), "simulate_steps", self._simulate)
+        answers = (
+            self._features,
+            self._get_state,
+            self._set_state,
+            self._reset,
+            self._entities,
+            self._entity,
+            self._step,
+        )
+        for name, answer in zip(SERVICES, answers, strict=True):
+            service = node.create_service(types[name], re.sub("(?<=.)([A-Z])", r"_\1", name).lower(), answer)
+        self._send, service.send_response = service.send_response, self._send_unless_late  # of the last, StepSimulation
+        self._action = ActionServer(node, self._simulating, "simulate_steps", self._simulate)
 
     def _said(self, result: Any, code: str = "RESULT_OK", text: str = "") -> None:
         result.result, result.error_message = getattr(self._result, code), text
@@ -178,7 +203,7 @@ class Simulation:
             self._send(response, header)
 
     async def _simulate(self, goal: Any) -> Any:
-        kind, count = _kind("SimulateSteps", "action"), goal.request.steps
+        kind, count = self._simulating, goal.request.steps
         result, feedback, end = kind.Result(), kind.Feedback(), Future()
 
         def told(taken: int) -> None:

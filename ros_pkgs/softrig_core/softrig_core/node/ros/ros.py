@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from ast import literal_eval
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from functools import wraps
@@ -21,15 +21,15 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter, get_parameter_value
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from yaml import YAMLError
 
 from ...block.block import Level
-from ...errors import RunError
+from ...errors import RunError, closest
 from ...processes.shared_memory import Ears, domain_id
 from ...wire.cdr import Layout
-from ..seam.middleware import Matched, Middleware, Peer, Receive, Send
+from ..seam.middleware import Matched, Middleware, Peer, Place, Receive, Send
 from ..seam.monitor import Monitor
 from .arrival import Arrival, library
 from .garbage import Garbage
@@ -38,6 +38,10 @@ from .processor import Processor
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+# A writer of Fast DDS whose history is full asks all readers at each message what they have, and they answer; by itself
+# it asks every 50 ms, in which a lockstep loop sends some hundred: a seventh of the processor time of a tick.
+WRITTEN = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 
 POLICIES = (
     QoSPolicyKind.HISTORY,
@@ -156,6 +160,10 @@ class ServingNode(Node):  # type: ignore[misc]
             text = f"more is set than fits between the ticks, expected a pause of {wait:.1f} s"
             return SetParametersResult(successful=False, reason=text)
         now = {p.name: self._parameters[p.name] for p in wanted if p.name in self._parameters}
+        strange = next((p.name for p in wanted if p.name not in self._descriptors), None)
+        if strange is not None:  # rclpy would not name it
+            reason = f"{strange} is no parameter of {self.get_name()}{closest(strange, self._descriptors)}"
+            return SetParametersResult(successful=False, reason=reason)
         new = [p for p in wanted if p.name not in now or now[p.name].type_ != p.type_ or plain(now[p.name]) != plain(p)]
         self.remark = ""
         result = self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
@@ -193,6 +201,10 @@ def guessed(value: Any) -> Any:
     with suppress(YAMLError, AssertionError):
         return get_parameter_value(str(value))
     return None
+
+
+def _peer(endpoint: Mapping[str, Any]) -> Peer:
+    return Peer(endpoint["node_name"], endpoint["node_namespace"], endpoint["topic_type"])
 
 
 Arguments = ParamSpec("Arguments")
@@ -240,6 +252,8 @@ class RosMiddleware(Middleware):
         # else a late reader may be owed what was published before
         self.mute = not any(name.startswith("qos_overrides.") for name in node._parameter_overrides)
         self.monitor = node.monitor
+        mode = node._parameter_overrides.get("run.mode")
+        self._written = WRITTEN if mode is not None and mode.value == "lockstep" else QOS
         self._read: list[tuple[Any, Receive, Matched]] = []  # subscriptions
         self._arrivals: list[Arrival] = []
         self.name: str = node.get_name()
@@ -266,7 +280,7 @@ class RosMiddleware(Middleware):
             made = self.node.create_publisher(
                 message_class(msgtype),
                 topic,
-                copy(QOS),
+                copy(self._written),
                 event_callbacks=events,
                 qos_overriding_options=self._overrides(topic),
             )
@@ -326,7 +340,7 @@ class RosMiddleware(Middleware):
 
     # answers where messages arrive -------------------------------------------------------------------------------
 
-    def be_prompt(self) -> None:
+    def be_prompt(self, place: Place) -> None:
         """Take the messages of what is subscribed so far in the thread that receives them."""
         rcl = library()
         if rcl is None:
@@ -343,8 +357,9 @@ class RosMiddleware(Middleware):
         if self.prompt:
             self.timer(LOOK, self._look)
             self.timer(SEARCH, Garbage(off=True).step)
-            self._processor = Processor(domain_id(), lambda: self.monitor.done)
-            self.timer(SEARCH, self._processor.step)
+            if place != "anywhere":
+                self._processor = Processor(domain_id(), place == "beside", lambda: self.monitor.done)
+                self.timer(SEARCH, self._processor.step)
         for arrival in self._arrivals:
             arrival.begin()
 
@@ -413,17 +428,27 @@ class RosMiddleware(Middleware):
 
     def publishers(self, topic: str) -> list[Peer]:
         """Writers of a topic, as the graph shows them."""
-        return self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)
+        return [_peer(i) for i in self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)]
 
     def subscribers(self, topic: str) -> list[Peer]:
         """Readers of a topic, as the graph shows them."""
-        return self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic)
+        return [_peer(i) for i in self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic)]
 
-    def _endpoints(self, ask: Callable[..., list[dict[str, Any]]], topic: str) -> list[Peer]:
+    def unfit(self, topic: str, msgtype: str) -> list[tuple[str, str]]:
+        """Name the readers of a topic of ours that ask for more than it offers."""
+        writers = self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)
+        offered = [QoSProfile(**i["qos_profile"]) for i in writers if _peer(i).full_name == self.full_name]
+        found = []
+        for reader in self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic) if offered else ():
+            fits, why = qos_check_compatible(offered[0], QoSProfile(**reader["qos_profile"]))
+            if fits == QoSCompatibility.ERROR and reader["topic_type"] == msgtype:
+                found.append((_peer(reader).name, str(why).replace("ERROR: ", "").strip("; ")))
+        return found
+
+    def _endpoints(self, ask: Callable[..., list[dict[str, Any]]], topic: str) -> list[dict[str, Any]]:
         # rclpy's own method would apply this node's remaps to a name that is one already
         with self.node.handle:
-            found = ask(self.node.handle, topic, False)
-        return [Peer(i["node_name"], i["node_namespace"], i["topic_type"]) for i in found]
+            return ask(self.node.handle, topic, False)
 
     def subscriptions_of(self, peer: Peer) -> list[str]:
         """Topics that a node reads."""

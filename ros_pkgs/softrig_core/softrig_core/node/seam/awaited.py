@@ -29,8 +29,8 @@ def left_out(recorder: str, topics: Iterable[str]) -> bytes:
     return TickWriter()(0, [f"{recorder}:{topic}" for topic in topics])
 
 
-class Recorders:
-    """Who is to read the first message of each topic of a node.
+class Awaited:
+    """Who is awaited, to read the first message of each topic of a node.
 
     Parameters
     ----------
