@@ -216,7 +216,8 @@ class SimulatedNode(Middleware):
         self.monitor = Monitor(self._wake, self._clock)
         self.ahead = 0  # ns by which its clock differs
 
-    def be_prompt(self):
+    def be_prompt(self, place):
+        self.place = place
         self.prompt = self.world.prompt is not None and self.process is None
         if self.prompt:
             self.monitor._short = self.world.prompt.choice((0, SHORT_ONES))  # some have been at it for long

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
-from softrig_core import Recording, Rig, ScenarioError, rig_of
+from softrig_core import Recording, Rig, ScenarioError, jit, rig_of, simulate
 from softrig_core.block.runner import Runner
 from softrig_core.native.compile import compiled, plain
 from softrig_core.native.engine import Engine
 from softrig_core.run.inprocess import record, wired
 from softrig_drives.induction_dtc.switching import VECTORS
+from softrig_drives.lsrm.plant import step
 
 from .console import console
 from .timing import least
@@ -85,13 +86,7 @@ def rates(name: str, seconds: float = 0.0) -> dict[str, float]:
             raise ScenarioError(f"not native: {steps[members[0].name].native[1]}")
         return recording
 
-    with tempfile.TemporaryDirectory() as folder:
-        library = Path(folder) / "loop.so"
-        code = Path(__file__).with_name(f"{name}.c")
-        subprocess.run(
-            ["gcc", "-O2", "-ffp-contract=off", "-shared", "-fPIC", str(code), "-o", str(library), "-lm"], check=True
-        )
-        loop: Any = ctypes.CDLL(str(library)).loop
+    loop = _built(name)
     loop.restype = ctypes.c_double
     constants = np.array(_motor(blocks) if name == "dc_motor_smc" else _drive(blocks))
 
@@ -113,6 +108,58 @@ def rates(name: str, seconds: float = 0.0) -> dict[str, float]:
         for recorded in (False, True)
         for how, f in (("C by hand", by_hand), ("native", native))
     }
+
+
+def _built(name: str) -> Any:
+    """Build a loop that is written in C by hand."""
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "loop.so"
+        code = Path(__file__).with_name(f"{name}.c")
+        subprocess.run(
+            ["gcc", "-O2", "-ffp-contract=off", "-shared", "-fPIC", str(code), "-o", str(library), "-lm"], check=True
+        )
+        return ctypes.CDLL(str(library)).loop
+
+
+def core_rates() -> dict[str, float]:
+    """Measure ns of CPU a tick of the linear motor's plant under the voltages of a run, in C by hand and compiled.
+
+    Raises
+    ------
+    ScenarioError
+        The two give other bits.
+    """
+    run = simulate("lsrm_fuzzy")
+    columns = run.recording.topics["phase_voltage"].columns()
+    assert columns is not None
+    u = np.ascontiguousarray(columns.values[: run.rig.ticks])
+    plant: Any = run.blocks["lsrm_plant"].block
+    limit, *constants, _ = plant._constants.tolist()
+    found, wanted = np.empty((2, len(u), 6))
+    c = np.array([limit, *constants])
+    loop = _built("lsrm_plant")
+    places = [ctypes.c_void_p(x.ctypes.data) for x in (plant._geometry, c, u, wanted)]
+
+    def by_hand() -> None:
+        loop(ctypes.c_long(len(u)), *places)
+
+    def native() -> None:
+        _driven(u, plant._geometry, plant._constants, found)
+
+    rates = {"C by hand": least(by_hand) / len(u) * 1e9, "native": least(native) / len(u) * 1e9}
+    if found.tobytes() != wanted.tobytes():
+        raise ScenarioError("lsrm_plant: C by hand gives other bits")
+    return rates
+
+
+@jit
+def _driven(u: Any, geometry: Any, constants: Any, rows: Any) -> None:
+    state = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for n in range(len(u)):
+        after = step(state, (u[n, 0], u[n, 1], u[n, 2], u[n, 3]), (0.0, 0.0), False, geometry, constants)
+        state = after[0], after[1], after[2], after[3], after[4], after[5]
+        for k in range(6):
+            rows[n, k] = state[k]
 
 
 def _motor(blocks: dict[str, Any]) -> list[float]:
@@ -142,6 +189,7 @@ def print_table() -> None:
     for how in found["dc_motor_smc"]:
         table.add_row(how, *(f"{found[name][how]:.1f}" for name in LOOPS))
     console.print(table)
+    console.print(f"lsrm_plant: {', '.join(f'{how} {ns:.0f}' for how, ns in core_rates().items())}")
     table = Table("rig", "ticks", "one by one", "one text in Python", "native", "times", box=None, pad_edge=False)
     for name in RIGS:
         rig = rig_of(name)

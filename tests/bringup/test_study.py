@@ -117,6 +117,15 @@ def test_a_latin_hypercube_has_one_point_in_each_slice():
         assert sorted(int(p[name] * 50) for p in draw(draws)) == list(range(50))
 
 
+def test_a_latin_hypercube_is_that_of_scipy():
+    from scipy.stats import qmc
+
+    parameters = {"u": {"uniform": [[0.0] * 3, [1.0] * 3]}}
+    found = draw(study(draws={"count": 70, "seed": 5, "parameters": parameters}).draws)
+    wanted = qmc.LatinHypercube(3, rng=np.random.default_rng(5)).random(70)
+    assert [point["u"] for point in found] == wanted.tolist()
+
+
 @pytest.mark.parametrize(
     ("words", "name"),
     [

@@ -11,10 +11,14 @@ from conftest import differences, in_process, make_scenario
 from simulated import Discovery, SimulatedNode, SimulatedRig, SimulatedTimer, World, some
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
+from softrig_core.node.ros.ros import QOS
 from softrig_core.node.seam.awaited import RECORDER, left_out
 from softrig_core.node.seam.endpoint import Output
 from softrig_core.node.seam.tick import TICK
+from softrig_core.processes.peers import links
+from softrig_core.processes.spawning import node_parameters
 from softrig_core.processes.supervision import blamed
+from softrig_core.rig.options import Links
 from test_ports import RIGS as PORT_RIGS
 from test_processes import RIGS as PROCESS_RIGS
 
@@ -44,6 +48,8 @@ KINDS = {name: make_scenario(nodes, 0.05) for name, (nodes, _) in PROCESS_RIGS.i
         "noise": {"link": "lag/state -> gain", "kind": "noise", "value": [0.1]},
         "late": {"link": "lag/state -> gain", "kind": "delay", "delay": 0.02, "jitter": 0.03, "from": 0.05,
                  "holds": True}}),  # for when gain is outside
+    "three who follow": make_scenario(BASIC | {
+        name: slow(0.01 * every, executable="watcher") for name, every in (("near", 1), ("half", 2), ("far", 6))}, 0.3),
     "solver": make_scenario(BASIC | {
         "planner": slow(0.05, executable="planner"),
         "gain": {"executable": "gain", "remap": {"lag/reference": "lag/inner_reference"}}}, 0.1),
@@ -363,6 +369,44 @@ def test_who_dies_before_it_reads_is_named_by_who_waits_for_it():
     what, wrong = trial(56041)
     assert what.startswith("death"), what
     assert wrong == []
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 10])
+def test_the_clock_is_ahead_of_who_follows_by_less_than_a_queue_holds(every):
+    """The follower is stopped at eight ticks in a row: as many messages of a topic wait for it then."""
+    rig = rig_of(make_scenario(BASIC | {"watcher": slow(0.01 * every, executable="watcher")}, 0.6))
+    waiting = set()
+    for first in range(30, 38):
+        world = World(lambda *_: MS)
+        run = SimulatedRig(rig, world, "lockstep")
+        plant, watcher = run.adapters["plant"], run.adapters["watcher"]
+
+        def stop(world=world, run=run, plant=plant, watcher=watcher, first=first):
+            if plant.ticks < first:
+                world.at(world.now + MS // 2, stop)
+                return
+            run.nodes["watcher"].stalled = world.now + 1_000 * MS
+            world.at(world.now + 900 * MS, lambda: waiting.add(plant.ticks + 1 - every * watcher.ticks))
+
+        world.at(world.now, stop)
+        assert set(run.run(30.0).values()) == {"done"}
+        assert not differences(run.recording, in_process(rig))
+    assert 4 < max(waiting) < QOS.depth
+    assert min(waiting) > 3
+
+
+@pytest.mark.parametrize(("without", "followers"), [({}, ["watcher"]), ({"source"}, []), ({"plant"}, [])])
+def test_nobody_follows_where_a_node_is_outside(without, followers):
+    rig = with_guests("two loops at two rates, a chain and a leaf", tuple(without))
+    for member in rig.members:
+        assert links(rig, member).followers == followers
+
+
+def test_who_may_come_back_is_waited_for_at_each_tick():
+    rig, _ = rig_and_record("three who follow")
+    for returns, followers in ((False, ["near", "half", "far"]), (True, [])):
+        given = node_parameters(rig, rig.members[0], 0, "lockstep", returns=returns)
+        assert Links.model_validate_json(given["run.links"]).followers == followers
 
 
 def test_who_is_answered_while_it_speaks_does_not_begin_a_tick_inside_another():

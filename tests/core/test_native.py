@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import inspect
 import linecache
+import math
 import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,7 +33,7 @@ from softrig_core import (
     simulate,
 )
 from softrig_core.block.runner import Runner
-from softrig_core.native import engine
+from softrig_core.native import choice, engine
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine, Native
 from softrig_core.native.rig_text import rig_text
@@ -61,7 +63,7 @@ KNOWN = {
 def _no_text_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a text that other tests have pushed out made again."""
     monkeypatch.setattr(engine, "_counts", {})
-    monkeypatch.setattr(engine, "_spent", {})
+    monkeypatch.setattr(choice, "_spent", {})
 
 
 def ran(
@@ -74,10 +76,10 @@ def ran(
         engines.append(Engine(steps, make))
         return engines[-1]
 
-    monkeypatch.setattr(engine, "cost", lambda steps: None if timed else 0.0)
-    monkeypatch.setattr(engine, "writes", lambda steps, left: False)
-    monkeypatch.setattr(engine, "unwanted", lambda steps, left, runs: "" if make else "a test")
-    monkeypatch.setattr(engine, "Engine", build)
+    monkeypatch.setattr(choice, "cost", lambda steps: None if timed else 0.0)
+    monkeypatch.setattr(choice, "writes", lambda steps, left: False)
+    monkeypatch.setattr(choice, "unwanted", lambda steps, left, runs: "" if make else "a test")
+    monkeypatch.setattr(choice, "Engine", build)
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     steps, error = {}, ""
     try:
@@ -120,7 +122,7 @@ def test_numba_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_figures_of_many_runs_are_those_of_single_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bit for bit, and what one run leaves behind does not reach the next."""
     monkeypatch.setattr(engine, "_texts", [])
-    monkeypatch.setattr(engine, "cost", lambda steps: 1e-5)
+    monkeypatch.setattr(choice, "cost", lambda steps: 1e-5)
     variants = [{"dc_motor_plant.J": inertia} for inertia in (3e-4, 4e-4, 5e-4, 3e-4)]
     single, many = (
         [simulate("dc_motor_smc_c1", duration=20.0, overrides=v, runs=n) for v in variants] for n in (1, 10**6)
@@ -273,13 +275,13 @@ def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.Mon
 def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = core(rig())
     monkeypatch.setattr(engine, "_texts", [])
-    assert engine.unwanted(steps, 5.9) == engine.SHORT
-    assert engine.unwanted(steps, 6.1) == engine.unwanted(steps, 0.061, 100) == ""
-    assert engine.unwanted(steps, 0.009, 10**6) == engine.SHORT
-    assert engine.writes(steps, 0.2)
+    assert choice.unwanted(steps, 5.9) == choice.SHORT
+    assert choice.unwanted(steps, 6.1) == choice.unwanted(steps, 0.061, 100) == ""
+    assert choice.unwanted(steps, 0.009, 10**6) == choice.SHORT
+    assert choice.writes(steps, 0.2)
     monkeypatch.setenv("SOFTRIG_JIT", "0")
-    assert not engine.writes(steps, 0.2)
-    assert engine.unwanted(steps, 6.1) == "SOFTRIG_JIT=0"
+    assert not choice.writes(steps, 0.2)
+    assert choice.unwanted(steps, 6.1) == "SOFTRIG_JIT=0"
 
 
 class Ticking:
@@ -306,25 +308,25 @@ def test_the_time_that_is_left_says_how_a_run_goes_on(left, runs, way, timed, mo
         wanted = ran(rig(), usual)[0]
     made: list[Any] = []
     monkeypatch.setattr(engine, "_texts", [])
-    monkeypatch.setattr(engine, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, plain))
+    monkeypatch.setattr(choice, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, plain))
     clock = Ticking(left / ((500 - 64) if timed else 501))
-    monkeypatch.setattr(engine.time, "thread_time", clock)
+    monkeypatch.setattr(choice.time, "thread_time", clock)
     classes = (Oscillator, Pusher, Watcher) if runs == 1 else (Oscillator, Pusher)
-    monkeypatch.setattr(engine, "_costs", {} if timed else {classes: clock.tick})
+    monkeypatch.setattr(choice, "_costs", {} if timed else {classes: clock.tick})
     found = Recording((topic, port.msgtype) for topic, port in rig().topics.items())
     inprocess.run_inprocess(rig(), rig().scenario.seed, found, runs=runs)
     assert made == ([way] if way else [])
-    assert engine._costs == {classes: pytest.approx(clock.tick)}
+    assert choice._costs == {classes: pytest.approx(clock.tick)}
     assert clock.looks == (130 if timed else 0)
     assert found.topics == wanted.topics
 
 
 def test_short_runs_that_come_again_are_worth_a_text_that_python_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Once as much time has gone into them as the text takes, unless there is no such text."""
-    monkeypatch.setattr(engine, "_costs", {(Oscillator, Pusher, Watcher): 0.1 / 501})
+    monkeypatch.setattr(choice, "_costs", {(Oscillator, Pusher, Watcher): 0.1 / 501})
     monkeypatch.setattr(engine, "_texts", [])
     made: list[Any] = []
-    monkeypatch.setattr(engine, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, make))
+    monkeypatch.setattr(choice, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, make))
     for count in (0, 1, 2):
         inprocess.run_inprocess(rig(), 0)
         assert made == [plain] * count
@@ -381,6 +383,29 @@ def test_members_that_are_seldom_due_stay_in_python(monkeypatch):
     native = the_same(lambda: rig_of("manipulator_adsmc_two_link", duration=0.1), monkeypatch)
     assert (native.ticks, native.given_up) == (95, 0)  # of 100: one is due at each twentieth, and speaks once
     assert "robot_dynamics" not in native.members
+
+
+class SeldomParams(BlockParams):
+    """Of a test."""
+
+    period: float = param(0.02, "period", "s", gt=0.0)
+
+
+class Seldom(Block[SeldomParams]):
+    """Seldom due, by what is no arithmetic; what it says may be bad, and is at last."""
+
+    INPUTS = (SIGNAL,)
+    OUTPUTS = (replace(PUSH, unchecked=True),)
+
+    def update(self, x: tuple[()], t: int, *, signal: tuple[float, ...]) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Push."""
+        return x, {"push": (float(f"{signal[0]:.2f}") if t < 100_000_000 else math.nan,)}
+
+
+def test_a_native_member_doubts_what_one_in_python_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = {"plant": Oscillator, "law": Seldom}
+    native = the_same(lambda: Rig.from_blocks({n: b() for n, b in blocks.items()}, 0.5), monkeypatch)
+    assert (native.members, native.ticks > 90) == (("plant",), True)
 
 
 class Chooser(Block[OscillatorParams]):
@@ -584,7 +609,7 @@ def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked
 
 def test_a_run_that_has_begun_in_python_goes_on_natively(monkeypatch):
     """Also one whose members decide now and then, whose messages are then handed out later."""
-    monkeypatch.setattr(engine, "_costs", {})
+    monkeypatch.setattr(choice, "_costs", {})
     wanted, found = (
         ran(rig_of("pv_mppt_certified", duration=0.2), monkeypatch, make, timed=True)
         for make in (None, lambda text: plain(text))

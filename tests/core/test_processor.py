@@ -1,12 +1,23 @@
-"""Nodes whose ticks are short stay on one processor, all of a domain on the same; who computes for longer does not."""
+"""A plant and its law stay on one processor while their ticks are short; no other rig does."""
 
 import os
 import threading
 
 import pytest
+from conftest import make_scenario
+from simulated import SimulatedRig, World
+from softrig_core import rig_of
 from softrig_core.node.ros.processor import ENOUGH, LONG, SHORT, Processor
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="Linux")
+
+
+def motor(executable, **entry):
+    return {"package": "softrig_drives", "executable": executable, "parameters": {"period": 0.001}, **entry}
+
+
+SOURCE = {"package": "softrig_control", "executable": "reference_source", "remap": {"reference": "motor/reference"}}
+PAIR = {"plant": motor("dc_motor_plant"), "law": motor("dc_motor_smc")}
 
 
 @pytest.fixture
@@ -30,9 +41,9 @@ class Work:
         self.time += messages * each
 
 
-def placed(domain=0):
+def placed(domain=0, beside=False):
     work = Work()
-    return work, Processor(domain, lambda: work.messages, lambda: work.time)
+    return work, Processor(domain, beside, lambda: work.messages, lambda: work.time)
 
 
 def test_nodes_of_a_domain_share_one_and_the_next_domain_has_another(allowed):
@@ -41,7 +52,7 @@ def test_nodes_of_a_domain_share_one_and_the_next_domain_has_another(allowed):
         _, processor = placed(domain)
         numbers.append(processor.number)
         assert os.sched_getaffinity(0) == {processor.number}
-        processor._go(None)
+        processor._go(allowed)
     assert numbers == [*allowed, allowed[0]]
 
 
@@ -84,8 +95,43 @@ def test_every_thread_stays_until_messages_take_long_and_comes_back(allowed):
     assert seen == dict.fromkeys(stays, own) | dict.fromkeys(goes, everywhere)
 
 
-def test_who_may_use_one_only_is_left_alone(allowed):
+def test_who_follows_is_beside_them_until_messages_take_long(allowed):
+    work, processor = placed(1, beside=True)
+    others = set(allowed) - {allowed[1 % len(allowed)]}
+    assert os.sched_getaffinity(0) == others
+    assert processor.number == (min(others) if len(others) == 1 else None)
+    for each, where in ((1, others), (SHORT // 2, others), (2 * SHORT, set(allowed))):
+        work.more(ENOUGH, each)
+        processor.step()
+        assert os.sched_getaffinity(0) == where
+    assert processor.number is None
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_who_may_use_one_only_is_left_alone(beside, allowed):
     os.sched_setaffinity(0, {allowed[-1]})
-    _, processor = placed(len(allowed))
+    _, processor = placed(len(allowed), beside)
     assert processor.number is None
     assert os.sched_getaffinity(0) == {allowed[-1]}
+
+
+def other(number, **entry):
+    """Another law, whose command nobody reads."""
+    return {f"other_{number}": motor("dc_motor_smc", remap={"motor/command": f"other/command_{number}"}, **entry)}
+
+
+@pytest.mark.parametrize(
+    ("more", "places"),
+    [
+        ({}, ["together"] * 2),
+        (other(1), ["together"] * 2 + ["beside"]),
+        (other(1) | other(2), ["together"] * 2 + ["beside"] * 2),
+        (other(1) | other(2) | other(3), ["anywhere"] * 5),  # more than another processor could do meanwhile
+        ({"reference": SOURCE}, ["anywhere"] * 3),  # works while the plant does
+        (other(1, external=True), ["anywhere"] * 2),  # nobody knows what it reads
+    ],
+)
+def test_a_plant_and_its_law_work_together_who_follows_beside_them(more, places):
+    run = SimulatedRig(rig_of(make_scenario(PAIR | more, 0.01)), World(), "lockstep")
+    run.run(0.2)
+    assert [node.place for node in run.nodes.values()] == places

@@ -250,6 +250,20 @@ def test_a_node_whose_senders_have_ended_ends_too():
     assert run.run(5.0)["gain"] == "done"
 
 
+@pytest.mark.parametrize("shared", [False, True])
+def test_who_is_held_over_the_end_of_a_run_says_its_last_tick_and_none_after_it(shared):
+    rig = basic(0.25)
+    run = SimulatedRig(rig, World(), "realtime", groups=[list(BASIC)] if shared else ())
+    run.world.match()
+    run.world.run(run.epoch + 100 * MS)
+    for node in run.nodes.values():
+        node.stalled = run.epoch + 900 * MS
+    assert set(run.run().values()) == {"done"}
+    said = run.recording.topics["lag/state"].times
+    assert (said[-2] - run.epoch, said[-1] - run.epoch) == (100 * MS, rig.end)
+    assert all(t <= run.epoch + rig.end for topic in run.recording.topics.values() for t in topic.times)
+
+
 def test_a_law_notices_a_source_that_has_stopped():
     rig = basic(2.0)
     world = World()

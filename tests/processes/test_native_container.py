@@ -8,7 +8,7 @@ import pytest
 from conftest import differences, in_process
 from simulated import Endpoint, SimulatedNode, World
 from softrig_core import Recording, rig_of
-from softrig_core.native import engine
+from softrig_core.native import choice, engine
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine
 from softrig_core.node import group
@@ -24,10 +24,10 @@ class Container:
 
     def __init__(self, rig, folder, monkeypatch, make=None):
         self.expected = in_process(rig, 1)
-        monkeypatch.setattr(engine, "cost", lambda steps: 0.0)
-        monkeypatch.setattr(engine, "unwanted", lambda steps, left, runs: "")
+        monkeypatch.setattr(choice, "cost", lambda steps: 0.0)
+        monkeypatch.setattr(choice, "unwanted", lambda steps, left, runs: "")
         # its tables are those of numpy all the same
-        monkeypatch.setattr(engine, "compiled", make or (lambda text: plain(text)))
+        monkeypatch.setattr(choice, "compiled", make or (lambda text: plain(text)))
         monkeypatch.setattr(engine, "SHORTEST", 50)
         monkeypatch.setattr(engine, "SHORT_GO", -1.0)  # no go is longer
         monkeypatch.setattr(engine, "_texts", [])

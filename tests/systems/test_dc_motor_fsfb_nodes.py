@@ -72,6 +72,10 @@ class Axis:
         outside(self.bench, "person", PERSON, *lines)
         assert self.bench.ends("person") == 0
 
+    def asked(self, where):
+        """Wait until that is the set point."""
+        self.wait(lambda: self.bench.signal("controller", SET_POINT).x[-1] == where)
+
     def arrives(self, where):
         """Wait until set point and axis stand there."""
 
@@ -104,10 +108,10 @@ def axis(bench):
 def test_buttons_by_topic_and_by_service_move_the_axis(axis):
     assert not axis.bench.signal("plant", Y).x.any()  # nobody asked for anything
     axis.ask("press forward", "call-in-vain controller/forward")
-    axis.arrives(10.0)
+    axis.asked(10.0)
     axis.ask("release forward")  # not before: of two messages within one tick the newest counts
     axis.ask("call controller/forward", "call controller/forward")
-    axis.arrives(30.0)  # each call is a press, however fast they come
+    axis.asked(30.0)  # each call is a press, however fast they come
     axis.ask("call controller/reverse")
     axis.arrives(20.0)
 

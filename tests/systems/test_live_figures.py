@@ -3,7 +3,7 @@
 from collections import deque
 
 import pytest
-from softrig_core import ByHand, Scenario, ScenarioError, load_scenario, rig_of, simulate
+from softrig_core import ByHand, Scenario, ScenarioError, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.node.live_figures import Figures
 from softrig_core.verdict.watch import Kept
 
@@ -45,6 +45,43 @@ def test_figures_while_running_equal_those_of_the_recording(name, duration, leas
     known = {n: x for n, x in measured.items() if n in run.rig.scenario.figures}
     assert len(known) >= least
     assert live(run) == known
+
+
+def of_a_study(name, duration):
+    """Give the results of a run of many, and how many topics it recorded nothing of."""
+    run = simulate(name, duration=duration, runs=2, signals=())
+    return run.results, sum(not topic.times for topic in run.recording.topics.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "duration", "silent"),
+    [
+        ("dc_motor_smc", 0.02, 0),
+        ("dc_motor_smc_faults", 0.1, 6),
+        ("dc_motor_fsfb_s2", 0.1, 4),
+        ("induction_dtc_s2", 0.01, 1),
+        ("lsrm_fuzzy_n2", 0.01, 3),
+        ("rehab_impedance", 0.02, 2),
+    ],
+)
+def test_a_run_of_many_records_what_its_figures_read_and_measures_what_a_whole_one_does(
+    name, duration, silent, monkeypatch
+):
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    found, unread = of_a_study(name, duration)
+    assert repr(found) == repr(simulate(name, duration=duration).results)
+    assert unread == silent
+
+
+@pytest.mark.long
+def test_so_does_one_of_each_scenario(monkeypatch):
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    for name, scenario in {name: load_scenario(name) for name in list_scenarios()}.items():
+        if not any(entry.external for entry in scenario.nodes.values()):
+            rig = rig_of(scenario)
+            duration = min(scenario.duration, 20 * max(m.schedule.clock * m.schedule.every for m in rig.members))
+            duration = float(max(duration, rig.clock.params.period))
+            assert repr(of_a_study(name, duration)[0]) == repr(simulate(name, duration=duration).results), name
 
 
 STEPS = {"motor_reference.times": [0.0, 2.0], "motor_reference.velocities": [10.0, 4.0]}

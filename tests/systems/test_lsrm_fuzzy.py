@@ -18,7 +18,7 @@ from softrig_core.wire.cdr import Layout
 from softrig_drives.lsrm.current_controller import CurrentController
 from softrig_drives.lsrm.figures import FORCE, POSITION, SPEED, arrival, overshoot, peak_force
 from softrig_drives.lsrm.fuzzy import TABLE_II, THIRDS, LsrmFuzzy
-from softrig_drives.lsrm.machine import Geometry, distance, inductance, slope
+from softrig_drives.lsrm.machine import Geometry, distance, profile
 from softrig_drives.lsrm.mrac import LsrmMrac
 from softrig_drives.lsrm.pi import LsrmPi
 from softrig_drives.lsrm.plant import LsrmPlant
@@ -89,25 +89,28 @@ def recorded(name, **arguments):
 def test_inductance_and_slope(x, inductances, slopes):
     for k, (L, g) in enumerate(zip(inductances, slopes, strict=True)):
         xi = distance(x, k, GEOMETRY)
-        assert inductance(xi, GEOMETRY) == pytest.approx(L, abs=1e-6)
-        assert slope(xi, GEOMETRY) == pytest.approx(g, abs=1e-6)
+        assert profile(xi, GEOMETRY) == pytest.approx((L, g), abs=1e-6)
+
+
+def _inductance(xi):
+    return profile(xi, GEOMETRY)[0]
 
 
 def test_inductance_is_a_ramp_between_unaligned_and_aligned():
-    assert inductance(0.0, GEOMETRY) == pytest.approx(16.4e-3, abs=1e-12)
-    assert inductance(-0.026, GEOMETRY) == inductance(0.026, GEOMETRY) == pytest.approx(6e-3, abs=1e-12)
+    assert _inductance(0.0) == pytest.approx(16.4e-3, abs=1e-12)
+    assert _inductance(-0.026) == _inductance(0.026) == pytest.approx(6e-3, abs=1e-12)
 
 
 @given(st.floats(-0.3, 0.3))
 def test_positive_slopes_add_up_to_one_maximum_slope(x):
-    slopes = [slope(distance(x, k, GEOMETRY), GEOMETRY) for k in range(4)]
+    slopes = [profile(distance(x, k, GEOMETRY), GEOMETRY)[1] for k in range(4)]
     assert sum(max(g, 0.0) for g in slopes) == pytest.approx(0.8, abs=1e-9)
     assert sum(min(g, 0.0) for g in slopes) == pytest.approx(-0.8, abs=1e-9)
     for k, g in enumerate(slopes):
-        near = [inductance(distance(x + dx, k, GEOMETRY), GEOMETRY) for dx in (-1e-7, 1e-7)]
+        near = [_inductance(distance(x + dx, k, GEOMETRY)) for dx in (-1e-7, 1e-7)]
         assert (near[1] - near[0]) / 2e-7 == pytest.approx(g, abs=2e-5)
-        assert inductance(distance(x + 0.052, k, GEOMETRY), GEOMETRY) == pytest.approx(
-            inductance(distance(x, k, GEOMETRY), GEOMETRY), abs=1e-12
+        assert _inductance(distance(x + 0.052, k, GEOMETRY)) == pytest.approx(
+            _inductance(distance(x, k, GEOMETRY)), abs=1e-12
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import math
 import multiprocessing
 import os
@@ -53,6 +54,7 @@ class Workers:
         self._pool: ProcessPoolExecutor | None = None
         self._client: Any = None
         self._mean = math.inf  # s of a case, of the newest chunks
+        self._frozen = False
 
     def __enter__(self) -> Workers:
         return self
@@ -60,6 +62,8 @@ class Workers:
     def __exit__(self, kind: object, *_: object) -> None:
         if self._client is not None:
             self._client.close()
+        if self._frozen:
+            gc.unfreeze()
         if self._pool is not None:
             for process in list((self._pool._processes or {}).values()) if kind is not None else ():
                 process.kill()  # nobody wants what it works on
@@ -91,7 +95,10 @@ class Workers:
             yield from self._on_cluster(function, numbered)
         elif self._count == 1:
             for k, case in numbered:
-                yield k, function(case)
+                found = function(case)
+                if not self._frozen:
+                    self._frozen = _freeze()
+                yield k, found
         else:
             yield from self._on_cores(function, numbered)
 
@@ -156,7 +163,7 @@ class Workers:
         with _own_imports():
             if self._pool is None:
                 self._pool = ProcessPoolExecutor(self._count, get_context("spawn"), _end_with_parent)
-            return self._pool.submit(_each, function, [case for _, case in chunk])
+            return self._pool.submit(_each_here, function, [case for _, case in chunk])
 
     def _on_cluster(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
         need("distributed", f"scheduler {self._scheduler}")
@@ -183,6 +190,24 @@ def _each(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R], floa
     """Evaluate a function for the cases of a chunk, in a worker; gives the results and how long they took, s."""
     started = time.perf_counter()
     return [function(case) for case in cases], time.perf_counter() - started
+
+
+_own: list[bool] = []  # of a worker: whether it has a chunk behind it
+
+
+def _each_here(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R], float]:
+    """Do so in a worker that does nothing else."""
+    found = _each(function, cases)
+    if not _own:
+        _own.append(_freeze())
+    return found
+
+
+def _freeze() -> bool:
+    """Have Python look for cycles no more in what has been imported and made: a tenth of a short case."""
+    gc.collect()
+    gc.freeze()
+    return True
 
 
 def sweep(

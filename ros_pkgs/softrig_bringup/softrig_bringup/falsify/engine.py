@@ -97,7 +97,7 @@ def prepare(task: Falsification) -> Prepared:
     content = task.model_dump(mode="json", exclude=free) | made_of({task.scenario: scenario}, [rig_of(scenario)])
     if package := needs(task.sampler, space.size):
         need(package, "falsify")
-    nominal = repeating(trial(scenario, {}, names))
+    nominal = repeating(trial(scenario, {}, names, runs=task.budget))
     if nominal["error"]:
         raise ScenarioError(f"{task.scenario}: the run without changes cannot be judged: {nominal['error']}")
     return Prepared(space, names, nominal["figures"], content)
@@ -154,7 +154,7 @@ def falsify(
     if worst is not None and case is not None and found.least < 0.0:
         violated = tuple(n for n, m in worst["figures"].items() if m is not None and m < 0.0)
         small, runs = shrink(space, case[1], lambda c: _violates(c, violated), SHRINKING)
-        small_margins = run(trial(*small, names))["figures"]
+        small_margins = run(trial(*small, names, runs=SHRINKING))["figures"]
     margins = worst["figures"] if worst is not None else {}
     return Outcome(space, names, nominal, margins, found, case, small, small_margins, runs, broken)
 
@@ -196,5 +196,5 @@ def margin(margins: Mapping[str, float | None], sizes: Mapping[str, float]) -> f
 
 
 def _violates(case: Case, names: tuple[str, ...]) -> bool:
-    margins = run(trial(*case, names))["figures"]
+    margins = run(trial(*case, names, runs=SHRINKING))["figures"]
     return any(m is not None and m < 0.0 for m in margins.values())

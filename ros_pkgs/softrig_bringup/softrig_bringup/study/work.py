@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import SECOND, Run, RunError, Scenario, ScenarioError, simulate
+from softrig_core import SECOND, Run, RunError, Scenario, ScenarioError, evaluate, simulate
 from softrig_core.scenario.scenario import Draft
 
 from .draw import Case
@@ -75,6 +75,7 @@ def run(work: Work) -> dict[str, Any]:
             duration=work.duration,
             overrides=case.overrides,
             runs=work.runs,
+            signals=work.signals,
         )
         row |= _margins(done, work.figures) if work.margins else _figures(done, work)
     except (RunError, ScenarioError) as error:
@@ -133,8 +134,9 @@ def _figures(done: Run, work: Work) -> dict[str, Any]:
     } | ({"signals": sampled} if sampled else {})
 
 
-def _margins(done: Run, names: Iterable[str]) -> dict[str, Any]:
-    found, scenario = {r.name: r for r in done.results}, done.rig.scenario
+def _margins(done: Run, names: Collection[str]) -> dict[str, Any]:
+    wanted = [f for f in done.wanted or () if f.name in names]  # a search asks for these alone
+    found, scenario = {r.name: r for r in evaluate(done.rig, done.signals, wanted)}, done.rig.scenario
     margins: dict[str, float | None] = {}
     error = ""
     for name in names:

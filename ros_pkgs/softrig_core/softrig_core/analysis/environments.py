@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from ..block.port import Sample
 from ..block.schedule import Schedule
 from ..block.step import Step
+from ..native.audience import answered
 from ..native.batch_text import Form, batch_text, remembered
+from ..native.choice import forbidden
 from ..native.compile import compiled
-from ..native.engine import NATIVE, answered, forbidden
+from ..native.engine import NATIVE
 from ..native.rig_text import Place, RigText, _source, taken
 from ..native.translate import follow
 from ..native.twins import form, unpacked

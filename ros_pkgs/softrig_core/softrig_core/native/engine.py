@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import os
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from ..block.answer import Heard, Messages, Row
-from ..block.block import Observer
-from ..block.port import Sample
 from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
+from .audience import NEVER, Answers, Audience, answered, numbers_of, stamps_of
 from .compile import compiled, plain
-from .rig_text import WHEN, Place, RigText, decides, links, rig_text, speakers, taken
+from .rig_text import WHEN, RigText, decides, links, rig_text, speakers
 from .translate import follow
 from .twins import form, packed, unpacked
 from .value import NotNative
@@ -30,14 +25,9 @@ from .value import NotNative
 SHORTEST, LONGEST = 1 << 10, 1 << 20  # ticks that are answered in one go
 GO = 0.05  # s: so long a go may last; who wants to stop a run waits for it
 SHORT_GO = 0.005  # s: the same where others are to be served in between
-NEVER = -1  # of a time, ns
 SELDOM = 16  # at least so many ticks are native for each that is given up, or the rest stays in Python
 RARE = 8  # ticks of the others for each of a member that Python answers
 PATIENCE = 64  # given up before that is judged
-MAKING = 6.0  # s of Python that have to be left: native code is compiled sooner
-READY = 0.01  # s: the same where it is there already
-WRITING = 0.15  # s: the same for a text that Python runs as it is, which saves less
-ROUND, ROUNDS = 16, 4  # ticks that are timed together, how often: the least is what they cost
 RUNS_A_TEXT = 20  # that ask in vain for each text beyond the first
 LOOK = 64  # ticks in Python between two looks at whether native code may go on
 LATEST = 256  # ticks up to which a state may become what it stays: None until something has come
@@ -79,8 +69,6 @@ class _Kept:
 _texts: list[_Kept] = []
 _refused: dict[Any, str] = {}  # kinds that only go without those of their members that are seldom due, and why
 _counts: dict[Any, tuple[int, int]] = {}  # of each kind: rigs that asked for another text, texts
-_costs: dict[Any, float] = {}  # of a tick in Python, s, by the classes of the blocks: as the first of such rigs took
-_spent: dict[Any, float] = {}  # on runs of such rigs that were too short for a text, s: more of them may well come
 
 
 class Engine:
@@ -113,11 +101,8 @@ class Engine:
         self._compiling: threading.Thread | None = None
         self.runner = Runner(self.steps)
         self.native = Native()
-        watchers = [s for s in self.steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
-        self._watchers = watchers
-        self._tick_by_tick = {w.name for w in watchers if type(w.block).at_once is Observer.at_once}  # type: ignore[attr-defined]
-        stride = math.gcd(*(s.schedule.every for s in self.steps))
-        self._every = {id(s): s.schedule.every // stride for s in self.steps}
+        self._audience = Audience(self.steps, self.runner.schedule.time)
+        self._watchers, self._every = self._audience.watchers, self._audience.every
         self._aside: dict[str, str] = {}  # members that are seldom due, so that Python may run their ticks, and why
         self._share()
         self._said: list[tuple[Callable[..., Any], Any, Any]] | None = None  # in a tick that is handed out later
@@ -372,9 +357,11 @@ class Engine:
         begun = [(w.save(), dict(w.values)) for w in self._watchers]
         spoken = [s.spoken for s in self._core]
         try:
-            self._watch(first, reached, rows)
+            self._audience.watch(self._recorded, first, reached, rows)
         except RunError:  # of one who watches: all again up to that tick, which Python answers
-            reached = self.runner.schedule.tick(max(w.t for w in self._watchers if w.name in self._tick_by_tick))
+            reached = self.runner.schedule.tick(
+                max(w.t for w in self._watchers if w.name in self._audience.tick_by_tick)
+            )
             for watcher, (saved, values) in zip(self._watchers, begun, strict=True):
                 watcher.load(saved)
                 watcher.values.update(values)
@@ -382,12 +369,12 @@ class Engine:
                 s.spoken = before
             if reached > first:
                 _, after, rows = self._called(first, reached)
-                self._watch(first, reached, rows)
+                self._audience.watch(self._recorded, first, reached, rows)
         if reached > first:
             self._take(first, reached, after)
-            self._hand_out(first, reached, rows)
+            self._audience.hand_out(self._core, first, reached, rows)
             one_clock = self._core_alone.schedule.clock == self.runner.schedule.clock
-            self._smooth = one_clock and not self._tick_by_tick and self._alone is None
+            self._smooth = one_clock and not self._audience.tick_by_tick and self._alone is None
         return reached
 
     def _on(self, first: int, reached: int, last: int, after: Any, rows: dict[int, Answers]) -> int:
@@ -397,9 +384,9 @@ class Engine:
         def hand_out() -> None:
             whole = {key: Answers.joined(found) for key, found in parts.items()}
             try:
-                self._watch(first, reached, whole)
+                self._audience.watch(self._recorded, first, reached, whole)
             finally:
-                self._hand_out(first, reached, whole)
+                self._audience.hand_out(self._core, first, reached, whole)
 
         while True:
             self._take(at, reached, after)
@@ -418,7 +405,7 @@ class Engine:
             self.native.decided += 1
             for s in self._recorded:
                 if reached % self._every[id(s)] == 0:
-                    one = [_numbers(s)], [_stamps(s)]
+                    one = [numbers_of(s)], [stamps_of(s)]
                     parts[id(s)].append(
                         Answers(np.array(one[0]), np.array(one[1], np.int64)) if self._typed else Answers(*one)
                     )
@@ -445,8 +432,8 @@ class Engine:
         assert kept is not None
         before = (
             *(packed(s.x, self._typed) for s in self._core),
-            *(_numbers(s) for s in self._core),
-            *(_stamps(self._core[k]) for k in kept.text.stamped),
+            *(numbers_of(s) for s in self._core),
+            *(stamps_of(self._core[k]) for k in kept.text.stamped),
             *(packed(link.value) for link in self._links),
         )
         spoken = [self._core[k].spoken[j] for k, j in self._speakers]
@@ -457,10 +444,10 @@ class Engine:
         rows: dict[int, Answers] = {}
         named = self._tables | {WHEN: self._when, "told": self._told}
         for s in self._recorded:
-            k, count = self._core.index(s), len(self._own(s, first, last))
+            k, count = self._core.index(s), len(self._audience.own(s, first, last))
             rows[id(s)] = Answers([], [])
             if self._typed:
-                size, stamps = len(_numbers(s)), len(_stamps(s))
+                size, stamps = len(numbers_of(s)), len(stamps_of(s))
                 # column after column in memory: so they are read
                 rows[id(s)] = Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
             named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
@@ -495,14 +482,9 @@ class Engine:
             reached = int(n[0])
             if self._typed and reached < last:
                 for s in self._recorded:
-                    count = len(self._own(s, first, reached))
+                    count = len(self._audience.own(s, first, reached))
                     rows[id(s)] = Answers(*(table[:count] for table in rows[id(s)]))
             return reached, after, rows
-
-    def _own(self, step: Step, first: int, last: int) -> range:
-        """Give the ticks of a step among those of the clock from `first` up to `last`, by its own numbers."""
-        every = self._every[id(step)]
-        return range((first + every - 1) // every, (last + every - 1) // every)
 
     def _take(self, first: int, last: int, after: Any) -> None:
         """Make what native code has found that of the steps."""
@@ -514,7 +496,7 @@ class Engine:
         stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=False))
         spoken = dict(zip(self._speakers, map(int, self._when[1 + len(self._links) :]), strict=True))
         for k, s in enumerate(self._core):
-            own = self._own(s, first, last)
+            own = self._audience.own(s, first, last)
             if not own:
                 continue
             s.x = unpacked(after[k])
@@ -526,206 +508,7 @@ class Engine:
                 if link.source == k and newest.get(link.j, s.t) >= self._time(first):
                     link.values[link.name] = unpacked(value)
 
-    def _hand_out(self, first: int, last: int, rows: dict[int, Answers]) -> None:
-        """Hand out what the steps have said to those who record it."""
-        for s in self._core:
-            own = self._own(s, first, last)
-            if not own:
-                continue
-            if s.send_all is not None:
-                times = s.schedule.times(own.start, own.stop)
-                numbers = np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0))
-                s.send_all(times, numbers, *(() if s.plain else (np.asarray(rows[id(s)].stamps, np.int64),)))
-            elif s.send is not None and s.outputs:
-                for number, row, z in zip(own, *rows[id(s)].listed(), strict=True):
-                    said = _parted(s, tuple(row), z)
-                    s.send(s.schedule.time(number), tuple([said.get(p.name) for p in s.outputs]))
 
-    def _watch(self, first: int, last: int, rows: dict[int, Answers]) -> None:
-        """Let those who only watch see what was said, tick after tick."""
-        if not self._watchers:
-            return
-        watchers = [(w, self._every[id(w)]) for w in self._watchers if not self._at_once(w, first, last, rows)]
-        told = []
-        for s in self._recorded:
-            readers = [read for w, _ in watchers for read in _readings(s, w)]
-            if readers:
-                told.append((s, self._every[id(s)], self._own(s, first, last).start, rows[id(s)].listed(), readers))
-        for k in sorted({k for _, every in watchers for k in range(-(-first // every) * every, last, every)}):
-            t = self._time(k)
-            for s, every, begin, (numbers, stamps), readers in told:
-                if (at := k // every - begin) >= 0:
-                    s.t = s.schedule.time(k // every)
-                    if not s.plain:
-                        spoke = _parted(s, numbers[at], stamps[at])
-                        s.spoken = [s.t if p.name in spoke else t for p, t in zip(s.outputs, s.spoken, strict=True)]
-                    for values, name, take, where in readers:
-                        part = _part(numbers[at], stamps[at], where)
-                        if part is not None:
-                            values[name] = part if take is None else take(part)
-            for w, every in watchers:
-                if k % every == 0:
-                    w.say(t)
-
-    def _at_once(self, watcher: Step, first: int, last: int, said: Mapping[int, Answers]) -> bool:
-        """Let one who watches have all that its ticks see, if it takes that so."""
-        ticks = self._own(watcher, first, last)
-        if watcher.name in self._tick_by_tick:
-            return False
-        if not ticks:
-            return True
-        messages: dict[str, Messages] = {}
-        for s in self._recorded:
-            found = self._seen(s, watcher, self._own(s, first, last), said[id(s)].numbers)
-            if found is None:
-                self._tick_by_tick.add(watcher.name)
-                return False
-            messages |= found
-        t = watcher.schedule.time(ticks[-1])
-        x = watcher.block.at_once(watcher.x, t, messages)  # type: ignore[attr-defined]
-        if x is None:
-            self._tick_by_tick.add(watcher.name)
-            return False
-        watcher.x, watcher.t = x, t
-        if watcher.send_all is not None:
-            watcher.send_all(watcher.schedule.times(ticks.start, ticks.stop), np.empty((len(ticks), 0)))
-        return True
-
-    def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
-        """Give what one who watches sees of a member, by its inputs; None where it has to be asked at each tick."""
-        found: dict[str, Messages] = {}
-        every, often = self._every[id(watcher)], self._every[id(source)]
-        readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen
-        if readings and max(every, often) % min(every, often):
-            return None
-        seen = slice(-own.start % step, None, step)
-        for _, name, take, (low, high, stamp, flag) in readings:
-            row, stamped = taken(high - low, stamp is not None, take)
-            if stamped or (flag is not None and step > 1):
-                return None
-            stamps, table = source.schedule.times(own.start, own.stop)[seen], numbers[seen]
-            if isinstance(table, list):
-                said = (
-                    (t, n[low:high]) for t, n in zip(stamps.tolist(), table, strict=True) if flag is None or n[flag]
-                )
-                found[name] = tuple(said if take is None else ((t, take(n)) for t, n in said))
-                continue
-            if flag is not None:
-                stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
-            values = [table[:, low + p] if type(p) is Place else np.full(len(table), float(p)) for p in row]
-            found[name] = Heard(stamps, np.array(values).T)
-        return found
-
-
-Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, to; its stamp and flag, where it has them
-
-
-def _places(step: Step) -> list[Where]:
-    """Give where each output of a step stands in all that it says at a tick (`_part`)."""
-    at = [0, *accumulate(p.size for p in step.outputs)]
-    stamp = [0, *accumulate(p.delayed for p in step.outputs)]
-    flag = [*accumulate((p.sporadic for p in step.outputs), initial=at[-1])]
-    return [
-        (at[j], at[j + 1], stamp[j] if p.delayed else None, flag[j] if p.sporadic else None)
-        for j, p in enumerate(step.outputs)
-    ]
-
-
-def _readings(source: Step, reader: Step) -> list[tuple[dict[str, Any], str, Any, Where]]:
-    """Give what of a step's answers another one reads: where to, by which name, how, and which part (`_part`)."""
-    places = _places(source)
-    ends = [*source.readers, *((j, other.values, port.name, take) for j, other, port, take in source.doubters)]
-    return [(values, name, take, places[j]) for j, values, name, take in ends if values is reader.values]
-
-
-def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row | None:
-    """Give what one output says, of all that a step says at a tick; None: nothing."""
-    low, high, stamp, flag = where
-    if flag is not None and not numbers[flag]:
-        return None
-    row = tuple(numbers[low:high])
-    return row if stamp is None else Sample(stamps[stamp], row)
-
-
-def answered(
-    step: Step,
-    number: int,
-    numbers: tuple[float, ...],
-    stamps: Sequence[int] = (),
-    spoken: Mapping[int, int] | None = None,
-) -> None:
-    """Make what native code has found that a step says at a tick, of its own numbers, what it and its readers hold.
-
-    Parameters
-    ----------
-    step : Step
-        Whose tick it was.
-    number : int
-        Which of its own ticks.
-    numbers : tuple of float
-        All that it says, one output after another.
-    stamps : sequence of int
-        Of its delayed outputs, ns.
-    spoken : mapping of int to int
-        When each output that is silent at times spoke last, ns, by its place; `NEVER`.
-    """
-    step.t = step.schedule.time(number)
-    said = _parted(step, numbers, stamps)
-    if step.outputs:
-        step.said, step.numbers = said, numbers if step.plain else ()
-    if not step.plain:
-        newest = [(spoken or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
-        step.spoken = [None if t == NEVER else t for t in newest]
-    for j, values, name, take in step.readers:
-        if not step.outputs[j].sporadic:
-            row = said[step.outputs[j].name]
-            values[name] = row if take is None else take(row)
-
-
-def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
-    """Give what each output says that says something."""
-    parts = zip(step.outputs, _places(step), strict=True)
-    return {p.name: row for p, where in parts if (row := _part(numbers, stamps, where)) is not None}
-
-
-class Answers(NamedTuple):
-    """What a step has said in some ticks: numbers, (n, size), and stamps of its delayed outputs, (n, count)."""
-
-    numbers: Any
-    stamps: Any
-
-    def listed(self) -> tuple[list[Any], list[Any]]:
-        """Give both as lists of rows."""
-        if isinstance(self.numbers, list):
-            return self.numbers, self.stamps or [()] * len(self.numbers)
-        return self.numbers.tolist(), self.stamps.tolist()
-
-    @staticmethod
-    def joined(parts: Sequence[Answers]) -> Answers:
-        """Give what was said in ticks that follow one another."""
-        if isinstance(parts[0].numbers, list):
-            return Answers(*([row for part in parts for row in part[k]] for k in (0, 1)))
-        return Answers(*map(np.concatenate, zip(*parts, strict=True)))
-
-
-def _numbers(step: Step) -> tuple[float, ...]:
-    """Give all that the newest answer of a step says, zeros where it is silent; flags of those that may be after it."""
-    if step.plain:
-        return tuple(map(float, step.numbers))
-    rows: list[Any] = [step.said.get(p.name) for p in step.outputs]
-    found = [
-        (0.0,) * p.size if row is None else row.data if isinstance(row, Sample) else row
-        for p, row in zip(step.outputs, rows, strict=True)
-    ]
-    flags = [float(row is not None) for p, row in zip(step.outputs, rows, strict=True) if p.sporadic]
-    return (*(float(v) for row in found for v in row), *flags)
-
-
-def _stamps(step: Step) -> tuple[int, ...]:
-    return tuple(getattr(step.said.get(p.name), "stamp", 0) for p in step.outputs if p.delayed)
-
-
-SHORT = "Python is through before native code is made"
 NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, TypeError)  # what gives a tick up
 
 
@@ -737,129 +520,6 @@ def _worth_another(kinds: Any) -> bool:
     return worth
 
 
-def ticks_of(
-    steps: Sequence[Step], runs: int = 1, alone: Callable[[], bool] | None = None
-) -> tuple[Iterator[int | None], Callable[[], object]]:
-    """Give what answers all ticks of a rig's steps: native code or one text where that pays, else one by one.
-
-    Which it is depends on the time that Python would take (`cost`); messages, reports and errors do not.
-
-    Parameters
-    ----------
-    steps : sequence of Step
-        As for `Engine`.
-    runs : int
-        So many such runs are to come.
-    alone : callable, optional
-        See `Engine`.
-
-    Returns
-    -------
-    ticks : iterator
-        As `Runner.run`; a run without end goes one by one.
-    tell : callable
-        Has the steps know what of them was native so far.
-    """
-    runner = Runner(steps)
-    if runner.ticks is None:
-        _say_why(steps, "a run without an end")
-        return runner.run(), bool
-    ticks = runner.ticks
-    engines: list[Engine] = []
-
-    def run() -> Iterator[int | None]:
-        first, tick = 0, cost(steps)
-        if tick is None:
-            first, tick = yield from _timed(runner)
-            if first <= ticks:  # else it was over before one knew
-                _costs[_classes(steps)] = tick
-        left = (ticks + 1 - first) * tick
-        reason = unwanted(steps, left, runs)
-        if reason and not writes(steps, left):
-            _spent[_classes(steps)] = _spent.get(_classes(steps), 0.0) + left
-            _say_why(steps, reason)
-            yield from runner.run(first)
-            return
-        engines.append(Engine(steps, plain if reason else compiled, alone))
-        _say_why(steps, reason)
-        yield from engines[0].run(first)
-        if not engines[0].native.members:  # there is no text of such members: none is looked for again
-            _spent[_classes(steps)] = -math.inf
-
-    def tell() -> None:
-        for engine in engines:
-            engine.tell()
-
-    _say_why(steps, forbidden() or SHORT)
-    return run(), tell
-
-
-def _say_why(steps: Sequence[Step], reason: str) -> None:
-    for step in steps:
-        step.native = 0, reason
-
-
-def _classes(steps: Sequence[Step]) -> Any:
-    return tuple(type(s.block) for s in steps)
-
-
-def cost(steps: Sequence[Step]) -> float | None:
-    """Give what a tick of a rig costs in Python, s; None where none of such blocks has run here yet."""
-    return _costs.get(_classes(steps))
-
-
-def _timed(runner: Runner) -> Generator[int | None, None, tuple[int, float]]:
-    """Answer the first ticks one by one; give how many they were, and what one costs, s of this thread."""
-    count, took, spent = 0, [], 0.0
-    began = time.thread_time()
-    for t in runner.run():
-        spent += time.thread_time() - began
-        if t is not None:
-            if count % ROUND == 0:  # the first of them is one tick, in which much is made
-                took.append(spent)
-                spent = 0.0
-            count += 1
-        yield t
-        if count > ROUND * ROUNDS:
-            break
-        began = time.thread_time()
-    return count, min(took[1:], default=0.0) / ROUND
-
-
-def writes(steps: Sequence[Step], left: float) -> bool:
-    """Whether one text of all members that Python runs is worth its making, for a run or for such runs so far.
-
-    ``SOFTRIG_JIT=0`` forbids it.
-    """
-    enough = READY if _known(steps, plain) else WRITING - _spent.get(_classes(steps), 0.0)
-    return os.environ.get("SOFTRIG_JIT", "1") != "0" and left > enough
-
-
-def _known(steps: Sequence[Step], make: Callable[..., Any]) -> bool:
-    """Whether there is a text of such members."""
-    kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
-    return any(kinds == tuple(k[0] for k in kept.kinds[:-3]) and kept.kinds[-1] is make for kept in _texts)
-
-
-def forbidden() -> str:
-    """Say why there can be no native code; empty where there can."""
-    if os.environ.get("SOFTRIG_JIT", "1") == "0":
-        return "SOFTRIG_JIT=0"
-    return "" if importlib.util.find_spec("numba") else "numba is not installed"
-
-
-def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:
-    """Say why native code is not worth its making, which takes seconds, once; empty where it is.
-
-    Parameters
-    ----------
-    steps : sequence of Step
-    left : float
-        What Python would take for the ticks that are left, s.
-    runs : int
-        So many such runs are to come.
-    """
-    if reason := forbidden():
-        return reason
-    known = _known(steps, compiled)
-    return "" if left > READY and (known or left * runs > MAKING) else SHORT
+def known(kinds: Sequence[type], make: Callable[[RigText], Callable[..., Any]]) -> bool:
+    """Whether there is a text, made so, for members of such classes, those that only watch left out."""
+    return any(tuple(kinds) == tuple(k[0] for k in kept.kinds[:-3]) for kept in _texts if kept.kinds[-1] is make)

@@ -14,7 +14,7 @@ from ..block.codec import selection
 from ..block.port import Refused
 from ..block.runner import Runner
 from ..errors import RunError
-from ..native.engine import ticks_of
+from ..native.choice import ticks_of
 from ..wire.cdr import Pick
 from .adapter.adapter import Adapter
 from .lockstep.lockstep import Lockstep

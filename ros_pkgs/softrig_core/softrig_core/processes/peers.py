@@ -46,6 +46,7 @@ def links(rig: Rig, member: Member) -> Links:
         tick_readers=tick_readers,
         tells=_tells(rig, member),
         acks={m.name: _seconds(m) for m in [*acknowledging, *pacers]},
+        followers=_followers(rig),
         clock_readers=[m.name for m in _clocked(rig) if not m.external] if member is rig.clock else [],
         solvers=[m.name for m in rig.members if issubclass(m.block_class, Solver) and not m.external],
         starter=starter(rig).name,
@@ -125,6 +126,17 @@ def _pacers(rig: Rig, member: Member) -> list[Member]:
     readers = [m for p in member.outputs for m, _ in rig.readers(member, p) if not m.external]
     gatherer = _gatherer(rig)
     return list(dict.fromkeys(readers)) or ([gatherer] if gatherer is not None else [])
+
+
+def _followers(rig: Rig) -> list[str]:
+    """Name the nodes that read others and are read by none; nobody where a node is outside, or works for long."""
+    if any(m.external or issubclass(m.block_class, Solver) for m in rig.members):
+        return []
+    return [
+        m.name
+        for m in rig.members
+        if m.links and not m.is_plant and not any(rig.readers(m, port) for port in m.outputs)
+    ]
 
 
 def _acknowledging(rig: Rig) -> list[Member]:

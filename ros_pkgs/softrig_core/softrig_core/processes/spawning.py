@@ -47,6 +47,7 @@ def node_parameters(
     default = flatten(member.block_class.Params())
     own = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
     others: dict[str, Any] = {"returns": returns}
+    others |= {"followers": []} if returns else {}  # who comes back finds the others at the tick at which it died
     others |= {} if recorders is None else {"public": True, "recorders": list(recorders)}
     return own | {
         "run.mode": mode,

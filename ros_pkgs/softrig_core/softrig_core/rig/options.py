@@ -112,6 +112,8 @@ class Links(BaseModel):
     acks : by node name
         Nodes whose ticks the owner of the clock waits for, with their period in s. With an external plant, which waits
         for nobody but who commands it, that node waits for their ticks before its own, and a source for its readers'.
+    followers : list of str
+        Lockstep: nodes of the rig on which nothing depends. The clock may be some ticks ahead of them.
     clock_readers : list of str
         Nodes that pace themselves by /clock.
     solvers : list of str
@@ -119,7 +121,7 @@ class Links(BaseModel):
     starter : str
         Realtime: the node that says when t = 0 is.
     starts : list of str
-        Realtime: the nodes that it waits for.
+        All nodes of the rig that are ours: in real time it waits for them.
     grid : str
         Longest period of the rig in s, of which t = 0 in real time is a multiple.
     public : bool
@@ -145,6 +147,7 @@ class Links(BaseModel):
     tick_readers: list[str] = []
     tells: list[str] = []
     acks: dict[str, str] = {}
+    followers: list[str] = []
     clock_readers: list[str] = []
     solvers: list[str] = []
     starter: str = ""

@@ -30,6 +30,7 @@ def rig_of(
     duration: float | None = None,
     overrides: Mapping[str, Any] | None = None,
     classes: Classes | None = None,
+    live: bool = True,
 ) -> Rig:
     """Build the rig of a scenario's name, file or draft, of a scenario, or of a rig with changes.
 
@@ -41,6 +42,8 @@ def rig_of(
         ``node.parameter``, or for a scenario by its name or draft also a shared value's name, to value.
     classes : mapping of node name to type of Block, optional
         Of nodes whose class no executable gives.
+    live : bool
+        Whether nodes that measure figures while it runs are told which: not where nobody asks them.
 
     Raises
     ------
@@ -56,10 +59,10 @@ def rig_of(
         what, overrides = what.filled(overrides), None
     if overrides or duration is not None:
         what = what.changed(duration=duration, overrides=overrides)
-    return _expanded(what, classes or {})
+    return _expanded(what, classes or {}, live)
 
 
-def _expanded(scenario: Scenario, classes: Classes) -> Rig:
+def _expanded(scenario: Scenario, classes: Classes, told_what: bool) -> Rig:
     live = {
         n: e
         for n, e in scenario.nodes.items()
@@ -69,9 +72,9 @@ def _expanded(scenario: Scenario, classes: Classes) -> Rig:
     rig = _watched(Rig.from_scenario(_faulty(bare, classes), classes))
     if not live:
         return rig
-    # they read what the figures name, also where a fault changes it for all others
-    full = _telling(rig.scenario, live, {"period": rig.clock.params.period, **told(rig)})
-    rig = rig.listened(full, live)
+    if told_what:  # they read what the figures name, also where a fault changes it for all others
+        full = _telling(rig.scenario, live, {"period": rig.clock.params.period, **told(rig)})
+        rig = rig.listened(full, live)
     nodes = {**rig.scenario.nodes, **live}  # what they are told may change
     return replace(rig, scenario=rig.scenario.model_copy(update={"nodes": nodes}))
 

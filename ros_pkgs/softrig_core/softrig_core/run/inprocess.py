@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from ..block.port import CLOCK, Port, Sample
 from ..block.runner import YOUNG
 from ..block.step import Rows, Step
 from ..errors import ScenarioError
-from ..native.engine import ticks_of
+from ..native.choice import ticks_of
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..solver.solver import Solver
@@ -28,7 +28,12 @@ if TYPE_CHECKING:
 
 
 def run_inprocess(
-    rig: Rig, seed: int, sink: Sink | None = None, progress: Callable[[int], object] | None = None, runs: int = 1
+    rig: Rig,
+    seed: int,
+    sink: Sink | None = None,
+    progress: Callable[[int], object] | None = None,
+    runs: int = 1,
+    topics: Container[str] | None = None,
 ) -> dict[str, Step]:
     """Run a rig in this process.
 
@@ -43,6 +48,8 @@ def run_inprocess(
     runs : int
         So many such runs are to come: native code, which takes seconds to be made, is worth it for long or many ones.
         Of several, observers that say nothing on any topic are left out.
+    topics : container of str, optional
+        The sink gets what those say who publish one of these; all when absent.
 
     Returns
     -------
@@ -63,7 +70,9 @@ def run_inprocess(
     idle = {m.name for m in rig.members if runs > 1 and issubclass(m.block_class, Observer) and not m.outputs}
     steps = wired(rig, {m.name: m.block(seed) for m in rig.members if m.name not in idle})
     if sink is not None:
-        record(rig, steps, sink)
+        record(
+            rig, {n: s for n, s in steps.items() if topics is None or any(p.topic in topics for p in s.outputs)}, sink
+        )
     due, end = 0, rig.clock.schedule.end or 0
     try:
         with _searched_seldom():

@@ -6,7 +6,7 @@ import importlib.metadata
 import math
 import signal
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,10 +20,10 @@ from ..rig.members import signal_units
 from ..rig.rig import Rig
 from ..scenario.scenario import Draft, Scenario
 from ..timebase import SECOND
-from ..verdict.figures import Figure, Result, evaluate, figures_of
+from ..verdict.figures import Figure, Result, evaluate, figures_of, read_by
 from ..verdict.findings import Finding, findings, values
 from ..wire.recording import Recording
-from ..wire.signals import Signals
+from ..wire.signals import Signals, full_name, topic_of
 from .branch import branched, parted
 from .expand import rig_of
 from .inprocess import run_inprocess
@@ -245,6 +245,7 @@ def simulate(
     overrides: Mapping[str, Any] | None = None,
     progress: Callable[[int], object] | bool | None = None,
     runs: int = 1,
+    signals: Collection[str] | None = None,
 ) -> Run:
     """Run a scenario or rig in this process: the same numbers and bytes as with nodes over DDS.
 
@@ -262,6 +263,8 @@ def simulate(
     runs : int
         So many runs of this kind are to come: many, or one that is very long, go by native code. ``SOFTRIG_JIT=0``
         keeps them all in Python; the numbers and bytes are the same.
+    signals : collection of str, optional
+        Record nodes that say one of these, or what a figure or requirement reads, and no others; all when absent.
 
     Raises
     ------
@@ -277,14 +280,22 @@ def simulate(
     0.6941...
     >>> t, speed = run.signals["motor/state/shaft/velocity"]
     """
-    rig = rig_of(what, duration=duration, overrides=overrides)
+    rig = rig_of(what, duration=duration, overrides=overrides, live=runs == 1)  # of many, they are left out
     number = rig.scenario.seed if seed is None else seed
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     wanted = figures_of(rig)  # what does not fit is found before the run, not after it
+    topics = None if signals is None else _topics(rig, wanted, signals)
     run = Run(rig, number, recording, wanted=wanted)
     started = time.perf_counter()
     bar = _view("progress")(rig.scenario.name, rig.scenario.duration) if progress is True else nullcontext(progress)
     with bar as tell:
-        run.blocks = run_inprocess(rig, number, recording, tell or None, runs)
+        run.blocks = run_inprocess(rig, number, recording, tell or None, runs, topics)
     run.wall_s = time.perf_counter() - started
     return run
+
+
+def _topics(rig: Rig, figures: list[Figure], signals: Collection[str]) -> set[str]:
+    """Give the topics of signals, and of what figures and requirements read."""
+    units = signal_units(rig)
+    read = read_by(figures, units) | {full_name(name, units) for name in signals}
+    return {topic_of(name, rig.topics) for name in read}

@@ -6,7 +6,7 @@ import inspect
 import json
 import math
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from fnmatch import filter as filter_names
 from functools import cache
@@ -165,6 +165,13 @@ def _unit(
     return wanted, scale
 
 
+def read_by(figures: Iterable[Figure], units: Mapping[str, str]) -> set[str]:
+    """Give the signals that figures and requirements read; `units` has all of the rig (`signal_units`)."""
+    asked = [name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()))]
+    asked += [name for f in figures for name in f.since.split(", ")]
+    return {signal for name in asked if isinstance(name, str) for signal in filter_names(units, name)}
+
+
 def told(rig: Members) -> dict[str, str]:
     """Write the figures of a rig's scenario, and the topics that they are on, as parameters of the node `figures`.
 
@@ -172,9 +179,7 @@ def told(rig: Members) -> dict[str, str]:
     """
     names, units = rig.scenario.figures, signal_units(rig)
     figures = [f for f in figures_of(rig) if f.name in names]
-    asked = [name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()))]
-    asked += [name for f in figures for name in f.since.split(", ")]
-    read = {signal for name in asked if isinstance(name, str) for signal in filter_names(units, name)}
+    read = read_by(figures, units)
     said = {p.topic for m in rig.members for p in m.outputs}
     ports = [
         reader(p, f"input_{k}", held=topic not in said)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from softrig_core import Block, BlockParams, executable, jit, param
 
-from .machine import N_PHASES, Array, Geometry, distance, slope
+from .machine import N_PHASES, Array, Geometry, distance, profile
 from .ports import FORCE_CMD, MOTION, PHASE_CURRENTS, PHASE_VOLTAGE
 
 Vector = tuple[float, ...]
@@ -120,7 +120,7 @@ def regulate(
     z, u = np.zeros(N_PHASES), np.zeros(N_PHASES)
     for k in range(N_PHASES):
         i = currents[k]
-        g = slope(distance(seen, k, geometry), geometry)
+        g = profile(distance(seen, k, geometry), geometry)[1]
         if (force > 0.0 and g > threshold * G) or (force < 0.0 and -g > threshold * G):
             error = i_ref - i
             ahead = feed_forward * (R * i_ref + g * v * i_ref) / U_dc

@@ -19,6 +19,11 @@ X = 4
 V = 5
 STATES = 6
 
+# Within so much of a pole pitch around the aligned position the number of pitches that lie before it is sure without a
+# division, which a step would wait for: `distance` rounds a quotient that is at least a thousandth away from its edges.
+NEAR = 0.499
+FAR = 1e9  # pitches; there a rounded quotient may be that wrong
+
 
 class Geometry(Params):
     """Inductance profile: the shape is chosen, the paper only plots its finite-element data."""
@@ -45,8 +50,9 @@ class Geometry(Params):
         return self
 
     def numbers(self) -> Array:
-        """Give the constants in the order in which `inductance` and `slope` take them."""
-        return np.array([self.tau, self.shift, self.G, self.L_u, self.c, self.h, self.w])
+        """Give the constants as `profile` takes them: the parameters, then what it makes of them at each call."""
+        given = [self.tau, self.shift, self.G, self.L_u, self.c, self.h, self.w]
+        return np.array([*given, 2.0 * self.w, self.h - self.w, 2.0 * self.w / math.pi, self.G * 0.5])
 
 
 class Mechanics(Params):
@@ -66,89 +72,40 @@ def distance(x: float, phase: int, geometry: Array) -> float:
 
 
 @jit
-def slope(xi: float, geometry: Array) -> float:
-    """Slope g = dL/dx (H/m) at the distance `xi` from the aligned position.
+def profile(xi: float, geometry: Array) -> tuple[float, float]:
+    """Give inductance L (H) and its slope g = dL/dx (H/m) at the distance `xi` from the aligned position.
 
     ::
 
         d = ||xi| - c|,  z = d - h + w
         m = 1 for z <= 0;  (1 + cos(pi z/(2 w)))/2 for 0 < z < 2 w;  0 beyond
+        I = d for z <= 0;  h - w + (z + (2 w/pi) sin(pi z/(2 w)))/2 for 0 < z < 2 w;  h beyond
+        L = L_u + G (h + sgn(c - |xi|) I)
         g = +G m for xi <= 0, -G m for xi > 0
     """
-    c, h, w = geometry[4], geometry[5], geometry[6]
-    z = abs(abs(xi) - c) - h + w
-    if z <= 0.0:
-        g = geometry[2]
-    elif z < 2.0 * w:
-        g = geometry[2] * 0.5 * (1.0 + math.cos(math.pi * z / (2.0 * w)))
-    else:
-        g = 0.0
-    return g if xi <= 0.0 else -g
-
-
-@jit
-def inductance(xi: float, geometry: Array) -> float:
-    """Inductance L (H) at the distance `xi` from the aligned position: the integral of `slope`.
-
-    ::
-
-        L = L_u + G (h + sgn(c - |xi|) I(d)),  d = ||xi| - c|,  z = d - h + w
-        I = d for z <= 0;  h - w + (z + (2 w/pi) sin(pi z/(2 w)))/2 for 0 < z < 2 w;  h beyond
-    """
-    c, h, w = geometry[4], geometry[5], geometry[6]
-    offset = c - abs(xi)
+    G, h, round_to = geometry[2], geometry[5], geometry[7]
+    offset = geometry[4] - abs(xi)
     d = abs(offset)
-    z = d - h + w
+    z = d - h + geometry[6]
     if z <= 0.0:
-        area = d
-    elif z < 2.0 * w:
-        area = h - w + 0.5 * (z + 2.0 * w / math.pi * math.sin(math.pi * z / (2.0 * w)))
+        area, g = d, G
+    elif z < round_to:
+        angle = math.pi * z / round_to
+        area = geometry[8] + 0.5 * (z + geometry[9] * math.sin(angle))
+        g = geometry[10] * (1.0 + math.cos(angle))
     else:
-        area = h
-    return geometry[3] + geometry[2] * (h + math.copysign(area, offset))
+        area, g = h, 0.0
+    return geometry[3] + G * (h + math.copysign(area, offset)), g if xi <= 0.0 else -g
 
 
 @jit
-def current(flux: float, x: float, phase: int, geometry: Array) -> float:
-    """Current i = lambda/L(x) (A) of a phase."""
-    return flux / inductance(distance(x, phase, geometry), geometry) if flux > 0.0 else 0.0
-
-
-@jit
-def force(i: float, x: float, phase: int, geometry: Array) -> float:
-    """Force g i^2/2 (N) of a phase (eq. 6 of the paper)."""
-    return 0.5 * slope(distance(x, phase, geometry), geometry) * i * i if i > 0.0 else 0.0
-
-
-@jit
-def derivative(state: Array, u: Array, geometry: Array, constants: Triple, drag: float, rate: Array) -> None:
-    """Write the rate of change of the state into `rate`.
-
-    ::
-
-        lambda_k' = u_k - R i_k,  i_k = lambda_k/L_k(x);  0 where lambda_k = 0 and that is negative (diodes block)
-        x'        = v
-        M v'      = sum of g_k(x) i_k^2/2 - (C + k_p) v - drag
-
-    Parameters
-    ----------
-    u : array (4,)
-        Voltages, V.
-    constants : tuple
-        R in ohm, M in kg, C + k_p in N s/m.
-    drag : float
-        Friction force in N with its sign.
-    """
-    R, mass, damping = constants
-    x = state[X]
-    total = 0.0
-    for k in range(N_PHASES):
-        i = current(state[k], x, k, geometry)
-        total += force(i, x, k, geometry)
-        rise = u[k] - R * i
-        rate[k] = rise if state[k] > 0.0 or rise > 0.0 else 0.0
-    rate[X] = state[V]
-    rate[V] = (total - damping * state[V] - drag) / mass
+def phase(flux: float, xi: float, geometry: Array) -> tuple[float, float]:
+    """Give current i = lambda/L (A) of a phase and its force g i^2/2 (N, eq. 6 of the paper)."""
+    if not flux > 0.0:
+        return 0.0, 0.0
+    L, g = profile(xi, geometry)
+    i = flux / L
+    return i, 0.5 * g * i * i
 
 
 @jit
@@ -156,7 +113,7 @@ def electromagnetic(state: Array, geometry: Array) -> float:
     """Force of all phases, N."""
     total = 0.0
     for k in range(N_PHASES):
-        total += force(current(state[k], state[X], k, geometry), state[X], k, geometry)
+        total += phase(state[k], distance(state[X], k, geometry), geometry)[1]
     return total
 
 
@@ -166,6 +123,12 @@ def advance(
 ) -> None:
     """Move the state by `steps` Runge-Kutta steps of order 4 and size `h`, voltages held.
 
+    ::
+
+        lambda_k' = u_k - R i_k,  i_k = lambda_k/L_k(x);  0 where lambda_k = 0 and that is negative (diodes block)
+        x'        = v
+        M v'      = sum of g_k(x) i_k^2/2 - (C + k_p) v - drag
+
     A flux linkage ends at zero in the step in which it gets there (asymmetric half bridge). Coulomb friction keeps its
     sign within a step; a translator whose speed changes sign stops, and sticks while the force is below the friction.
 
@@ -173,16 +136,23 @@ def advance(
     ----------
     state : array (6,)
         Changed in place.
+    u : array (4,)
+        Voltages, V.
     constants : tuple
-        As of `derivative`.
+        R in ohm, M in kg, C + k_p in N s/m.
     friction : float
         N.
     locked : bool
         Translator clamped.
     """
-    work, point = np.empty((4, STATES)), np.empty(STATES)  # the four rates
+    R, mass, damping = constants
+    near = NEAR * geometry[0]
+    turn, rate, total = np.empty((3, N_PHASES))  # turn: whole pole pitches, nearly always those at the beginning
+    for k in range(N_PHASES):
+        pitches = math.floor((state[X] - k * geometry[1]) / geometry[0] + 0.5)
+        turn[k] = geometry[0] * pitches if abs(pitches) < FAR else math.inf
     for _ in range(steps):
-        v = state[V]
+        x, v = state[X], state[V]
         drag = 0.0
         stuck = locked
         if friction > 0.0:
@@ -192,18 +162,36 @@ def advance(
                 pull = electromagnetic(state, geometry)
                 drag = math.copysign(friction, pull)
                 stuck = stuck or abs(pull) <= friction
+        x_rate = v_rate = x_total = v_total = 0.0
+        for k in range(N_PHASES):
+            rate[k] = total[k] = 0.0
         for stage in range(4):
             ahead = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
-            for n in range(STATES):
-                point[n] = state[n] + ahead * work[stage - 1, n] if stage else state[n]
-            derivative(point, u, geometry, constants, drag, work[stage])
+            weight = 1.0 if stage == 0 or stage == 3 else 2.0
+            at, x_rate = x + ahead * x_rate, v + ahead * v_rate
+            pull = 0.0
+            for k in range(N_PHASES):
+                flux = state[k] + ahead * rate[k]
+                if flux > 0.0:
+                    xi = at - k * geometry[1] - turn[k]
+                    if not abs(xi) < near:
+                        xi = distance(at, k, geometry)
+                    i, force = phase(flux, xi, geometry)
+                    pull += force
+                    rate[k] = u[k] - R * i
+                else:
+                    rate[k] = u[k] if u[k] > 0.0 else 0.0
+                total[k] += weight * rate[k]
+            v_rate = (pull - damping * x_rate - drag) / mass
             if stuck:
-                work[stage, X] = 0.0
-                work[stage, V] = 0.0
-        for n in range(STATES):
-            state[n] += h / 6.0 * (work[0, n] + 2.0 * work[1, n] + 2.0 * work[2, n] + work[3, n])
+                x_rate = v_rate = 0.0
+            x_total += weight * x_rate
+            v_total += weight * v_rate
         for k in range(N_PHASES):
+            state[k] += h / 6.0 * total[k]
             if state[k] < 0.0:
                 state[k] = 0.0
+        state[X] = x + h / 6.0 * x_total
+        state[V] = v + h / 6.0 * v_total
         if friction > 0.0 and v * state[V] < 0.0:
             state[V] = 0.0

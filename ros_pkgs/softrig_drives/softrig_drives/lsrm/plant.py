@@ -10,7 +10,7 @@ import numpy as np
 from softrig_control.hardware import axis_urdf, hardware_tag
 from softrig_core import BlockParams, Level, Marker, Plant, executable, jit, param
 
-from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, V, X, advance, current, force
+from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, V, X, advance, distance, phase
 from .markers import stator, translator
 from .ports import FORCE_PHASES, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE, TRANSLATOR
 
@@ -53,7 +53,7 @@ class LsrmPlantParams(Geometry, Mechanics, BlockParams):
 
 
 class LsrmPlant(Plant[LsrmPlantParams]):
-    """Four-phase linear switched reluctance motor; see `machine.derivative` for the equations.
+    """Four-phase linear switched reluctance motor; see `machine.advance` for the equations.
 
     The load adds mass at unchanged speed and Coulomb friction. A negative mass or friction is refused, the load before
     it kept. A phase current beyond `trip_current` is a fault: every phase gets -U_dc until its current is zero, then
@@ -129,14 +129,10 @@ class LsrmPlant(Plant[LsrmPlantParams]):
 def sense(state: Vector, geometry: Array) -> Step:
     """Give position, speed, force, the four currents and the four forces."""
     psi_a, psi_b, psi_c, psi_d, x, v = state
-    i_a = current(psi_a, x, 0, geometry)
-    i_b = current(psi_b, x, 1, geometry)
-    i_c = current(psi_c, x, 2, geometry)
-    i_d = current(psi_d, x, 3, geometry)
-    f_a = force(i_a, x, 0, geometry)
-    f_b = force(i_b, x, 1, geometry)
-    f_c = force(i_c, x, 2, geometry)
-    f_d = force(i_d, x, 3, geometry)
+    i_a, f_a = phase(psi_a, distance(x, 0, geometry), geometry)
+    i_b, f_b = phase(psi_b, distance(x, 1, geometry), geometry)
+    i_c, f_c = phase(psi_c, distance(x, 2, geometry), geometry)
+    i_d, f_d = phase(psi_d, distance(x, 3, geometry), geometry)
     return x, v, f_a + f_b + f_c + f_d, i_a, i_b, i_c, i_d, f_a, f_b, f_c, f_d
 
 
@@ -175,7 +171,7 @@ def step(
     advance(x, u, geometry, (R, M + added, damping), friction, locked > 0.0, h, int(steps))
     largest = 0.0
     for k in range(N_PHASES):
-        largest = max(largest, current(x[k], x[X], k, geometry))
+        largest = max(largest, phase(x[k], distance(x[X], k, geometry), geometry)[0])
     return x[0], x[1], x[2], x[3], x[X], x[V], largest
 
 

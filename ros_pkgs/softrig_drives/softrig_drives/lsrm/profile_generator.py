@@ -48,9 +48,10 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
     OUTPUTS = (REFERENCE,)
 
     def setup(self) -> None:
-        """Make the profile."""
+        """Make the profile; find what it needs."""
         p = self.p
         self.profile = Profile(p.profile, p.v_d, p.t_d, p.x_d, inf if p.t_b is None else p.t_b, p.t_db)
+        self._largest = self._largest_force()
 
     def first(self) -> tuple[()]:
         """Tell what is wrong with the profile; nothing is remembered."""
@@ -64,7 +65,7 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
 
     def _judge(self) -> None:
         p = self.p
-        need = self._largest_force()
+        need = self._largest
         if need > p.F_max:
             self.report(
                 Level.WARN, "infeasible", f"reference infeasible: it needs {need:.3g} N, the motor gives {p.F_max:g} N"

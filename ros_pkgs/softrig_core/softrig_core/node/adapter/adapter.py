@@ -32,7 +32,7 @@ from ..seam.health import StatusFile, figures, peak_memory
 from ..seam.hold import Hold
 from ..seam.middleware import Matched, Middleware, other_types
 from ..seam.numbering import Numbering
-from ..seam.tick import TICK, TickWriter
+from ..seam.tick import TICK, TickWriter, acknowledged
 from .files import Files, read_files
 
 LOOK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
@@ -297,7 +297,10 @@ class Adapter:
             write, publish = TickWriter(), self.middleware.publisher("~/tick", TICK, self._noting(self.tick_output))
             return lambda stamp, spoken: publish(write(stamp, spoken))
         send = self.middleware.sender("~/tick", Layout(TICK), self._noting(self.tick_output))
-        return lambda stamp, spoken: send(stamp, ())
+        if self.options.mode != "lockstep" or self.middleware.name not in self.links.followers:
+            return lambda stamp, spoken: send(stamp, ())
+        schedule = self.schedule
+        return lambda stamp, spoken: send(stamp, ()) if acknowledged(schedule, stamp) else None
 
     # health ----------------------------------------------------------------------------------------------------
 

@@ -24,12 +24,14 @@ from ..adapter.handshake import CHECK, Handshake
 from ..adapter.sender import Sender
 from ..seam.endpoint import Input
 from ..seam.health import percentiles
+from ..seam.middleware import Place
 from ..seam.solving import Solving, hear_busy
 from .comeback import Comeback, Spoken
 from .first import repeat_first
 from .paired import PairedSenders
 from .stalls import Stalls
 
+FEW = 2  # nodes that have no more to do in a tick than a loop of two
 SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin says what it lacks
 
 
@@ -123,8 +125,16 @@ class Lockstep:
         self._stalls.handshake = self.handshake
         self._begin = begin
         if self.solving is None:  # whose timers belong to the executor's thread
-            node.middleware.be_prompt()
+            node.middleware.be_prompt(self._place())
         self._starter = node.middleware.timer(CHECK, self._start)
+
+    def _place(self) -> Place:
+        """Give where the node works: of a loop of two only one works at a time, who follows works meanwhile."""
+        links = self.node.links
+        loop = set(links.starts) - set(links.followers)
+        if links.guests or len(loop) != 2 or len(links.followers) > FEW:
+            return "anywhere"
+        return "together" if self.node.middleware.name in loop else "beside"
 
     # peers -----------------------------------------------------------------------------------------------------
 

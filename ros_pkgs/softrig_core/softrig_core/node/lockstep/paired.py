@@ -14,7 +14,7 @@ from ...timebase import SECOND
 from ..adapter.adapter import Adapter
 from ..adapter.sender import Sender
 from ..seam.numbering import numbered, split
-from ..seam.tick import TICK, TickReader
+from ..seam.tick import TICK, TickReader, needed
 
 KEEP = object()  # a sporadic sender was silent at a tick
 BAD = object()  # what was said at a tick was refused
@@ -96,6 +96,9 @@ class PairedSenders:
         for who in [w for w in dict.fromkeys([*links.acks, *silent]) if w not in local]:
             port, awaited = Port("stamp", f"{node.namespace}/{who}/tick", TICK), who in links.acks
             link = InputLink(period=links.acks[who], node=who) if awaited else links.inputs[silent[who][0].name]
+            if who in links.followers:
+                self._listen(Behind(self, port, who, node.peer(link)), awaited=True)
+                continue
             ticks = Ticks(self, port, who, node.peer(link), awaited and not links.owns_clock, silent.get(who, ()), then)
             ticks.have = ticks.have or not awaited
             self._listen(ticks, awaited)
@@ -420,6 +423,26 @@ class Pace(Paired):
 
     def spoilt(self, data: bytes) -> None:
         """Another one follows, or the run ends for want of it."""
+
+
+class Behind(Pace):
+    """The acknowledgements of a node on which nothing depends, by which the clock does not outrun it."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.read = TickReader()  # type: ignore[method-assign]
+        self._alike = -1
+
+    def wanted(self, t: int) -> int:
+        """Give the tick of the node that must be answered before ours."""
+        return needed(self.schedule, self.node.schedule, t)
+
+    def came(self, stamp: int, found: Any, data: bytes) -> None:
+        """It has answered a tick, and those before."""
+        self.table.heard += 1
+        self.reached = max(self.reached, stamp)
+        if not self.have and stamp >= self.want:
+            self._arrived()
 
 
 class Ticks(Pace):

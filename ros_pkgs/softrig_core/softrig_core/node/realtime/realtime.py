@@ -245,7 +245,12 @@ class Realtime:
 
     def tick(self, number: int, due: int, now: int) -> None:
         """Move a plant, or let another node speak, at its newest tick: its number and time (ns from t = 0), now."""
-        node = self.node
+        node, end = self.node, self.node.schedule.end
+        if end is not None and due > end:  # it was held over the end of the run
+            due = node.schedule.held(end)
+            number = node.schedule.tick(due)
+            if number <= self.tick_number:
+                node.finish()
         if number <= self.tick_number or node.state != "running":
             return
         if self._rivals and any(f.deaf() for f in self._rivals) and not node.is_plant:

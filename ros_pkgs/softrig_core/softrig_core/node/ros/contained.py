@@ -7,7 +7,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from ..seam.exchange import Exchange, ExchangeTimer
-from ..seam.middleware import Matched, Receive
+from ..seam.middleware import Matched, Place, Receive
 from .ros import RosMiddleware
 
 
@@ -48,7 +48,7 @@ class ContainedMiddleware(RosMiddleware):
 
         super().subscribe(topic, msgtype, lambda data: exchange.hand(receive, data), count)
 
-    def be_prompt(self) -> None:
+    def be_prompt(self, place: Place) -> None:
         """The exchange takes what has come: its loop does not sleep."""
 
     def post(self, call: Callable[[], object]) -> None:

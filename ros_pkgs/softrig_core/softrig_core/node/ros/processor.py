@@ -1,16 +1,20 @@
-"""The processor on which the nodes of a lockstep rig take turns.
+"""The processor on which the two nodes of a lockstep loop take turns.
 
-They wait for each other, so that there is seldom work for two at a time. But the system wakes who gets a message on a
-processor that is idle, and to wake that one takes longer than a short tick; what the tick needs is in the caches of
-another one then. So nodes whose ticks are short stay on one, by the number of their domain: all nodes of a rig on the
-same, rigs that run beside each other on others. Who computes for longer goes where there is room.
+One plant and one law wait for each other, so that there is never work for two at a time. But the system wakes who gets
+a message on a processor that is idle, and to wake that one takes longer than a short tick; what the tick needs is in
+the caches of another one then. So they stay on one, by the number of their domain: both on the same, rigs that run
+beside each other on others. Who follows them and is waited for by none has the others. Who computes for longer goes
+where there is room.
+
+With a third node in the loop there is work for two: what that shares saves more than the way between processors costs.
+What a rig has is known to the rig alone, and comes from there (`Middleware.be_prompt`).
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 SHORT = 200_000  # ns of processor time for a message: what two processors save a rig is less then
@@ -19,12 +23,14 @@ LONG = 200_000_000  # ns, that time
 
 
 class Processor:
-    """Keeps the threads of this process on one processor while they take short turns.
+    """Keeps the threads of this process on one processor, or off it, while they take short turns.
 
     Parameters
     ----------
     domain : int
         The same number for nodes that are to be on the same processor.
+    beside : bool
+        Whether this one is to be on any other.
     done : callable
         Gives how many messages were worked on.
     clock : callable
@@ -33,16 +39,28 @@ class Processor:
     Attributes
     ----------
     number : int or None
-        Of the processor; None: any.
+        Of the processor; None: any, or any other.
     """
 
-    def __init__(self, domain: int, done: Callable[[], int], clock: Callable[[], int] = time.process_time_ns) -> None:
+    def __init__(
+        self,
+        domain: int,
+        beside: bool,
+        done: Callable[[], int],
+        clock: Callable[[], int] = time.process_time_ns,
+    ) -> None:
         self._allowed = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-        self._own = self._allowed[domain % len(self._allowed)] if len(self._allowed) > 1 else None
+        own = self._allowed[domain % len(self._allowed)] if self._allowed else 0
+        self._own = [n for n in self._allowed if (n == own) is not beside] or self._allowed
         self._done, self._clock = done, clock
         self._before = (0, 0)
-        self.number: int | None = None
+        self._now: Sequence[int] = self._allowed
         self._go(self._own)
+
+    @property
+    def number(self) -> int | None:
+        """The one on which the process is."""
+        return self._now[0] if len(self._now) == 1 < len(self._allowed) else None
 
     def step(self) -> None:
         """See what the time of the last messages was; to be called some times a second."""
@@ -52,13 +70,12 @@ class Processor:
             self._before = now
         elif messages >= ENOUGH or (messages and used >= LONG):
             self._before = now
-            self._go(self._own if used < SHORT * messages else None)
+            self._go(self._own if used < SHORT * messages else self._allowed)
 
-    def _go(self, number: int | None) -> None:
-        if number == self.number:
+    def _go(self, to: Sequence[int]) -> None:
+        if to == self._now:
             return
-        self.number = number
-        to = self._allowed if number is None else [number]
+        self._now = to
         for thread in os.listdir("/proc/self/task"):
             with suppress(OSError):  # it has ended, or nobody may choose
                 os.sched_setaffinity(int(thread), to)

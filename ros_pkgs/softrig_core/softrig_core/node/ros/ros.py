@@ -29,7 +29,7 @@ from ...block.block import Level
 from ...errors import RunError, closest
 from ...processes.shared_memory import Ears, domain_id
 from ...wire.cdr import Layout
-from ..seam.middleware import Matched, Middleware, Peer, Receive, Send
+from ..seam.middleware import Matched, Middleware, Peer, Place, Receive, Send
 from ..seam.monitor import Monitor
 from .arrival import Arrival, library
 from .garbage import Garbage
@@ -38,6 +38,10 @@ from .processor import Processor
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+# A writer of Fast DDS whose history is full asks all readers at each message what they have, and they answer; by itself
+# it asks every 50 ms, in which a lockstep loop sends some hundred: a seventh of the processor time of a tick.
+WRITTEN = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 
 POLICIES = (
     QoSPolicyKind.HISTORY,
@@ -248,6 +252,8 @@ class RosMiddleware(Middleware):
         # else a late reader may be owed what was published before
         self.mute = not any(name.startswith("qos_overrides.") for name in node._parameter_overrides)
         self.monitor = node.monitor
+        mode = node._parameter_overrides.get("run.mode")
+        self._written = WRITTEN if mode is not None and mode.value == "lockstep" else QOS
         self._read: list[tuple[Any, Receive, Matched]] = []  # subscriptions
         self._arrivals: list[Arrival] = []
         self.name: str = node.get_name()
@@ -274,7 +280,7 @@ class RosMiddleware(Middleware):
             made = self.node.create_publisher(
                 message_class(msgtype),
                 topic,
-                copy(QOS),
+                copy(self._written),
                 event_callbacks=events,
                 qos_overriding_options=self._overrides(topic),
             )
@@ -334,7 +340,7 @@ class RosMiddleware(Middleware):
 
     # answers where messages arrive -------------------------------------------------------------------------------
 
-    def be_prompt(self) -> None:
+    def be_prompt(self, place: Place) -> None:
         """Take the messages of what is subscribed so far in the thread that receives them."""
         rcl = library()
         if rcl is None:
@@ -351,8 +357,9 @@ class RosMiddleware(Middleware):
         if self.prompt:
             self.timer(LOOK, self._look)
             self.timer(SEARCH, Garbage(off=True).step)
-            self._processor = Processor(domain_id(), lambda: self.monitor.done)
-            self.timer(SEARCH, self._processor.step)
+            if place != "anywhere":
+                self._processor = Processor(domain_id(), place == "beside", lambda: self.monitor.done)
+                self.timer(SEARCH, self._processor.step)
         for arrival in self._arrivals:
             arrival.begin()
 

@@ -7,7 +7,7 @@ behind it in `ros.RosMiddleware`; a test, a simulation or a container hands over
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 from ...block.block import Level
 from ...block.port import Port
@@ -15,6 +15,7 @@ from ...wire.cdr import Layout
 
 Receive = Callable[[bytes], None]
 Matched = Callable[[int], None]
+Place = Literal["together", "beside", "anywhere"]
 Send = Callable[[int, tuple[float, ...]], None]  # gets the stamp in ns, or the number of an array, and all numbers
 
 
@@ -55,7 +56,7 @@ class Middleware(Protocol):
     prompt : bool
         Whether messages are taken in the thread that receives them (see `be_prompt`).
     processor : int or None
-        The one on which the node works; None: any.
+        The one on which the node works; None: where there is room.
     """
 
     name: str
@@ -73,10 +74,16 @@ class Middleware(Protocol):
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read a topic; `matched` gets the number of writers at each change."""
 
-    def be_prompt(self) -> None:
+    def be_prompt(self, place: Place) -> None:
         """Take messages of what is subscribed so far where they arrive, if that is possible; for ticks of some us.
 
         They come one at a time, and never while anything else calls the node.
+
+        Parameters
+        ----------
+        place : {"together", "beside", "anywhere"}
+            Where the node works: with the one other that waits for it, and for which it waits; not where such two are;
+            or where there is room.
         """
 
     def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:

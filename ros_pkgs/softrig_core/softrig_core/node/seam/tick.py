@@ -1,14 +1,42 @@
-"""The acknowledgement of a tick: a std_msgs/Header on ``<node>/tick`` whose frame_id says what was sent at it."""
+"""The acknowledgement of a tick: a std_msgs/Header on ``<node>/tick`` whose frame_id says what was sent at it.
+
+A node on which nothing depends acknowledges some ticks together, and the clock is ahead of it by some: the tick need
+not wait for it, and it works beside the others.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 from ...block.port import Refused
+from ...block.schedule import Schedule
 from ...wire.cdr import Layout, parse
 from ...wire.stream import CdrError
 
 TICK = "std_msgs/msg/Header"
+LAG = 4  # ticks of the clock: it is ahead by less than 9, and a reader's queue in DDS holds ten messages
+
+
+def acknowledged(schedule: Schedule, t: int) -> bool:
+    """Whether a follower says of its tick `t` (ns) that it has answered that and those before."""
+    ends = schedule.end is not None and schedule.next(t) >= schedule.end
+    return ends or (schedule.tick(t) + 1) % _together(schedule) == 0
+
+
+def needed(schedule: Schedule, clock: Schedule, t: int) -> int:
+    """Give the tick of a follower that must be answered before the clock goes on from tick `t`, both in ns.
+
+    At the end of the run it is the newest one: who is still at work then is waited for, as ever.
+    """
+    if clock.end is not None and clock.next(t) >= clock.end:
+        return schedule.awaited(t)
+    k = (clock.tick(t) - LAG) // schedule.every
+    return schedule.time(k - (k + 1) % _together(schedule))
+
+
+def _together(schedule: Schedule) -> int:
+    """Give how many of its ticks a follower acknowledges at once."""
+    return max(1, LAG // schedule.every)
 
 
 class TickWriter:

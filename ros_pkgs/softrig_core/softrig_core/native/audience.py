@@ -1,0 +1,254 @@
+"""Handing out what native code has found that members say: to those who record it, and to those who watch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from itertools import accumulate
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..block.answer import Heard, Messages, Row
+from ..block.block import Observer
+from ..block.port import Sample
+from ..block.step import Step
+from .rig_text import Place, taken
+
+NEVER = -1  # of a time, ns
+
+Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, to; its stamp and flag, where it has them
+
+
+def _places(step: Step) -> list[Where]:
+    """Give where each output of a step stands in all that it says at a tick (`_part`)."""
+    at = [0, *accumulate(p.size for p in step.outputs)]
+    stamp = [0, *accumulate(p.delayed for p in step.outputs)]
+    flag = [*accumulate((p.sporadic for p in step.outputs), initial=at[-1])]
+    return [
+        (at[j], at[j + 1], stamp[j] if p.delayed else None, flag[j] if p.sporadic else None)
+        for j, p in enumerate(step.outputs)
+    ]
+
+
+def _readings(source: Step, reader: Step) -> list[tuple[dict[str, Any], str, Any, Where]]:
+    """Give what of a step's answers another one reads: where to, by which name, how, and which part (`_part`)."""
+    places = _places(source)
+    ends = [*source.readers, *((j, other.values, port.name, take) for j, other, port, take in source.doubters)]
+    return [(values, name, take, places[j]) for j, values, name, take in ends if values is reader.values]
+
+
+def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row | None:
+    """Give what one output says, of all that a step says at a tick; None: nothing."""
+    low, high, stamp, flag = where
+    if flag is not None and not numbers[flag]:
+        return None
+    row = tuple(numbers[low:high])
+    return row if stamp is None else Sample(stamps[stamp], row)
+
+
+def answered(
+    step: Step,
+    number: int,
+    numbers: tuple[float, ...],
+    stamps: Sequence[int] = (),
+    spoken: Mapping[int, int] | None = None,
+) -> None:
+    """Make what native code has found that a step says at a tick, of its own numbers, what it and its readers hold.
+
+    Parameters
+    ----------
+    step : Step
+        Whose tick it was.
+    number : int
+        Which of its own ticks.
+    numbers : tuple of float
+        All that it says, one output after another.
+    stamps : sequence of int
+        Of its delayed outputs, ns.
+    spoken : mapping of int to int
+        When each output that is silent at times spoke last, ns, by its place; `NEVER`.
+    """
+    step.t = step.schedule.time(number)
+    said = _parted(step, numbers, stamps)
+    if step.outputs:
+        step.said, step.numbers = said, numbers if step.plain else ()
+    if not step.plain:
+        newest = [(spoken or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
+        step.spoken = [None if t == NEVER else t for t in newest]
+    for j, values, name, take in step.readers:
+        if not step.outputs[j].sporadic:
+            row = said[step.outputs[j].name]
+            values[name] = row if take is None else take(row)
+
+
+def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
+    """Give what each output says that says something."""
+    parts = zip(step.outputs, _places(step), strict=True)
+    return {p.name: row for p, where in parts if (row := _part(numbers, stamps, where)) is not None}
+
+
+class Answers(NamedTuple):
+    """What a step has said in some ticks: numbers, (n, size), and stamps of its delayed outputs, (n, count)."""
+
+    numbers: Any
+    stamps: Any
+
+    def listed(self) -> tuple[list[Any], list[Any]]:
+        """Give both as lists of rows."""
+        if isinstance(self.numbers, list):
+            return self.numbers, self.stamps or [()] * len(self.numbers)
+        return self.numbers.tolist(), self.stamps.tolist()
+
+    @staticmethod
+    def joined(parts: Sequence[Answers]) -> Answers:
+        """Give what was said in ticks that follow one another."""
+        if isinstance(parts[0].numbers, list):
+            return Answers(*([row for part in parts for row in part[k]] for k in (0, 1)))
+        return Answers(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def numbers_of(step: Step) -> tuple[float, ...]:
+    """Give all that the newest answer of a step says, zeros where it is silent; flags of those that may be after it."""
+    if step.plain:
+        return tuple(map(float, step.numbers))
+    rows: list[Any] = [step.said.get(p.name) for p in step.outputs]
+    found = [
+        (0.0,) * p.size if row is None else row.data if isinstance(row, Sample) else row
+        for p, row in zip(step.outputs, rows, strict=True)
+    ]
+    flags = [float(row is not None) for p, row in zip(step.outputs, rows, strict=True) if p.sporadic]
+    return (*(float(v) for row in found for v in row), *flags)
+
+
+def stamps_of(step: Step) -> tuple[int, ...]:
+    """Give the stamps of the delayed outputs of a step, in its newest answer, ns; 0 where it is silent."""
+    return tuple(getattr(step.said.get(p.name), "stamp", 0) for p in step.outputs if p.delayed)
+
+
+class Audience:
+    """Those to whom it is handed.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        Of the whole rig.
+    time : callable
+        Tick of the rig's clock to time in ns.
+
+    Attributes
+    ----------
+    watchers : list of Step
+        Observers that nobody reads.
+    every : dict of int to int
+        Of each step, by its `id`: ticks of the fastest member for each of its own.
+    tick_by_tick : set of str
+        Names of the watchers that do not take at once what is recorded.
+    """
+
+    def __init__(self, steps: Sequence[Step], time: Callable[[int], int]) -> None:
+        self._time = time
+        self.watchers = [s for s in steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
+        slow = [w for w in self.watchers if type(w.block).at_once is Observer.at_once]  # type: ignore[attr-defined]
+        self.tick_by_tick = {w.name for w in slow}
+        stride = math.gcd(*(s.schedule.every for s in steps))
+        self.every = {id(s): s.schedule.every // stride for s in steps}
+
+    def own(self, step: Step, first: int, last: int) -> range:
+        """Give the ticks of a step among those of the clock from `first` up to `last`, by its own numbers."""
+        every = self.every[id(step)]
+        return range((first + every - 1) // every, (last + every - 1) // every)
+
+    def hand_out(self, core: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:
+        """Hand out what the steps have said to those who record it."""
+        times: dict[tuple[Any, range], Any] = {}
+        for s in core:
+            own = self.own(s, first, last)
+            if not own:
+                continue
+            if s.send_all is not None:
+                if (ticks := (s.schedule.period, own)) not in times:
+                    times[ticks] = s.schedule.times(own.start, own.stop)
+                numbers = np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(own), 0))
+                s.send_all(times[ticks], numbers, *(() if s.plain else (np.asarray(rows[id(s)].stamps, np.int64),)))
+            elif s.send is not None and s.outputs:
+                for number, row, z in zip(own, *rows[id(s)].listed(), strict=True):
+                    said = _parted(s, tuple(row), z)
+                    s.send(s.schedule.time(number), tuple([said.get(p.name) for p in s.outputs]))
+
+    def watch(self, recorded: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:
+        """Let those who only watch see what was said, tick after tick."""
+        if not self.watchers:
+            return
+        watchers = [(w, self.every[id(w)]) for w in self.watchers if not self._at_once(w, recorded, first, last, rows)]
+        told = []
+        for s in recorded:
+            readers = [read for w, _ in watchers for read in _readings(s, w)]
+            if readers:
+                told.append((s, self.every[id(s)], self.own(s, first, last).start, rows[id(s)].listed(), readers))
+        for k in sorted({k for _, every in watchers for k in range(-(-first // every) * every, last, every)}):
+            t = self._time(k)
+            for s, every, begin, (numbers, stamps), readers in told:
+                if (at := k // every - begin) >= 0:
+                    s.t = s.schedule.time(k // every)
+                    if not s.plain:
+                        spoke = _parted(s, numbers[at], stamps[at])
+                        s.spoken = [s.t if p.name in spoke else t for p, t in zip(s.outputs, s.spoken, strict=True)]
+                    for values, name, take, where in readers:
+                        part = _part(numbers[at], stamps[at], where)
+                        if part is not None:
+                            values[name] = part if take is None else take(part)
+            for w, every in watchers:
+                if k % every == 0:
+                    w.say(t)
+
+    def _at_once(
+        self, watcher: Step, recorded: Sequence[Step], first: int, last: int, said: Mapping[int, Answers]
+    ) -> bool:
+        """Let one who watches have all that its ticks see, if it takes that so."""
+        ticks = self.own(watcher, first, last)
+        if watcher.name in self.tick_by_tick:
+            return False
+        if not ticks:
+            return True
+        messages: dict[str, Messages] = {}
+        for s in recorded:
+            found = self._seen(s, watcher, self.own(s, first, last), said[id(s)].numbers)
+            if found is None:
+                self.tick_by_tick.add(watcher.name)
+                return False
+            messages |= found
+        t = watcher.schedule.time(ticks[-1])
+        x = watcher.block.at_once(watcher.x, t, messages)  # type: ignore[attr-defined]
+        if x is None:
+            self.tick_by_tick.add(watcher.name)
+            return False
+        watcher.x, watcher.t = x, t
+        if watcher.send_all is not None:
+            watcher.send_all(watcher.schedule.times(ticks.start, ticks.stop), np.empty((len(ticks), 0)))
+        return True
+
+    def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
+        """Give what one who watches sees of a member, by its inputs; None where it has to be asked at each tick."""
+        found: dict[str, Messages] = {}
+        every, often = self.every[id(watcher)], self.every[id(source)]
+        readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen
+        if readings and max(every, often) % min(every, often):
+            return None
+        seen = slice(-own.start % step, None, step)
+        for _, name, take, (low, high, stamp, flag) in readings:
+            row, stamped = taken(high - low, stamp is not None, take)
+            if stamped or (flag is not None and step > 1):
+                return None
+            stamps, table = source.schedule.times(own.start, own.stop)[seen], numbers[seen]
+            if isinstance(table, list):
+                said = (
+                    (t, n[low:high]) for t, n in zip(stamps.tolist(), table, strict=True) if flag is None or n[flag]
+                )
+                found[name] = tuple(said if take is None else ((t, take(n)) for t, n in said))
+                continue
+            if flag is not None:
+                stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
+            values = [table[:, low + p] if type(p) is Place else np.full(len(table), float(p)) for p in row]
+            found[name] = Heard(stamps, np.array(values).T)
+        return found

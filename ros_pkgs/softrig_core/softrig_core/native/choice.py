@@ -1,0 +1,152 @@
+"""Which way a run goes: natively, by one text that Python runs, or tick by tick; the time says which it is."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import os
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from typing import Any
+
+from ..block.block import Observer
+from ..block.runner import Runner
+from ..block.step import Step
+from .compile import compiled, plain
+from .engine import Engine, known
+
+MAKING = 6.0  # s of Python that have to be left: native code is compiled sooner
+READY = 0.01  # s: the same where it is there already
+WRITING = 0.15  # s: the same for a text that Python runs as it is, which saves less
+ROUND, ROUNDS = 16, 4  # ticks that are timed together, how often: the least is what they cost
+SHORT = "Python is through before native code is made"
+
+_costs: dict[Any, float] = {}  # of a tick in Python, s, by the classes of the blocks: as the first of such rigs took
+_spent: dict[Any, float] = {}  # on runs of such rigs that were too short for a text, s: more of them may well come
+
+
+def ticks_of(
+    steps: Sequence[Step], runs: int = 1, alone: Callable[[], bool] | None = None
+) -> tuple[Iterator[int | None], Callable[[], object]]:
+    """Give what answers all ticks of a rig's steps: native code or one text where that pays, else one by one.
+
+    Which it is depends on the time that Python would take (`cost`); messages, reports and errors do not.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        As for `Engine`.
+    runs : int
+        So many such runs are to come.
+    alone : callable, optional
+        See `Engine`.
+
+    Returns
+    -------
+    ticks : iterator
+        As `Runner.run`; a run without end goes one by one.
+    tell : callable
+        Has the steps know what of them was native so far.
+    """
+    runner = Runner(steps)
+    if runner.ticks is None:
+        _say_why(steps, "a run without an end")
+        return runner.run(), bool
+    ticks = runner.ticks
+    engines: list[Engine] = []
+
+    def run() -> Iterator[int | None]:
+        first, tick = 0, cost(steps)
+        if tick is None:
+            first, tick = yield from _timed(runner)
+            if first <= ticks:  # else it was over before one knew
+                _costs[_classes(steps)] = tick
+        left = (ticks + 1 - first) * tick
+        reason = unwanted(steps, left, runs)
+        if reason and not writes(steps, left):
+            _spent[_classes(steps)] = _spent.get(_classes(steps), 0.0) + left
+            _say_why(steps, reason)
+            yield from runner.run(first)
+            return
+        engines.append(Engine(steps, plain if reason else compiled, alone))
+        _say_why(steps, reason)
+        yield from engines[0].run(first)
+        if not engines[0].native.members:  # there is no text of such members: none is looked for again
+            _spent[_classes(steps)] = -math.inf
+
+    def tell() -> None:
+        for engine in engines:
+            engine.tell()
+
+    _say_why(steps, forbidden() or SHORT)
+    return run(), tell
+
+
+def _say_why(steps: Sequence[Step], reason: str) -> None:
+    for step in steps:
+        step.native = 0, reason
+
+
+def _classes(steps: Sequence[Step]) -> Any:
+    return tuple(type(s.block) for s in steps)
+
+
+def cost(steps: Sequence[Step]) -> float | None:
+    """Give what a tick of a rig costs in Python, s; None where none of such blocks has run here yet."""
+    return _costs.get(_classes(steps))
+
+
+def _timed(runner: Runner) -> Generator[int | None, None, tuple[int, float]]:
+    """Answer the first ticks one by one; give how many they were, and what one costs, s of this thread."""
+    count, took, spent = 0, [], 0.0
+    began = time.thread_time()
+    for t in runner.run():
+        spent += time.thread_time() - began
+        if t is not None:
+            if count % ROUND == 0:  # the first of them is one tick, in which much is made
+                took.append(spent)
+                spent = 0.0
+            count += 1
+        yield t
+        if count > ROUND * ROUNDS:
+            break
+        began = time.thread_time()
+    return count, min(took[1:], default=0.0) / ROUND
+
+
+def writes(steps: Sequence[Step], left: float) -> bool:
+    """Whether one text of all members that Python runs is worth its making, for a run or for such runs so far.
+
+    ``SOFTRIG_JIT=0`` forbids it.
+    """
+    enough = READY if _known(steps, plain) else WRITING - _spent.get(_classes(steps), 0.0)
+    return os.environ.get("SOFTRIG_JIT", "1") != "0" and left > enough
+
+
+def _known(steps: Sequence[Step], make: Callable[..., Any]) -> bool:
+    """Whether there is a text of such members."""
+    kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
+    return known(kinds, make)
+
+
+def forbidden() -> str:
+    """Say why there can be no native code; empty where there can."""
+    if os.environ.get("SOFTRIG_JIT", "1") == "0":
+        return "SOFTRIG_JIT=0"
+    return "" if importlib.util.find_spec("numba") else "numba is not installed"
+
+
+def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:
+    """Say why native code is not worth its making, which takes seconds, once; empty where it is.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+    left : float
+        What Python would take for the ticks that are left, s.
+    runs : int
+        So many such runs are to come.
+    """
+    if reason := forbidden():
+        return reason
+    return "" if left > READY and (_known(steps, compiled) or left * runs > MAKING) else SHORT
