@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import inspect
 import linecache
+import math
 import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -381,6 +383,29 @@ def test_members_that_are_seldom_due_stay_in_python(monkeypatch):
     native = the_same(lambda: rig_of("manipulator_adsmc_two_link", duration=0.1), monkeypatch)
     assert (native.ticks, native.given_up) == (95, 0)  # of 100: one is due at each twentieth, and speaks once
     assert "robot_dynamics" not in native.members
+
+
+class SeldomParams(BlockParams):
+    """Of a test."""
+
+    period: float = param(0.02, "period", "s", gt=0.0)
+
+
+class Seldom(Block[SeldomParams]):
+    """Seldom due, by what is no arithmetic; what it says may be bad, and is at last."""
+
+    INPUTS = (SIGNAL,)
+    OUTPUTS = (replace(PUSH, unchecked=True),)
+
+    def update(self, x: tuple[()], t: int, *, signal: tuple[float, ...]) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Push."""
+        return x, {"push": (float(f"{signal[0]:.2f}") if t < 100_000_000 else math.nan,)}
+
+
+def test_a_native_member_doubts_what_one_in_python_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = {"plant": Oscillator, "law": Seldom}
+    native = the_same(lambda: Rig.from_blocks({n: b() for n, b in blocks.items()}, 0.5), monkeypatch)
+    assert (native.members, native.ticks > 90) == (("plant",), True)
 
 
 class Chooser(Block[OscillatorParams]):

@@ -20,6 +20,7 @@ from .search import Point, Search, Told
 CONSECUTIVE = 2  # deviations of the held objective in a row that start a new search
 STEADY = 0.1  # share of a change that counts by which a value may move in a hold_time and be the one held
 LOOK_BACK = 2  # how long that takes, in hold_times
+LOOK_AFTER = 25  # how long a result is held at least before it looks back again, in hold_times
 BROKEN = 3  # searches in a row that a change of the plant may break off
 NEVER, LATER = -1, 1 << 62  # times that are none: has not been, will not be
 LONGEST = 2e18  # ns: no search is put off for longer
@@ -170,9 +171,10 @@ class CommandSearch(Block[P], ABC):
       more than the gap of a proof; so that they do, a search whose plant has a characteristic looks back at its end:
       the command passes once through its range;
     - when two samples in a row, `hold_time` apart, differ so much from the value at the end of `settle_time`;
-    - after any search but the first it looks back again, whenever as much time has passed as from that search's start
-      to the last look: what changed once may do so again, and elsewhere, where the value held does not show it; at once
-      also when a look finds a value larger than the search's by more than `restart_threshold`;
+    - at once when a look back meets a value larger than the search's by more than `restart_threshold`: the plant
+      changed, or the search missed it. After a search that a change began it looks back again, whenever as much time
+      has passed as from that search's start to the last look, at least `LOOK_AFTER` `hold_time`: what changed once may
+      do so again, and elsewhere, where the value held does not show it;
     - `rescan_period` after the start of the last search.
 
     What was found and lost so for the second time in a row, or broken off so for the fourth, is held nevertheless,
@@ -284,8 +286,8 @@ class CommandSearch(Block[P], ABC):
 
     # the search ------------------------------------------------------------------------------------------------
 
-    def _begin(self, x: State | None, t: int) -> State:
-        """Start a new search."""
+    def _begin(self, x: State | None, t: int, look: int = LATER) -> State:
+        """Start a new search; `look` at once after it for another change where one has shown."""
         told = Told(self.p.search, self.generator() if x is None else x.search.now.rng)
         search = told.now
         void = math.isinf(search.gap)
@@ -296,7 +298,7 @@ class CommandSearch(Block[P], ABC):
             return State(told, phase, t, 0, void, curve, target, (), target, self._nothing)
         return State(
             told, phase, t, x.restarts + 1, void, curve, target, x.state, x.command, x.window, x.filled, x.pressed
-        )._replace(unconfirmed=x.unconfirmed)
+        )._replace(unconfirmed=x.unconfirmed, look=look)
 
     def _gone(self, x: State, t: int) -> State:
         """Measure the candidate again; after a while give up the search."""
@@ -357,7 +359,7 @@ class CommandSearch(Block[P], ABC):
         return x._replace(
             phase=Phase.HOLD,
             looking=NEVER,
-            look=LATER if x.looking == NEVER or x.restarts == 0 else 2 * t - x.began,
+            look=LATER if x.looking == NEVER or x.look == LATER else t + max(t - x.began, LOOK_AFTER * self._hold),
             target=x.search.now.result,
             since=NEVER,
             next_sample=self._hold,
@@ -372,18 +374,22 @@ class CommandSearch(Block[P], ABC):
             return x, False
         change, curve = x.curve.take(sample)
         x = x._replace(curve=curve)
-        if x.looking != NEVER and x.filled and _mean(x) > (1.0 + self.p.restart_threshold) * x.search.expected:
-            change = math.inf  # the pass is too fast for corners near the line from 0
         gap = x.search.gap
-        if change > gap and not x.void:
+        changed = change > min(self.p.restart_threshold, gap) > 0.0
+        # a pass is too fast for corners near the line from 0
+        more = x.looking != NEVER and x.filled and _mean(x) > (1.0 + self.p.restart_threshold) * x.search.expected
+        if (change > gap or more) and not x.void:
             x = self._withdraw(x)
-        if x.broken or x.reference < math.inf or not change > min(self.p.restart_threshold, gap) > 0.0:
+        if x.broken or x.reference < math.inf or not (changed or more):
             return x, False
         x = x._replace(broken=True, unconfirmed=x.unconfirmed + 1)
         if x.unconfirmed > BROKEN:
             return x, False
-        self.report(Level.WARN, "changed", "the plant changed during the search: searching anew")
-        return self._note(self._begin(x, t)), True
+        if changed:
+            self.report(Level.WARN, "changed", "the plant changed during the search: searching anew")
+        else:
+            self.report(Level.WARN, "more", "the look back met a larger value than the search found: searching anew")
+        return self._note(self._begin(x, t, t if changed else x.look)), True
 
     def _withdraw(self, x: State) -> State:
         if x.search.now.bound is not None:
@@ -415,8 +421,9 @@ class CommandSearch(Block[P], ABC):
         judged, expected = x.lost or x.reference < math.inf, x.search.expected
         if judged and not x.void and abs(value - expected) > x.search.gap * abs(expected):
             x = self._withdraw(x)
-        timer = t >= x.again or 0 < self._rescan <= t - x.began
-        if changed or (timer and not x.lost):
+        if changed or (t >= x.again and not x.lost):
+            return self._note(self._begin(x, t, t))
+        if 0 < self._rescan <= t - x.began and not x.lost:
             return self._note(self._begin(x, t))
         if t >= x.look and x.reference < math.inf and not x.lost:
             return self._note(x._replace(phase=Phase.SEARCH, looking=t, reference=math.inf))

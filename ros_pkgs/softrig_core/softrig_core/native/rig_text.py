@@ -106,7 +106,7 @@ def links(steps: Sequence[Step]) -> list[Link]:
             Link(None, j, s.values, name, take, s.stamps[name])
             for source in s.sources
             if source not in steps
-            for j, values, name, take in source.readers
+            for j, values, name, take in _fed(source)
             if values is s.values
         ]
     return found
@@ -238,10 +238,15 @@ def _ages(steps: Sequence[Step], kept: Sequence[Link]) -> dict[tuple[int, str], 
     return found
 
 
+def _fed(source: Step) -> list[Any]:
+    """Give who reads of a member and what, those that doubt its messages among them."""
+    return [*source.readers, *((j, other.values, port.name, take) for j, other, port, take in source.doubters)]
+
+
 def _source(step: Step, name: str) -> tuple[Step, int, Any] | None:
     """Give whose output fills an input, which one, and how."""
     for s in step.sources:
-        for j, values, n, take in [*s.readers, *((j, o.values, p.name, take) for j, o, p, take in s.doubters)]:
+        for j, values, n, take in _fed(s):
             if values is step.values and n == name:
                 return s, j, take
     return None
