@@ -46,7 +46,7 @@ def pytest_terminal_summary(terminalreporter, config):
         for report in terminalreporter.stats.get(outcome, []):
             row = rows.setdefault("/".join(report.nodeid.split("/")[:2]), {"passed": 0, "other": 0, "seconds": 0.0})
             row["passed" if outcome == "passed" else "other"] += 1
-            row["seconds"] += report.duration
+            row["seconds"] += getattr(report, "duration", 0.0)  # a file that is skipped whole has none
     terminalreporter.write_line("| folder | passed | failed or skipped | minutes of a worker |\n|---|---|---|---|")
     for folder, row in sorted(rows.items()):
         terminalreporter.write_line(f"| `{folder}` | {row['passed']} | {row['other']} | {row['seconds'] / 60:.1f} |")

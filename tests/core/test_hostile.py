@@ -186,7 +186,7 @@ def test_a_parameter_is_named_as_a_word_and_a_check_may_divide_by_nothing():
 
     with pytest.raises(ParameterError, match=r"^parameters: half of it is missing \(with f = -1\.0\)$"):
         build(Line, {"f": -1.0})
-    with pytest.raises(ParameterError, match=r"^parameters: float division by zero \(with f = 1e-200, x = 1e-200\)$"):
+    with pytest.raises(ParameterError, match=r"division by zero \(with f = 1e-200, x = 1e-200\)$"):
         build(Line, {"f": 1e-200, "x": 1e-200})
 
 

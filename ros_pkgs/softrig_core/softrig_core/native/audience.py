@@ -13,7 +13,7 @@ from ..block.answer import Heard, Messages, Row
 from ..block.block import Observer
 from ..block.port import Sample
 from ..block.step import Step
-from .rig_text import Place, taken
+from .rig_text import Place, fed, taken
 
 NEVER = -1  # of a time, ns
 
@@ -34,8 +34,7 @@ def _places(step: Step) -> list[Where]:
 def _readings(source: Step, reader: Step) -> list[tuple[dict[str, Any], str, Any, Where]]:
     """Give what of a step's answers another one reads: where to, by which name, how, and which part (`_part`)."""
     places = _places(source)
-    ends = [*source.readers, *((j, other.values, port.name, take) for j, other, port, take in source.doubters)]
-    return [(values, name, take, places[j]) for j, values, name, take in ends if values is reader.values]
+    return [(values, name, take, places[j]) for j, values, name, take in fed(source) if values is reader.values]
 
 
 def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row | None:

@@ -106,7 +106,7 @@ def links(steps: Sequence[Step]) -> list[Link]:
             Link(None, j, s.values, name, take, s.stamps[name])
             for source in s.sources
             if source not in steps
-            for j, values, name, take in _fed(source)
+            for j, values, name, take in fed(source)
             if values is s.values
         ]
     return found
@@ -238,7 +238,7 @@ def _ages(steps: Sequence[Step], kept: Sequence[Link]) -> dict[tuple[int, str], 
     return found
 
 
-def _fed(source: Step) -> list[Any]:
+def fed(source: Step) -> list[Any]:
     """Give who reads of a member and what, those that doubt its messages among them."""
     return [*source.readers, *((j, other.values, port.name, take) for j, other, port, take in source.doubters)]
 
@@ -246,7 +246,7 @@ def _fed(source: Step) -> list[Any]:
 def _source(step: Step, name: str) -> tuple[Step, int, Any] | None:
     """Give whose output fills an input, which one, and how."""
     for s in step.sources:
-        for j, values, n, take in _fed(s):
+        for j, values, n, take in fed(s):
             if values is step.values and n == name:
                 return s, j, take
     return None

@@ -39,7 +39,7 @@ class State(NamedTuple):
 
     y: float = 0.0
     v: float = 0.0
-    past: tuple[int, ...] = ()
+    past: tuple[float, ...] = ()
 
 
 class DcAxisPlant(Plant[DcAxisParams]):
@@ -75,10 +75,10 @@ class DcAxisPlant(Plant[DcAxisParams]):
 
     def first(self) -> State:
         """Rest at y = 0."""
-        return State(past=(0,) * self.p.velocity_window)
+        return State(past=(0.0,) * self.p.velocity_window)
 
-    def _counts(self, y: float) -> int:
-        return math.floor(y / self._resolution + 1e-9)
+    def _counts(self, y: float) -> float:
+        return float(math.floor(y / self._resolution + 1e-9))
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, float]]:
         """Give what the encoder reads, and the true state."""
