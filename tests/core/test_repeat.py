@@ -51,7 +51,7 @@ def pressed(folder, mode="lockstep", delay=None, faults=""):
                 reader.receive(data)
 
     # the simulated lockstep begins after 20 ms and goes as fast as messages do
-    moments = (500 * MS, 503 * MS, 505 * MS) if mode == "realtime" else (20_030_000, 20_300_000, 20_500_000)
+    moments = (500 * MS, 503 * MS, 505 * MS) if mode == "realtime" else (20_030_000, 20_150_000, 20_250_000)
     people = (partial(law.buttons.press, button.port), partial(send, 12.5), partial(law.step.set, {"kp": 50.0}))
     for moment, act in zip(moments, people, strict=True):
         world.at(start + moment, act)
