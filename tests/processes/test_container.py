@@ -272,7 +272,7 @@ def test_a_bad_outside_command_never_reaches_the_plant(tmp_path):
 
 
 def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
-    wired, intruders = rig(BASIC, 1e4), []
+    wired, intruders = rig(BASIC, 1e5), []  # natively some 20 s, until it is there
     with free_domain() as domain:
 
         def progress(t):
