@@ -4,6 +4,7 @@ import json
 import math
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -190,6 +191,15 @@ def grows(scenario, signal, begin):
     t, x = scenario.signals[signal]
     early, late = (np.ptp(x[(t > a * begin) & (t < (a + 0.5) * begin)]) for a in (1.0, 2.0))
     return late > 0.5 * early
+
+
+def test_counts_of_a_fine_encoder_are_states():
+    """They had been whole numbers once, which the view leaves out: 0.2 s, unstable."""
+    fine = {"dc_axis_plant.counts_per_rev": 4e10, "fieldbus_delay.delay": 0.02}
+    view = linear_view("dc_motor_fsfb_s1_none", overrides=fine, at=2.0)
+    assert view.stable
+    assert view.margins.delay == pytest.approx(0.064052, abs=1e-6)
+    assert view.variation < 1e-3
 
 
 @pytest.mark.long
@@ -385,12 +395,20 @@ def test_where_there_is_no_operating_point_it_is_told(least):
         steady(rig, at=1.0)
 
 
+def test_a_view_of_something_else_says_so(monkeypatch, capsys):
+    view = linear_view("dc_motor_smc", overrides={"period": 0.01, "dc_motor_smc.delta": 5.0}, at=2.0)
+    monkeypatch.setattr("softrig_bringup.verbs.linear.linear_view", lambda *_, **__: replace(view, variation=0.6))
+    assert main(["linearise", "dc_motor_smc"]) == 0
+    assert "this is not the rig" in capsys.readouterr().out
+
+
 def test_the_verbs(tmp_path, capsys, undrawn):
     common = ["dc_motor_smc", "--set", "period=0.01", "--set", "dc_motor_smc.delta=5"]
     assert main(["linearise", *common, "--at", "8", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert re.search(r"delay margin +1\.1\d+ s", out)
     assert "dc_motor_plant.i 88%" in out
+    assert "this is not the rig" not in out
     found = json.loads((tmp_path / "linear.json").read_text())
     assert found["link"] == "motor/command/armature/effort"
     assert len(found["closed"]["A"]) == len(found["closed"]["states"])

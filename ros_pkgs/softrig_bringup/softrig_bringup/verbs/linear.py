@@ -16,6 +16,7 @@ from ..terminal.listing import console
 
 DEGREES = 180.0 / math.pi
 SHOWN = 8  # modes
+ANOTHER = 0.5  # variation above which poles and margins are of something else
 
 
 def numbers(view: LinearView) -> dict[str, Any]:
@@ -77,6 +78,8 @@ def linearise(options: argparse.Namespace) -> int:
         ("known to", f"{view.error:.1e} of a column, the worst is {view.worst}"),
         ("varies by", f"{view.variation:.1e} from the rig itself within ten periods"),
     ]
+    if view.variation > ANOTHER:
+        rows += [("so", "this is not the rig: something in it goes in steps, or it is another one each period")]
     for name, text in rows:
         out.print(f"  {name:20} {text}", markup=False)
     if options.out:
