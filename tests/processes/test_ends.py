@@ -4,6 +4,7 @@ import fcntl
 import json
 import mmap
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from softrig_core.node.seam import health
 from softrig_core.processes import spawning
 from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment, find_executable
+from softrig_core.processes.executables import LOOPBACK, environment, find_executable
 from softrig_core.processes.fork_server import start_node
 from softrig_core.processes.placement import Listener, Placement
 from softrig_core.processes.shared_memory import MADE, Ears, clear_ports, lacking, remove_leftovers
@@ -157,6 +158,13 @@ def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
         with port.open("r+b") as new, mmap.mmap(new.fileno(), 8):
             assert ears.lost() == ""  # opened anew, as Fast DDS does where one is damaged
     assert Ears().lost() == ""
+
+
+def test_a_node_waits_until_its_reader_has_replaced_a_damaged_port():
+    """A reader looks at his port after a third of that time; who opens one may wait as long with its mutex held."""
+    third = int(re.search(r"<healthy_check_timeout_ms>(\d+)<", LOOPBACK.read_text())[1]) / 3e3
+    assert 2 * third < Ears.PATIENCE
+    assert third < 2.0  # s, then others take the mutex for a dead one's (open_or_create_and_lock_named_mutex)
 
 
 def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():

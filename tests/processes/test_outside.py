@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import random
 import subprocess
 import sys
@@ -77,7 +78,9 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
         about.write_text(json.dumps(relay(rig, member, expected, reads, names, realtime)))
         commands.append([sys.executable, str(Path(__file__).parents[1] / "relay.py"), str(about)])
     nodes = {n: e.model_copy(update={"external": True} if n in names else {}) for n, e in rig.scenario.nodes.items()}
-    ours = rig_of(rig.scenario.model_copy(update={"nodes": nodes, "timeout": 60.0}))
+    # a minute of a host that does not do so many things at once: one has the processor only in its turn
+    patience = 60.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+    ours = rig_of(rig.scenario.model_copy(update={"nodes": nodes, "timeout": patience}))
     outside = []
     with free_domain() as domain:
 
@@ -86,7 +89,7 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
                 outside.extend(subprocess.Popen(c, env=environment(domain, directory)) for c in commands)
 
         try:
-            placement = Placement(domain=domain, wait=60.0, clock="realtime" if realtime else "lockstep")
+            placement = Placement(domain=domain, wait=patience, clock="realtime" if realtime else "lockstep")
             outcome = run_processes(ours, rig.scenario.seed, directory, placement, Listener(announce=announce))
         finally:
             for process in outside:

@@ -100,7 +100,7 @@ class Ears:
     before, and by nobody else.
     """
 
-    PATIENCE = 1.0  # s: Fast DDS itself replaces one that is damaged
+    PATIENCE = 5.0  # s: Fast DDS itself replaces one that is damaged, when its reader stirs (see fastdds_loopback.xml)
 
     def __init__(self) -> None:
         self._good: dict[Path, int] = {}  # inodes
