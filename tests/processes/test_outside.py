@@ -78,9 +78,8 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
         about.write_text(json.dumps(relay(rig, member, expected, reads, names, realtime)))
         commands.append([sys.executable, str(Path(__file__).parents[1] / "relay.py"), str(about)])
     nodes = {n: e.model_copy(update={"external": True} if n in names else {}) for n, e in rig.scenario.nodes.items()}
-    # a minute of a host that does not do so many things at once: one has the processor only in its turn
-    patience = 60.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
-    ours = rig_of(rig.scenario.model_copy(update={"nodes": nodes, "timeout": patience}))
+    patience = 60.0 * busy()
+    ours = rig_of(rig.scenario.model_copy(update={"nodes": nodes, "timeout": patience, "start_timeout": 2 * patience}))
     outside = []
     with free_domain() as domain:
 
@@ -96,6 +95,11 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
                 process.kill()
                 process.wait()
     return ours, expected, outcome
+
+
+def busy():
+    """By how much a second is longer on a host that does so many things at once: each has a processor in its turn."""
+    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 def by_chance(rig):
