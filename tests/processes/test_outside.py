@@ -80,12 +80,14 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
     nodes = {n: e.model_copy(update={"external": True} if n in names else {}) for n, e in rig.scenario.nodes.items()}
     patience = 60.0 * busy()
     ours = rig_of(rig.scenario.model_copy(update={"nodes": nodes, "timeout": patience, "start_timeout": 2 * patience}))
-    outside = []
+    outside, home = [], directory / "outside"
+    home.mkdir()
     with free_domain() as domain:
 
         def announce(text):
-            if not outside:
-                outside.extend(subprocess.Popen(c, env=environment(domain, directory)) for c in commands)
+            if not outside:  # nor does anybody take it for dead sooner
+                variables = environment(domain, home, silence=patience)
+                outside.extend(subprocess.Popen(c, env=variables) for c in commands)
 
         try:
             placement = Placement(domain=domain, wait=patience, clock="realtime" if realtime else "lockstep")
