@@ -91,7 +91,7 @@ def mark_damaged(port):
         begin = next(
             m.start()
             for m in re.finditer(re.escape(struct.pack("<I", number)), node)
-            if struct.unpack_from("<2I", node, m.start() + 8) == (5000, 5000 // 3)
+            if struct.unpack_from("<2I", node, m.start() + 8) == (20000, 20000 // 3)
         )
         node[begin + 24] &= ~1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import time
 from contextlib import ExitStack, suppress
@@ -113,11 +114,14 @@ class Ears:
     before, and by nobody else.
     """
 
-    PATIENCE = 5.0  # s: Fast DDS itself replaces one that is damaged, when its reader stirs (see fastdds_loopback.xml)
+    # s, of which a pause between two looks, where the host has no time for this process, counts as one at most: Fast
+    # DDS itself replaces a port that is damaged, when its reader stirs (see fastdds_loopback.xml)
+    PATIENCE = 10.0
 
     def __init__(self) -> None:
         self._good: dict[Path, int] = {}  # inodes
         self._since: dict[Path, float] = {}
+        self._looked, self._time = -math.inf, 0.0
 
     def lost(self) -> str:
         """Name a port of ours that was taken away; empty when there is none."""
@@ -129,8 +133,10 @@ class Ears:
             return ""
         self._good = {path: inode for path in own if (inode := _inode(path)) in mapped.get(path, ())}
         now = time.monotonic()
-        self._since = {path: self._since.get(path, now) for path in own - self._good.keys()}
-        return next((path.name for path, since in self._since.items() if now - since >= self.PATIENCE), "")
+        self._time += min(now - self._looked, 1.0)
+        self._looked = now
+        self._since = {path: self._since.get(path, self._time) for path in own - self._good.keys()}
+        return next((path.name for path, since in self._since.items() if self._time - since >= self.PATIENCE), "")
 
 
 def _inode(path: Path) -> int:
