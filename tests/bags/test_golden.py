@@ -208,7 +208,7 @@ def own_digests():
     return [digest(BAGS / name) for name in DIFFERED]
 
 
-@pytest.mark.parametrize("kernels", ["prescott and v2", "skylakex"])
+@pytest.mark.parametrize("kernels", ["prescott and v2", pytest.param("skylakex", marks=pytest.mark.long)])
 def test_no_kernel_of_openblas_or_numpy_decides_a_bit(kernels):
     """Rigs that differed when BLAS, LAPACK and numpy's functions of arrays had a say in them.
 
