@@ -31,7 +31,6 @@ from softrig_bringup.view.tracks import Track
 from softrig_core import Recording, Session, Signals, load_scenario, rig_of, simulate
 from softrig_core.processes.placement import Placement
 
-
 HASTY = """
 from softrig_bringup.view import serve
 serve.AWAY = 500
