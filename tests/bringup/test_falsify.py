@@ -82,6 +82,14 @@ def test_one_number_has_no_covariance_and_goes_to_tpe():
     assert found.least < 1e-3
 
 
+def test_cma_es_comes_without_the_half_second_that_other_optimisers_of_its_package_import(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith(("cmaes", "scipy.stats"))]:
+        monkeypatch.delitem(sys.modules, name)
+    search([3], lambda points: [sum(point) for point in points], 30)
+    assert "cmaes" in sys.modules
+    assert "scipy.stats" not in sys.modules
+
+
 def test_a_disturbance_laid_on_a_signal_is_a_fault_and_its_worst_course_is_found_too():
     space = space_of(loop([0.0]), [parse("motor/command/armature/effort+", "-0.5..0.5*6")])
     (target,) = space.targets
