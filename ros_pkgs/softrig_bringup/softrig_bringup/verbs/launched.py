@@ -15,6 +15,7 @@ from typing import Any
 
 from softrig_core import Recording, Run, ScenarioError
 from softrig_core.errors import closest
+from softrig_core.interrupt import PARENT
 from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import join_domain
 from softrig_core.processes.peers import starter
@@ -85,6 +86,7 @@ class Launched:
         self._rig = rig = checked(run_options.scenario_of(options))
         self._seed, self._placement = rig.scenario.seed, run_options.placement_of(options)
         self._realtime = self._placement.clock == "realtime"
+        os.environ[PARENT] = str(os.getpid())
         remove_leftovers()
         join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
         self._folder = run_verb.results_folder(options, rig) if self._record else None
