@@ -154,14 +154,15 @@ class Launched:
         self._error = self._error or wrong
         if self._running:
             return wrong
-        rig = self._rig
+        rig, options = self._rig, self._options
         names = [m.name for m in rig.members if not m.external]
         recording, nodes = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
         found = self._conclude(recording, nodes) if self._record or self._judge else 0
         if wrong or self._error or self._stopped:
             return wrong
         if trips := tripped(rig, nodes):
-            return "; ".join(f"{name}: {text}" for name, text in trips.items())
+            slow = run_verb.too_slow(options, rig, nodes, container="place:=container") if self._realtime else ""
+            return slow or "; ".join(f"{name}: {text}" for name, text in trips.items())
         return f"judged: status {found}" if self._judge and found else ""
 
     def _conclude(self, recording: Recording, status: dict[str, dict[str, Any]]) -> int:
