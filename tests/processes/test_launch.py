@@ -93,8 +93,11 @@ def test_every_system_ends_by_itself(system, mode, tmp_path, monkeypatch):
     file.write_text(f"extends: {system}\ntitle: launched\nduration: {duration!r}\n")
     monkeypatch.chdir(tmp_path)
     assert load_scenario(str(file)).duration == duration
+    # 2880 ticks a second of four nodes are more than two cores carry over DDS, and late commands trip that plant
+    place = "container" if (system, mode) == ("gupfc", "realtime") else "processes"
     with free_domain() as domain:
-        status, said = launch({"scenario": str(file), "mode": mode}, environment(domain, tmp_path))
+        values = {"scenario": str(file), "mode": mode, "place": place}
+        status, said = launch(values, environment(domain, tmp_path))
     assert status == 0, said
 
 

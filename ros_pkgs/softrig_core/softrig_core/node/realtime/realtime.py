@@ -62,7 +62,6 @@ class Realtime:
         self.skipped = 0
         self._silence_told = 0.0
         self._missed = 0
-        self._period = node.schedule.time(1)
         self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
         node.epoch = node.options.epoch
         node.step.send = node.publish
@@ -265,8 +264,6 @@ class Realtime:
             if node.schedule.time(behind) > CATCH_UP:
                 self.skipped += behind - 1
                 behind = 1
-        elif self._lateness[-1] >= self._period:
-            self._missed += 1  # said, but late
         self.tick_number = number
         if not node.is_plant:
             self._answer(due, unanswered)
