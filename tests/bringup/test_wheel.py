@@ -120,7 +120,7 @@ def test_it_works_beside_the_packages_that_are_here(wheel, tmp_path):
     prefix = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", prefix], check=True)
     subprocess.run([sys.executable, "-m", "pip", "--python", prefix / "bin" / "python", "install", "-q", "--no-deps",
-                    "--no-index", wheel], check=True, env=environment(tmp_path))  # fmt: skip
+                    "--no-index", "--no-compile", wheel], check=True, env=environment(tmp_path))  # fmt: skip
     (library,) = prefix.glob("lib/python3*/site-packages")
     shared = Path(importlib.metadata.distribution("numpy").locate_file(""))
     (library / "shared.pth").write_text(f"import site; site.addsitedir({str(shared)!r})\n")

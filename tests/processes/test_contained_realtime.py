@@ -10,8 +10,11 @@ from conftest import in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
 from simulated import _Sink
 from softrig_core import Block, Recording, Rig, Signals, command, load_scenario, rig_of
+from softrig_core.node import container as container_module
 from softrig_core.node.adapter.adapter import Adapter
+from softrig_core.node.container import Container
 from softrig_core.node.group import Group
+from softrig_core.node.realtime.answering import Answering
 from softrig_core.node.ros import ros
 from softrig_core.node.ros.contained import ContainedMiddleware
 from softrig_core.node.ros.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
@@ -327,3 +330,39 @@ def test_a_status_is_whole_while_it_is_changed_in_its_place(tmp_path, monkeypatc
     plant.write_status()
     assert path.stat().st_ino != number
     assert json.loads(path.read_text())["missed_deadlines"] == 0
+
+
+@pytest.mark.parametrize("states", [("failed", "done"), ("done", "done"), ("failed", "failed")])
+def test_a_container_whose_nodes_have_all_ended_waits_for_nobody(monkeypatch, states):
+    """Only beside one that still runs does a node that gave up leave the others a second."""
+    monkeypatch.setattr(container_module.rclpy, "ok", lambda: True)
+    container = object.__new__(Container)
+    container.exchange = SimpleNamespace(serve=lambda *_: 0, listens=False)
+    container.adapters = [SimpleNamespace(state=state) for state in states]
+    assert container._loop(SimpleNamespace(spin_once=lambda _: pytest.fail("it went on")))
+
+
+def test_ticks_older_than_the_window_are_dropped_but_for_the_newest():
+    """One that is exactly as old as the window is still answered."""
+    answered, timer = [], SimpleNamespace(cancel=lambda: None, again=lambda _: None)
+    node = SimpleNamespace(
+        schedule=SimpleNamespace(time=lambda k: 10 * k, next=lambda t: t // 10 * 10 + 10, tick=lambda t: t // 10),
+        options=SimpleNamespace(patience=0.5),
+        middleware=SimpleNamespace(timer=lambda *_: timer),
+        block=SimpleNamespace(note=lambda *_: None),
+        epoch=0,
+        state="running",
+    )
+    table = SimpleNamespace(node=node, rows=[], clock=lambda: 100, window=50, grid_time=lambda due: due)
+    answering, row = Answering(table, answered.append), SimpleNamespace(awaited=True)
+    for stamps, kept in (((40, 50, 60), [50, 60]), ((70, 80), [70, 80])):
+        answered.clear()
+        for stamp in stamps:
+            answering.take(row, stamp, stamp, None, stamp)
+        answering.act()
+        assert answered == kept
+    table.clock, answered[:] = lambda: 1000, []
+    for stamp in (90, 100):
+        answering.take(row, stamp, stamp, None, stamp)
+    answering.act()
+    assert (answered, answering.dropped) == ([100], 2)

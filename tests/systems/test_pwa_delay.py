@@ -31,6 +31,7 @@ from softrig_systems.pwa_delay.certificate import CertificateNode, CriterionPara
 from softrig_systems.pwa_delay.certify import Criterion, certified_margin, certify
 from softrig_systems.pwa_delay.controllers import DelayLine, PendulumController, TankController
 from softrig_systems.pwa_delay.level import level_bound, level_margin
+from softrig_systems.pwa_delay.lmi import Problem
 from softrig_systems.pwa_delay.lyapunov import LyapunovMonitor
 from softrig_systems.pwa_delay.motion import FREE, PendulumConstants, constants, run_pendulum
 from softrig_systems.pwa_delay.params import BENCHMARK
@@ -264,6 +265,13 @@ def test_a_damaged_certificate_fails_its_check():
         assert not all(e.positive for e in problem.eigenvalues(broken)), name
     # the matrices of one delay are no certificate of another one far beyond
     assert not all(e.positive for e in theorem1(switched().scaled(0.0300), 0.0).eigenvalues(found.matrices))
+
+
+@pytest.mark.parametrize(("least", "told"), [(0.0, []), (-1e-12, ["entries of X"])])
+def test_an_entry_of_nothing_is_no_negative_one(least, told):
+    problem = Problem()
+    problem.symmetric("X", 2, positive=True)
+    assert [e.name for e in problem.eigenvalues({"X": np.array([[1.0, least], [least, 1.0]])})] == told
 
 
 def test_level_of_the_tank():
