@@ -15,6 +15,7 @@ from typing import Any
 
 from softrig_core import Recording, Run, ScenarioError
 from softrig_core.errors import closest
+from softrig_core.interrupt import PARENT
 from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import join_domain
 from softrig_core.processes.executables import default_profile, patient
@@ -87,6 +88,7 @@ class Launched:
         self._rig = rig = checked(run_options.scenario_of(options))
         self._seed, self._placement = rig.scenario.seed, run_options.placement_of(options)
         self._realtime = self._placement.clock == "realtime"
+        os.environ[PARENT] = str(os.getpid())
         remove_leftovers()
         join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
         self._folder = run_verb.results_folder(options, rig) if self._record else None
@@ -163,14 +165,15 @@ class Launched:
         self._error = self._error or wrong
         if self._running:
             return wrong
-        rig = self._rig
+        rig, options = self._rig, self._options
         names = [m.name for m in rig.members if not m.external]
         recording, nodes = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
         found = self._conclude(recording, nodes) if self._record or self._judge else 0
         if wrong or self._error or self._stopped:
             return wrong
         if trips := tripped(rig, nodes):
-            return "; ".join(f"{name}: {text}" for name, text in trips.items())
+            slow = run_verb.too_slow(options, rig, nodes, container="place:=container") if self._realtime else ""
+            return slow or "; ".join(f"{name}: {text}" for name, text in trips.items())
         return f"judged: status {found}" if self._judge and found else ""
 
     def _conclude(self, recording: Recording, status: dict[str, dict[str, Any]]) -> int:
