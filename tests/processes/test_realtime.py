@@ -2,12 +2,19 @@
 
 import os
 import re
+import time
 from pathlib import Path
 
 import pytest
-from conftest import PRESS, make_scenario
+import rclpy
+from conftest import PATIENCE, PRESS, make_scenario
 from outside import SPIN, go, outside
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.task import Future
 from softrig_core import Signals, rig_of, run_processes
+from softrig_core.node.ros.ros import RosMiddleware, ServingNode
+from softrig_core.processes.domain import free_domain
 from softrig_core.processes.placement import Placement
 
 pytestmark = pytest.mark.processes
@@ -65,6 +72,35 @@ def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench)
     assert ports.isdisjoint(ears(bench.nodes["gain"]))  # to those of the dead one others still send
     bench.wait(lambda: "recovered lag/command" in bench.status("plant")["reports"])
     bench.wait(lambda: bench.signal("plant", APPLIED).x[-1] != 0.0)
+
+
+def test_a_timer_that_is_always_late_lets_messages_through():
+    """A tick that takes longer than its period, and what waits for its turn while it does: nothing piles up."""
+    period, late, heard = 1_000_000, [], []
+    context = Context()
+    with free_domain() as domain:
+        rclpy.init(context=context, domain_id=domain)
+        node = ServingNode("late", context=context)
+        executor = EventsExecutor(context=context)
+        executor.add_node(node)
+        over = Future(executor=executor)
+
+        def tick():
+            timer.again(period - time.monotonic_ns() % period, period)
+            late.append(len(late))
+            executor.create_task(heard.append, late[-1])
+            time.sleep(0.0012)
+            if len(late) == 100:
+                over.set_result(None)
+
+        timer = RosMiddleware(node).timer(period, tick)
+        executor.spin_until_future_complete(over, PATIENCE)
+        executor.shutdown()
+        node.destroy_node()
+        context.shutdown()
+    assert len(late) >= 100
+    assert heard == late[: len(heard)]
+    assert len(heard) >= len(late) - 3
 
 
 @pytest.mark.long

@@ -162,7 +162,7 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
         Exit status.
     """
     kept = _keep(options, done, folder)
-    if slow := _too_slow(options, done):
+    if slow := too_slow(options, done.rig, done.status, bool(done.error)):
         say(slow)
     _speak(kept, done, folder.path if folder is not None else None)
     return _judged(options, kept, done)
@@ -235,18 +235,22 @@ def _judged(options: argparse.Namespace, kept: _Kept, done: Run) -> int:
     return 0 if all(f.passed for f in done.results) and all(c.holds is not False for c in done.claims) else 1
 
 
-def _too_slow(options: argparse.Namespace, done: Run) -> str:
+def too_slow(
+    options: argparse.Namespace,
+    rig: Rig,
+    status: Mapping[str, Mapping[str, Any]],
+    broken: bool = False,
+    container: str = "--mode container",
+) -> str:
     """Say that the machine did not keep up; of a rig that has tripped or broken every missed deadline counts."""
-    trips = tripped(done.rig, done.status)
+    trips = tripped(rig, status)
     most = MISSED if options.max_missed is None else options.max_missed
-    most = 0.0 if trips or done.error else most
-    late = [
-        f"{node} missed {share:.3g} % of its deadlines" for node, share in _missed(done.status).items() if share > most
-    ]
+    most = 0.0 if trips or broken else most
+    late = [f"{node} missed {share:.3g} % of its deadlines" for node, share in _missed(status).items() if share > most]
     if not late:
         return ""
     why = "".join(f", {node}: {text}" for node, text in trips.items())
-    faster = ", --mode container is faster" if options.mode == "processes" else ""
+    faster = f", {container} is faster" if options.mode == "processes" else ""
     return f"the machine did not keep up: {', '.join(late)}{why}; the figures are of a slower loop{faster}"
 
 
