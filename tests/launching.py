@@ -57,9 +57,9 @@ class Shutdown:
 
 class Node:
     def __init__(self, *, package, executable, name=None, namespace=None, output="log", on_exit=None, arguments=(),
-                 remappings=(), parameters=()):  # fmt: skip
+                 remappings=(), parameters=(), additional_env=None):  # fmt: skip
         self.package, self.executable, self.name, self.on_exit = package, executable, name, on_exit
-        self.namespace = namespace
+        self.namespace, self.variables = namespace, dict(additional_env or {})
         self.parameters, self.remappings, self.arguments = list(parameters), list(remappings), list(arguments)
 
     def command(self):
@@ -110,7 +110,8 @@ def launch(values, variables, meddle=lambda processes: None):
     stack, running = ExitStack(), {}
     try:
         for node in nodes:
-            running[node] = fork(stack, node.package, node.executable, node.command(), variables)
+            own = variables | node.variables
+            running[node] = fork(stack, node.package, node.executable, node.command(), own)
         while running:
             meddle({n.name: p for n, p in running.items()})
             for node, process in [(n, p) for n, p in running.items() if p.poll() is not None]:

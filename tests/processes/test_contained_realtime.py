@@ -335,11 +335,15 @@ def test_a_status_is_whole_while_it_is_changed_in_its_place(tmp_path, monkeypatc
 @pytest.mark.parametrize("states", [("failed", "done"), ("done", "done"), ("failed", "failed")])
 def test_a_container_whose_nodes_have_all_ended_waits_for_nobody(monkeypatch, states):
     """Only beside one that still runs does a node that gave up leave the others a second."""
+    asked, now = [], time.monotonic_ns()
     monkeypatch.setattr(container_module.rclpy, "ok", lambda: True)
     container = object.__new__(Container)
-    container.exchange = SimpleNamespace(serve=lambda *_: 0, listens=False)
+    container.exchange = SimpleNamespace(serve=lambda until, awake: asked.append((until, awake)), listens=False)
     container.adapters = [SimpleNamespace(state=state) for state in states]
     assert container._loop(SimpleNamespace(spin_once=lambda _: pytest.fail("it went on")))
+    ((until, awake),) = asked
+    assert until > now + container_module.LOOK - 1
+    assert awake == container_module.SPIN  # who waits longer sleeps
 
 
 def test_ticks_older_than_the_window_are_dropped_but_for_the_newest():

@@ -60,6 +60,20 @@ def test_nodes_and_parameters_are_those_of_the_scenario(lag):
         nodes_of({"scenario": "lag", "mode": "lock"})
 
 
+@pytest.mark.parametrize("place", ["processes", "container"])
+def test_the_lease_of_launched_nodes_follows_the_timeout(place, lag, monkeypatch):
+    """A node held for 3 s had ended the rig: with the lease of the default profile others took it for dead."""
+    values = {"scenario": "lag", "mode": "lockstep", "place": place}
+    for given in ("", "/their/own.xml"):
+        monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", given)
+        for node in nodes_of(values):
+            if given:  # which launch hands on
+                assert node.variables == {}
+            else:
+                (profile,) = node.variables.values()
+                assert "<leaseDuration><sec>62</sec></leaseDuration>" in Path(profile).read_text()
+
+
 @pytest.mark.processes
 @pytest.mark.parametrize(("mode", "place"), [("lockstep", "processes"), ("realtime", "container")])
 def test_a_launch_ends_by_itself(mode, place, lag, tmp_path):

@@ -601,6 +601,8 @@ def test_sliding_is_found_and_crossing_is_not():
     with pytest.raises(NotApplicable, match="on the face"):
         certify(slides, 0.1)
     require_no_sliding(switched(), 0.02)
+    along = from_lines([np.zeros((2, 2))] * 2, [[[0.0, 0.0], [-1.0, 0.0]]] * 2, [[1.0, 0.0]])
+    require_no_sliding(along, 0.1)  # nothing goes across
 
 
 def test_an_offset_that_a_shift_removes_is_no_obstacle():

@@ -60,6 +60,7 @@ def _nodes(context):
             arguments=p.arguments,
             parameters=p.parameters,
             remappings=p.remappings,
+            additional_env=p.variables,
         )
         for p in launched.processes
     ]

@@ -18,6 +18,7 @@ from softrig_core.errors import closest
 from softrig_core.interrupt import PARENT
 from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import join_domain
+from softrig_core.processes.executables import default_profile, patient
 from softrig_core.processes.peers import starter
 from softrig_core.processes.processes import gathered
 from softrig_core.processes.shared_memory import remove_leftovers
@@ -29,6 +30,7 @@ from ..run.run import checked, gaps, tripped
 from . import run_verb
 from .viewer import ROOTED, Process, viewer
 
+VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 # name: (default, choices, description); an empty default means: as the scenario says
 ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
     "scenario": (None, (), "name of a scenario or path of its YAML file"),
@@ -99,6 +101,9 @@ class Launched:
         self._begun = time.monotonic()
         self._error, self._stopped = "", False
         self._namespace = given["namespace"].strip("/")
+        self._variables: dict[str, str] = {}
+        if not os.environ.get(VARIABLE):  # nobody is taken for dead before the scenario's patience is over
+            self._variables[VARIABLE] = str(patient(default_profile(), self._log, rig.scenario.timeout))
         self.processes = [
             self._process(group, self._namespace, given["wait_for"].split())
             for group in groups(rig, self._placement.shared(rig))
@@ -124,11 +129,17 @@ class Launched:
         moved = {f"/{name}": f"/{namespace}/{name}" for name in ROOTED} if namespace else {}
         if len(group) > 1:
             shared = moved | ({"__ns": f"/{namespace}"} if namespace else {})
-            return Process("softrig_core", "container", arguments=container_arguments(group, given, log, shared))
+            words = container_arguments(group, given, log, shared)
+            return Process("softrig_core", "container", arguments=words, variables=self._variables)
         m = group[0]
-        file = parameter_file(m, given[m.name], log)
         return Process(
-            m.package, m.executable, m.name, namespace, parameters=[str(file)], remappings=[*(m.remap | moved).items()]
+            m.package,
+            m.executable,
+            m.name,
+            namespace,
+            parameters=[str(parameter_file(m, given[m.name], log))],
+            remappings=[*(m.remap | moved).items()],
+            variables=self._variables,
         )
 
     def ended(self, name: str, status: int, interrupted: bool) -> str:
