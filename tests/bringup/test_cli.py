@@ -717,7 +717,7 @@ def test_a_full_disk_names_the_folder(folder):
 @pytest.mark.parametrize(("limit", "words", "path"), [
     pytest.param(100, ["study", "lag", "--seeds", "3", "--workers", "1", "--out", "a"], "a/study.json",
                  marks=pytest.mark.long),
-    pytest.param(1000, ["study", "lag", "--seeds", "30", "--workers", "1", "--out", "a"], "a/rows.jsonl",
+    pytest.param(3000, ["study", "lag", "--seeds", "60", "--workers", "1", "--out", "a"], "a/rows.jsonl",
                  marks=pytest.mark.long),
     (5000, ["study", "lag", "--seeds", "3", "--workers", "1", "--out", "a"], "a/.new/report.html"),
     (100_000, ["bag", "record", "--output", "a", "/x"], "a"),

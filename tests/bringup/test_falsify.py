@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from softrig_bringup.cli import main
+from softrig_bringup.falsify import engine
 from softrig_bringup.falsify.search import search
 from softrig_bringup.falsify.shrink import shrink
 from softrig_bringup.falsify.space import parse, space_of
@@ -81,6 +82,14 @@ def test_one_number_has_no_covariance_and_goes_to_tpe():
     assert found.least < 1e-3
 
 
+def test_cma_es_comes_without_the_half_second_that_other_optimisers_of_its_package_import(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith(("cmaes", "scipy.stats"))]:
+        monkeypatch.delitem(sys.modules, name)
+    search([3], lambda points: [sum(point) for point in points], 30)
+    assert "cmaes" in sys.modules
+    assert "scipy.stats" not in sys.modules
+
+
 def test_a_disturbance_laid_on_a_signal_is_a_fault_and_its_worst_course_is_found_too():
     space = space_of(loop([0.0]), [parse("motor/command/armature/effort+", "-0.5..0.5*6")])
     (target,) = space.targets
@@ -143,6 +152,14 @@ def test_a_violation_is_made_small_parameter_by_parameter_fault_by_fault_step_by
     assert "noise.value" not in changes
     assert len(set(changes["plant.load_torques"])) < 3
     assert runs <= 100
+
+
+@pytest.mark.parametrize(("margin", "violates"), [(-1e-300, True), (0.0, False), (1e-300, False), (None, False)])
+def test_a_margin_of_nothing_is_no_violation(monkeypatch, margin, violates):
+    """While it is made small as before: what just holds is no smaller case."""
+    monkeypatch.setattr(engine, "trial", lambda *case, runs: case)
+    monkeypatch.setattr(engine, "run", lambda _: {"figures": {"a": margin, "b": 1.0}})
+    assert engine._violates((None, {}), ("a", "b")) == violates
 
 
 def test_the_limit_that_one_parameter_crosses_is_found_by_halving():

@@ -277,7 +277,12 @@ def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(engine, "_texts", [])
     assert choice.unwanted(steps, 5.9) == choice.SHORT
     assert choice.unwanted(steps, 6.1) == choice.unwanted(steps, 0.061, 100) == ""
-    assert choice.unwanted(steps, 0.009, 10**6) == choice.SHORT
+    assert choice.unwanted(steps, 0.0009, 1000) == choice.SHORT
+    assert choice.unwanted(steps, 0.0009, 10**4) == ""
+    with monkeypatch.context() as there:
+        there.setattr(choice, "known", lambda kinds, make: make is engine.compiled)
+        assert choice.unwanted(steps, 0.009) == choice.SHORT
+        assert choice.unwanted(steps, 0.011) == choice.unwanted(steps, 0.0009, 12) == ""
     assert choice.writes(steps, 0.2)
     monkeypatch.setenv("SOFTRIG_JIT", "0")
     assert not choice.writes(steps, 0.2)
@@ -300,7 +305,7 @@ class Ticking:
 @pytest.mark.parametrize(
     ("left", "runs", "way"),
     [(0.1, 1, None), (0.1, 50, None), (0.2, 1, plain), (5.9, 1, plain), (6.1, 1, engine.compiled)]
-    + [(0.1, 70, engine.compiled), (0.009, 10**6, None)],
+    + [(0.1, 70, engine.compiled), (0.009, 600, None), (0.009, 700, engine.compiled)],
 )
 def test_the_time_that_is_left_says_how_a_run_goes_on(left, runs, way, timed, monkeypatch):
     """What a tick costs is measured in the first ones, by a clock of the test's own, or known; same messages."""

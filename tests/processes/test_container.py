@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections import deque
 from contextlib import ExitStack, suppress
@@ -142,23 +141,16 @@ print(json.dumps({"nodes": sorted(node.get_node_names()), "noise": asked.result(
 
 def test_each_node_is_on_the_graph_for_everybody_and_the_run_stays_as_it_is(tmp_path):
     wired, people = rig(BASIC, 1e4), []
-    with free_domain() as domain:
+    with free_domain() as domain, (tmp_path / "said").open("w") as said:
 
         def progress(t):
             if t and not people:
-                people.append(
-                    subprocess.Popen(
-                        [sys.executable, "-c", PERSON],
-                        env=environment(domain, tmp_path),
-                        stdout=subprocess.PIPE,
-                        text=True,
-                    )
-                )
+                people.append(script(PERSON, environment(domain, tmp_path), output=said.fileno()))
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 
         stopped(lambda: run(wired, tmp_path, domain=domain, listener=Listener(progress)))
-    seen = json.loads(people[0].stdout.read())
+    seen = json.loads((tmp_path / "said").read_text())
     assert seen == {
         "nodes": ["gain", "person", "plant", "source"],
         "noise": 0.0,

@@ -299,7 +299,7 @@ def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path
 @pytest.mark.parametrize("seconds", [4.5, 9.0, 13.0])
 def test_a_node_that_is_held_for_less_than_the_timeout_is_waited_for(held, seconds, tmp_path):
     """Nobody takes it for dead meanwhile, and nothing that is sent to it is lost."""
-    rig, strikes = rig_of(make_scenario(BASIC, 30.0, timeout=10.0)), [seconds]
+    rig, strikes = rig_of(make_scenario(BASIC, 150.0, timeout=10.0)), [seconds]
 
     def progress(t):
         if t > 100_000_000 and strikes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import os
 import subprocess
 
@@ -52,10 +52,4 @@ def need(package: str, what: str) -> None:
 
 
 def _there(package: str) -> bool:
-    try:
-        importlib.import_module(package)
-    except ModuleNotFoundError as error:
-        if error.name != package:  # it is there, and broken
-            raise
-        return False
-    return True
+    return importlib.util.find_spec(package) is not None

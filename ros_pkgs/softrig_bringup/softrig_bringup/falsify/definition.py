@@ -11,6 +11,7 @@ from softrig_core import ScenarioError, list_scenarios
 from softrig_core.errors import closest
 from softrig_core.judge.expectation import Expected
 from softrig_core.scenario.places import explain
+from softrig_core.scenario.scenario_file import find
 from softrig_core.scenario.yaml_file import read_mapping
 
 from ..study.definition import study_folders
@@ -73,7 +74,7 @@ def falsification_of(what: str, changes: dict[str, Any]) -> Falsification:
     path = known.get(what) or (Path(what) if what.endswith(SUFFIX) and isfile(what) else None)
     if path is not None:
         raw = {"title": path.name, **read_mapping(path), "name": path.name.removesuffix(SUFFIX)}
-    elif what in list_scenarios() or isfile(what):
+    elif isfile(what) or find(what) is not None:
         raw = {"name": Path(what).stem, "scenario": what}
     else:
         names = [*known, *list_scenarios()]

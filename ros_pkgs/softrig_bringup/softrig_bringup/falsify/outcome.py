@@ -10,9 +10,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import yaml
-from softrig_core import Run, Scenario, figures_of, list_scenarios, load_scenario, rig_of
+from softrig_core import Run, Scenario, figures_of, load_scenario, rig_of
 from softrig_core.command_line import named
 from softrig_core.processes.placement import Placement
+from softrig_core.scenario.scenario_file import find
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report.report import write_report
@@ -120,7 +121,7 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
     scenario, overrides = case
     changed = scenario.changed(overrides=overrides)
     title = f"{changed.title}: {', '.join(outcome.violated) or 'least margin'}, {kind} case found"
-    if task.scenario in list_scenarios():
+    if find(task.scenario) is not None:
         nodes: dict[str, Any] = {}
         for target, value in overrides.items():
             node, _, parameter = target.partition(".")

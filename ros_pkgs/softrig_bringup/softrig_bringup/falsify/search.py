@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -153,8 +154,7 @@ def _sample(
 def _cmaes(
     size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool], found: Found
 ) -> None:
-    from cmaes import CMA
-
+    CMA = _cma_class()
     cube = np.array([[0.0, 1.0]] * size)
     mean = np.full(size, 0.5)  # not the best corner: it may lie far from all that is between
     while not over():
@@ -167,6 +167,23 @@ def _cmaes(
             asked.tell([(p, m if math.isfinite(m) else WORST) for p, m in zip(points, margins, strict=True)])
         seed += 1  # it has converged: again from the best point, with other random numbers
         mean = np.array(found.point) if len(found.point) == size else mean
+
+
+def _cma_class() -> Any:
+    """Give CMA-ES without what other optimisers of its package want.
+
+    Those look for ``scipy.stats``, half a second of import, and do without where it is not there.
+    """
+    wanted = "scipy.stats"
+    hidden = wanted not in sys.modules
+    if hidden:
+        sys.modules[wanted] = None  # type: ignore[assignment]
+    try:
+        from cmaes import CMA
+    finally:
+        if hidden:
+            del sys.modules[wanted]
+    return CMA
 
 
 def _tpe(size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool]) -> None:

@@ -83,6 +83,9 @@ def answered(
 
 def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
     """Give what each output says that says something."""
+    if step.plain:
+        ends = accumulate(p.size for p in step.outputs)
+        return {p.name: numbers[end - p.size : end] for p, end in zip(step.outputs, ends, strict=True)}
     parts = zip(step.outputs, _places(step), strict=True)
     return {p.name: row for p, where in parts if (row := _part(numbers, stamps, where)) is not None}
 

@@ -149,4 +149,5 @@ def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:
     """
     if reason := forbidden():
         return reason
-    return "" if left > READY and (_known(steps, compiled) or left * runs > MAKING) else SHORT
+    enough = READY if _known(steps, compiled) else MAKING
+    return "" if left * runs > enough else SHORT

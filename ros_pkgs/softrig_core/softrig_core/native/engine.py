@@ -19,7 +19,7 @@ from .audience import NEVER, Answers, Audience, answered, numbers_of, stamps_of
 from .compile import compiled, plain
 from .rig_text import WHEN, RigText, decides, links, rig_text, speakers
 from .translate import follow
-from .twins import form, packed, unpacked
+from .twins import Way, applied, form, packed, packer, unpacked, unpacker
 from .value import NotNative
 
 SHORTEST, LONGEST = 1 << 10, 1 << 20  # ticks that are answered in one go
@@ -117,6 +117,8 @@ class Engine:
         self._newest: list[Any] = []  # what is made anew at times, and for which keys the constants are
         self._keys: list[Any] = []
         self._fits: list[Any] = []
+        self._pack: list[Way] = []  # of each member, how its state goes to native code
+        self._unpack: list[Way] = []  # and comes back; empty until something has
 
     def run(self, first: int = 0) -> Iterator[int | None]:
         """Answer all ticks of a run that has an end; then the steps know what of them was native.
@@ -319,6 +321,7 @@ class Engine:
                 return self._fitted()
             self.native.reason = str(reason)
             return False
+        self._pack, self._unpack = [packer(s.x, self._typed) for s in core], []  # as long as states have these forms
         self._tables = tables
         self._newest = [follow(path, roots) for path in program.newest]
         self._keys = [one.key for one in self._newest]
@@ -431,7 +434,7 @@ class Engine:
         kept = self._kept
         assert kept is not None
         before = (
-            *(packed(s.x, self._typed) for s in self._core),
+            *(applied(way, s.x) for way, s in zip(self._pack, self._core, strict=True)),
             *(numbers_of(s) for s in self._core),
             *(stamps_of(self._core[k]) for k in kept.text.stamped),
             *(packed(link.value) for link in self._links),
@@ -493,13 +496,14 @@ class Engine:
         if (reports := self._kept.text.program.reports) is not None and self._told[0]:
             reports.take_down(self._told, [s.block for s in self._core])
         count = len(self._core)
+        self._unpack = self._unpack or [unpacker(value) for value in after[:count]]
         stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=False))
         spoken = dict(zip(self._speakers, map(int, self._when[1 + len(self._links) :]), strict=True))
         for k, s in enumerate(self._core):
             own = self._audience.own(s, first, last)
             if not own:
                 continue
-            s.x = unpacked(after[k])
+            s.x = applied(self._unpack[k], after[k])
             newest = {j: t for (speaker, j), t in spoken.items() if speaker == k}
             answered(s, own[-1], after[count + k], stamps.get(k, ()), newest)
             if self._typed:

@@ -10,13 +10,16 @@ from __future__ import annotations
 import dataclasses
 import importlib
 from collections import namedtuple
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import cache
+from operator import methodcaller
 from typing import Any
 
 NUMBERS = frozenset({float, int, bool})
 MARK = "__"
 OF = "twin_of_"  # attribute of a twin: its dataclass
+
+Way = Callable[[Any], Any] | None  # to make another value of one; None: it stays the same
 
 
 @cache
@@ -47,36 +50,64 @@ def __getattr__(name: str) -> Any:  # native code in the cache names its types b
 
 def packed(value: Any, typed: bool = True) -> Any:
     """Give a state as native code takes it, where arrays are copies; `typed` false: objects as Python has them."""
-    if type(value) in NUMBERS:
-        return value
-    if isinstance(value, tuple):
-        parts = [packed(v, typed) for v in value]
-        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-    kind: Any = type(value)
-    if is_twinned(kind):
-        return twin(kind)(*(packed(getattr(value, f.name), typed) for f in dataclasses.fields(value)))
-    return value.native() if typed and hasattr(value, "native") else value
+    return applied(packer(value, typed), value)
 
 
 def unpacked(value: Any) -> Any:
     """Give a state as Python has it."""
-    if type(value) in NUMBERS:
-        return value
-    if hasattr(value, "python"):
-        return value.python()
-    if isinstance(value, tuple):
-        parts = [unpacked(v) for v in value]
-        kind = getattr(type(value), OF, None)
-        if kind is not None:
-            return kind(*parts)
-        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-    return value
+    return applied(unpacker(value), value)
+
+
+def applied(way: Way, value: Any) -> Any:
+    """Take a way of `packer` or `unpacker`."""
+    return value if way is None else way(value)
+
+
+def packer(sample: Any, typed: bool = True) -> Way:
+    """Give how states of the form of a sample are packed; None: they go as they are."""
+    if type(sample) in NUMBERS:
+        return None
+    if isinstance(sample, tuple):
+        return _by_parts(type(sample), [packer(v, typed) for v in sample])
+    kind: Any = type(sample)
+    if is_twinned(kind):
+        names = [f.name for f in dataclasses.fields(sample)]
+        make, ways = twin(kind), [packer(getattr(sample, name), typed) for name in names]
+        return lambda value: make(*[applied(way, getattr(value, n)) for n, way in zip(names, ways, strict=True)])
+    return methodcaller("native") if typed and hasattr(sample, "native") else None
+
+
+def unpacker(sample: Any) -> Way:
+    """Give how what native code gives, of the form of a sample, is unpacked; None: it is as Python has it."""
+    if type(sample) in NUMBERS:
+        return None
+    if hasattr(sample, "python"):
+        return methodcaller("python")
+    if isinstance(sample, tuple):
+        return _by_parts(type(sample), [unpacker(v) for v in sample], getattr(type(sample), OF, None))
+    return None
+
+
+def _by_parts(kind: Any, ways: Sequence[Way], other: Any = None) -> Way:
+    """Give how a tuple is made anew, of its own kind or another, where one of its parts is."""
+    own = other or (kind if hasattr(kind, "_fields") else None)
+    changed = [(k, way) for k, way in enumerate(ways) if way is not None]
+    if not changed and kind is (own or tuple):
+        return None
+
+    def again(value: Any) -> Any:
+        parts = list(value)
+        for k, way in changed:
+            parts[k] = way(parts[k])
+        return own(*parts) if own else tuple(parts)
+
+    return again
 
 
 def form(value: Any) -> Any:
     """Give the types of a state, to its leaves."""
     if isinstance(value, tuple):
-        return type(value), tuple(map(form, value))
+        return type(value), tuple([form(v) if isinstance(v, tuple) else type(v) for v in value])
     return type(value)
 
 
