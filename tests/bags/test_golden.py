@@ -99,7 +99,7 @@ def test_another_build_agrees_within_what_the_bag_says_of_it(name):
         assert not golden.compare(shaken, elsewhere=False).equal  # and they are not wider than they need to be
 
 
-def test_the_same_versions_demand_the_same_bytes(tmp_path):
+def test_the_same_versions_demand_the_same_bytes(tmp_path, monkeypatch):
     golden = create(tmp_path / "dc_motor_smc_b1", "dc_motor_smc_b1", 0.1)
     golden.make()
     golden = load(golden.folder)
@@ -116,6 +116,10 @@ def test_the_same_versions_demand_the_same_bytes(tmp_path):
     other = type(golden)(golden.folder, recipe, golden.rig)
     assert other.compare(one).equal
     assert other.how == f"within tolerances: math 0 there, {versions()['math']} here"
+    assert other.check()[1] == f"byte for byte, with math 0 there, {versions()['math']} here"
+    monkeypatch.setattr(type(golden), "rerun", lambda _: one)
+    found, how = other.check()
+    assert (found.equal, how) == (True, other.how)
 
 
 def test_other_versions_take_the_tolerances_for_elsewhere():

@@ -16,10 +16,10 @@ class Answering:
     ----------
     table : LiveSenders
     answer : callable
-        Gets the time of the tick that is to be answered now, ns from t = 0, and how many before it were not.
+        Gets the time of the tick that is to be answered now, ns from t = 0.
     """
 
-    def __init__(self, table: LiveSenders, answer: Callable[[int, int], object]) -> None:
+    def __init__(self, table: LiveSenders, answer: Callable[[int], object]) -> None:
         self._node = node = table.node
         self._table, self._answer = table, answer
         self.missed = 0
@@ -147,4 +147,5 @@ class Answering:
                 if row.bad is not None and row.bad <= stamp:
                     node.step.bad, row.bad = True, None
             self._refusals = [row for row in self._refusals if row.bad is not None]
-        self._answer(stamp - node.epoch, missed)
+        node.block.unanswered = missed
+        self._answer(stamp - node.epoch)

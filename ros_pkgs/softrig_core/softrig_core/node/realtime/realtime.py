@@ -266,7 +266,8 @@ class Realtime:
                 behind = 1
         self.tick_number = number
         if not node.is_plant:
-            self._answer(due, unanswered)
+            node.block.unanswered = unanswered
+            self._answer(due)
             return
         try:
             for k in range(number - behind, number):
@@ -298,11 +299,10 @@ class Realtime:
                 inputs = inputs | {row.name: row.port.safe}
         return inputs
 
-    def _answer(self, t: int, unanswered: int) -> None:
+    def _answer(self, t: int) -> None:
         """Publish the answer of tick `t`; the safe values when the law overflows or gives what nobody may send."""
         node, step = self.node, self.node.step
         self._use(t)
-        step.block.unanswered = unanswered
         try:
             step.say(t)
         except RunError as error:
