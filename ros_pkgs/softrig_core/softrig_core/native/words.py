@@ -56,7 +56,8 @@ TEXTS: dict[str, str] = {
     "        told[at + 1] = told[0]\n    told[at] += 1.0\n    told[at + 2] = told[0]\n"
     "    for k in range(len(numbers)):\n        told[at + 3 + k] = numbers[k]\n",
     "abs_": "def abs_(z):\n    r = abs(z)\n    if r - r != 0.0:\n        raise OverflowError\n    return r\n",
-    "phase": "def phase(z):\n    if z - z != 0.0:\n        raise ValueError\n    return math.atan2(z.imag, z.real)\n",
+    "phase": "def phase(z):\n    a = math.atan2(z.imag, z.real)\n    if z - z != 0.0 or (a == 0.0 and z.imag != 0.0):\n"
+    "        raise ValueError\n    return a\n",
     "rect": "def rect(r, phi):\n    if r - r != 0.0 or phi - phi != 0.0:\n        raise ValueError\n"
     "    return complex(r * math.cos(phi), r * math.sin(phi))\n",
     "remainder": "def remainder(x, y):\n    if x - x != 0.0 or y - y != 0.0 or y == 0.0:\n        raise ValueError\n"
