@@ -107,10 +107,10 @@ rclpy.spin_until_future_complete(node, client.call_async(Trigger.Request()))
 
 
 def until(condition, what=str):
-    """Wait for something that other processes do; what is not written yet (KeyError, IndexError) has not happened."""
+    """Wait for something that other processes do; what is not written yet has not happened."""
     deadline = time.monotonic() + PATIENCE
     while True:
-        with suppress(KeyError, IndexError):
+        with suppress(KeyError, IndexError, FileNotFoundError):
             if found := condition():
                 return found
         assert time.monotonic() < deadline, f"never happened: {what() if callable(what) else what}"

@@ -46,16 +46,20 @@ class OpaqueFunction:
         self.function = function
 
 
+class AsyncSafeSignalManager:
+    pass
+
+
 class Shutdown:
-    def __init__(self, *, reason):
-        self.reason = reason
+    def __init__(self, *, reason, due_to_sigint=False):
+        self.reason, self.due_to_sigint = reason, due_to_sigint
 
 
 class Node:
     def __init__(self, *, package, executable, name=None, namespace=None, output="log", on_exit=None, arguments=(),
-                 remappings=(), parameters=()):  # fmt: skip
+                 remappings=(), parameters=(), additional_env=None):  # fmt: skip
         self.package, self.executable, self.name, self.on_exit = package, executable, name, on_exit
-        self.namespace = namespace
+        self.namespace, self.variables = namespace, dict(additional_env or {})
         self.parameters, self.remappings, self.arguments = list(parameters), list(remappings), list(arguments)
 
     def command(self):
@@ -71,14 +75,17 @@ class Node:
 MODULES = {
     "launch": [LaunchDescription],
     "launch.actions": [DeclareLaunchArgument, OpaqueFunction, Shutdown],
+    "launch.events": [Shutdown],
     "launch.substitutions": [LaunchConfiguration],
+    "launch.utilities": [],
+    "launch.utilities.signal_management": [AsyncSafeSignalManager],
     "launch_ros": [],
     "launch_ros.actions": [Node],
 }
 
 
-def nodes_of(values):
-    """The Node actions of the launch file for these arguments."""
+def nodes_of(values, **context):
+    """The Node actions of the launch file for these arguments, in a context that has something more."""
     before = {name: sys.modules.get(name) for name in MODULES}
     try:
         for name, classes in MODULES.items():
@@ -90,7 +97,7 @@ def nodes_of(values):
         for name, module in before.items():
             sys.modules.pop(name) if module is None else sys.modules.update({name: module})
     *declared, last = space["generate_launch_description"]()
-    return last.function(SimpleNamespace(values={a.name: a.given(values) for a in declared}))
+    return last.function(SimpleNamespace(values={a.name: a.given(values) for a in declared}, **context))
 
 
 def launch(values, variables, meddle=lambda processes: None):
@@ -103,7 +110,8 @@ def launch(values, variables, meddle=lambda processes: None):
     stack, running = ExitStack(), {}
     try:
         for node in nodes:
-            running[node] = fork(stack, node.package, node.executable, node.command(), variables)
+            own = variables | node.variables
+            running[node] = fork(stack, node.package, node.executable, node.command(), own)
         while running:
             meddle({n.name: p for n, p in running.items()})
             for node, process in [(n, p) for n, p in running.items() if p.poll() is not None]:

@@ -185,10 +185,11 @@ class SimulatedTimer:
         self.node = node
         self.again(ns)
 
-    def again(self, ns):
+    def again(self, ns, period=0):
         self.generation += 1
         self.period = max(1000, ns)
         self._arm(self.generation)
+        self.period = max(1000, period or ns)
 
     def cancel(self):
         self.generation += 1

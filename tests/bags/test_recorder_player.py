@@ -395,7 +395,13 @@ def listener(rig, monkeypatch):
     executor.add_node(node)
     for name, msgtype in (("/clock", CLOCK), ("/state", STATE)):
         node.create_subscription(message_class(msgtype), name, lambda m, name=name: node.heard.append((name, m)), 1000)
-    node.turn = lambda: executor.spin_once(timeout_sec=0.05)
+
+    def turn():  # what is there by now, and not one message at each look of `until`
+        executor.spin_once(timeout_sec=0.05)
+        for _ in range(20):
+            executor.spin_once(timeout_sec=0)
+
+    node.turn = turn
     yield node
     context.shutdown()
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from softrig_bringup.cli import main
+from softrig_bringup.falsify import engine
 from softrig_bringup.falsify.search import search
 from softrig_bringup.falsify.shrink import shrink
 from softrig_bringup.falsify.space import parse, space_of
@@ -151,6 +152,14 @@ def test_a_violation_is_made_small_parameter_by_parameter_fault_by_fault_step_by
     assert "noise.value" not in changes
     assert len(set(changes["plant.load_torques"])) < 3
     assert runs <= 100
+
+
+@pytest.mark.parametrize(("margin", "violates"), [(-1e-300, True), (0.0, False), (1e-300, False), (None, False)])
+def test_a_margin_of_nothing_is_no_violation(monkeypatch, margin, violates):
+    """While it is made small as before: what just holds is no smaller case."""
+    monkeypatch.setattr(engine, "trial", lambda *case, runs: case)
+    monkeypatch.setattr(engine, "run", lambda _: {"figures": {"a": margin, "b": 1.0}})
+    assert engine._violates((None, {}), ("a", "b")) == violates
 
 
 def test_the_limit_that_one_parameter_crosses_is_found_by_halving():

@@ -7,7 +7,11 @@ import pytest
 from softrig_bringup.cli import main
 from softrig_bringup.folder import MANIFEST, ResultsFolder, alone_in
 from softrig_core import ScenarioError
+from softrig_core.timebase import SECOND
+from softrig_core.wire.parameter_event import encode
+from softrig_core.wire.recording import ShardWriter
 
+TICK = SECOND // 100
 RUN = ["run", "dc_motor_smc_b2", "--mode", "inprocess"]
 
 
@@ -91,6 +95,33 @@ def test_a_killed_run_that_cannot_be_made_again_stays(tmp_path, monkeypatch, cap
     assert not (out / "log").exists()
 
 
+@pytest.mark.parametrize(
+    ("note", "why"),
+    [
+        (encode(TICK, "/dc_motor_smc", {"delta": 3.0}), ""),  # the scenario's own
+        (encode(TICK, "/dc_motor_smc", {"delta": 2.0}), "parameters were changed while it ran"),
+        (b"damaged", "parameters may have been changed while it ran"),
+    ],
+    ids=["the scenario's own", "tuned", "damaged"],
+)
+def test_a_killed_run_in_lockstep_stays_when_somebody_has_tuned_it(tmp_path, monkeypatch, capsys, note, why):
+    """What was turned is in the shards while the run lasts."""
+    monkeypatch.chdir(tmp_path)
+    changes = "changes:\n- {at: 0.01, set: {dc_motor_smc.delta: 3.0}}\n"
+    (tmp_path / "mine.yaml").write_text(f"title: Mine\nextends: dc_motor_smc_b2\nduration: 0.05\n{changes}")
+    folder = ResultsFolder(tmp_path / "runs" / "mine")
+    folder.clear()
+    folder.let_go()
+    (log := folder.path / "log").mkdir()
+    shard = ShardWriter(log / "dc_motor_smc.shard", [("motor/command", "std_msgs/msg/Float64")])
+    shard.note(TICK, encode(TICK, "/dc_motor_smc", {"delta": 3.0}))  # the first goes to the file in any case
+    shard.note(TICK, note)
+    assert main(["run", "mine.yaml", "--mode", "inprocess", "--no-plots", "--no-record"]) == 0
+    assert (folder.path / "metrics.json").is_file() != bool(why)
+    assert bool(why) == (f"({why}, and broken off: softrig bag repair {log})" in capsys.readouterr().err)
+    del shard
+
+
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "out").write_text("")
     with pytest.raises(ScenarioError, match="out is a file, expected a folder"):
@@ -144,7 +175,7 @@ def test_a_folder_that_is_being_written_is_another_calls_own(tmp_path, monkeypat
     first = ResultsFolder(tmp_path / "runs" / "dc_motor_smc_b2")
     first.clear()
     assert main([*RUN, "--duration", "0.1", "--no-plots", "--out", "runs/dc_motor_smc_b2"]) == 2
-    assert f"process {os.getpid()} is writing there" in capsys.readouterr().err
+    assert f"process {os.getpid()} is writing there; expected another folder\n" in capsys.readouterr().err
     assert main([*RUN, "--no-plots"]) == 0  # a name of ours: beside it
     assert "this run goes to runs/dc_motor_smc_b2-2" in capsys.readouterr().err
     assert names(first.path) == [MANIFEST]

@@ -18,10 +18,10 @@ from softrig_bringup.cli import main
 from softrig_bringup.folder import RUN
 from softrig_bringup.options.repeat import for_reader
 from softrig_bringup.page.citations import cited
-from softrig_bringup.page.diagram import draw_diagram
+from softrig_bringup.page.diagram import _lanes, draw_diagram
 from softrig_bringup.page.wiring import Node, Wire, Wiring, columns, wiring_of
 from softrig_bringup.plots import pictures as plots
-from softrig_bringup.plots.axes import fold_exponents
+from softrig_bringup.plots.axes import draw as draw_curves, fold_exponents
 from softrig_bringup.plots.curves import Curve, Shown, check_plots, inside
 from softrig_bringup.plots.marks import marks_of
 from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
@@ -553,3 +553,26 @@ def test_intervals_in_which_a_requirement_does_not_hold_are_shaded():
     (low,) = [r for r in run.results if r.name == "low"]
     assert (mark.axis, mark.start, mark.end) == ("violated", *low.violated_s[0])
     assert low.violated_s[0][0] <= low.at_s <= low.violated_s[0][1]
+
+
+def test_the_lower_of_two_wires_of_a_node_turns_first():
+    """So that the stub of the upper one runs above its lane, not through it."""
+    wires = [Wire(topic=topic, type="T", source="plant", readers=("law",)) for topic in ("upper", "lower")]
+    assert _lanes(wires, {"plant": 0, "law": 1}, 0) == ["lower out", "upper out"]
+
+
+@pytest.mark.parametrize(("number", "steps"), [(1000, "steps-post"), (100_000, "default")])
+def test_a_long_curve_of_steps_is_drawn_by_its_extremes(number, steps):
+    """Steps between the extremes of a column of pixels would stand where no sample is."""
+    x = np.linspace(0.0, 1.0, number)
+    figure = Figure()
+    draw_curves(figure.subplots(), [Curve("u", "", x, np.sin(50.0 * x), held=True)], 1.0)
+    assert figure.axes[0].lines[0].get_drawstyle() == steps
+
+
+@pytest.mark.parametrize(("each", "steps"), [(8, "default"), (9, "steps-post")])
+def test_a_signal_of_few_values_is_drawn_as_steps(each, steps):
+    y = np.repeat(np.arange(8.0), each)
+    figure = Figure()
+    draw_curves(figure.subplots(), [Curve("n", "", np.arange(len(y)) + 0.0, y)], 1.0)
+    assert figure.axes[0].lines[0].get_drawstyle() == steps

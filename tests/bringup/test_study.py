@@ -490,6 +490,18 @@ def test_runs_without_a_value_are_marked_counted_and_make_the_median_no_better()
     assert absent([1.0, math.inf, math.nan]) == "1 of 3 never, 1 of 3 not measured"
 
 
+@pytest.mark.parametrize("number", [pictures.TICKS, pictures.TICKS + 1])
+def test_so_many_values_get_a_tick_each_and_no_more(number):
+    few, values = number == pictures.TICKS, [0.1 + k for k in range(number)]
+    (ax,) = pictures._over([a_row(0, k, 0.5) for k in values], "gain.k", ["settling"], {}, banded=True).axes
+    assert (list(ax.get_xticks()) == values) == few
+    rows = [a_row(0, k, k * g) for k in values for g in (1.0, 2.0)]
+    for row, g in zip(rows, [1.0, 2.0] * number, strict=True):
+        row["overrides"]["plant.gain"] = g
+    ax = pictures._map(rows, ["gain.k", "plant.gain"], "settling", {}).axes[0]
+    assert (list(ax.get_xticks()) == values) == few
+
+
 def test_a_study_says_never_where_a_figure_never_comes(folder, capsys, undrawn):
     assert (
         main(["study", "lag", "--grid", "gain.k=1:3", "--grid", "plant.gain=1,2", "--out", "out", "--workers", "1"])

@@ -11,7 +11,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from softrig_bringup.cli import make_parser
+from softrig_bringup.cli import main, make_parser
 from softrig_core.guard import WITHOUT_ROS
 
 ROOT = Path(__file__).parents[2]
@@ -120,7 +120,7 @@ def test_it_works_beside_the_packages_that_are_here(wheel, tmp_path):
     prefix = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", prefix], check=True)
     subprocess.run([sys.executable, "-m", "pip", "--python", prefix / "bin" / "python", "install", "-q", "--no-deps",
-                    "--no-index", wheel], check=True, env=environment(tmp_path))  # fmt: skip
+                    "--no-index", "--no-compile", wheel], check=True, env=environment(tmp_path))  # fmt: skip
     (library,) = prefix.glob("lib/python3*/site-packages")
     shared = Path(importlib.metadata.distribution("numpy").locate_file(""))
     (library / "shared.pth").write_text(f"import site; site.addsitedir({str(shared)!r})\n")
@@ -165,3 +165,33 @@ def test_pip_brings_all_that_it_needs(wheel, tmp_path):
         env=environment(tmp_path),
     )
     use(prefix, tmp_path, environment(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["--workspace my_rig run my_rig", "setup", "docs", "bench native", "env", "env colcon build", "python -c x"],
+)
+def test_what_only_a_checkout_has_is_refused_with_the_reason(words, capsys):
+    assert main(words.split()) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "scripts/softrig" in said
+    assert "pip install ./my_rig" in said
+
+
+@pytest.mark.parametrize(
+    ("where", "first"), [("", "    pip install . && softrig run"), ("/x/softrig", "    /x/softrig --workspace . run")]
+)
+def test_a_new_package_names_what_is_there(where, first, tmp_path, monkeypatch, capsys):
+    """Neither --workspace nor colcon from a wheel; where a checkout has the command, both."""
+    monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
+    if where:
+        monkeypatch.setenv("SOFTRIG_COMMAND", where)
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "my_rig"]) == 0
+    text = (tmp_path / "my_rig" / "README.md").read_text()
+    assert first in text
+    assert ("--workspace" in text, "env colcon" in text) == (bool(where), bool(where))
+    said = capsys.readouterr().out.splitlines()[-1].strip()
+    assert said == (
+        "/x/softrig --workspace my_rig run my_rig" if where else "pip install ./my_rig && softrig run my_rig"
+    )

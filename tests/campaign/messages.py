@@ -40,20 +40,23 @@ PORTS = (
 def attack(seed: int, directory: Path) -> None:
     """Decode 100 damaged messages of each kind, with a good one in between."""
     chance = random.Random(seed)
-    for port in PORTS:
-        layout, decode = port.layout(), Decoder(port)
-        good = [
-            chance.choice((0.0, 1.0)) if port.msgtype.endswith("Bool") else chance.gauss(0, 1e3)
-            for _ in range(layout.size)
-        ]
-        seconds = chance.randrange(2**31)
-        data = layout.encode(seconds if layout.numbered else seconds * 10**9, good)
-        for _ in range(100):
-            (directory / "message").write_bytes(bad := damaged(data, chance))
-            try:
-                _, values = decode(bad)
-            except Refused:
-                continue
-            assert len(values) == port.size
-            assert all(map(math.isfinite, values)), values
-            assert decode(data)[1] == tuple(good)
+    with (directory / "message").open("wb", buffering=0) as kept:  # opened for each, the disk would be waited for
+        for port in PORTS:
+            layout, decode = port.layout(), Decoder(port)
+            good = [
+                chance.choice((0.0, 1.0)) if port.msgtype.endswith("Bool") else chance.gauss(0, 1e3)
+                for _ in range(layout.size)
+            ]
+            seconds = chance.randrange(2**31)
+            data = layout.encode(seconds if layout.numbered else seconds * 10**9, good)
+            for _ in range(100):
+                kept.seek(0)
+                kept.truncate()
+                kept.write(bad := damaged(data, chance))
+                try:
+                    _, values = decode(bad)
+                except Refused:
+                    continue
+                assert len(values) == port.size
+                assert all(map(math.isfinite, values)), values
+                assert decode(data)[1] == tuple(good)

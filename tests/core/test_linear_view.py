@@ -5,6 +5,7 @@ import math
 import re
 import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -200,6 +201,47 @@ def test_counts_of_a_fine_encoder_are_states():
     assert view.stable
     assert view.margins.delay == pytest.approx(0.064052, abs=1e-6)
     assert view.variation < 1e-3
+
+
+class Counted(NamedTuple):
+    """What an encoder has counted, and how often it was another number."""
+
+    counts: int = 0
+    changes: int = 0
+
+
+class Encoder(Block):
+    """Says a tick later what it has counted: by whole numbers, too fine for any step of a column."""
+
+    INPUTS = (number("u", "plant/y", "1"),)
+    OUTPUTS = (number("v", "late/v", "1"),)
+    used = True
+
+    def first(self):
+        return Counted()
+
+    def update(self, x, t, u):
+        n = round(u[0] * 2.0**60)
+        return Counted(n, x.changes + (n != x.counts)), {"v": (x.counts / 2.0**60 if self.used else u[0],)}
+
+
+@pytest.mark.parametrize("used", [True, False])
+def test_whole_numbers_that_go_along_are_refused_when_something_follows_from_them(used):
+    """The loop went over them, and the view without them was another: no loop, or stable where it is not."""
+
+    class Fine(Encoder):
+        pass
+
+    Fine.used = used
+    rig = Rig.from_blocks({"plant": Unstable(), "shift": Fine(), "law": Gain()}, duration=5.0)
+    if not used:  # nothing but counts
+        assert linear_view(rig, "law/u", at=0.5).states == ("plant",)
+        return
+    for view in (partial(linear_view, rig, "law/u"), partial(linear_view, rig, ""), partial(steady, rig)):
+        with pytest.raises(
+            RunError, match=r"shift\.counts goes along with plant at 0\.5 s, .* is no float: whole numbers"
+        ):
+            view(at=0.5)
 
 
 @pytest.mark.long

@@ -10,8 +10,11 @@ from conftest import in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
 from simulated import _Sink
 from softrig_core import Block, Recording, Rig, Signals, command, load_scenario, rig_of
+from softrig_core.node import container as container_module
 from softrig_core.node.adapter.adapter import Adapter
+from softrig_core.node.container import Container
 from softrig_core.node.group import Group
+from softrig_core.node.realtime.answering import Answering
 from softrig_core.node.ros import ros
 from softrig_core.node.ros.contained import ContainedMiddleware
 from softrig_core.node.ros.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
@@ -167,8 +170,15 @@ def test_a_held_input_said_together_with_an_awaited_one_is_of_the_same_tick(monk
     assert list(u.x) == [k * 10_000_000 * 1e-9 for k in range(len(u.x))]
 
 
-def test_who_is_late_answers_with_what_had_been_said_by_its_tick(monkeypatch):
-    """Three ticks of the plant are gone at once, in the second of them is one of the law."""
+@pytest.mark.parametrize(
+    ("held", "missed", "without", "used"),
+    [
+        pytest.param(30_000_000, (0, 0), (), {}, id="a bit late: as if it were in time"),
+        pytest.param(70_000_000, (6, 1), (0.12,), {0.15: 0.10}, id="too late to say all of it"),
+    ],
+)
+def test_who_is_late_answers_with_what_had_been_said_by_its_tick(held, missed, without, used, monkeypatch):
+    """Some ticks of the plant are gone at once, among them one or two of the law."""
     extra = command("extra", "lag/extra", ("u",), "N")
 
     class Both(Lag):
@@ -186,18 +196,19 @@ def test_who_is_late_answers_with_what_had_been_said_by_its_tick(monkeypatch):
 
     run = Contained(Rig.from_blocks({"plant": Both(), "law": Slow(Slow.Params(period=0.03))}, 0.3), monkeypatch)
     run.run(run.epoch + 105_000_000)
-    run.clock.t += 30_000_000
+    run.clock.t += held
     assert run.run() == {"done"}
     plant, law = run.adapters["plant"], run.adapters["law"]
-    assert (plant.drive.missed, law.drive.missed) == (2, 0)
+    assert (plant.drive.missed, law.drive.missed) == missed
+    assert plant.drive.statistics()["lateness_max_ms"] >= 5.0
     found = run.numbers()["lag/command/u/effort"]
-    assert [round(t, 3) for t in found.t] == [round(0.03 * k, 3) for k in range(len(found.t))]
-    used = [0.10 if t == 0.12 else t for t in (round(t, 3) for t in found.t)]  # not that of 0.13, said at the same time
-    assert list(found.x) == pytest.approx(used)
+    assert [round(t, 3) for t in found.t] == [t for k in range(11) if (t := round(0.03 * k, 3)) not in without]
+    assert list(found.x) == pytest.approx([used.get(round(t, 3), t) for t in found.t])
 
 
-def test_a_law_that_was_slow_once_has_not_been_silent(monkeypatch):
-    """Its command comes after six periods of the plant, five of which are a silence."""
+@pytest.mark.parametrize(("periods", "missed"), [(6, 0), (12, 11)])
+def test_a_law_that_was_slow_once_has_not_been_silent(periods, missed, monkeypatch):
+    """Its command comes after more periods of the plant than a silence has; a few of them are said late."""
     slow = []
 
     class Slow(Block):
@@ -207,13 +218,13 @@ def test_a_law_that_was_slow_once_has_not_been_silent(monkeypatch):
         def update(self, x, t, state):
             if t == 100_000_000:
                 slow.append(t)
-                run.clock.t += 60_000_000
+                run.clock.t += periods * 10_000_000
             return x, {"command": (1.0,)}
 
     run = Contained(Rig.from_blocks({"plant": Lag(), "law": Slow()}, 0.3), monkeypatch)
     assert run.run() == {"done"}
     plant = run.adapters["plant"]
-    assert (len(slow), plant.drive.missed, list(plant.block.reports)) == (1, 5, [])
+    assert (len(slow), plant.drive.missed, list(plant.block.reports)) == (1, missed, [])
 
 
 def test_what_somebody_outside_reads_is_carried_beside(monkeypatch):
@@ -319,3 +330,43 @@ def test_a_status_is_whole_while_it_is_changed_in_its_place(tmp_path, monkeypatc
     plant.write_status()
     assert path.stat().st_ino != number
     assert json.loads(path.read_text())["missed_deadlines"] == 0
+
+
+@pytest.mark.parametrize("states", [("failed", "done"), ("done", "done"), ("failed", "failed")])
+def test_a_container_whose_nodes_have_all_ended_waits_for_nobody(monkeypatch, states):
+    """Only beside one that still runs does a node that gave up leave the others a second."""
+    asked, now = [], time.monotonic_ns()
+    monkeypatch.setattr(container_module.rclpy, "ok", lambda: True)
+    container = object.__new__(Container)
+    container.exchange = SimpleNamespace(serve=lambda until, awake: asked.append((until, awake)), listens=False)
+    container.adapters = [SimpleNamespace(state=state) for state in states]
+    assert container._loop(SimpleNamespace(spin_once=lambda _: pytest.fail("it went on")))
+    ((until, awake),) = asked
+    assert until > now + container_module.LOOK - 1
+    assert awake == container_module.SPIN  # who waits longer sleeps
+
+
+def test_ticks_older_than_the_window_are_dropped_but_for_the_newest():
+    """One that is exactly as old as the window is still answered."""
+    answered, timer = [], SimpleNamespace(cancel=lambda: None, again=lambda _: None)
+    node = SimpleNamespace(
+        schedule=SimpleNamespace(time=lambda k: 10 * k, next=lambda t: t // 10 * 10 + 10, tick=lambda t: t // 10),
+        options=SimpleNamespace(patience=0.5),
+        middleware=SimpleNamespace(timer=lambda *_: timer),
+        block=SimpleNamespace(note=lambda *_: None),
+        epoch=0,
+        state="running",
+    )
+    table = SimpleNamespace(node=node, rows=[], clock=lambda: 100, window=50, grid_time=lambda due: due)
+    answering, row = Answering(table, answered.append), SimpleNamespace(awaited=True)
+    for stamps, kept in (((40, 50, 60), [50, 60]), ((70, 80), [70, 80])):
+        answered.clear()
+        for stamp in stamps:
+            answering.take(row, stamp, stamp, None, stamp)
+        answering.act()
+        assert answered == kept
+    table.clock, answered[:] = lambda: 1000, []
+    for stamp in (90, 100):
+        answering.take(row, stamp, stamp, None, stamp)
+    answering.act()
+    assert (answered, answering.dropped) == ([100], 2)

@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections import deque
 from contextlib import ExitStack, suppress
@@ -142,23 +141,16 @@ print(json.dumps({"nodes": sorted(node.get_node_names()), "noise": asked.result(
 
 def test_each_node_is_on_the_graph_for_everybody_and_the_run_stays_as_it_is(tmp_path):
     wired, people = rig(BASIC, 1e4), []
-    with free_domain() as domain:
+    with free_domain() as domain, (tmp_path / "said").open("w") as said:
 
         def progress(t):
             if t and not people:
-                people.append(
-                    subprocess.Popen(
-                        [sys.executable, "-c", PERSON],
-                        env=environment(domain, tmp_path),
-                        stdout=subprocess.PIPE,
-                        text=True,
-                    )
-                )
+                people.append(script(PERSON, environment(domain, tmp_path), output=said.fileno()))
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 
         stopped(lambda: run(wired, tmp_path, domain=domain, listener=Listener(progress)))
-    seen = json.loads(people[0].stdout.read())
+    seen = json.loads((tmp_path / "said").read_text())
     assert seen == {
         "nodes": ["gain", "person", "plant", "source"],
         "noise": 0.0,
@@ -432,10 +424,11 @@ def test_a_profile_keeps_what_it_says_and_gets_ports_and_the_property(tmp_path, 
     assert own(given).count(b"<portBase>") == 1
 
 
-def test_the_well_known_ports_stay_and_the_others_change():
+def test_the_well_known_ports_stay_and_the_others_change(monkeypatch):
     """With the standard ones at 7400 + 250 * domain, no port is that of another participant or of a dead one."""
     seen = set()
     for k in range(40):
+        monkeypatch.setattr(os, "getpid", lambda k=k: 32_700 + k)
         ports = chosen(7, 1e6 + 0.45 * k)
         base = ports["portBase"]
         assert {name: base + ports[name] for name in ("offsetd0", "offsetd1", "offsetd2")} == {
@@ -450,6 +443,11 @@ def test_the_well_known_ports_stay_and_the_others_change():
     last = chosen(232)
     assert last["portBase"] + last["offsetd3"] == 7400 + 11  # above 65,535 there are none
     assert len({user for user, _ in seen}) == len({unique for _, unique in seen}) == 40
+    together = set()
+    for k in range(50):
+        monkeypatch.setattr(os, "getpid", lambda k=k: 32_700 + k)
+        together.add(chosen(7, 1e6)["portBase"])
+    assert len(together) == 50
 
 
 @pytest.mark.parametrize(("text", "why"), [(b"<a", "not XML"), (b"<profiles/>", "no participant")])

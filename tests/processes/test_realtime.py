@@ -1,27 +1,48 @@
 """Nodes against the wall clock, started one by one as a user does: watchdog, recovery, rivals, bad input."""
 
+import mmap
 import os
 import re
+import struct
+import time
 from pathlib import Path
 
 import pytest
-from conftest import PRESS, make_scenario
+import rclpy
+from conftest import PATIENCE, PRESS, make_scenario
 from outside import SPIN, go, outside
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.task import Future
 from softrig_core import Signals, rig_of, run_processes
+from softrig_core.node.ros.ros import RosMiddleware, ServingNode
+from softrig_core.processes.domain import free_domain
 from softrig_core.processes.placement import Placement
 
 pytestmark = pytest.mark.processes
+
+STATE, COMMAND, APPLIED = "lag/state/x/position", "lag/command/u/effort", "lag/applied/u/effort"
+
+
+def recorded(bench, name, signal, number):
+    """Wait until a node has recorded so many values: four times a second, where a status file is written once."""
+    bench.wait(lambda: bench.signal(name, signal).x.size > number)
+
+
+def goes_on(bench, ticks):
+    """Wait until the plant has made so many ticks more."""
+    recorded(bench, "plant", STATE, bench.signal("plant", STATE).x.size + ticks)
 
 
 def test_nodes_started_by_hand_close_the_loop_and_stop_on_ctrl_c(bench):
     bench.start("plant", "plant")
     bench.start("source", "source")
     bench.start("gain", "gain")
-    bench.wait(lambda: bench.status("gain")["ticks"] > 50)
+    recorded(bench, "gain", COMMAND, 50)
     for name in ("gain", "plant"):
         bench.nodes[name].send_signal(2)
         assert bench.ends(name) == 0
-    t, x = bench.signal("plant", "lag/state/x/position")
+    t, x = bench.signal("plant", STATE)
     assert abs(x).max() > 0.01
     # the rate is the wall clock's: the n-th message is stamped n periods after the first
     assert t[-1] - t[0] == pytest.approx(0.01 * (len(t) - 1 + bench.status("plant")["missed_deadlines"]), abs=1e-6)
@@ -42,28 +63,84 @@ def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench)
     bench.start("plant", "plant")
     bench.start("source", "source")
     bench.start("gain", "gain")
-    bench.wait(lambda: bench.status("gain")["ticks"] > 30)
+    recorded(bench, "gain", COMMAND, 30)
     ports = ears(bench.nodes["gain"])
     bench.kill("gain")
     bench.wait(lambda: "stale lag/command" in bench.status("plant")["reports"])
-    ticks = bench.status("plant")["ticks"]
-    bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 20)
-    bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] == 0.0)
+    goes_on(bench, 20)
+    bench.wait(lambda: bench.signal("plant", APPLIED).x[-1] == 0.0)
     bench.start("gain", "gain")
     bench.wait(lambda: ears(bench.nodes["gain"]))
     assert ports.isdisjoint(ears(bench.nodes["gain"]))  # to those of the dead one others still send
     bench.wait(lambda: "recovered lag/command" in bench.status("plant")["reports"])
-    bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] != 0.0)
+    bench.wait(lambda: bench.signal("plant", APPLIED).x[-1] != 0.0)
+
+
+def test_a_timer_that_is_always_late_lets_messages_through():
+    """A tick that takes longer than its period, and what waits for its turn while it does: nothing piles up."""
+    period, late, heard = 200_000, [], []
+    context = Context()
+    with free_domain() as domain:
+        rclpy.init(context=context, domain_id=domain)
+        node = ServingNode("late", context=context)
+        executor = EventsExecutor(context=context)
+        executor.add_node(node)
+        over = Future(executor=executor)
+
+        def tick():
+            timer.again(period - time.monotonic_ns() % period, period)
+            late.append(len(late))
+            executor.create_task(heard.append, late[-1])
+            time.sleep((0.0003, 0.0008, 0.0011)[len(late) % 3])  # it passes its grid at another phase each time
+            if len(late) == 400:
+                over.set_result(None)
+
+        timer = RosMiddleware(node).timer(period, tick)
+        executor.spin_until_future_complete(over, PATIENCE)
+        executor.shutdown()
+        node.destroy_node()
+        context.shutdown()
+    assert len(late) >= 400
+    assert heard == late[: len(heard)]
+    assert len(heard) >= len(late) - 3
 
 
 @pytest.mark.long
 def test_a_node_whose_port_is_taken_away_ends_by_name(bench):
     bench.start("plant", "plant")
-    bench.wait(lambda: bench.status("plant")["ticks"] > 30)
+    recorded(bench, "plant", STATE, 30)
     for port in ears(bench.nodes["plant"]):
         port.unlink()
     assert bench.ends("plant") == 3
     assert "hears nobody any more: its port fastrtps_port" in bench.status("plant")["error"]
+
+
+@pytest.mark.long
+def test_a_node_whose_port_is_taken_for_damaged_hears_again(bench):
+    """By Fast DDS in any process, on a host so busy that the reader did not stir: the reader makes another."""
+    for name in ("plant", "source", "gain"):
+        bench.start(name, name)
+    bench.wait(lambda: bench.status("gain")["ticks"] > 30)
+    ports = {port: port.stat().st_ino for port in ears(bench.nodes["gain"])}
+    for port in ports:
+        mark_damaged(port)
+    bench.wait(lambda: all(port.exists() and port.stat().st_ino != inode for port, inode in ports.items()))
+    ticks = bench.status("gain")["ticks"]
+    bench.wait(lambda: bench.status("gain")["ticks"] > ticks + 100)
+    assert bench.status("gain")["state"] == "running"
+    assert ears(bench.nodes["gain"]) == ports.keys()
+
+
+def mark_damaged(port):
+    """As `SharedMemGlobal` does (`PortNode::is_port_ok`): the first bit after six numbers, of which these three."""
+    number = int(port.name.removeprefix("fastrtps_port"))
+    with port.open("r+b") as file, mmap.mmap(file.fileno(), 0) as node:
+        begin = next(
+            m.start()
+            for m in re.finditer(re.escape(struct.pack("<I", number)), node)
+            if struct.unpack_from("<2I", node, m.start() + 8) == (20000, 20000 // 3)
+        )
+        node[begin + 24] &= ~1
 
 
 def ears(process):
@@ -93,23 +170,23 @@ def test_of_two_rivals_neither_is_believed(bench):
     bench.start("plant", "plant")
     bench.start("source", "source")
     bench.start("gain", "gain")
-    bench.wait(lambda: bench.status("gain")["ticks"] > 30)
+    recorded(bench, "gain", COMMAND, 30)
     outside(bench, "intruder", PUBLISHER.replace("VALUE", "5.0"))
     bench.wait(lambda: bench.status("plant")["refused"]["lag/command"][0] > 10)
-    ticks = bench.status("plant")["ticks"]
-    bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 20)
-    bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] == 0.0)
-    assert bench.signal("plant", "lag/applied/u/effort").x.max() < 5.0
+    goes_on(bench, 20)
+    bench.wait(lambda: bench.signal("plant", APPLIED).x[-1] == 0.0)
+    assert bench.signal("plant", APPLIED).x.max() < 5.0
     go(bench, "intruder")
-    bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] != 0.0)
+    bench.wait(lambda: bench.signal("plant", APPLIED).x[-1] != 0.0)
 
 
 def test_nan_from_outside_is_refused_and_counted(bench):
     bench.start("plant", "plant")
     outside(bench, "intruder", PUBLISHER.replace("VALUE", "float('nan')"))
-    bench.wait(lambda: bench.status("plant")["refused"]["lag/command"][0] > 10 and bench.status("plant")["ticks"] > 10)
+    bench.wait(lambda: bench.status("plant")["refused"]["lag/command"][0] > 10)
+    recorded(bench, "plant", STATE, 10)
     assert bench.status("plant")["refused"]["lag/command"][1] == "u/effort is nan, expected a finite number"
-    assert (bench.signal("plant", "lag/state/x/position").x == 0.0).all()
+    assert (bench.signal("plant", STATE).x == 0.0).all()
 
 
 LISTENER = """
@@ -147,9 +224,8 @@ rclpy.spin(node)
 """
     bench.start("plant", "plant")
     outside(bench, "person", code)
-    bench.wait(
-        lambda: bench.status("plant")["ticks"] > 10 and bench.signal("plant", "lag/applied/u/effort").x[-1] == 3.0
-    )
+    recorded(bench, "plant", STATE, 10)
+    bench.wait(lambda: bench.signal("plant", APPLIED).x[-1] == 3.0)
     assert bench.signal("plant", "lag/offset/data").x[-1] == 3.0
 
 
@@ -171,25 +247,24 @@ def test_an_empty_list_reaches_a_node_process(bench):
 
 def test_a_button_is_also_a_service_that_presses_it_for_one_tick(bench):
     bench.start("plant", "plant")
-    bench.wait(lambda: bench.status("plant")["ticks"] > 10)
+    recorded(bench, "plant", STATE, 10)
     outside(bench, "person", PRESS)
     assert bench.ends("person") == 0
-    ticks = bench.status("plant")["ticks"]
-    bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 100)
-    bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x.size > ticks + 100)  # written up to there
+    bench.wait(lambda: bench.signal("plant", "lag/kick/data").x.size == 2)
+    goes_on(bench, 50)
     assert list(bench.signal("plant", "lag/kick/data").x) == [1.0, 0.0]
-    assert bench.signal("plant", "lag/applied/u/effort").x.sum() == 1.0
+    assert bench.signal("plant", APPLIED).x.sum() == 1.0
 
 
 def test_a_realtime_rig_keeps_the_rate_of_the_wall_clock(tmp_path):
-    rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 2.0))
+    rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 1.0))
     outcome = run_processes(rig, 0, tmp_path, Placement(clock="realtime"))
     assert outcome.error == ""
-    t, x = Signals(outcome.recording, outcome.epoch)["lag/state/x/position"]
+    t, x = Signals(outcome.recording, outcome.epoch)[STATE]
     missed = outcome.status["plant"]["missed_deadlines"]
     # a busy machine may start late and miss ticks, but each is on the grid and every period is accounted for
     assert t == pytest.approx(0.01 * (t / 0.01).round(), abs=1e-9)
-    assert t[-1] >= 2.0
+    assert t[-1] >= 1.0
     assert round((t[-1] - t[0]) / 0.01) + 1 == len(t) + missed
     assert x.max() > 0.0
 

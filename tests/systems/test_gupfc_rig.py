@@ -370,6 +370,8 @@ def test_phase_locked_loop():
         x, theta = loop(x, cmath.rect(1.0, 1.0 + omega * PERIOD * k))
     assert x.omega == pytest.approx(omega, rel=1e-6)
     assert math.remainder(theta - (1.0 + omega * PERIOD * 2879), math.tau) == pytest.approx(0.0, abs=1e-6)
+    x, theta = loop(x, cmath.rect(1.0, 1.0 + omega * PERIOD * 2900), lost=20)  # as after a pause of the host
+    assert math.remainder(theta - (1.0 + omega * PERIOD * 2900), math.tau) == pytest.approx(0.0, abs=1e-6)
     before = x.omega
     for k in range(100):
         x, _ = loop(x, cmath.rect(0.05, -2.0 * k))
@@ -597,6 +599,33 @@ def test_a_stale_command_blocks_the_converters():
         f"{k}_blocked" for k in ("shunt", "series_1", "series_2")
     }
     assert all(math.isfinite(x) for values in plant.outputs(0).values() for x in values)
+
+
+def test_in_real_time_a_command_turns_on_until_the_next_one_comes():
+    """Nothing moves while none has come yet, nor by one that is four ticks old; each is the steady one of its tick."""
+    plant = ByHand(GupfcPlant())
+    steady = plant.outputs(0)["status"]
+    plant.block.ages = lambda name: None
+    for _ in range(5):
+        plant.advance(0, **{port.name: port.safe for port in GupfcPlant.ports(plant.block.p)[0]})
+    for k in range(5, 9):
+        plant.block.ages = lambda name, k=k: (k - 5) * 347_222
+        plant.advance(0, **commands(plant, 5))
+    assert plant.outputs(0)["status"] == pytest.approx(steady, abs=1e-5)
+    assert not plant.reports
+
+
+def test_in_real_time_a_law_that_has_missed_ticks_knows_it():
+    found = []
+    for lost in (0, 30):
+        law = ByHand(ShuntController())
+        point = law.block._point
+        for k in [0, *range(1 + lost, 40)]:
+            law.block.unanswered = lost if k == 1 + lost else 0
+            u, i = (v * cmath.rect(1.0, TURN * k) for v in (point.u1, point.i_sh))
+            said = law.update(k, u1=(u.real, u.imag, 0.0), i_sh=(i.real, i.imag, 0.0), reference=None)
+        found.append(said["shunt"])
+    assert found[1] == pytest.approx(found[0], abs=1e-6)
 
 
 # nodes ----------------------------------------------------------------------------------------------------------

@@ -31,6 +31,7 @@ from softrig_systems.pwa_delay.certificate import CertificateNode, CriterionPara
 from softrig_systems.pwa_delay.certify import Criterion, certified_margin, certify
 from softrig_systems.pwa_delay.controllers import DelayLine, PendulumController, TankController
 from softrig_systems.pwa_delay.level import level_bound, level_margin
+from softrig_systems.pwa_delay.lmi import Problem
 from softrig_systems.pwa_delay.lyapunov import LyapunovMonitor
 from softrig_systems.pwa_delay.motion import FREE, PendulumConstants, constants, run_pendulum
 from softrig_systems.pwa_delay.params import BENCHMARK
@@ -264,6 +265,13 @@ def test_a_damaged_certificate_fails_its_check():
         assert not all(e.positive for e in problem.eigenvalues(broken)), name
     # the matrices of one delay are no certificate of another one far beyond
     assert not all(e.positive for e in theorem1(switched().scaled(0.0300), 0.0).eigenvalues(found.matrices))
+
+
+@pytest.mark.parametrize(("least", "told"), [(0.0, []), (-1e-12, ["entries of X"])])
+def test_an_entry_of_nothing_is_no_negative_one(least, told):
+    problem = Problem()
+    problem.symmetric("X", 2, positive=True)
+    assert [e.name for e in problem.eigenvalues({"X": np.array([[1.0, least], [least, 1.0]])})] == told
 
 
 def test_level_of_the_tank():
@@ -593,6 +601,8 @@ def test_sliding_is_found_and_crossing_is_not():
     with pytest.raises(NotApplicable, match="on the face"):
         certify(slides, 0.1)
     require_no_sliding(switched(), 0.02)
+    along = from_lines([np.zeros((2, 2))] * 2, [[[0.0, 0.0], [-1.0, 0.0]]] * 2, [[1.0, 0.0]])
+    require_no_sliding(along, 0.1)  # nothing goes across
 
 
 def test_an_offset_that_a_shift_removes_is_no_obstacle():

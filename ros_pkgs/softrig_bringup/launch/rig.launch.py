@@ -2,14 +2,18 @@
 
 The scenario files, the changes and the end of `softrig run`; here the nodes are those of the launch, on its domain.
 They have one t = 0 and one end; a node that fails ends the launch, with status 1. ``--show-args`` lists what it takes.
+SIGTERM, as systemd sends it, ends it as Ctrl-C does.
 """
 
+import signal
 import sys
 from functools import partial
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.events import Shutdown as Ending
 from launch.substitutions import LaunchConfiguration
+from launch.utilities.signal_management import AsyncSafeSignalManager
 from launch_ros.actions import Node
 from softrig_bringup.verbs.launched import ARGUMENTS, Launched, strange
 
@@ -29,9 +33,19 @@ def _ended(launched, event, context):
         raise RuntimeError(wrong)
 
 
+def _end_in_order(context):
+    """SIGTERM kills launch itself (3.4), and its own handler for it would leave the processes and cancel the rest."""
+    manager = getattr(AsyncSafeSignalManager, "_AsyncSafeSignalManager__current", None)
+    if manager is not None:
+        ending = Ending(reason="SIGTERM", due_to_sigint=False)
+        manager.handle(signal.SIGTERM, lambda number: context.emit_event_sync(ending))
+        signal.signal(signal.SIGTERM, lambda number, frame: None)  # the manager hears of it
+
+
 def _nodes(context):
     if told := strange(sys.argv):
         raise RuntimeError(told)
+    _end_in_order(context)
     launched = Launched({name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS})
     at_end = {"rig": partial(_ended, launched), "viewer": Shutdown(reason="the viewer is closed")}
     # launch_ros itself has no empty lists, and a container names its nodes in its arguments
@@ -46,6 +60,7 @@ def _nodes(context):
             arguments=p.arguments,
             parameters=p.parameters,
             remappings=p.remappings,
+            additional_env=p.variables,
         )
         for p in launched.processes
     ]

@@ -94,6 +94,8 @@ def _verb(arguments: list[str]) -> int:
                 return int(getattr(importlib.import_module(module), function)([a for a in given if a not in asked]))
     if arguments and arguments[0] in FORMER:
         raise ScenarioError(f"`softrig {arguments[0]}` is `softrig {FORMER[arguments[0]]}` now")
+    if not asks and _of_the_script(arguments):
+        return of_the_script()
     if arguments[:1] != ["node"]:
         arguments = without_ros(arguments)
     parser = make_parser()
@@ -176,9 +178,20 @@ def _late(target: str, options: argparse.Namespace) -> int:
         return int(function(options))
 
 
-def of_the_script(options: argparse.Namespace) -> int:
-    """Refuse a verb of the script that sets up a checkout."""
-    raise ScenarioError(f"{', '.join(SCRIPT)} are verbs of scripts/softrig, which has not been used here")
+def _of_the_script(arguments: list[str]) -> bool:
+    """Whether a command is one of scripts/softrig, with whatever words follow."""
+    word, *more = arguments or [""]
+    if word == "env":
+        return bool(more) and not more[0].startswith("-")  # `env COMMAND`
+    return word.partition("=")[0] == "--workspace" or (word in SCRIPT and not {"-h", "--help"} & set(more))
+
+
+def of_the_script(_: object = None) -> int:
+    """Refuse what only the script does that sets up a checkout."""
+    raise ScenarioError(
+        f"{', '.join(SCRIPT)}, `env COMMAND` and --workspace are of scripts/softrig, which has not been used here; "
+        "a package of yours is used once it is installed: pip install ./my_rig"
+    )
 
 
 def node(options: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -111,15 +111,23 @@ class ResultsFolder:
     def __del__(self) -> None:
         self.let_go()
 
-    @property
-    def once(self) -> str:
-        """Why what a former run left there cannot be made again; empty if it can."""
+    def once(self, broken_off: Callable[[Iterable[Path]], Iterable[str]]) -> str:
+        """Say why what a former run left there cannot be made again; empty if it can.
+
+        Parameters
+        ----------
+        broken_off : callable
+            Gets the shards of a run that was killed, and says what in them cannot be made again.
+        """
         try:
             content = json.loads((self.path / "metrics.json").read_text())
             reasons, packages = list(content.get("once", ())), list(content.get("code", ()))
         except (OSError, ValueError, AttributeError, TypeError):
-            why, shards = self._broken_off.removeprefix(UNDER_WAY), self.path / "log"
-            return f"{why}, and broken off: softrig bag repair {shards}" if why and any(shards.glob("*.shard")) else ""
+            log = self.path / "log"
+            if not self._broken_off or not (shards := sorted(log.glob("*.shard*"))):
+                return ""
+            why = self._broken_off.removeprefix(UNDER_WAY) or ", ".join(broken_off(shards))
+            return f"{why}, and broken off: softrig bag repair {log}" if why else ""
         reasons += [f"its package {name} is not installed here" for name in packages if find_spec(str(name)) is None]
         return ", ".join(map(str, reasons))
 

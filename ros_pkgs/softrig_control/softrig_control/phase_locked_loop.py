@@ -54,9 +54,14 @@ class PhaseLockedLoop:
         """Begin with an angle, rad, at the nominal frequency."""
         return Locked(theta, self._nominal)
 
-    def __call__(self, x: Locked, u: complex) -> tuple[Locked, float]:
-        """Take the vector in; give the state, and theta, the angle of the frame at this sample, from -pi to pi."""
+    def __call__(self, x: Locked, u: complex, lost: int = 0) -> tuple[Locked, float]:
+        """Take the vector in; give the state, and theta, the angle of the frame at this sample, from -pi to pi.
+
+        `lost` samples before it have not come: the frame has turned on meanwhile.
+        """
         theta, omega, integral = x
+        if lost:
+            theta = math.remainder(theta + lost * self._period * omega, math.tau)
         if abs(u) >= self._gains.least:
             error = cmath.phase(u * cmath.rect(1.0, -theta))
             integral += self._gains.ki * self._period * error

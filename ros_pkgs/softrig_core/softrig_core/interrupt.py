@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -10,6 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+PARENT = "SOFTRIG_PARENT"  # variable with the process whose end is that of the nodes that it has started
+PR_SET_PDEATHSIG = 1
 AT_ONCE = 3  # times that a person has to ask for the end of a node that does not hear: its code never returns
 
 
@@ -27,9 +30,14 @@ class Interrupt:
         self._times = 0
 
     def install(self) -> None:
-        """Take SIGINT from Python's own handler, and from no other."""
+        """Take SIGINT from Python's own handler, and from no other; the end of a launch that has died is one, too."""
         if _is_pythons_own():
             signal.signal(signal.SIGINT, self)
+        parent = os.environ.get(PARENT)
+        if parent == str(os.getppid()) and sys.platform == "linux":
+            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+            if os.getppid() != int(parent):  # died before that
+                os._exit(0)
 
     @contextmanager
     def leaving(self, leave: Callable[[], object]) -> Iterator[None]:

@@ -205,7 +205,7 @@ def _each_here(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R],
 
 def _freeze() -> bool:
     """Have Python look for cycles no more in what has been imported and made: a tenth of a short case."""
-    gc.collect()
+    gc.collect(1)  # of the newest: a look at all that is imported would take longer than many a study
     gc.freeze()
     return True
 

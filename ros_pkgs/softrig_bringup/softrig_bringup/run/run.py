@@ -10,7 +10,7 @@ import os
 import platform
 import subprocess
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
@@ -45,6 +45,7 @@ from softrig_core.rig.code import fingerprints
 from softrig_core.timebase import SECOND
 from softrig_core.verdict.figures import Result
 from softrig_core.wire.parameter_event import recorded
+from softrig_core.wire.recording import read_shards
 
 from ..folder import ResultsFolder
 from ..options.like import from_outside, lateness
@@ -53,6 +54,8 @@ from ..page.wiring import wiring_of
 from ..plots.curves import check_plots, shown
 from ..plots.pictures import plot_run
 from ..report.report import write_report
+
+CHANGED, OUTSIDE = "parameters were changed while it ran", "messages came from outside"  # why a run is there once
 
 
 def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener = NOBODY) -> Run:
@@ -187,21 +190,40 @@ def _once(run: Run) -> list[str]:
     """Say why a run cannot be made again as it was from its scenario; nothing when it can."""
     outside = [m.name for m in run.rig.members if m.external]
     found = [f"{', '.join(outside)} from outside"] if outside else []
-    found += ["parameters were changed while it ran"] if turned(run) or any(b["left"] for b in run.branched) else []
-    found += ["messages came from outside"] if not outside and from_outside(run.rig, run.recording) else []
+    found += [CHANGED] if turned(run) or any(b["left"] for b in run.branched) else []
+    found += [OUTSIDE] if not outside and from_outside(run.rig, run.recording) else []
     return found + (["in real time"] if run.epoch else [])
+
+
+def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
+    """Say why a run in lockstep that was killed cannot be made again, from its shards; nothing when it can.
+
+    Parameters
+    ----------
+    rig : Rig
+        What else it is held against: the run that is about to take its place.
+    """
+    try:
+        recording = read_shards(shards)
+        found = [CHANGED] if turned(Run(rig, rig.scenario.seed, recording)) else []
+    except (ValueError, KeyError):  # damaged on the disk: whether there was a change nobody can say
+        return ["parameters may have been changed while it ran"]
+    return found + ([OUTSIDE] if from_outside(rig, recording) else [])
 
 
 def turned(run: Run) -> list[str]:
     """Say in words what somebody changed while it ran, the scenario's own changes left out."""
     scripted = {
-        (m.schedule.next(c.at - 1), m.name, name) for m in run.rig.members for c in m.changes for name in c.values
+        (m.schedule.next(c.at - 1), m.name, name): value
+        for m in run.rig.members
+        for c in m.changes
+        for name, value in c.values.items()
     }
     return [
         f"{node}.{name}={json.dumps(value)} from {t / SECOND:.9g} s"
         for t, node, values in recorded(run.recording, run.epoch)
         for name, value in values.items()
-        if (t, node, name) not in scripted
+        if scripted.get((t, node, name)) != value  # somebody may have turned it at that very tick
     ]
 
 
@@ -219,7 +241,7 @@ def versions() -> dict[str, str]:
         "simd": simd_level(),
     }
     found |= {name: value for name, value in machine.items() if value}
-    for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "rosbags", "ros-jazzy-rclpy"):
+    for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "daqp", "rosbags", "ros-jazzy-rclpy"):
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:

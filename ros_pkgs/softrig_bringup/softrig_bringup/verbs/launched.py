@@ -15,8 +15,10 @@ from typing import Any
 
 from softrig_core import Recording, Run, ScenarioError
 from softrig_core.errors import closest
+from softrig_core.interrupt import PARENT
 from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import join_domain
+from softrig_core.processes.executables import default_profile, patient
 from softrig_core.processes.peers import starter
 from softrig_core.processes.processes import gathered
 from softrig_core.processes.shared_memory import remove_leftovers
@@ -28,6 +30,7 @@ from ..run.run import checked, gaps, tripped
 from . import run_verb
 from .viewer import ROOTED, Process, viewer
 
+VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 # name: (default, choices, description); an empty default means: as the scenario says
 ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
     "scenario": (None, (), "name of a scenario or path of its YAML file"),
@@ -85,6 +88,7 @@ class Launched:
         self._rig = rig = checked(run_options.scenario_of(options))
         self._seed, self._placement = rig.scenario.seed, run_options.placement_of(options)
         self._realtime = self._placement.clock == "realtime"
+        os.environ[PARENT] = str(os.getpid())
         remove_leftovers()
         join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
         self._folder = run_verb.results_folder(options, rig) if self._record else None
@@ -97,6 +101,9 @@ class Launched:
         self._begun = time.monotonic()
         self._error, self._stopped = "", False
         self._namespace = given["namespace"].strip("/")
+        self._variables: dict[str, str] = {}
+        if not os.environ.get(VARIABLE):  # nobody is taken for dead before the scenario's patience is over
+            self._variables[VARIABLE] = str(patient(default_profile(), self._log, rig.scenario.timeout))
         self.processes = [
             self._process(group, self._namespace, given["wait_for"].split())
             for group in groups(rig, self._placement.shared(rig))
@@ -122,11 +129,17 @@ class Launched:
         moved = {f"/{name}": f"/{namespace}/{name}" for name in ROOTED} if namespace else {}
         if len(group) > 1:
             shared = moved | ({"__ns": f"/{namespace}"} if namespace else {})
-            return Process("softrig_core", "container", arguments=container_arguments(group, given, log, shared))
+            words = container_arguments(group, given, log, shared)
+            return Process("softrig_core", "container", arguments=words, variables=self._variables)
         m = group[0]
-        file = parameter_file(m, given[m.name], log)
         return Process(
-            m.package, m.executable, m.name, namespace, parameters=[str(file)], remappings=[*(m.remap | moved).items()]
+            m.package,
+            m.executable,
+            m.name,
+            namespace,
+            parameters=[str(parameter_file(m, given[m.name], log))],
+            remappings=[*(m.remap | moved).items()],
+            variables=self._variables,
         )
 
     def ended(self, name: str, status: int, interrupted: bool) -> str:
@@ -152,14 +165,15 @@ class Launched:
         self._error = self._error or wrong
         if self._running:
             return wrong
-        rig = self._rig
+        rig, options = self._rig, self._options
         names = [m.name for m in rig.members if not m.external]
         recording, nodes = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
         found = self._conclude(recording, nodes) if self._record or self._judge else 0
         if wrong or self._error or self._stopped:
             return wrong
         if trips := tripped(rig, nodes):
-            return "; ".join(f"{name}: {text}" for name, text in trips.items())
+            slow = run_verb.too_slow(options, rig, nodes, container="place:=container") if self._realtime else ""
+            return slow or "; ".join(f"{name}: {text}" for name, text in trips.items())
         return f"judged: status {found}" if self._judge and found else ""
 
     def _conclude(self, recording: Recording, status: dict[str, dict[str, Any]]) -> int:

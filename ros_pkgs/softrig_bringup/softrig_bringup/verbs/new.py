@@ -20,6 +20,7 @@ from softrig_core.scenario.scenario_file import find
 # template, and where it goes; $name below stands for the package's name
 FILES = {"package.xml": "package.xml", "setup.py": "setup.py", "setup.cfg": "setup.cfg", "README.md": "README.md"}
 EMPTY = ("$name/__init__.py", "resource/$name")
+REMEMBERED = " (a folder given as `--workspace` is remembered; `--workspace none` forgets it)"
 
 
 class Kind(NamedTuple):
@@ -51,8 +52,12 @@ def command() -> str:
 
 def first(place: str) -> str:
     """Give how a command begins that uses the package in a relative folder: a wheel's knows what is installed."""
-    checkout = "SOFTRIG_COMMAND" in os.environ
-    return f"{command()} --workspace {place}" if checkout else f"pip install ./{place} && softrig"
+    folder = place if place.startswith((".", "/")) else f"./{place}"
+    return f"{command()} --workspace {place}" if _checkout() else f"pip install {folder} && softrig"
+
+
+def _checkout() -> bool:
+    return "SOFTRIG_COMMAND" in os.environ
 
 
 def new_package(name: str, parent: Path, kind: str = "both") -> Path:
@@ -96,6 +101,8 @@ def new_package(name: str, parent: Path, kind: str = "both") -> Path:
         "name": name,
         "softrig": command(),
         "first": first("."),
+        "remembered": REMEMBERED if _checkout() else "",
+        "colcon": f"{command()} env colcon" if _checkout() else "colcon",
         "What": made.what.capitalize(),
         "modules": ", ".join(f"`{name}/{module}.py`" for module in modules),
         "executables": "\n".join(f"    {name}_{module} = {name}.{module}:main" for module in sorted(modules)),

@@ -27,7 +27,7 @@ from ..options import packed
 from ..options.repeat import words
 from ..options.run_options import begun, changed_words, folder_name, placement_of, repeat, scenario_of
 from ..page.wording import NEVER, accepted, in_words, measured_here, short, spans
-from ..run.run import checked, execute, illustrate, save, summary, tripped, turned
+from ..run.run import checked, execute, illustrate, once_broken_off, save, summary, tripped, turned
 from ..terminal.listing import console as make_console, styled
 from ..terminal.progress import progress
 from ..terminal.tables import Cell, print_judged
@@ -111,9 +111,10 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
             raise ScenarioError(f"--out {options.out}: it holds the run that {word}, expected another folder")
         out = out.with_name(f"{out.name}-again")
     folder, number = ResultsFolder(out), 1
-    while why := _kept(folder, options.force):
+    while why := _kept(folder, rig, options.force):
         if options.out is not None:
-            raise ScenarioError(f"--out {options.out}: {why}; expected another folder, or --force")
+            forced = ", or --force" if why.endswith(")") else ""  # which takes no folder from who is writing there
+            raise ScenarioError(f"--out {options.out}: {why}; expected another folder{forced}")
         number += 1
         beside = ResultsFolder(out.with_name(f"{out.name}-{number}"))
         say(f"{_shown(folder.path)} stays, {why}; this run goes to {_shown(beside.path)}")
@@ -126,13 +127,13 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
     return folder
 
 
-def _kept(folder: ResultsFolder, force: bool) -> str:
+def _kept(folder: ResultsFolder, rig: Rig, force: bool) -> str:
     """Say why the folder is not to be written into; empty if it may be."""
     if (other := folder.hold()) is not None:
         return f"{other} is writing there"
-    if folder.replaced and not force and folder.once:
+    if folder.replaced and not force and (once := folder.once(lambda shards: once_broken_off(rig, shards))):
         folder.let_go()
-        return f"its run cannot be made again ({folder.once})"
+        return f"its run cannot be made again ({once})"
     return ""
 
 
@@ -161,7 +162,7 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
         Exit status.
     """
     kept = _keep(options, done, folder)
-    if slow := _too_slow(options, done):
+    if slow := too_slow(options, done.rig, done.status, bool(done.error)):
         say(slow)
     _speak(kept, done, folder.path if folder is not None else None)
     return _judged(options, kept, done)
@@ -234,18 +235,22 @@ def _judged(options: argparse.Namespace, kept: _Kept, done: Run) -> int:
     return 0 if all(f.passed for f in done.results) and all(c.holds is not False for c in done.claims) else 1
 
 
-def _too_slow(options: argparse.Namespace, done: Run) -> str:
+def too_slow(
+    options: argparse.Namespace,
+    rig: Rig,
+    status: Mapping[str, Mapping[str, Any]],
+    broken: bool = False,
+    container: str = "--mode container",
+) -> str:
     """Say that the machine did not keep up; of a rig that has tripped or broken every missed deadline counts."""
-    trips = tripped(done.rig, done.status)
+    trips = tripped(rig, status)
     most = MISSED if options.max_missed is None else options.max_missed
-    most = 0.0 if trips or done.error else most
-    late = [
-        f"{node} missed {share:.3g} % of its deadlines" for node, share in _missed(done.status).items() if share > most
-    ]
+    most = 0.0 if trips or broken else most
+    late = [f"{node} missed {share:.3g} % of its deadlines" for node, share in _missed(status).items() if share > most]
     if not late:
         return ""
     why = "".join(f", {node}: {text}" for node, text in trips.items())
-    faster = ", --mode container is faster" if options.mode == "processes" else ""
+    faster = f", {container} is faster" if options.mode == "processes" else ""
     return f"the machine did not keep up: {', '.join(late)}{why}; the figures are of a slower loop{faster}"
 
 

@@ -27,6 +27,8 @@ class Process:
     parameters : list of str
         Files.
     remappings : list of (str, str)
+    variables : mapping of str to str
+        Of its environment, besides those of the launch.
     kind : {"rig", "viewer"}
         A node of the rig, or one whose end is the end of the launch.
     """
@@ -38,6 +40,7 @@ class Process:
     arguments: list[str] = field(default_factory=list)
     parameters: list[str] = field(default_factory=list)
     remappings: list[tuple[str, str]] = field(default_factory=list)
+    variables: Mapping[str, str] = field(default_factory=dict)
     kind: str = "rig"
 
 

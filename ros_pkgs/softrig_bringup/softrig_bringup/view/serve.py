@@ -40,6 +40,7 @@ from .sources import Live, Source
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 PAGE = "/view"
+AWAY = 5000  # ms that a browser may be gone: it may be loading the page again
 SHARE = 10.0  # figures take at most one part in so many of the time
 
 
@@ -197,8 +198,8 @@ class Pages:
                 address=host,
                 port=chosen,
                 extra_patterns=[("/", _ToPage)],
-                check_unused_sessions_milliseconds=1000,
-                unused_session_lifetime_milliseconds=5000,
+                check_unused_sessions_milliseconds=AWAY // 5,
+                unused_session_lifetime_milliseconds=AWAY,
                 allow_websocket_origin=origins,
                 auth_provider=_Token(token, LOOPBACK if host in LOOPBACK else ()),
             )

@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 STEPS = tuple(2.0**-n for n in range(4, 33, 4))  # of the size of what is moved
 AGREED = 1e-11  # neighbouring steps that agree so well need no smaller one
 CHECKED = 10  # periods of the whole over which the linear rig is held against the rig
+FOLLOWED = 200  # periods that can be run from where the view is
 NEARER = 2.0**-8  # of the steps of the columns, how far all states together are moved off there
 ROUNDS = 5  # in which sizes of states are found that are at zero in the run
 POINTS = 1000  # frequencies
@@ -337,7 +338,7 @@ def linear_view(
         raise ScenarioError(f"{rig.scenario.name}: no plant says anything at each of its ticks; name outputs")
     number = rig.scenario.seed if seed is None else seed
     given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, said)
-    found = StateMap(rig, at, number, said, [*given, *([opened] if opened else [])], CHECKED)
+    found = StateMap(rig, at, number, said, [*given, *([opened] if opened else [])], FOLLOWED)
     if opened:
         _check_link(found, opened)
     return Differences(found, told, given, opened).view()
@@ -403,13 +404,19 @@ class Differences:
 
     def __init__(self, found: StateMap, outputs: Sequence[str], inputs: Sequence[str], link: str) -> None:
         self.map, self.outputs, self.inputs, self.link = found, list(outputs), list(inputs), link
-        _, self.said = found(found.start, {})
+        self.said = self._begin()
         self.fixed = {link: self.said[link]} if link else {}
         self.heard = [*outputs, *([link] if link else [])]
         self.finite = np.isfinite(found.start)  # a limit may be without one
         self.columns: dict[int | str, tuple[Array, Array]] = {}  # of numbers by place and signals by name
         self.errors: dict[int | str, float] = {}
         self.steps: dict[int, float] = {}
+
+    def _begin(self) -> dict[str, float]:
+        """Give what is said where the map's `start` is now, and keep what no float tells of it."""
+        _, said = self.map(self.map.start, {})
+        self.others = self.map.others()
+        return said
 
     def states(self) -> tuple[list[int], Array, Array]:
         """Give the places of the states, A, and the rows of what is heard: those that what is heard depends on."""
@@ -471,6 +478,7 @@ class Differences:
 
     def again(self, kept: list[int]) -> Array:
         """Give A where the map's `start` is now."""
+        self._begin()
         for i in kept:
             self._number(i)
         return self._square(kept)
@@ -543,9 +551,10 @@ class Differences:
     def _signal(self, name: str) -> None:
         size = _power(abs(self.said[name]) or 1.0)
 
-        def at(height: float) -> tuple[Array, Array, float]:
-            x, said = self.map(self.map.start, {name: height}, self.fixed)
-            return x, np.array([said[s] for s in self.heard]), height
+        def at(height: float) -> tuple[Array, Array, float, str]:
+            given = {name: height}
+            x, said = self.map(self.map.start, given, self.fixed)
+            return x, np.array([said[s] for s in self.heard]), height, self._parted(self.map.start, given)
 
         self.columns[name], _ = self._column(name, at, size)
 
@@ -553,22 +562,34 @@ class Differences:
         begin = self.map.start
         size = _power(float(self.map.sizes[i]) or 1.0)
 
-        def at(height: float) -> tuple[Array, Array, float]:
+        def at(height: float) -> tuple[Array, Array, float, str]:
             moved = begin.copy()
             moved[i] += height
             x, said = self.map(moved, {}, self.fixed)
-            return x, np.array([said[s] for s in self.heard]), float(moved[i] - begin[i])
+            return x, np.array([said[s] for s in self.heard]), float(moved[i] - begin[i]), self._parted(moved, {})
 
         self.columns[i], self.steps[i] = self._column(i, at, size)
+
+    def _parted(self, numbers: Array, added: Mapping[str, float]) -> str:
+        """Name something that is no float, goes along with what was moved and counts; empty for nothing."""
+        now, then = self.map.others(), self.others
+        if now == then:
+            return ""
+        name = next((new for (new, x), (_, y) in zip(now, then, strict=False) if x != y), (now + then)[-1][0])
+        return name if self.map.follows(numbers, added, self.fixed) else ""
 
     def _column(self, key: int | str, at: Any, size: float) -> tuple[tuple[Array, Array], float]:
         best: tuple[float, tuple[Array, Array], float] | None = None
         before: tuple[Array, Array] | None = None
+        stepping = ""
         for share in STEPS:
             try:
                 up, down = at(size * share), at(-size * share)
             except RunError:  # too far: a limit, a domain
                 before = None
+                continue
+            if parted := up[3] or down[3]:  # too far, too: what follows from those no column would tell
+                before, stepping = None, parted
                 continue
             width = up[2] - down[2]
             if not width:  # a number so large that it has not moved
@@ -585,8 +606,14 @@ class Differences:
                     break
             before = now
         if best is None:
-            name = self.map.names[key] if isinstance(key, int) else key
-            raise RunError(f"{self.map.rig.scenario.name}: {name} cannot be moved at {self.map.t:g} s, however little")
+            name, rig = self.map.names[key] if isinstance(key, int) else key, self.map.rig.scenario.name
+            if stepping:
+                raise RunError(
+                    f"{rig}: {stepping} goes along with {name} at {self.map.t:g} s, however little that is moved, and "
+                    "is no float: whole numbers, words and switches have no linear view, and what follows from it "
+                    "would be missing there; keep it as a float"
+                )
+            raise RunError(f"{rig}: {name} cannot be moved at {self.map.t:g} s, however little")
         self.errors[key] = best[0]
         return best[1], best[2]
 

@@ -20,7 +20,7 @@ from ..block.port import Port, Sample
 from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError, ScenarioError, closest
-from ..kit.floats import numbers as numbers_of, put, read, split
+from ..kit.floats import numbers as numbers_of, others, put, read, split
 from ..rig.members import Member, signal_units
 from ..rig.rig import Rig
 from ..run.expand import rig_of
@@ -30,6 +30,7 @@ from ..wire.signals import full_name
 
 Array = NDArray[np.float64]
 LONGEST = 20_000  # ticks that one period of the whole may have
+LATER = 10  # periods that something may take to be seen, besides those of what it goes through
 LOOKS = 20  # times before that are looked at to see how large states are
 
 
@@ -262,10 +263,41 @@ class StateMap:
         """Give the values alone, those of each member."""
         return [numbers_of(_Known(step.x, tuple(step.values.values()))) for step in self._steps.values()]
 
-    def _write(self, numbers: Array) -> None:
-        """Put other numbers in the place of those of where the run is."""
+    def others(self) -> list[tuple[str, Any]]:
+        """Give name and value of all that is no float, after the last period: no part of a linear view."""
+        return [
+            (f"{name}.{path}" if path else name, value)
+            for name, step in self._steps.items()
+            for part in (others(step.x), *(others(value, HEARD + port) for port, value in step.values.items()))
+            for path, value in part
+        ]
+
+    def follows(self, numbers: Array, added: Mapping[str, float], fixed: Mapping[str, float] | None = None) -> bool:
+        """Whether anything follows from what is no float and is another a period after `numbers` than after `start`.
+
+        It is put back to what it is after `start`, and floats have to go on as they do without; so many periods as such
+        values can hand something on among themselves, and some more, but not beyond the end of the run.
+        """
+        periods = LATER + sum(np.size(value) for _, value in self.others())
+        periods = min(periods, round(self.rig.scenario.duration / self.period) - self._first // self._every)
+        try:
+            true = list(self.go_on(numbers, periods, added, fixed))
+            without = self.go_on(self.start, periods, {}, fixed)
+            next(without)
+            self._write(true[0][0], np.concatenate(self._now()))
+            for name, probe in self.probes.items():
+                probe.added = added.get(name, 0.0)
+            return any(
+                says != said or not np.array_equal(x, y, equal_nan=True)
+                for (x, says), (y, said) in zip(true[1:], without, strict=True)
+            )
+        except RunError:  # it breaks, or has become longer
+            return True
+
+    def _write(self, numbers: Array, kept: Array) -> None:
+        """Put other numbers in the place of those that members have."""
         for step, here in zip(self._steps.values(), self._slices, strict=True):
-            if not np.array_equal(numbers[here], self._kept[here]):
+            if not np.array_equal(numbers[here], kept[here]):
                 whole = _Known(step.x, tuple(step.values.values()))
                 step.x, inputs = put(whole, split(whole, numbers[here]))
                 step.values.update(zip(step.values, inputs, strict=True))
@@ -302,7 +334,7 @@ class StateMap:
     ) -> Iterator[tuple[Array, dict[str, float]]]:
         """Go some periods on; gives what `__call__` gives after each of them."""
         put_back(self._steps.values(), self._saved)
-        self._write(numbers)
+        self._write(numbers, self._kept)
         added, fixed = added or {}, fixed or {}
         for name, probe in self.probes.items():
             probe.said, probe.added, probe.fixed = math.nan, added.get(name, 0.0), fixed.get(name)

@@ -86,6 +86,7 @@ class Block(Generic[P]):
         self.p: P = build(self.Params, values) if params is None else params  # type: ignore[assignment]
         self.name = name
         self.ages: Callable[[str], int | None] | None = None  # set by who runs the block
+        self.unanswered = 0  # ticks of its own between the newest answer and this one; in lockstep there are none
         # reported in the tick under way; None: nobody holds it
         self.events: list[tuple[Level | None, str, str, bool]] | None = None
         self.reports: dict[str, tuple[Level, str, int]] = {}

@@ -120,6 +120,12 @@ class Step(Held):
 
     # what a tick is -----------------------------------------------------------------------------------------------
 
+    def make(self) -> None:
+        """Make `say` and `advance` now, all being wired: against the wall clock the first tick has no time for that."""
+        self.say = sayer(self)
+        if self.plant:
+            self.advance = mover(self)
+
     def _first_say(self, t: int) -> None:
         self.say = sayer(self)
         self.say(t)

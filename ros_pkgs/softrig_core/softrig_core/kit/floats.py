@@ -11,34 +11,54 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+def leaves(x: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Give (name, value) of all in a state that is no tuple of others: ``pid.integral``; rows of floats stay rows.
+
+    Left out are named tuples whose class says so, by a property ``aside``: nothing that a block says depends on them
+    but its reports.
+    """
+    if hasattr(type(x), "aside"):
+        return
+    if isinstance(x, tuple) and not _is_row(x):
+        for name, item in zip(getattr(x, "_fields", range(len(x))), x, strict=True):
+            yield from leaves(item, f"{path}[{name}]" if isinstance(name, int) else f"{path}.{name}" if path else name)
+    else:
+        yield path, x
+
+
+def _is_row(x: tuple[Any, ...]) -> bool:
+    return bool(x) and not hasattr(x, "_fields") and all(type(item) is float for item in x)
+
+
 def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
     """Give (name, numbers) of every float in a state.
 
     Floats, complex numbers (two each), arrays of them, and tuples of these, also named ones within: ``pid.integral``.
-    Whole numbers, words and switches are no part of a linear view; nor are objects, which are opaque, but for those
-    that tell their own, by ``numbers()`` and ``with_numbers(row)``: a history. Nor are named tuples whose class says
-    so, by a property ``aside``: nothing that a block says depends on them but its reports.
+    Whole numbers, words and switches are no part of a linear view (`others`); nor are objects, which are opaque, but
+    for those that tell their own, by ``numbers()`` and ``with_numbers(row)``: a history.
     """
-    kind = type(x)
-    if hasattr(kind, "aside"):
-        return
-    if isinstance(x, float):
-        yield path, np.array([x])
-    elif kind is complex:
-        yield path, np.array([x.real, x.imag])
-    elif isinstance(x, np.ndarray):
-        if x.size and x.dtype.kind in "fc":
-            flat = np.ascontiguousarray(x).ravel()
-            yield path, flat.view(np.float64).astype(np.float64) if x.dtype.kind == "c" else flat.astype(np.float64)
-    elif isinstance(x, tuple):
-        if x and all(type(item) is float for item in x) and not hasattr(x, "_fields"):
-            yield path, np.array(x)
-        else:
-            for name, item in zip(getattr(x, "_fields", range(len(x))), x, strict=True):
-                here = f"{path}[{name}]" if isinstance(name, int) else f"{path}.{name}" if path else name
-                yield from read(item, here)
-    elif hasattr(x, "with_numbers"):
-        yield path, x.numbers()
+    for name, leaf in leaves(x, path):
+        if isinstance(leaf, float):
+            yield name, np.array([leaf])
+        elif type(leaf) is complex:
+            yield name, np.array([leaf.real, leaf.imag])
+        elif isinstance(leaf, np.ndarray):
+            if leaf.size and leaf.dtype.kind in "fc":
+                flat = np.ascontiguousarray(leaf).ravel()
+                yield name, (flat.view(np.float64) if leaf.dtype.kind == "c" else flat).astype(np.float64)
+        elif isinstance(leaf, tuple):
+            yield name, np.array(leaf)
+        elif hasattr(leaf, "with_numbers"):
+            yield name, leaf.numbers()
+
+
+def others(x: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Give (name, value) of what `read` leaves out and can be compared: whole numbers, words, switches, nothing."""
+    for name, leaf in leaves(x, path):
+        if leaf is None or isinstance(leaf, int | str | np.integer | np.bool_):
+            yield name, leaf
+        elif isinstance(leaf, np.ndarray) and leaf.dtype.kind in "iub":
+            yield name, leaf.tolist()
 
 
 def numbers(x: Any) -> Array:
@@ -81,10 +101,7 @@ def _put(x: Any, rows: Iterator[Array]) -> Any:
         row = np.ascontiguousarray(next(rows), dtype=np.float64)
         return (row.view(np.complex128) if x.dtype.kind == "c" else row).reshape(x.shape).astype(x.dtype)
     if isinstance(x, tuple):
-        if x and all(type(item) is float for item in x) and not hasattr(x, "_fields"):
-            items = next(rows).tolist()
-        else:
-            items = [_put(item, rows) for item in x]
+        items = next(rows).tolist() if _is_row(x) else [_put(item, rows) for item in x]
         same = all(a is b or (type(a) is float and a == b) for a, b in zip(items, x, strict=True))
         return x if same else x._make(items) if hasattr(x, "_make") else tuple(items)
     if hasattr(x, "with_numbers"):

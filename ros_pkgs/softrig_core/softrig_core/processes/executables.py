@@ -76,13 +76,13 @@ def environment(
     variables.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
     profile = LOOPBACK if discovery == "LOCALHOST" else PROFILE
     if not variables.get("FASTRTPS_DEFAULT_PROFILES_FILE"):
-        chosen = profile if silence is None else _patient(profile, directory, silence)
+        chosen = profile if silence is None else patient(profile, directory, silence)
         variables["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(chosen)
     return variables
 
 
-def _patient(profile: Path, directory: Path, silence: float) -> Path:
-    """Write a profile of ours with a lease that a silence of so many s does not end."""
+def patient(profile: Path, directory: Path, silence: float) -> Path:
+    """Write a profile of ours, ``profile.xml``, with a lease that a silence of so many s does not end."""
     lease = f"<leaseDuration><sec>{math.ceil(silence) + MARGIN}</sec></leaseDuration>"
     file = directory / "profile.xml"
     file.write_text(re.sub("<leaseDuration>.*</leaseDuration>", lease, profile.read_text()))

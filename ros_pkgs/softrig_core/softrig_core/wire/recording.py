@@ -89,8 +89,9 @@ class ShardWriter:
             self.flush()
 
     def note(self, t: int, data: bytes) -> None:
-        """Append a change of parameters."""
+        """Append a change of parameters, in the file at once: it must not be lost with the process."""
         self.add(self._note, t, data)
+        self.flush()
 
     def add_row(self, t: int, values: Iterable[float]) -> None:
         """Append one message of each topic of the row, all stamped `t`, by their numbers."""
@@ -425,6 +426,15 @@ def _read_rows(content: memoryview, row: Sequence[tuple[Topic | None, Layout]]) 
             topic.add_columns(Columns(times, values[:, first : first + layout.size], layout))
         first += layout.size
     return int(block.size)
+
+
+def read_shards(paths: Iterable[Path]) -> Recording:
+    """Give what some shards have together, of those that are there."""
+    found = [path for path in paths if path.exists()]
+    recording = Recording({topic: kind for path in found for topic, kind in shard_topics(path).items()}.items())
+    for path in found:
+        recording.read_shard(path)
+    return recording
 
 
 def shard_topics(path: Path) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import Level, Plant, Port, array, executable, param
+from softrig_core import SECOND, Level, Plant, Port, array, executable, param
 from softrig_core.kit import dense
 
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, Rows, State as Network, Turning, circuit, moved
@@ -151,7 +151,11 @@ class GupfcPlant(Plant[GupfcPlantParams]):
     ) -> State:
         """Move by one control period."""
         p, tripped = self.p, x.tripped
-        commands = (self._taken(x, 0, shunt), self._taken(x, 1, series_1), self._taken(x, 2, series_2))
+        commands = (
+            self._taken(x, 0, shunt, self.age("shunt")),
+            self._taken(x, 1, series_1, self.age("series_1")),
+            self._taken(x, 2, series_2, self.age("series_2")),
+        )
         a, b, c = commands
         turning = Turning(
             np.array((a.sigma, b.sigma, c.sigma)),
@@ -169,10 +173,14 @@ class GupfcPlant(Plant[GupfcPlantParams]):
             network.i[I_SH] = 0.0
         return State(network, commands, Seen(rows, power), x.steps + p.substeps, tripped)
 
-    def _taken(self, x: State, k: int, command: tuple[float, ...]) -> Command:
-        """Give the command of converter k, or what stands in for it."""
+    def _taken(self, x: State, k: int, command: tuple[float, ...], age: int | None) -> Command:
+        """Give the command of converter k, so many ns old, or what stands in for it."""
         p, last = self.p, x.commands[k]
         amplitude, angle, omega = command
+        if age is None:  # real time: none has come since the start
+            return Command(last.sigma, math.remainder(last.angle + p.period * last.omega, math.tau), last.omega)
+        if age > 0:  # real time: its angle is that of its own tick
+            angle = math.remainder(angle + omega * (age / SECOND), math.tau)
         nominal = p.network.omega
         highest = math.pi * (1.0 + 1e-12) if k == 0 else MAGNITUDE_LIMIT
         if 0.0 <= amplitude <= highest and FREQUENCY_LIMIT[0] * nominal <= omega <= FREQUENCY_LIMIT[1] * nominal:

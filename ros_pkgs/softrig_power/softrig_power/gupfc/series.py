@@ -117,7 +117,7 @@ class SeriesController(Block[SeriesControllerParams]):
         p = self.p
         asked = self._asked if reference is None else complex(reference[0], reference[1])
         u, i = (complex(s[0], s[1]) for s in (inputs[self._voltage], inputs[self._current]))
-        locked, theta = self._pll(x.locked, u)
+        locked, theta = self._pll(x.locked, u, self.unanswered)
         back = cmath.rect(1.0, -theta)
         u_x, i_x = x.u, x.i
         u, i = u * back, i * back

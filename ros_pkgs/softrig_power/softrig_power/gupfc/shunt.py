@@ -105,7 +105,7 @@ class ShuntController(Block[ShuntControllerParams]):
         p = self.p
         v_ref = p.initial.v if reference is None else reference[0]
         u = complex(u1[0], u1[1])
-        locked, theta = self._pll(x.locked, u)
+        locked, theta = self._pll(x.locked, u, self.unanswered)
         magnitude, v = self._filter(x.magnitude, abs(u))
         q = -(complex(i_sh[0], i_sh[1]) * cmath.rect(1.0, -theta)).imag
         reactive, i_q = self._filter(x.reactive, q)

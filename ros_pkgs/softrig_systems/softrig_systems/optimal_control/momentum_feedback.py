@@ -19,10 +19,11 @@ class State(NamedTuple):
 
 
 class MomentumFeedback(Block[ProblemParams]):
-    r""":math:`u = -I \omega / (T - t)`: the momentum h = I w goes straight to zero.
+    r"""Brings the momentum h = I w of a spacecraft straight to zero.
 
-    The gyroscopic torque cannot change \|h\|, so no control does with less than \|h_0\|^2/(2T). In the last period
-    T - t is held at the period; after the horizon the command is zero. A state that is refused holds the command.
+    :math:`u = -I \omega / (T - t)`. The gyroscopic torque cannot change \|h\|, so no control does with less
+    than \|h_0\|^2/(2T). In the last period T - t is held at the period; after the horizon the command is zero.
+    A state that is refused holds the command.
     """
 
     @classmethod

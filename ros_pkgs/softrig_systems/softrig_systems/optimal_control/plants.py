@@ -112,11 +112,17 @@ class TwoStatePlantParams(OcpPlantParams):
 
 
 class ScalarPlant(OcpPlant[ScalarPlantParams]):
-    r""":math:`\dot x = x^2 \sin(x)/2 + u`."""
+    r"""The scalar problem.
+
+    :math:`\dot x = x^2 \sin(x)/2 + u`.
+    """
 
 
 class SpacecraftPlant(OcpPlant):
-    r"""Rates of a rigid spacecraft, :math:`I_1 \dot w_1 = (I_2 - I_3) w_2 w_3 + u_1`, cyclic."""
+    r"""Rates of a rigid spacecraft about its principal axes.
+
+    :math:`I_1 \dot w_1 = (I_2 - I_3) w_2 w_3 + u_1`, cyclic.
+    """
 
     DRAWN_BY = "softrig_systems.optimal_control.drawing:Spacecraft"
 
@@ -131,7 +137,10 @@ class SpacecraftPlant(OcpPlant):
 
 
 class TwoStatePlant(OcpPlant[TwoStatePlantParams]):
-    r""":math:`\dot x_1 = x_2 + x_1 x_2`, :math:`\dot x_2 = -x_1 + x_2 + x_2^2 + u`."""
+    r"""The problem of two states.
+
+    :math:`\dot x_1 = x_2 + x_1 x_2`, :math:`\dot x_2 = -x_1 + x_2 + x_2^2 + u`.
+    """
 
 
 ocp_main = executable(OcpPlant)

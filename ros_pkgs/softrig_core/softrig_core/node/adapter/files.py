@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...processes.children import read_status
 from ...processes.spawning import DIED
-from ...wire.recording import Recording, shard_topics
+from ...wire.recording import Recording, read_shards
 
 
 @dataclass
@@ -45,13 +45,5 @@ def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
     status = {who: read_status(folder / f"{who}.status") for who in peers}
     gone = frozenset(who for who, said in status.items() if said.get("state") == "done")
     answered = {who: math.inf if who in gone else float(said.get("t", 0)) for who, said in status.items()}
-    shards = _shards([folder / f"{who}.shard" for who in status])
-    return Files(shards, _shards([folder / f"{name}{DIED}"]), answered, gone)
-
-
-def _shards(paths: Sequence[Path]) -> Recording:
-    found = [path for path in paths if path.exists()]
-    recording = Recording({topic: kind for path in found for topic, kind in shard_topics(path).items()}.items())
-    for path in found:
-        recording.read_shard(path)
-    return recording
+    shards = read_shards(folder / f"{who}.shard" for who in status)
+    return Files(shards, read_shards([folder / f"{name}{DIED}"]), answered, gone)

@@ -133,8 +133,10 @@ class Answering:
         """Answer the tick of a stamp with the newest values up to it."""
         node, now = self._node, self._table.clock()
         last, self._last_stamp = self._last_stamp, stamp
+        missed = 0
         if last is not None and stamp - last > self._period + 1:
-            self.missed += node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1
+            missed = node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1
+            self.missed += missed
         for row in self._used:
             if (value := row.take(stamp)) is not None:
                 node.values[row.name] = value
@@ -145,4 +147,5 @@ class Answering:
                 if row.bad is not None and row.bad <= stamp:
                     node.step.bad, row.bad = True, None
             self._refusals = [row for row in self._refusals if row.bad is not None]
+        node.block.unanswered = missed
         self._answer(stamp - node.epoch)

@@ -10,8 +10,11 @@ from collections.abc import Sequence
 
 from ...block.schedule import Schedule
 from ...block.step import Step
+from ...timebase import SECOND
 from .live import Live
 from .realtime import SOON, Realtime, newest
+
+BEHIND = SECOND // 20  # ns; who is further behind leaves ticks out
 
 
 class Beat:
@@ -53,17 +56,24 @@ class Beat:
         number = grid.tick(t)
         if number <= self._number:
             return
-        if number > self._number + 1:
+        if t - grid.time(self._number + 1) <= BEHIND:  # late, but in order: what is said is what it would have been
+            for k in range(self._number + 1, number):
+                self._say(k, grid.time(k), first.clock())
+        else:
             for drive in self._drives:
                 schedule = drive.node.schedule
                 if (own := schedule.held(t)) < t:
                     drive.tick(schedule.tick(own), own, now)
+        self._say(number, t, first.clock())
+
+    def _say(self, number: int, t: int, now: int) -> None:
+        """Have those answer who are due at a tick."""
         self._number = number
         for drive, every in self._members:
             if number % every == 0:
                 drive.tick(number // every, t, now)
-        now = first.clock()
+        now = self._drives[0].clock()
         for law, command, plant in self._commands:
             if law.t == t:
                 command.fed(now)
-                plant.commanded(epoch + t, now)
+                plant.commanded(plant.node.epoch + t, now)

@@ -315,7 +315,8 @@ class Live(Sender):
         if self.arrived is None or now - self.arrived <= table.least:
             return False
         learned = self.schedule is not None or not node.is_plant
-        limit = table.watchdog or max(table.least, Block.STALE_PERIODS * self._interval if learned else 0)
+        slower = min(Block.STALE_PERIODS, node.block.STALE_PERIODS) * self._interval
+        limit = table.watchdog or max(table.least, slower if learned else 0)
         if now - self.arrived <= limit:
             return False
         if self.name not in table.stale:

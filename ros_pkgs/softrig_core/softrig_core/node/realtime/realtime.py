@@ -127,6 +127,7 @@ class Realtime:
             text = f"the clock of the rig is {ahead / SECOND:+.3f} s from this one: followed"
             self.node.block.note(Level.WARN, "clock", text)
         self.node.epoch = epoch
+        self.node.step.make()
         self.node.state = "running"
         if self._idle:
             topics = ", ".join(row.port.topic for row in self._commands)
@@ -257,6 +258,7 @@ class Realtime:
             return  # neither of two publishers is believed
         self._lateness.append(now - node.epoch - due)
         behind = number - self.tick_number if self.tick_number >= 0 else 0
+        unanswered = max(behind - 1, 0)
         if behind > 1:
             self._missed += behind - 1
             if node.schedule.time(behind) > CATCH_UP:
@@ -264,13 +266,14 @@ class Realtime:
                 behind = 1
         self.tick_number = number
         if not node.is_plant:
+            node.block.unanswered = unanswered
             self._answer(due)
             return
         try:
             for k in range(number - behind, number):
                 t = node.schedule.time(k)
                 self._use(t)
-                node.step.advance(t, self._fresh_inputs(now))
+                node.step.advance(t, self._fresh_inputs(node.epoch + node.schedule.time(k + 1)))
             node.step.say(due)
         except RunError as error:
             node.broke(error)
@@ -289,7 +292,7 @@ class Realtime:
                 self.senders.record(stamp)
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
-        """Live commands; the safe value in place of a stale one."""
+        """Live commands; the safe value in place of one that is stale at the time of a tick, said late or not."""
         inputs = self.node.values
         for row in self._commands:
             if row.publishers > 1 or row.silent(now):
@@ -349,5 +352,5 @@ def newest(timer: Timer, schedule: Schedule, t: int) -> int:
     It is aimed at that point of the wall clock's grid each time, so that no error adds up.
     """
     due = schedule.held(t)
-    timer.again(schedule.next(due) - t)
+    timer.again(schedule.next(due) - t, schedule.time(1))
     return due

@@ -40,10 +40,10 @@ class ExchangeTimer:
         self.moved = False
         self.again(ns)
 
-    def again(self, ns: int) -> None:
-        """Fire after `ns` and then with that period."""
-        self.period = max(1000, ns)
-        self.due: int | None = time.monotonic_ns() + self.period
+    def again(self, ns: int, period: int = 0) -> None:
+        """Fire after `ns` and then with a period, see `Timer`."""
+        self.period = max(1000, period or ns)
+        self.due: int | None = time.monotonic_ns() + max(1000, ns)
         if not self.moved:
             self.moved = True
             self._moved.append(self)

@@ -35,8 +35,8 @@ class Peer(NamedTuple):
 class Timer(Protocol):
     """A timer that repeats until it is cancelled."""
 
-    def again(self, ns: int) -> None:
-        """Fire after `ns`, counted from now, and then with that period."""
+    def again(self, ns: int, period: int = 0) -> None:
+        """Fire after `ns`, counted from now, and then with a period, that time if it is 0."""
 
     def cancel(self) -> None:
         """Never fire again, unless `again` is called."""
