@@ -1,7 +1,9 @@
 """Nodes against the wall clock, started one by one as a user does: watchdog, recovery, rivals, bad input."""
 
+import mmap
 import os
 import re
+import struct
 import time
 from pathlib import Path
 
@@ -111,6 +113,34 @@ def test_a_node_whose_port_is_taken_away_ends_by_name(bench):
         port.unlink()
     assert bench.ends("plant") == 3
     assert "hears nobody any more: its port fastrtps_port" in bench.status("plant")["error"]
+
+
+@pytest.mark.long
+def test_a_node_whose_port_is_taken_for_damaged_hears_again(bench):
+    """By Fast DDS in any process, on a host so busy that the reader did not stir: the reader makes another."""
+    for name in ("plant", "source", "gain"):
+        bench.start(name, name)
+    bench.wait(lambda: bench.status("gain")["ticks"] > 30)
+    ports = {port: port.stat().st_ino for port in ears(bench.nodes["gain"])}
+    for port in ports:
+        mark_damaged(port)
+    bench.wait(lambda: all(port.exists() and port.stat().st_ino != inode for port, inode in ports.items()))
+    ticks = bench.status("gain")["ticks"]
+    bench.wait(lambda: bench.status("gain")["ticks"] > ticks + 100)
+    assert bench.status("gain")["state"] == "running"
+    assert ears(bench.nodes["gain"]) == ports.keys()
+
+
+def mark_damaged(port):
+    """As `SharedMemGlobal` does (`PortNode::is_port_ok`): the first bit after six numbers, of which these three."""
+    number = int(port.name.removeprefix("fastrtps_port"))
+    with port.open("r+b") as file, mmap.mmap(file.fileno(), 0) as node:
+        begin = next(
+            m.start()
+            for m in re.finditer(re.escape(struct.pack("<I", number)), node)
+            if struct.unpack_from("<2I", node, m.start() + 8) == (20000, 20000 // 3)
+        )
+        node[begin + 24] &= ~1
 
 
 def ears(process):
