@@ -25,6 +25,8 @@ SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"
 ASK = """
 import json, os, sys
 from softrig_bringup.cli import main
+from softrig_core import load_scenario
+load_scenario("dc_motor_smc")  # what each would import by itself
 for k, line in enumerate(json.load(sys.stdin)):
     if os.fork() == 0:
         os.environ |= {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_COMP_WORDBREAKS": "", "COMP_LINE": line,

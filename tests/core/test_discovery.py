@@ -11,6 +11,7 @@ from conftest import differences, in_process, make_scenario
 from simulated import Discovery, SimulatedNode, SimulatedRig, SimulatedTimer, World, some
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
+from softrig_core.node.adapter.spin import conclude
 from softrig_core.node.ros.ros import QOS
 from softrig_core.node.seam.awaited import RECORDER, left_out
 from softrig_core.node.seam.endpoint import Output
@@ -130,6 +131,26 @@ def stall(run, rng, longest=3_000):
         return
     node = rng.choice(list(run.nodes.values()))
     node.stalled = max(node.stalled, run.world.now + rng.randrange(longest * MS))
+
+
+def test_who_is_stopped_while_an_outside_node_is_awaited_asks_nobody_about_it(capfd):
+    """A signal has shut ROS down by then."""
+    rng = random.Random(0)
+    world = World(lambda *_: 1_000)
+    Discovery(world, rng)
+    run = SimulatedRig(with_guests("basic", ("source",)), world, "lockstep", start_timeout=0.0)
+    run.run(5.0)
+    waiting = [a for a in run.adapters.values() if a.lacking]
+    assert waiting
+    for adapter in waiting:
+        assert "published" in adapter.status()
+
+        def gone():
+            raise RuntimeError
+
+        adapter.middleware.topics = gone
+        assert conclude(adapter, stopped=True) == 0
+        assert adapter.status()["state"] == "done"
 
 
 @pytest.mark.parametrize("kind", KINDS)

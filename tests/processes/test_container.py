@@ -424,10 +424,11 @@ def test_a_profile_keeps_what_it_says_and_gets_ports_and_the_property(tmp_path, 
     assert own(given).count(b"<portBase>") == 1
 
 
-def test_the_well_known_ports_stay_and_the_others_change():
+def test_the_well_known_ports_stay_and_the_others_change(monkeypatch):
     """With the standard ones at 7400 + 250 * domain, no port is that of another participant or of a dead one."""
     seen = set()
     for k in range(40):
+        monkeypatch.setattr(os, "getpid", lambda k=k: 32_700 + k)
         ports = chosen(7, 1e6 + 0.45 * k)
         base = ports["portBase"]
         assert {name: base + ports[name] for name in ("offsetd0", "offsetd1", "offsetd2")} == {
@@ -442,6 +443,11 @@ def test_the_well_known_ports_stay_and_the_others_change():
     last = chosen(232)
     assert last["portBase"] + last["offsetd3"] == 7400 + 11  # above 65,535 there are none
     assert len({user for user, _ in seen}) == len({unique for _, unique in seen}) == 40
+    together = set()
+    for k in range(50):
+        monkeypatch.setattr(os, "getpid", lambda k=k: 32_700 + k)
+        together.add(chosen(7, 1e6)["portBase"])
+    assert len(together) == 50
 
 
 @pytest.mark.parametrize(("text", "why"), [(b"<a", "not XML"), (b"<profiles/>", "no participant")])

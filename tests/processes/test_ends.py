@@ -4,6 +4,7 @@ import fcntl
 import json
 import mmap
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,10 +18,10 @@ from conftest import PATIENCE, differences, in_process, make_scenario, no_proces
 from softrig_bags.read import read_bag
 from softrig_core import Signals, rig_of, run_inprocess, run_processes
 from softrig_core.node.seam import health
-from softrig_core.processes import spawning
+from softrig_core.processes import shared_memory, spawning
 from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment, find_executable
+from softrig_core.processes.executables import LOOPBACK, environment, find_executable
 from softrig_core.processes.fork_server import start_node
 from softrig_core.processes.placement import Listener, Placement
 from softrig_core.processes.shared_memory import MADE, Ears, clear_ports, lacking, remove_leftovers
@@ -76,6 +77,9 @@ def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
         (tmp_path / name).write_bytes(b"" if name.endswith("_el") else bytes(8) if "7001" in name else MADE)
         os.utime(tmp_path / name, (0, 0))
     (tmp_path / "fastrtps_port7002").touch()  # just begun
+    for name, begun in (("fastrtps_port7003", b""), ("fastrtps_port6300", MADE)):  # by a maker who has no processor
+        (tmp_path / name).write_bytes(begun)
+        os.utime(tmp_path / name, (time.time() - 30.0,) * 2)
     os.utime(tmp_path / "fastrtps_00cc_el")  # just made: its owner may be about to lock it
     lock = f"f = open('{tmp_path}/fastrtps_00bb_el'); fcntl.flock(f, fcntl.LOCK_EX)"
     code = f"import fcntl; {lock}; print(1, flush=True); input()"
@@ -83,15 +87,20 @@ def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
     owner.stdout.readline()
     assert remove_leftovers(folder=tmp_path) == 4  # a port of another domain may be about to be opened
     assert remove_leftovers(0, tmp_path) == 3
-    left = {"fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el", "fastrtps_port7002", "other"}
+    left = {"fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el", "other"}
+    left |= {f"fastrtps_port{number}" for number in (6300, 7002, 7003)}
     assert {p.name for p in tmp_path.iterdir()} == left | {"fastrtps_port7661"}
     owner.communicate(b"\n")
     assert remove_leftovers(1, tmp_path) == 3  # of a domain that is over: ports that nobody had locked, too
-    assert {p.name for p in tmp_path.iterdir()} == {"fastrtps_00cc", "fastrtps_00cc_el", "fastrtps_port7002", "other"}
+    left -= {"fastrtps_00bb", "fastrtps_00bb_el"}
+    assert {p.name for p in tmp_path.iterdir()} == left
+    os.utime(tmp_path / "fastrtps_port6300", (0, 0))
+    assert remove_leftovers(folder=tmp_path) == 1
 
 
-def test_a_node_waits_for_a_port_that_is_being_made_and_removes_one_whose_maker_is_dead(tmp_path):
+def test_a_node_waits_for_a_port_that_is_being_made_and_removes_one_whose_maker_is_dead(tmp_path, monkeypatch):
     """Who opens it waits for ever."""
+    monkeypatch.setattr(shared_memory, "AGE", 0.5)
     ports = [tmp_path / f"fastrtps_port{7400 + 250 + k}" for k in range(4)]
     for port in ports:
         port.write_bytes(MADE)
@@ -157,6 +166,17 @@ def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
         with port.open("r+b") as new, mmap.mmap(new.fileno(), 8):
             assert ears.lost() == ""  # opened anew, as Fast DDS does where one is damaged
     assert Ears().lost() == ""
+
+
+def test_a_node_waits_until_its_reader_has_replaced_a_damaged_port(tmp_path, monkeypatch):
+    """A reader looks at his port after a third of what it may be silent, and on a busy host when it is his turn."""
+    third = int(re.search(r"<healthy_check_timeout_ms>(\d+)<", LOOPBACK.read_text())[1]) / 3e3
+    assert third + 1.0 < Ears.PATIENCE
+    clock = iter((0.0, 50.0, 55.0, *(55.0 + k for k in range(1, 20))))
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(shared_memory, "_own", lambda: {tmp_path / "fastrtps_port7661"})
+    ears = Ears()
+    assert [ears.lost() for _ in range(12)] == [""] * 10 + ["fastrtps_port7661"] * 2
 
 
 def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():

@@ -1,10 +1,13 @@
 """Nodes forked from a process that has done their imports are processes as any other."""
 
+import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -131,6 +134,25 @@ def test_an_answer_that_a_signal_has_cut_off_is_not_taken_for_the_next(package, 
     monkeypatch.setattr(server, "_link", link)
     assert say.wait(60) == 0
     assert fail.wait(60) == 3
+
+
+def test_a_node_has_its_own_status_where_another_had_its_number_before(monkeypatch):
+    """Linux counts to 32,768 and begins again: a long set does so every quarter of an hour."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ends = iter((signal.SIGKILL, 0))
+    monkeypatch.setattr(fork_server, "_fork", lambda request, asleep: 7)
+    monkeypatch.setattr(os, "waitpid", lambda pid, options: (pid, next(ends)))
+    monkeypatch.setattr(os, "_exit", sys.exit)  # of this thread alone
+
+    def ask(**request):
+        ours.send(json.dumps(request | {"number": 0}).encode())
+        return json.loads(ours.recv(1000))
+
+    with theirs, ThreadPoolExecutor(1) as pool, ours:
+        pool.submit(fork_server.serve, theirs)
+        for status in (-signal.SIGKILL, 0):
+            assert ask(package="tools")["pid"] == 7
+            assert [ask(status=7)["status"] for _ in range(2)] == [status] * 2
 
 
 def test_a_node_ends_with_whoever_had_it_started(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import random
 import subprocess
 import sys
@@ -77,22 +78,30 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
         about.write_text(json.dumps(relay(rig, member, expected, reads, names, realtime)))
         commands.append([sys.executable, str(Path(__file__).parents[1] / "relay.py"), str(about)])
     nodes = {n: e.model_copy(update={"external": True} if n in names else {}) for n, e in rig.scenario.nodes.items()}
-    ours = rig_of(rig.scenario.model_copy(update={"nodes": nodes, "timeout": 60.0}))
-    outside = []
+    patience = 60.0 * busy()
+    ours = rig_of(rig.scenario.model_copy(update={"nodes": nodes, "timeout": patience, "start_timeout": 2 * patience}))
+    outside, home = [], directory / "outside"
+    home.mkdir()
     with free_domain() as domain:
 
         def announce(text):
-            if not outside:
-                outside.extend(subprocess.Popen(c, env=environment(domain, directory)) for c in commands)
+            if not outside:  # nor does anybody take it for dead sooner
+                variables = environment(domain, home, silence=patience)
+                outside.extend(subprocess.Popen(c, env=variables) for c in commands)
 
         try:
-            placement = Placement(domain=domain, wait=60.0, clock="realtime" if realtime else "lockstep")
+            placement = Placement(domain=domain, wait=patience, clock="realtime" if realtime else "lockstep")
             outcome = run_processes(ours, rig.scenario.seed, directory, placement, Listener(announce=announce))
         finally:
             for process in outside:
                 process.kill()
                 process.wait()
     return ours, expected, outcome
+
+
+def busy():
+    """By how much a second is longer on a host that does so many things at once: each has a processor in its turn."""
+    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 def by_chance(rig):

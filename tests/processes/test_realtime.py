@@ -1,7 +1,9 @@
 """Nodes against the wall clock, started one by one as a user does: watchdog, recovery, rivals, bad input."""
 
+import mmap
 import os
 import re
+import struct
 import time
 from pathlib import Path
 
@@ -76,7 +78,7 @@ def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench)
 
 def test_a_timer_that_is_always_late_lets_messages_through():
     """A tick that takes longer than its period, and what waits for its turn while it does: nothing piles up."""
-    period, late, heard = 1_000_000, [], []
+    period, late, heard = 200_000, [], []
     context = Context()
     with free_domain() as domain:
         rclpy.init(context=context, domain_id=domain)
@@ -89,8 +91,8 @@ def test_a_timer_that_is_always_late_lets_messages_through():
             timer.again(period - time.monotonic_ns() % period, period)
             late.append(len(late))
             executor.create_task(heard.append, late[-1])
-            time.sleep(0.0012)
-            if len(late) == 100:
+            time.sleep((0.0003, 0.0008, 0.0011)[len(late) % 3])  # it passes its grid at another phase each time
+            if len(late) == 400:
                 over.set_result(None)
 
         timer = RosMiddleware(node).timer(period, tick)
@@ -98,7 +100,7 @@ def test_a_timer_that_is_always_late_lets_messages_through():
         executor.shutdown()
         node.destroy_node()
         context.shutdown()
-    assert len(late) >= 100
+    assert len(late) >= 400
     assert heard == late[: len(heard)]
     assert len(heard) >= len(late) - 3
 
@@ -111,6 +113,34 @@ def test_a_node_whose_port_is_taken_away_ends_by_name(bench):
         port.unlink()
     assert bench.ends("plant") == 3
     assert "hears nobody any more: its port fastrtps_port" in bench.status("plant")["error"]
+
+
+@pytest.mark.long
+def test_a_node_whose_port_is_taken_for_damaged_hears_again(bench):
+    """By Fast DDS in any process, on a host so busy that the reader did not stir: the reader makes another."""
+    for name in ("plant", "source", "gain"):
+        bench.start(name, name)
+    bench.wait(lambda: bench.status("gain")["ticks"] > 30)
+    ports = {port: port.stat().st_ino for port in ears(bench.nodes["gain"])}
+    for port in ports:
+        mark_damaged(port)
+    bench.wait(lambda: all(port.exists() and port.stat().st_ino != inode for port, inode in ports.items()))
+    ticks = bench.status("gain")["ticks"]
+    bench.wait(lambda: bench.status("gain")["ticks"] > ticks + 100)
+    assert bench.status("gain")["state"] == "running"
+    assert ears(bench.nodes["gain"]) == ports.keys()
+
+
+def mark_damaged(port):
+    """As `SharedMemGlobal` does (`PortNode::is_port_ok`): the first bit after six numbers, of which these three."""
+    number = int(port.name.removeprefix("fastrtps_port"))
+    with port.open("r+b") as file, mmap.mmap(file.fileno(), 0) as node:
+        begin = next(
+            m.start()
+            for m in re.finditer(re.escape(struct.pack("<I", number)), node)
+            if struct.unpack_from("<2I", node, m.start() + 8) == (20000, 20000 // 3)
+        )
+        node[begin + 24] &= ~1
 
 
 def ears(process):

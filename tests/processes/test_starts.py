@@ -15,12 +15,12 @@ from pathlib import Path
 
 import pytest
 from conftest import differences
-from softrig_core import run_processes
+from softrig_core import rig_of, run_processes
 from softrig_core.processes.domain import DOMAINS
 from softrig_core.processes.executables import environment
 from softrig_core.processes.placement import Placement
 from test_discovery import KINDS, guests, rig_and_record
-from test_outside import replaced
+from test_outside import busy, replaced
 
 pytestmark = [pytest.mark.long, pytest.mark.processes]
 
@@ -36,13 +36,15 @@ def trial(seed):
         if outside:
             return f"{kind} with {outside} outside", replaced(rig, outside[0], Path(folder), seed)
         together = [[m.name for m in rig.members]] if what > 0.85 else []
+        patience = {name: getattr(rig.scenario, name) * busy() for name in ("timeout", "start_timeout")}
+        rig = rig_of(rig.scenario.model_copy(update=patience))
         outcome = run_processes(rig, 0, Path(folder), Placement(containers=together))
         wrong = [outcome.error] if outcome.error else differences(expected, outcome.recording)
         wrong += [f"{n} refused {s['refused']}" for n, s in outcome.status.items() if s.get("refused")]
         return f"{kind}{' in a container' if together else ''}", wrong
 
 
-JOINS = "import rclpy; rclpy.init(); rclpy.create_node('victim'); input()"
+JOINS = "import rclpy; print(flush=True); rclpy.init(); rclpy.create_node('victim'); input()"
 
 
 @contextmanager
@@ -56,9 +58,11 @@ def killings():
             while not over.is_set():
                 domain = DOMAINS[(os.getpid() + rng.randrange(4)) % len(DOMAINS)]
                 variables = environment(domain, Path(folder))
-                victim = subprocess.Popen([sys.executable, "-c", JOINS], env=variables, stdin=subprocess.PIPE)
-                # half of them while it makes its files, which takes some ten ms about 0.4 s after its start
-                over.wait(rng.uniform(0.25, 0.6) if rng.random() < 0.5 else rng.uniform(0.6, 2.0))
+                pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+                victim = subprocess.Popen([sys.executable, "-c", JOINS], env=variables, **pipes)
+                victim.stdout.readline()
+                # half of them while it makes its files and finds the others, half when it is there
+                over.wait(rng.uniform(0.0, 0.1) * busy() if rng.random() < 0.5 else rng.uniform(0.1, 1.5))
                 victim.kill()
                 victim.communicate()
                 killed.append(domain)

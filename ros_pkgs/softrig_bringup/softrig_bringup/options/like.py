@@ -28,7 +28,7 @@ from softrig_core.wire.recording import Topic
 from .packed import METRICS, SCENARIO, Digest, about, is_pack, need_packages, opened
 
 #: Of the versions of a run, what decides its bits, the likeliest first.
-DECIDE = ("math", "casadi", "pin", "numpy", "scipy", "machine", "blas", "simd", "libc", "python")
+DECIDE = ("math", "casadi", "pin", "daqp", "numpy", "scipy", "machine", "blas", "simd", "libc", "python")
 MADE_WITH = ("versions", "code", "contents")
 TAPE = "recorded_inputs"  # node that says what came from outside
 #: What a node in real time counts when a tick is not what it would be in lockstep, in words.

@@ -241,7 +241,7 @@ def versions() -> dict[str, str]:
         "simd": simd_level(),
     }
     found |= {name: value for name, value in machine.items() if value}
-    for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "rosbags", "ros-jazzy-rclpy"):
+    for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "daqp", "rosbags", "ros-jazzy-rclpy"):
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:

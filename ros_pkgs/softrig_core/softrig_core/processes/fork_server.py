@@ -269,6 +269,7 @@ def serve(link: socket.socket) -> Callable[[], Any]:
             pid = 0 if edited else _fork(request, asleep)
             if pid == os.getpid():
                 return lambda: _become(link, request, descriptors[0])
+            ended.pop(pid, None)  # of one that had this number before
             answer = {"pid": pid} if pid else {}
             for descriptor in descriptors:
                 os.close(descriptor)

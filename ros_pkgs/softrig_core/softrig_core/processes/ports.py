@@ -6,10 +6,13 @@ and removes it, from several processes at once, with the mutex that was to keep 
 `open_port_internal`). In one of ten cases the port of the new node goes with them: it hears nobody and no error is
 told. So every participant of ours listens at numbers that come round again only after `AROUND`. They are free to
 choose: participants tell each other of them, only the well-known ones of RTPS 9.6.1 have to be where they are expected.
+Nor may two that begin together want the same port: who has no processor for 2 s while he makes it loses its mutex to
+the other one, and then takes the port away by its name when he finds it locked (`Failed init_port`).
 """
 
 from __future__ import annotations
 
+import os
 import time
 
 BASE, GAIN = 7400, 250  # of the well-known ports: a domain has that many numbers
@@ -20,6 +23,7 @@ USER = range(76, 188)  # of a domain's numbers, those that no other has, even tw
 UNIQUE = 400  # Fast DDS looks for a port of its own for what ROS says of its nodes in so many below the base
 FLOWS = range(BASE - 3 * UNIQUE, BASE - UNIQUE)  # of the whole host; other participants take those above
 AROUND = 18.0  # s; a lease is seldom longer
+AT_ONCE = 50  # processes that begin within an eighth of that, each with a number of its own to begin the search at
 
 
 def of_domain(domain: int) -> range:
@@ -36,7 +40,7 @@ def chosen(domain: int, now: float | None = None) -> dict[str, int]:
         s, of a clock that all processes of a host share.
     """
     turn = (time.monotonic() if now is None else now) / AROUND % 1
-    base = FLOWS[0] + UNIQUE + int(turn * UNIQUE)
+    base = FLOWS[0] + UNIQUE + int(turn * UNIQUE / AT_ONCE) * AT_ONCE + os.getpid() % AT_ONCE
     user = USER[int(turn * len(USER))] if of_domain(domain)[-1] <= HIGHEST else STANDARD
     offsets = WELL_KNOWN | {"offsetd3": user}
     return {"portBase": base} | {name: BASE - base + offset for name, offset in offsets.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import time
 from contextlib import ExitStack, suppress
@@ -12,6 +13,10 @@ from .ports import FLOWS, of_domain
 
 FOLDER = Path("/dev/shm")
 AGE = 2.0  # s: between making a segment and locking it pass some microseconds
+ABANDONED = (
+    60.0  # s: the same for a maker of whom nothing is known, on a host so busy that he has no processor meanwhile
+)
+LOOKS = 100  # in AGE, and in as much longer as this process is kept from looking
 SIZE = 1_250_000  # bytes that the segments and ports of a node take
 MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.Interprocess)
 
@@ -23,8 +28,8 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     operating system drops when the process ends. What belongs to other users is left alone, and so are the ports of
     other domains: who looks whether a port is locked locks it, and a node that starts in that moment cannot open it.
     (Of those that are not of a domain it takes the next one then.)
-    A port whose maker was killed before it had finished goes in any domain: whoever opens it waits for the maker for
-    ever.
+    A port whose maker was killed before it had finished goes in any domain when it is old: whoever opens it waits for
+    the maker for ever. (A node looks for younger ones in its domain, see `clear_ports`.)
 
     Parameters
     ----------
@@ -34,9 +39,13 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     removed = 0
     locked = {p.name[:-3] for p in (*folder.glob("fastrtps_*_el"), *folder.glob("fastrtps_*_sl"))}
     ports = {p.name for p in folder.glob("fastrtps_port*") if p.name[-3:] not in ("_el", "_sl")}
-    stems = {s for s in locked if not s.startswith("fastrtps_port")} | {p for p in ports if _half_made(folder / p)}
-    numbers = [*FLOWS, *(of_domain(domain) if domain is not None else ())]
-    stems |= {f"fastrtps_port{n}" for n in numbers} & (ports | locked)
+    stems = {s for s in locked if not s.startswith("fastrtps_port")}
+    stems |= {p for p in ports if _unfinished(folder / p) and _older(folder / p, ABANDONED)}
+    # a reader who is making one of these has it before he locks it
+    stems |= {
+        p for n in FLOWS if (p := f"fastrtps_port{n}") in locked or (p in ports and _older(folder / p, ABANDONED))
+    }
+    stems |= {f"fastrtps_port{n}" for n in (of_domain(domain) if domain is not None else ())} & (ports | locked)
     for stem in sorted(stems):
         locks = [p for p in (folder / f"{stem}_el", folder / f"{stem}_sl") if p.exists()]
         # the locks last, and held until then: a node that starts now must not take the port meanwhile
@@ -53,7 +62,8 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
 def clear_ports(domain: int, folder: Path = FOLDER) -> None:
     """Make sure that a node which starts in a domain hangs at no port whose maker was killed while he made it.
 
-    A maker needs some microseconds; he has `AGE`.
+    A maker needs some microseconds; he has `AGE`, and on a host where he waits for a processor as long as it takes this
+    process to look `LOOKS` times.
 
     Parameters
     ----------
@@ -61,10 +71,14 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
         ROS_DOMAIN_ID; others may be in it.
     """
     ours = {f"fastrtps_port{n}" for n in (*FLOWS, *of_domain(domain))}
+    looks: dict[tuple[str, int], int] = {}
     while True:
         there = os.listdir(folder) if folder.is_dir() else []
         unfinished = [folder / name for name in there if name in ours and _unfinished(folder / name)]
-        for port in (p for p in unfinished if _half_made(p)):
+        looks = {key: looks.get(key, 0) + 1 for key in ((p.name, _inode(p)) for p in unfinished)}
+        for port in (
+            folder / name for (name, inode), n in looks.items() if n > LOOKS and _inode(folder / name) == inode
+        ):
             for path in (port, folder / f"sem.{port.name}_mutex"):
                 with suppress(OSError):
                     path.unlink()
@@ -72,7 +86,7 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
                 return  # another user's
         if not unfinished:
             return
-        time.sleep(0.02)
+        time.sleep(AGE / LOOKS)
 
 
 def lacking(processes: int, folder: Path = FOLDER) -> str:
@@ -100,11 +114,14 @@ class Ears:
     before, and by nobody else.
     """
 
-    PATIENCE = 1.0  # s: Fast DDS itself replaces one that is damaged
+    # s, of which a pause between two looks, where the host has no time for this process, counts as one at most: Fast
+    # DDS itself replaces a port that is damaged, when its reader stirs (see fastdds_loopback.xml)
+    PATIENCE = 10.0
 
     def __init__(self) -> None:
         self._good: dict[Path, int] = {}  # inodes
         self._since: dict[Path, float] = {}
+        self._looked, self._time = -math.inf, 0.0
 
     def lost(self) -> str:
         """Name a port of ours that was taken away; empty when there is none."""
@@ -116,8 +133,10 @@ class Ears:
             return ""
         self._good = {path: inode for path in own if (inode := _inode(path)) in mapped.get(path, ())}
         now = time.monotonic()
-        self._since = {path: self._since.get(path, now) for path in own - self._good.keys()}
-        return next((path.name for path, since in self._since.items() if now - since >= self.PATIENCE), "")
+        self._time += min(now - self._looked, 1.0)
+        self._looked = now
+        self._since = {path: self._since.get(path, self._time) for path in own - self._good.keys()}
+        return next((path.name for path, since in self._since.items() if self._time - since >= self.PATIENCE), "")
 
 
 def _inode(path: Path) -> int:
@@ -148,10 +167,10 @@ def _mapped() -> dict[Path, set[int]]:
     return found
 
 
-def _half_made(path: Path) -> bool:
-    """Whether a segment is old and was never finished."""
+def _older(path: Path, age: float) -> bool:
+    """Whether a file is there for more than some s."""
     try:
-        return time.time() - path.stat().st_mtime >= AGE and _unfinished(path)
+        return time.time() - path.stat().st_mtime >= age
     except OSError:
         return False
 
@@ -168,7 +187,7 @@ def _unfinished(path: Path) -> bool:
 def _taken(lock: Path, held: ExitStack) -> bool:
     """Whether a lock file is old and nobody's; it is ours then until `held` ends."""
     try:
-        if time.time() - lock.stat().st_mtime < AGE:
+        if not _older(lock, AGE):
             return False
         file = os.open(lock, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
         held.callback(os.close, file)

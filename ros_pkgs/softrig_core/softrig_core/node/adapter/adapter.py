@@ -393,7 +393,7 @@ class Adapter:
             self.step.tell_native()
             status["native"] = self.step.native
         status |= self.drive.counts()
-        if self.lacking:
+        if self.lacking and self.state != "done":  # ROS may have been shut down by then
             status["published"] = {
                 t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)] for t in self.middleware.topics()
             }

@@ -232,17 +232,18 @@ def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Argume
 
 class _RosTimer:
     def __init__(self, timer: Any) -> None:
-        self._timer = timer
+        self._timer, self._period = timer, 0
 
     def again(self, ns: int, period: int = 0) -> None:
         # A reset makes rclpy's executor look at the timers once more (7.1 to 10: `UpdateTimers` of its timers manager),
         # each look that finds one due calls it, and each call looks once more by itself: a late one was called for ever
-        # more often, and no message came through. One that keeps to its grid is not reset but drawn along.
+        # more often, and no message came through. One that has the period already is thus not reset but drawn along.
         timer = self._timer
-        left = timer.time_until_next_call() if period else None
-        if left is not None and left - ns < period // 4:  # it comes in time, or too early
+        left = timer.time_until_next_call() if period and period == self._period else None
+        if left is not None:
             timer.timer_period_ns = period + (ns - left + period // 2) % period - period // 2
             return
+        self._period = period
         timer.timer_period_ns = max(1000, ns)
         timer.reset()
         if period:
