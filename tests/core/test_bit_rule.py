@@ -49,6 +49,7 @@ EXEMPT = {
     "softrig_core.analysis.environment.RigEnv.published": COUNT,
     "softrig_core.analysis.environments.RigVectorEnv._places": COUNT,
     "softrig_core.analysis.linear_view": "looks at a rig from outside",
+    "softrig_core.analysis.state_map.StateMap.follows": COUNT,
     "softrig_core.analysis.steady": "looks at a rig from outside",
     "softrig_core.bits.blas_core": "asks which BLAS is loaded",
     "softrig_core.block.answer": "whether values are below a bound",

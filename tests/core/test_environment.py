@@ -220,13 +220,14 @@ class Valve(Block):
         return x, {"pump": (1.0 - level[0],)}
 
 
-def test_a_value_beyond_the_limits_of_its_port_ends_an_episode():
+@pytest.mark.parametrize(("given", "last"), [({}, 0.9), ({"penalty": -1.0}, -0.1)])
+def test_a_value_beyond_the_limits_of_its_port_ends_an_episode(given, last):
     rig = Rig.from_blocks({"tank": Tank(), "valve": Valve()}, duration=1.0)
-    env = RigEnv(rig, "valve", reward=lambda now: now["tank/level/height"], penalty=-1.0)
+    env = RigEnv(rig, "valve", reward=lambda now: now["tank/level/height"], **given)
     observation, _ = env.reset(seed=1)
     steps = episode(env, lambda o: np.array([3.0]), observation)
     assert len(steps) == 4
-    assert steps[-1][1:4] == (pytest.approx(0.9 - 1.0), True, False)
+    assert steps[-1][1:4] == (pytest.approx(last), True, False)
     assert "tank: level height/position became 1.2 m, expected at most 1" in steps[-1][4]["error"]
     assert env.rig.scenario.nodes["valve"].package == "softrig_control"
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import cmath
 import inspect
+import itertools
 import linecache
 import math
 import os
+import random
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -33,11 +36,13 @@ from softrig_core import (
     simulate,
 )
 from softrig_core.block.runner import Runner
+from softrig_core.kit.jit import our_numba
 from softrig_core.native import choice, engine
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine, Native
 from softrig_core.native.rig_text import rig_text
 from softrig_core.native.value import NotNative
+from softrig_core.native.words import TEXTS
 from softrig_core.run import inprocess
 from softrig_power.pv.plant import PvPlant
 from softrig_power.pv.ports import array_port
@@ -270,6 +275,29 @@ def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.Mon
         "watcher": (0, "it watches what is recorded"),
     }
     assert {step.native for step in ran(rig(), monkeypatch, plain)[1].values()} == {(0, "")}
+
+
+@pytest.mark.parametrize("numba", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_words_that_native_code_says_otherwise_have_the_bits_of_pythons_own(numba: bool) -> None:
+    scope: dict[str, Any] = {"math": math}
+    for name in ("abs_", "phase", "rect", "remainder", "fmod"):
+        exec(TEXTS[name], scope)
+        scope[name] = our_numba().njit(error_model="python")(scope[name]) if numba else scope[name]
+
+    def said(function: Any, *values: Any) -> Any:
+        try:
+            return repr(function(*values))
+        except (ArithmeticError, ValueError):
+            return "raises"
+
+    numbers = [0.0, -0.0, math.pi, -math.pi, math.tau, 0.5 * math.tau, 1.5 * math.tau, 1e300, -3e-310]
+    rng = random.Random(1)
+    numbers += [rng.gauss(0.0, 1.0) * 10.0 ** rng.randint(-9, 9) for _ in range(30)]
+    for x, y in itertools.product(numbers, numbers):
+        assert said(scope["abs_"], complex(x, y)) == said(abs, complex(x, y))
+        assert said(scope["phase"], complex(x, y)) == said(cmath.phase, complex(x, y))
+        for name, own in {"rect": cmath.rect, "remainder": math.remainder, "fmod": math.fmod}.items():
+            assert said(scope[name], x, y) == said(own, x, y), (name, x, y)
 
 
 def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch) -> None:

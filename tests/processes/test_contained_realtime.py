@@ -15,6 +15,7 @@ from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.container import Container
 from softrig_core.node.group import Group
 from softrig_core.node.realtime.answering import Answering
+from softrig_core.node.realtime.live import Live
 from softrig_core.node.ros import ros
 from softrig_core.node.ros.contained import ContainedMiddleware
 from softrig_core.node.ros.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
@@ -370,3 +371,14 @@ def test_ticks_older_than_the_window_are_dropped_but_for_the_newest():
         answering.take(row, stamp, stamp, None, stamp)
     answering.act()
     assert (answered, answering.dropped) == ([100], 2)
+
+
+def test_by_hand_a_law_begins_with_the_tick_of_its_first_message():
+    node = SimpleNamespace(epoch=0, is_plant=False, schedule=SimpleNamespace(held=lambda stamp: stamp // 10 * 10))
+    row = object.__new__(Live)
+    row.node, row.port, row.table = node, SimpleNamespace(stamped=True, held=False), SimpleNamespace(clock=lambda: 130)
+    row.by_arrival, row.paired, row._number = False, False, None
+    row.value, row._keep = (lambda stamp, found: found), (lambda *_: None)
+    for stamp in (123, 135):  # the second is not the first
+        row.came(stamp, (1.0,), b"")
+        assert node.epoch == 120

@@ -61,6 +61,7 @@ def of_a_study(name, duration):
         ("dc_motor_fsfb_s2", 0.1, 4),
         ("induction_dtc_s2", 0.01, 1),
         ("lsrm_fuzzy_n2", 0.01, 3),
+        ("lsrm_fuzzy_n4", 0.02, 7),
         ("rehab_impedance", 0.02, 2),
     ],
 )

@@ -274,6 +274,19 @@ def test_an_entry_of_nothing_is_no_negative_one(least, told):
     assert [e.name for e in problem.eigenvalues({"X": np.array([[1.0, least], [least, 1.0]])})] == told
 
 
+@pytest.mark.parametrize("level", [0.25, 0.75])
+def test_the_two_slopes_of_the_drain_touch_the_root(level):
+    """Each is its tangent in the middle of its range: the paper's four numbers, of five digits."""
+
+    def falls(model, x0):
+        plant = ByHand(TankPlant(model=model, x0=x0, delay=0.0, k_low=0.0, k_high=0.0))
+        plant.advance(0, inflow=(0.0,))
+        return x0 - plant.x.x
+
+    for x0, far in ((level, 5e-5), (level + 0.01, 5e-4), (level - 0.01, 5e-4)):
+        assert falls("pwa", x0) == pytest.approx(falls("nonlinear", x0), rel=far)
+
+
 def test_level_of_the_tank():
     assert level_margin() == pytest.approx(5.9716, abs=0.001)
     for h, lowest in ((2.0, 0.3846), (4.0, 0.2251), (5.0, 0.1212)):

@@ -23,7 +23,7 @@ from softrig_core.verdict.findings import findings, values
 from softrig_systems.tcp_aqm.controller import HOLD, AqmController
 from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
 from softrig_systems.tcp_aqm.model import Bottleneck, equilibrium, phi, psi
-from softrig_systems.tcp_aqm.packets import EVENTS, LOST, MOST_EVENTS, SERVED, WAITING
+from softrig_systems.tcp_aqm.packets import EVENTS, LOST, MOST_EVENTS, SERVED, WAITING, mean_window
 from softrig_systems.tcp_aqm.packets_plant import TcpPackets
 
 NAMES = sorted(n for n in list_scenarios() if n.startswith("tcp_aqm_smc"))
@@ -308,6 +308,8 @@ def test_packets_are_conserved_and_events_bounded():
     assert 60 <= counts[MOST_EVENTS] <= 60 * 60 + 300
     assert counts[SERVED] / (3750.0 * 20.0) == pytest.approx(0.93, abs=0.02)
     assert not plant.reports
+    own = sources.window[sources.active == 1]
+    assert mean_window(sources) == pytest.approx(own.mean(), rel=1e-12)
 
 
 def test_packets_that_find_no_room_are_lost_and_halve_windows():

@@ -234,9 +234,12 @@ class Calls(Expressions):
             kind, parts = type(sample), [self._shown(v, numbers, node) for v in self.parts(value, node)]
             return lambda row: (kind if hasattr(kind, "_fields") else lambda *v: v)(*(p(row) for p in parts))
         number = type(sample)
-        if number not in (float, int, bool):
+        if number not in (float, int, bool, complex):
             raise self.unknown(f"a report of {kind_of(value)}", node)
         at, code = len(numbers), self.simple(self.dynamic(value)).code
+        if number is complex:
+            numbers += [f"{code}.real", f"{code}.imag"]
+            return lambda row: complex(row[at], row[at + 1])
         if number is int:
             self.emit(f"if not -{EXACT} < {code} < {EXACT}:")
             self.emit(f"    {GIVEN_UP}")
@@ -264,7 +267,7 @@ class Calls(Expressions):
                 changed.get(f) or Dynamic(f"{simple.code}.{f}", getattr(sample, f), base.sure)
                 for f in type(sample)._fields
             ]
-            return self._named(type(sample), parts, node)
+            return self.named(type(sample), parts, node)
         if name == "conjugate" and isinstance(sample, complex) and isinstance(base, Dynamic):
             return Dynamic(f"{base.code}.conjugate()", sample.conjugate())
         if name == "tolist" and isinstance(base, Dynamic) and isinstance(sample, np.ndarray) and sample.ndim == 1:
@@ -290,14 +293,6 @@ class Calls(Expressions):
             words = {str(k.arg): self.value(k.value) for k in node.keywords}
             return made(self.program, method, [base, *(self.value(a) for a in node.args)], words, self.arrays)
         raise self.unknown(f".{name}() of {kind_of(base)}", node)
-
-    def _named(self, kind: Any, parts: Sequence[Value], node: ast.AST) -> Dynamic:
-        values = [self.dynamic(p) for p in parts]
-        if any(v.keys or v.parts for v in values):
-            raise self.unknown("a mapping in a state", node)
-        sample = UNKNOWN if any(v.sample is UNKNOWN for v in values) else kind(*(v.sample for v in values))
-        name = self.program.name(kind, kind.__name__)
-        return Dynamic(f"{name}({', '.join(v.code for v in values)})", sample, all(is_sure(v) for v in values))
 
     def call(self, function: Value, given: Sequence[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
         """Call something."""
@@ -337,7 +332,7 @@ class Calls(Expressions):
             defaults = {k: Static(v) for k, v in called._field_defaults.items()}  # type: ignore[attr-defined]
             bound = dict(zip(called._fields, given, strict=False)) | dict(words)
             try:
-                return self._named(called, [bound[f] if f in bound else defaults[f] for f in called._fields], node)
+                return self.named(called, [bound[f] if f in bound else defaults[f] for f in called._fields], node)
             except KeyError as error:
                 raise self.unknown(f"{called.__name__} without {error}", node) from None
         if (
@@ -439,7 +434,7 @@ class Calls(Expressions):
             self._give_up()
             return NONE
         if called.__name__ == "_make" and isinstance(own, type) and hasattr(own, "_fields"):
-            return self._named(own, self.parts(given[0], node), node)
+            return self.named(own, self.parts(given[0], node), node)
         home = None if path is None else path[:-1]
         if isinstance(own, Mapping) and called.__name__ == "get":
             return self._looked_up(Static(own, home), given[0], node)
@@ -490,6 +485,9 @@ class Calls(Expressions):
             return Dynamic(f"(1.0 if {self.code(given[0])} else 0.0)", float(samples[0]))
         if called in (abs, float) and isinstance(samples[0], (float, int)):
             return self._written(called.__name__, called, given)
+        if called is abs and isinstance(samples[0], complex):
+            self.program.words.add("abs_")
+            return self._written("abs_", abs, given)
         if called is bool:
             test = self.truth(given[0])
             return Static(test) if isinstance(test, bool) else Dynamic(f"({test})", self.sampled)

@@ -35,7 +35,9 @@ def is_twinned(kind: Hashable) -> bool:
 def twin(kind: type) -> Any:
     """Give the named tuple of a dataclass."""
     name = f"{kind.__module__.replace('.', MARK)}{MARK}{kind.__qualname__}"
-    found: Any = namedtuple(name, [f.name for f in dataclasses.fields(kind)])  # type: ignore[misc]
+    fields = dataclasses.fields(kind)
+    given = [f.default for f in fields if f.default is not dataclasses.MISSING]
+    found: Any = namedtuple(name, [f.name for f in fields], defaults=given)  # type: ignore[misc]
     found.__module__ = __name__
     setattr(found, OF, kind)
     return found

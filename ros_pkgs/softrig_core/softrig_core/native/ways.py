@@ -6,7 +6,7 @@ import ast
 import builtins
 import math
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -93,6 +93,10 @@ class Ways:
         if isinstance(value, Dynamic):
             return value
         if isinstance(value, Static):
+            kind: Any = type(value.value)
+            if value.path is not None and hasattr(kind, "_fields"):
+                own = zip(kind._fields, value.value, strict=True)
+                return self.named(kind, [Static(v, (*value.path, ("attr", f))) for f, v in own], None)
             code = self.code(value)
             return Dynamic(code, np.array(value.value) if code in self.arrays else _plain(value.value))
         if isinstance(value, Record):
@@ -103,6 +107,15 @@ class Ways:
         nested = keys is not None or any(p.keys or p.parts for p in parts)
         sample = tuple(p.sample for p in parts)
         return Dynamic(self.code(value), sample, is_sure(value), keys, parts if nested else None)
+
+    def named(self, kind: Any, parts: Sequence[Value], node: ast.AST | None) -> Dynamic:
+        """Make a named tuple of its parts."""
+        values = [self.dynamic(p) for p in parts]
+        if any(v.keys or v.parts for v in values):
+            raise self.unknown("a mapping in a state", node)
+        sample = UNKNOWN if any(v.sample is UNKNOWN for v in values) else kind(*(v.sample for v in values))
+        name = self.program.name(kind, kind.__name__)
+        return Dynamic(f"{name}({', '.join(v.code for v in values)})", sample, all(is_sure(v) for v in values))
 
     def _literal(self, value: Static) -> str:
         found = value.value

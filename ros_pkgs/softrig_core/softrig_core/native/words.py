@@ -7,11 +7,13 @@ again, with its own error, text and type.
 from __future__ import annotations
 
 import builtins
+import cmath
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from typing import Any
 
+COMPLEX = ("phase", "rect")  # of `cmath`
 WHOLE = "4e18"  # beyond it a whole number is no int64
 
 _BELOW = "def {name}(x):\n    if x {wrong}:\n        raise ValueError\n    return math.{name}(x)\n"
@@ -38,7 +40,7 @@ TEXTS: dict[str, str] = {
     **{n: _CUT.format(name=n, call=f"math.{n}") for n in ("floor", "ceil", "trunc")},
     **{f"{n}_": _CUT.format(name=f"{n}_", call=n) for n in ("int", "round")},
     "fmod": "def fmod(x, y):\n    if y == 0.0 or (x - x != 0.0 and x == x):\n        raise ValueError\n"
-    "    return math.fmod(x, y)\n",
+    "    return math.copysign(abs(x) % abs(y), x)\n",
     "power_": "def power_(x, y):\n    if (x < 0.0 and y != math.floor(y)) or (x == 0.0 and y < 0.0):\n"
     "        raise ValueError\n    z = power(x, y)\n"
     "    if z - z != 0.0 and x - x == 0.0 and y - y == 0.0:\n        raise OverflowError\n    return z\n",
@@ -53,12 +55,22 @@ TEXTS: dict[str, str] = {
     "reported_": "def reported_(told, at, numbers):\n    told[0] += 1.0\n    if told[at] == 0.0:\n"
     "        told[at + 1] = told[0]\n    told[at] += 1.0\n    told[at + 2] = told[0]\n"
     "    for k in range(len(numbers)):\n        told[at + 3 + k] = numbers[k]\n",
+    "abs_": "def abs_(z):\n    r = abs(z)\n    if r - r != 0.0:\n        raise OverflowError\n    return r\n",
+    "phase": "def phase(z):\n    a = math.atan2(z.imag, z.real)\n    if z - z != 0.0 or (a == 0.0 and z.imag != 0.0):\n"
+    "        raise ValueError\n    return a\n",
+    "rect": "def rect(r, phi):\n    if r - r != 0.0 or phi - phi != 0.0:\n        raise ValueError\n"
+    "    return complex(r * math.cos(phi), r * math.sin(phi))\n",
+    "remainder": "def remainder(x, y):\n    if x - x != 0.0 or y - y != 0.0 or y == 0.0:\n        raise ValueError\n"
+    "    a, b = abs(x), abs(y)\n    r = a % b\n    c = b - r\n    if r > c:\n        r = -c\n"
+    "    elif r == c:\n        r = r - 2.0 * (0.5 * (a - r) % b)\n    return math.copysign(1.0, x) * r\n",
     "drawn_": "def drawn_(row, n, k):\n    if k >= len(row):\n        n[1] = k + 1\n        raise IndexError\n"
     "    return float(row[k])\n",
 }
 # what of them a text that Python runs has from Python itself: that raises by itself
 OWN: dict[str, Callable[..., Any]] = {
     **{n: getattr(math, n) for n in TEXTS if hasattr(math, n)},
+    **{n: getattr(cmath, n) for n in COMPLEX},
+    "abs_": abs,
     "int_": int,
     "round_": round,
     "bisect_right": bisect_right,
@@ -77,6 +89,8 @@ def word(function: Callable[..., Any]) -> str | None:
     if function in (bisect_right, bisect_left):
         return function.__name__
     name = getattr(function, "__name__", "")
+    if name in COMPLEX and function is getattr(cmath, name):
+        return name
     if function is getattr(math, name, None):
         return name if name in TEXTS else PLAIN.get(name)
     if function in (builtins.int, builtins.round):

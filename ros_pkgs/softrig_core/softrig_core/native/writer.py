@@ -177,7 +177,7 @@ class Writer(Calls):
             silent = isinstance(row, Static) and row.value is None
             if silent:
                 row = Static((0.0,) * port.size)
-                row = self._named(Sample, [Static(0), row], node) if port.delayed else row
+                row = self.named(Sample, [Static(0), row], node) if port.delayed else row
             rows[port.name] = Group((Static(0.0 if silent else 1.0), row))
         return Record(rows) if x is None else Group((x, Record(rows)))
 

@@ -167,9 +167,12 @@ def _unit(
 
 def read_by(figures: Iterable[Figure], units: Mapping[str, str]) -> set[str]:
     """Give the signals that figures and requirements read; `units` has all of the rig (`signal_units`)."""
-    asked = [name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()))]
-    asked += [name for f in figures for name in f.since.split(", ")]
-    return {signal for name in asked if isinstance(name, str) for signal in filter_names(units, name)}
+    asked: list[str] = []
+    for f in figures:
+        given, reads = [a for a in f.arguments.values() if isinstance(a, str)], getattr(f.function, "reads", ())
+        # of one of several drives in a rig, whose name is an argument, too
+        asked += [*given, *reads, *(f"{one}/{name}" for one in given for name in reads), *f.since.split(", ")]
+    return {signal for name in asked for signal in filter_names(units, name)}
 
 
 def told(rig: Members) -> dict[str, str]:

@@ -219,3 +219,25 @@ def advance(
         converter[n + 1, :] = v
     state.v_dc[0] = v_dc
     return power / steps
+
+
+@jit
+def moved(
+    circuit: Circuit, lines: Lines, state: State, rows: Rows, first: int, turning: Turning, pulse: int, tripped: bool
+) -> Any:
+    """Take the steps of one control period from a state that stays as it is; see `advance`.
+
+    Parameters
+    ----------
+    rows : Rows
+        Of the period before: so many steps.
+
+    Returns
+    -------
+    State, Rows, ndarray
+        The state after it, what happened, and the mean power of each converter.
+    """
+    after = State(state.ring.copy(), state.u.copy(), state.i.copy(), state.v_dc.copy())
+    new = Rows(np.zeros_like(rows.bus), np.zeros_like(rows.current), np.zeros_like(rows.converter))
+    power = advance(circuit, lines, after, first, turning, pulse, tripped, new)
+    return after, new, power

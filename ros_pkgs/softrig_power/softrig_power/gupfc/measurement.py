@@ -10,7 +10,24 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core import jit
 from softrig_core.kit import dense
+
+
+@jit
+def weigh(weights: NDArray[np.float64], samples: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Give the sums of samples, shape (k, n), by complex weights, shape (2, k), in real arithmetic, in their order."""
+    found = np.empty_like(samples[0])
+    for j in range(found.size):
+        rr = ri = ir = ii = 0.0
+        for k in range(samples.shape[0]):
+            x, y = samples[k, j].real, samples[k, j].imag
+            rr += weights[0, k] * x
+            ri += weights[0, k] * y
+            ir += weights[1, k] * x
+            ii += weights[1, k] * y
+        found[j] = complex(rr - ii, ri + ir)
+    return found
 
 
 class Weights:
@@ -36,12 +53,8 @@ class Weights:
         self._steps = steps
 
     def __call__(self, samples: NDArray[np.complex128]) -> Any:
-        """Give what is measured at the last sample of a period; samples of shape (steps + 1, ...)."""
-        real, imag = dense.product(self._w, samples.view(np.float64).reshape(len(samples), -1))
-        found = np.empty(samples.shape[1:], dtype=np.complex128)
-        found.real = (real[0::2] - imag[1::2]).reshape(found.shape)
-        found.imag = (real[1::2] + imag[0::2]).reshape(found.shape)
-        return found
+        """Give what is measured at the last sample of a period, shape (n,); samples of shape (steps + 1, n)."""
+        return weigh(self._w, samples)
 
     def record(self, samples: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """Give what is measured at the end of each of n periods, shape (n,); samples of shape (n steps + 1,)."""

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from softrig_core import SECOND, Level, Plant, Port, array, executable, param
 from softrig_core.kit import dense
 
-from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, Rows, State as Network, Turning, advance, circuit
+from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, Rows, State as Network, Turning, circuit, moved
 from .measurement import Weights
 from .operating_point import DeviceParams, conduction, operating_point
 from .ports import DC_LINK, SERIES, SHUNT, STATUS, TRACE, measured
 
 CONVERTERS = ("shunt", "series_1", "series_2")
-BUSES = 6  # before the branches, where both stand in one row
-VECTORS = {"u1": BUS1, "u2": BUS2, "u4": BUS4, "i_sh": BUSES + I_SH, "i12": BUSES + I12, "i34": BUSES + I34}
+VECTORS = ("u1", "u2", "u4", "i_sh", "i12", "i34")
 MAGNITUDE_LIMIT = 1.2  # pu, of a series command that can be meant
 FREQUENCY_LIMIT = (0.5, 1.5)  # of nominal, of a command that can be meant
 TRIP = (0.5, 1.3)  # pu, of the DC voltage
@@ -124,15 +123,23 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         """Give the measured vectors, the DC voltage and the status at t."""
         seen = x.seen
         rows = seen.rows
-        found = self._weights(np.concatenate((rows.bus, rows.current), axis=1)).tolist()
-        vectors = {name: found[k] for name, k in VECTORS.items()}
+        buses, branches = self._weights(rows.bus), self._weights(rows.current)
+        u1, u2, u4 = complex(buses[BUS1]), complex(buses[BUS2]), complex(buses[BUS4])
+        i_sh, i12, i34 = complex(branches[I_SH]), complex(branches[I12]), complex(branches[I34])
         v_dc = float(x.network.v_dc[0])
-        s1, s2 = vectors["u2"] * vectors["i12"].conjugate(), vectors["u4"] * vectors["i34"].conjugate()
+        s1, s2 = u2 * i12.conjugate(), u4 * i34.conjugate()
         limit = self.p.network.series_limit * v_dc
         v12, v34 = (0.0 if x.tripped else limit * math.sin(0.5 * c.sigma) for c in x.commands[1:])
-        said: dict[str, tuple[float, ...]] = {name: (v.real, v.imag, 0.0) for name, v in vectors.items()}
-        said["dc_link"] = (v_dc * self.p.network.dc_voltage,)
-        said["status"] = (s1.real, s1.imag, s2.real, s2.imag, abs(vectors["u1"]), v_dc, *seen.power.tolist(), v12, v34)
+        said: dict[str, tuple[float, ...]] = {
+            "u1": (u1.real, u1.imag, 0.0),
+            "u2": (u2.real, u2.imag, 0.0),
+            "u4": (u4.real, u4.imag, 0.0),
+            "i_sh": (i_sh.real, i_sh.imag, 0.0),
+            "i12": (i12.real, i12.imag, 0.0),
+            "i34": (i34.real, i34.imag, 0.0),
+            "dc_link": (v_dc * self.p.network.dc_voltage,),
+            "status": (s1.real, s1.imag, s2.real, s2.imag, abs(u1), v_dc, *seen.power.tolist(), v12, v34),
+        }
         if self.p.trace:
             shown = (rows.converter[1:, 0], rows.converter[1:, 1], rows.bus[1:, BUS1], rows.current[1:, I_SH])
             parts = np.column_stack([part for row in shown for part in (row.real, row.imag)])
@@ -155,10 +162,9 @@ class GupfcPlant(Plant[GupfcPlantParams]):
             np.array((a.angle, b.angle, c.angle)),
             np.array((a.omega, b.omega, c.omega)),
         )
-        ring, u, i, link = x.network
-        network = Network(ring.copy(), u.copy(), i.copy(), link.copy())
-        rows = Rows(*[np.zeros(row.shape, row.dtype) for row in x.seen.rows])
-        power = advance(self._circuit, self._lines, network, x.steps, turning, p.pulse, tripped, rows)
+        network, rows, power = moved(
+            self._circuit, self._lines, x.network, x.seen.rows, x.steps, turning, p.pulse, tripped
+        )
         v_dc = float(network.v_dc[0])
         if not tripped and not TRIP[0] <= v_dc <= TRIP[1]:
             tripped = True
