@@ -56,7 +56,8 @@ def blocks(page: str) -> list[Block]:
 
 
 def script(found: list[Block]) -> str:
-    lines = ["set -eo pipefail", f"cd {shlex.quote(str(ROOT))}", 'eval "$(scripts/softrig env)"', 'cd "$FOLDER"']
+    lines = ["set -eo pipefail", "trap 'jobs -p | xargs -r kill' EXIT"]  # else what runs in the background goes on
+    lines += [f"cd {shlex.quote(str(ROOT))}", 'eval "$(scripts/softrig env)"', 'cd "$FOLDER"']
     for number, block in enumerate(found):
         if block.kind == "file":
             name = block.text.split("\n")[0][2:]
