@@ -18,7 +18,7 @@ from conftest import PATIENCE, differences, in_process, make_scenario, no_proces
 from softrig_bags.read import read_bag
 from softrig_core import Signals, rig_of, run_inprocess, run_processes
 from softrig_core.node.seam import health
-from softrig_core.processes import shared_memory, spawning
+from softrig_core.processes import processes, shared_memory, spawning
 from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import LOOPBACK, environment, find_executable
@@ -317,6 +317,20 @@ def test_a_node_that_is_held_for_less_than_the_timeout_is_waited_for(held, secon
         assert differences(in_process(rig), outcome.recording) == []
     else:
         assert outcome.error.startswith(f"node {held}: its process is stopped (SIGSTOP)")
+
+
+@pytest.mark.processes
+def test_a_run_without_a_tick_says_so(tmp_path, monkeypatch):
+    """In real time it may be over at once by the clocks of its nodes."""
+    gathered = processes.gathered
+
+    def without_ticks(*which):
+        recording, status = gathered(*which)
+        return recording, {name: state | {"ticks": 0} for name, state in status.items()}
+
+    monkeypatch.setattr(processes, "gathered", without_ticks)
+    outcome = run_processes(rig_of(make_scenario(BASIC, 0.1)), 0, tmp_path, Placement(), Listener())
+    assert outcome.error == "all nodes have ended, and none of them has said a tick"
 
 
 @pytest.mark.processes

@@ -24,7 +24,7 @@ from .restarting import Restarts, check_restart
 from .shared_memory import lacking, remove_leftovers
 from .spawning import Started, groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
-from .supervision import set_back, supervise
+from .supervision import idle, set_back, supervise
 
 
 @dataclass
@@ -144,6 +144,8 @@ def run_processes(
         for name, count in restarts.counts.items():
             status[name]["restarts"] = count
         stopped = next((number for number in (stopped, *late, *later) if number), 0)
+    if not (error or stopped):
+        error = idle(status)
     error += set_back(ahead) if error else ""
     refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:
