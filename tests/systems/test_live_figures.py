@@ -75,6 +75,7 @@ def test_a_run_of_many_records_what_its_figures_read_and_measures_what_a_whole_o
 
 
 @pytest.mark.long
+@pytest.mark.timeout(2400)
 def test_so_does_one_of_each_scenario(monkeypatch):
     monkeypatch.setenv("SOFTRIG_JIT", "0")
     for name, scenario in {name: load_scenario(name) for name in list_scenarios()}.items():
