@@ -3,7 +3,7 @@
 from collections import deque
 
 import pytest
-from softrig_core import ByHand, Scenario, ScenarioError, list_scenarios, load_scenario, rig_of, simulate
+from softrig_core import ByHand, RunError, Scenario, ScenarioError, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.node.live_figures import Figures
 from softrig_core.verdict.watch import Kept
 
@@ -75,6 +75,7 @@ def test_a_run_of_many_records_what_its_figures_read_and_measures_what_a_whole_o
 
 
 @pytest.mark.long
+@pytest.mark.timeout(2400)
 def test_so_does_one_of_each_scenario(monkeypatch):
     monkeypatch.setenv("SOFTRIG_JIT", "0")
     for name, scenario in {name: load_scenario(name) for name in list_scenarios()}.items():
@@ -82,7 +83,16 @@ def test_so_does_one_of_each_scenario(monkeypatch):
             rig = rig_of(scenario)
             duration = min(scenario.duration, 20 * max(m.schedule.clock * m.schedule.every for m in rig.members))
             duration = float(max(duration, rig.clock.params.period))
-            assert repr(of_a_study(name, duration)[0]) == repr(simulate(name, duration=duration).results), name
+            whole = told(lambda name=name, duration=duration: simulate(name, duration=duration).results)
+            assert told(lambda name=name, duration=duration: of_a_study(name, duration)[0]) == whole, name
+
+
+def told(results):
+    """Give what comes of it: a planner whose horizon is that short may break, in both the same way."""
+    try:
+        return repr(results())
+    except RunError as error:
+        return str(error)
 
 
 STEPS = {"motor_reference.times": [0.0, 2.0], "motor_reference.velocities": [10.0, 4.0]}

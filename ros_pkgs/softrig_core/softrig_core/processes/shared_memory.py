@@ -13,9 +13,7 @@ from .ports import FLOWS, of_domain
 
 FOLDER = Path("/dev/shm")
 AGE = 2.0  # s: between making a segment and locking it pass some microseconds
-ABANDONED = (
-    60.0  # s: the same for a maker of whom nothing is known, on a host so busy that he has no processor meanwhile
-)
+ABANDONED = 60.0  # s: the same for a maker of whom nothing is known, who may have no processor meanwhile
 LOOKS = 100  # in AGE, and in as much longer as this process is kept from looking
 SIZE = 1_250_000  # bytes that the segments and ports of a node take
 MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.Interprocess)
