@@ -47,7 +47,7 @@ class Here(Growing):
     call : callable
         Gets a function to be called in the thread of the ticks: Bokeh hears browsers in threads of its own.
     log : callable, optional
-        Gives the folder for what is recorded as it goes on, asked again after each way back; without it nothing is kept.
+        Gives the folder for what is recorded as it goes on, asked again after a way back; without it nothing is kept.
 
     Attributes
     ----------
