@@ -135,7 +135,7 @@ def rows(kept):
     return list(zip(stamps.tolist(), map(tuple, values.tolist()), strict=True))
 
 
-WIDE = 12  # numbers of a message: three blocks hold less than 2,000
+WIDE = 100  # numbers of a message: four blocks hold what comes
 
 
 @pytest.mark.parametrize("window", [5, 700, 5000])
