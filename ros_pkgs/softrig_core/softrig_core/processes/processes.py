@@ -86,10 +86,12 @@ def run_processes(
     error, stopped, clock = "", 0, SystemClock()
     with ExitStack() as stack:
         own_domain = domain is None
-        domain = stack.enter_context(free_domain()) if domain is None else domain
+        if domain is None:
+            domain = stack.enter_context(free_domain())
+        else:
+            remove_leftovers()
         if own_domain and domain not in DOMAINS and listener.announce is not None:
             listener.announce(f"domain {domain}: {DOMAINS[0]} to {DOMAINS[-1]} are taken{holders(DOMAINS)}")
-        remove_leftovers(domain if own_domain else None)
         members = groups(rig, placement.shared(rig), only)
         if listener.announce is not None and (why := lacking(len(members))):
             listener.announce(f"{why}: what does not fit goes by UDP, which takes longer")

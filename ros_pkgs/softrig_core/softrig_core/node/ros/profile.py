@@ -16,7 +16,7 @@ from tempfile import NamedTemporaryFile
 
 from ...processes.executables import LOOPBACK, PROFILE, given_profile, leased
 from ...processes.ports import chosen
-from ...processes.shared_memory import clear_ports, domain_id
+from ...processes.shared_memory import clear_ports, domain_id, numbers
 
 PROPERTY = "fastdds.ignore_local_endpoints"
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -82,7 +82,7 @@ def own(profile: bytes, *, exclusive: bool = False) -> bytes:
         rtps = _within(participant, f"{space}rtps")
         if rtps.find(f"{space}port") is None:
             ports = ElementTree.SubElement(rtps, f"{space}port")
-            for name, number in chosen(domain_id()).items():
+            for name, number in chosen(domain_id(), numbers()).items():
                 ElementTree.SubElement(ports, space + name).text = str(number)
         if exclusive:
             properties = _within(_within(rtps, f"{space}propertiesPolicy"), f"{space}properties")
