@@ -4,6 +4,8 @@ Each count is a call with an atomic addition, before and after which all numbers
 few operations that is half of its time. Who calls holds the arrays until the function has returned.
 """
 
+# mypy: allow-untyped-calls
+
 from __future__ import annotations
 
 from typing import Any
@@ -11,6 +13,7 @@ from typing import Any
 from numba.core import ir, types
 from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.errors import NumbaRuntimeError
 from numba.core.typed_passes import NoPythonSupportedFeatureValidation
 
 OF_TUPLES = frozenset({"static_getitem", "exhaust_iter", "getattr"})  # what they give is there already
@@ -54,7 +57,18 @@ class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
 
 
 class Borrowing(Compiler):  # type: ignore[misc, unused-ignore]
-    """numba's compiler with that step."""
+    """numba's compiler with that step; without it for a function that makes arrays nobody sees, as copies of parts."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._arguments = arguments
+
+    def compile_extra(self, func: Any) -> Any:
+        """Compile a function."""
+        try:
+            return super().compile_extra(func)
+        except NumbaRuntimeError:
+            return Compiler(*self._arguments).compile_extra(func)
 
     def define_pipelines(self) -> list[Any]:
         """Give numba's own, each with one step more."""
