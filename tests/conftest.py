@@ -101,7 +101,9 @@ from std_srvs.srv import Trigger
 rclpy.init()
 node = Node("person")
 client = node.create_client(Trigger, "plant/kick")
+print("the person looks for the button", flush=True)
 client.wait_for_service()
+print("the person presses it and waits for the answer", flush=True)
 rclpy.spin_until_future_complete(node, client.call_async(Trigger.Request()))
 """
 

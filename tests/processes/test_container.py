@@ -21,6 +21,7 @@ from softrig_core.processes.executables import environment, find_executable
 from softrig_core.processes.fork_server import start_node
 from softrig_core.processes.placement import NOBODY, Listener, Placement
 from softrig_core.processes.ports import chosen
+from softrig_core.processes.shared_memory import numbers
 from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
 pytestmark = pytest.mark.processes
@@ -171,17 +172,23 @@ def stopped(call):
 
 
 def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
-    wired, people = rig(BASIC, 1e4), []
-    with free_domain() as domain:
+    wired, people, said = rig(BASIC, 1e7), [], tmp_path / "said"  # it ends by the press, however fast it goes
+    until = time.monotonic() + PATIENCE
+    with free_domain() as domain, said.open("w") as words:
 
         def progress(t):
             if t and not people:
-                people.append(script(PRESS, environment(domain, tmp_path)))
-            if people and people[0].poll() is not None:
+                people.append(script(PRESS, environment(domain, tmp_path), output=words.fileno()))
+            if (people and people[0].poll() is not None) or time.monotonic() > until:
                 raise KeyboardInterrupt
 
-        stopped(lambda: run(wired, tmp_path, domain=domain, listener=Listener(progress)))
-    assert people[0].returncode == 0
+        outcomes = []
+        stopped(lambda: outcomes.append(run(wired, tmp_path, domain=domain, listener=Listener(progress))))
+        ends = [person.poll() for person in people]
+        for person in people:
+            person.kill()
+            person.wait()
+    assert ends == [0], ([outcome.error for outcome in outcomes], said.read_text())
     recording = Recording((t, p.msgtype) for t, p in wired.topics.items())
     recording.read_shard(tmp_path / "plant.shard")
     pressed, released = recording.topics["lag/kick"].times
@@ -429,7 +436,7 @@ def test_the_well_known_ports_stay_and_the_others_change(monkeypatch):
     seen = set()
     for k in range(40):
         monkeypatch.setattr(os, "getpid", lambda k=k: 32_700 + k)
-        ports = chosen(7, 1e6 + 0.45 * k)
+        ports = chosen(7, now=1e6 + 0.45 * k)
         base = ports["portBase"]
         assert {name: base + ports[name] for name in ("offsetd0", "offsetd1", "offsetd2")} == {
             "offsetd0": 7400,
@@ -446,8 +453,24 @@ def test_the_well_known_ports_stay_and_the_others_change(monkeypatch):
     together = set()
     for k in range(50):
         monkeypatch.setattr(os, "getpid", lambda k=k: 32_700 + k)
-        together.add(chosen(7, 1e6)["portBase"])
+        together.add(chosen(7, now=1e6)["portBase"])
     assert len(together) == 50
+
+
+def test_a_number_of_which_there_is_a_file_is_chosen_last(tmp_path, monkeypatch):
+    """Who wrote to its dead owner goes on with that file, and what he has for a new one of the name gets lost there."""
+    for name in ("fastrtps_port9236", "fastrtps_port9237_el", "sem.fastrtps_port1_mutex", "fastrtps_0123456789abcdef"):
+        (tmp_path / name).touch()
+    assert numbers(tmp_path) == {9236, 9237}
+    assert numbers(tmp_path / "none") == set()
+    whole = range(6200, 10_000)
+    monkeypatch.setattr("softrig_core.node.ros.profile.numbers", lambda: {*whole} - {6333, 7400 + 250 * 7 + 100})
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    with joining():
+        text = Path(os.environ[VARIABLE]).read_text()
+    assert "<portBase>6733</portBase>" in text
+    assert f"<offsetd3>{7400 - 6733 + 100}</offsetd3>" in text
+    assert chosen(7, whole, 1e6) == chosen(7, now=1e6)
 
 
 @pytest.mark.parametrize(("text", "why"), [(b"<a", "not XML"), (b"<profiles/>", "no participant")])

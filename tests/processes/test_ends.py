@@ -6,6 +6,7 @@ import mmap
 import os
 import re
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -166,6 +167,29 @@ def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
         with port.open("r+b") as new, mmap.mmap(new.fileno(), 8):
             assert ears.lost() == ""  # opened anew, as Fast DDS does where one is damaged
     assert Ears().lost() == ""
+
+
+def test_a_process_that_looks_after_its_ports_says_so_in_them(tmp_path):
+    """Else who opens one that idles waits for its reader, up to 20 s."""
+    port, now = tmp_path / "fastrtps_port7661", time.time_ns() // 1_000_000
+    head = struct.pack("=4I", 7661, 1, 20_000, 6666)  # the number alone is not enough
+    node = struct.pack("=qI2I", now - 30_000, 3, 0, 0) + head + struct.pack("=3I", 512, 1, 7)
+    port.write_bytes(MADE + bytes(36) + head + bytes(16) + node + bytes(100))
+    before = port.read_bytes()
+    place = before.index(node)
+    assert place % 8 == 0  # as the compiler has it
+    with ExitStack() as opened:
+        opened.enter_context(mmap.mmap(opened.enter_context(port.open("r+b")).fileno(), 8))
+        opened.enter_context((tmp_path / "fastrtps_port7661_el").open("w"))
+        ears = Ears()
+        for _ in range(2):
+            assert ears.lost() == ""
+            after = port.read_bytes()
+            assert (after[:place], after[place + 8 :]) == (before[:place], before[place + 8 :])
+            assert now <= struct.unpack_from("=q", after, place)[0] <= time.time_ns() // 1_000_000
+            port.write_bytes(before)
+        port.write_bytes(foreign := before.replace(head, bytes(16)))  # of another Fast DDS
+        assert [Ears().lost(), port.read_bytes()] == ["", foreign]
 
 
 def test_a_node_waits_until_its_reader_has_replaced_a_damaged_port(tmp_path, monkeypatch):

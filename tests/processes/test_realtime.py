@@ -5,6 +5,7 @@ import os
 import re
 import struct
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -131,16 +132,40 @@ def test_a_node_whose_port_is_taken_for_damaged_hears_again(bench):
     assert ears(bench.nodes["gain"]) == ports.keys()
 
 
+@pytest.mark.long
+def test_no_port_of_a_node_that_lives_is_judged(bench):
+    """Who opens one that idles, as one does that nobody writes to, would wait for its reader for 6.7 s or more."""
+    for name in ("plant", "source"):
+        bench.start(name, name)
+    bench.wait(lambda: bench.status("plant")["ticks"] > 2500)
+    ports = [port for name in ("plant", "source") for port in ears(bench.nodes[name])]
+    assert len(ports) == 4
+    for port in ports:
+        with port_node(port) as (node, begin):
+            # the byte after the flags of the first of its readers: how often it stirred, and when it was judged last
+            stirred = node[begin - 20 + 20_632 + 1]
+        assert (stirred & 15, stirred >> 4) == (1, 0)
+
+
 def mark_damaged(port):
-    """As `SharedMemGlobal` does (`PortNode::is_port_ok`): the first bit after six numbers, of which these three."""
+    """As `SharedMemGlobal` does (`PortNode::is_port_ok`): the first bit after six numbers."""
+    with port_node(port) as (node, begin):
+        node[begin + 24] &= ~1
+
+
+@contextmanager
+def port_node(port):
+    """Give what is in a port, and where its number stands: two further stand these two."""
     number = int(port.name.removeprefix("fastrtps_port"))
     with port.open("r+b") as file, mmap.mmap(file.fileno(), 0) as node:
-        begin = next(
-            m.start()
-            for m in re.finditer(re.escape(struct.pack("<I", number)), node)
-            if struct.unpack_from("<2I", node, m.start() + 8) == (20000, 20000 // 3)
+        yield (
+            node,
+            next(
+                m.start()
+                for m in re.finditer(re.escape(struct.pack("<I", number)), node)
+                if struct.unpack_from("<2I", node, m.start() + 8) == (20000, 20000 // 3)
+            ),
         )
-        node[begin + 24] &= ~1
 
 
 def ears(process):

@@ -15,7 +15,8 @@ from pathlib import Path
 
 from ..errors import RunError, ScenarioError
 from ..kit.compiled import cache_folder
-from .ports import BASE, GAIN
+from .ports import BASE, GAIN, udp_ports
+from .shared_memory import remove_leftovers
 
 DOMAINS = range(1, 101)  # 0 is everybody's default; above 101 the ports of Linux' ephemeral range begin
 BEYOND = (*range(215, 232), *range(101, 215))  # when those are taken: first what is above that range
@@ -31,7 +32,8 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
     name among the abstract sockets of the host; the operating system drops both of a dead process. One that a ROS
     session of this host works in, whoever started it, is not chosen either: it holds ports of that domain. The search
     starts at the process number, so that two runs in a row seldom share a domain and see each other's ghosts. It goes
-    on in `BEYOND` when all of `DOMAINS` are taken.
+    on in `BEYOND` when all of `DOMAINS` are taken. What killed processes have left in shared memory is removed, with
+    all ports of a domain in which nobody is: any node takes them as they are (see `remove_leftovers`).
 
     Parameters
     ----------
@@ -75,6 +77,7 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
                     if error.errno not in (errno.EWOULDBLOCK, errno.EADDRINUSE):
                         raise
                     continue
+                remove_leftovers(number if wanted is None else None)
                 yield number
         finally:
             os.close(file)
@@ -143,13 +146,7 @@ def require_loopback() -> None:
 
 def inhabited() -> set[int]:
     """Give the domains in which a participant of DDS lives on this host: each holds UDP ports of its domain."""
-    found = set()
-    for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
-        with suppress(OSError):  # not Linux, or no IPv6
-            for line in table.read_text().splitlines()[1:]:
-                port = int(line.split()[1].rpartition(":")[2], 16)
-                found.add((port - BASE) // GAIN)
-    return found
+    return {(port - BASE) // GAIN for port in udp_ports()}
 
 
 def _open(number: int) -> int:

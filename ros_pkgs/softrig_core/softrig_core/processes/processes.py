@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from .restarting import Restarts, check_restart
 from .shared_memory import lacking, remove_leftovers
 from .spawning import Started, groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
-from .supervision import idle, set_back, supervise
+from .supervision import SystemClock, idle, supervise
 
 
 @dataclass
@@ -84,13 +83,15 @@ def run_processes(
     external = [m for m in rig.members if m.external]
     if wait is None:
         wait = 0.0 if external else rig.scenario.start_timeout
-    error, stopped, ahead = "", 0, time.time() - time.monotonic()
+    error, stopped, clock = "", 0, SystemClock()
     with ExitStack() as stack:
         own_domain = domain is None
-        domain = stack.enter_context(free_domain()) if domain is None else domain
+        if domain is None:
+            domain = stack.enter_context(free_domain())
+        else:
+            remove_leftovers()
         if own_domain and domain not in DOMAINS and listener.announce is not None:
             listener.announce(f"domain {domain}: {DOMAINS[0]} to {DOMAINS[-1]} are taken{holders(DOMAINS)}")
-        remove_leftovers(domain if own_domain else None)
         members = groups(rig, placement.shared(rig), only)
         if listener.announce is not None and (why := lacking(len(members))):
             listener.announce(f"{why}: what does not fit goes by UDP, which takes longer")
@@ -128,7 +129,14 @@ def run_processes(
                         with unstopped():
                             children += start(run, group)
                     error = supervise(
-                        rig, children, listener.progress, guests, placement.clock == "realtime", stopping, restarts
+                        rig,
+                        children,
+                        listener.progress,
+                        guests,
+                        placement.clock == "realtime",
+                        stopping,
+                        restarts,
+                        clock,
                     )
                 except KeyboardInterrupt as interrupt:
                     stopped = signal_of(interrupt)
@@ -146,7 +154,7 @@ def run_processes(
         stopped = next((number for number in (stopped, *late, *later) if number), 0)
     if not (error or stopped):
         error = idle(status)
-    error += set_back(ahead) if error else ""
+    error += clock.set_back() if error else ""
     refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:
         raise ScenarioError(last_line(refused.log))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import fcntl
 import math
 import os
+import re
+import struct
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -16,6 +18,7 @@ AGE = 2.0  # s: between making a segment and locking it pass some microseconds
 ABANDONED = 60.0  # s: the same for a maker of whom nothing is known, who may have no processor meanwhile
 LOOKS = 100  # in AGE, and in as much longer as this process is kept from looking
 SIZE = 1_250_000  # bytes that the segments and ports of a node take
+RECENT = 1e9  # s: a time within so much of now is one
 MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.Interprocess)
 
 
@@ -87,6 +90,12 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
         time.sleep(AGE / LOOKS)
 
 
+def numbers(folder: Path = FOLDER) -> set[int]:
+    """Give the numbers of the ports of which there is a file, whoever made it."""
+    there = os.listdir(folder) if folder.is_dir() else []
+    return {int(found[1]) for name in there if (found := re.match(r"fastrtps_port(\d+)", name))}
+
+
 def lacking(processes: int, folder: Path = FOLDER) -> str:
     """Say why messages of so many nodes will not all go by shared memory; empty where they will."""
     try:
@@ -110,6 +119,11 @@ class Ears:
 
     A port is known by its name. One whose file is another by now, or gone, is written to by those who had opened it
     before, and by nobody else.
+
+    A reader who waits for messages stirs every third of the time after which his port is judged (20 s, see
+    fastdds_loopback.xml). Who opens the port between a judgement and that cannot know whether he lives, and waits a
+    third of it, too, holding whatever he sends: of late nodes one in six heard nothing for 6.7 s and was forgotten by
+    its peers, whose lease is shorter. So a process that looks after its ports says so, and they are not judged.
     """
 
     # s, of which a pause between two looks, where the host has no time for this process, counts as one at most: Fast
@@ -120,21 +134,51 @@ class Ears:
         self._good: dict[Path, int] = {}  # inodes
         self._since: dict[Path, float] = {}
         self._looked, self._time = -math.inf, 0.0
+        self._places: dict[tuple[Path, int], int] = {}
 
     def lost(self) -> str:
         """Name a port of ours that was taken away; empty when there is none."""
         if self._good and not self._since and all(_inode(path) == inode for path, inode in self._good.items()):
+            self._judge()
             return ""
         try:
             own, mapped = _own(), _mapped()
         except OSError:  # not Linux
             return ""
         self._good = {path: inode for path in own if (inode := _inode(path)) in mapped.get(path, ())}
+        self._judge()
         now = time.monotonic()
         self._time += min(now - self._looked, 1.0)
         self._looked = now
         self._since = {path: self._since.get(path, self._time) for path in own - self._good.keys()}
         return next((path.name for path, since in self._since.items() if self._time - since >= self.PATIENCE), "")
+
+    def _judge(self) -> None:
+        """Write into each sound port of ours that its readers have just been looked at, as Fast DDS does."""
+        for path, inode in self._good.items():
+            with suppress(OSError), path.open("r+b", buffering=0) as file:
+                if (place := self._places.get((path, inode))) is None:
+                    place = self._places[path, inode] = _judged(file.read(), path)
+                if place >= 0 and os.fstat(file.fileno()).st_ino == inode:
+                    os.pwrite(file.fileno(), struct.pack("=q", time.time_ns() // 1_000_000), place)
+
+
+def _judged(segment: bytes, path: Path) -> int:
+    """Give where a port keeps the time (ms) at which its readers were looked at last; -1 where that is not to be seen.
+
+    Of Fast DDS 2.14 (`SharedMemGlobal::PortNode`): the number of the port, its readers, the time after which it is
+    judged and a third of it stand 20 bytes further on.
+    """
+    number = struct.pack("=I", int(path.name.removeprefix("fastrtps_port")))
+    for found in re.finditer(re.escape(number), segment):
+        at = found.start() - 20
+        if at < 0 or at % 8 or at + 36 > len(segment):
+            continue
+        (last,) = struct.unpack_from("=q", segment, at)
+        limit, third = struct.unpack_from("=2I", segment, at + 28)
+        if limit and third == limit // 3 and abs(time.time() - last / 1e3) < RECENT:
+            return at
+    return -1
 
 
 def _inode(path: Path) -> int:

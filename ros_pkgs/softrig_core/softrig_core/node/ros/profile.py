@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from tempfile import NamedTemporaryFile
 
-from ...processes.executables import given_profile
+from ...processes.executables import LOOPBACK, PROFILE, given_profile, leased
 from ...processes.ports import chosen
-from ...processes.shared_memory import clear_ports, domain_id
+from ...processes.shared_memory import clear_ports, domain_id, numbers
 
 PROPERTY = "fastdds.ignore_local_endpoints"
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -24,13 +24,15 @@ SPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 
 
 @contextmanager
-def joining(*, exclusive: bool = False) -> Iterator[None]:
+def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterator[None]:
     """Within the block a participant may begin: no damaged port is in its way, and its profile is made.
 
     Parameters
     ----------
     exclusive : bool
         Whether its endpoints are matched with other processes only.
+    silence : float, optional
+        Where nobody has given a profile: others take it for dead only after more than so many s.
 
     Raises
     ------
@@ -41,7 +43,11 @@ def joining(*, exclusive: bool = False) -> Iterator[None]:
     """
     clear_ports(domain_id())
     before = os.environ.get(VARIABLE)
-    profile = own(given_profile().read_bytes(), exclusive=exclusive)
+    given = given_profile()
+    text = given.read_bytes()
+    if silence is not None and given in (PROFILE, LOOPBACK):
+        text = leased(text.decode(), silence).encode()
+    profile = own(text, exclusive=exclusive)
     with NamedTemporaryFile(prefix="softrig-", suffix=".xml") as file:
         file.write(profile)
         file.flush()
@@ -76,7 +82,7 @@ def own(profile: bytes, *, exclusive: bool = False) -> bytes:
         rtps = _within(participant, f"{space}rtps")
         if rtps.find(f"{space}port") is None:
             ports = ElementTree.SubElement(rtps, f"{space}port")
-            for name, number in chosen(domain_id()).items():
+            for name, number in chosen(domain_id(), numbers()).items():
                 ElementTree.SubElement(ports, space + name).text = str(number)
         if exclusive:
             properties = _within(_within(rtps, f"{space}propertiesPolicy"), f"{space}properties")
