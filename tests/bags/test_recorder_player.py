@@ -576,7 +576,8 @@ def ask(node, service: str, kind, **fields):
 
 def test_their_options_are_parameters_that_can_be_looked_up_but_not_set(rig, listener, tmp_path):
     write_bag(tmp_path / "bag", small())
-    player = rig.player("bag", "--paused", "--rate", "2.5")
+    # a file of `ros2 param dump` says what the options say
+    player = rig.player("bag", "--paused", "--rate", "2.5", "--ros-args", "-p", "rate:=2.5", "-p", "paused:=true")
     recorder = rig.recorder("--output", "copy", "--max-size", "8", "/none")
     names = ask(listener, "/player/list_parameters", ListParameters).result.names
     assert {"bag", "rate", "paused", "use_sim_time"} <= set(names)
@@ -595,7 +596,7 @@ def test_their_options_are_parameters_that_can_be_looked_up_but_not_set(rig, lis
         finish(process, signal.SIGINT)
     status, output = finish(rig.player("bag", "--ros-args", "-p", "rate:=2.0"))
     assert status == 2
-    assert "parameter rate cannot be set by ROS arguments" in output
+    assert "parameter rate cannot be set to 2.0 by ROS arguments" in output
 
 
 @pytest.mark.parametrize("tool", ["recorder", "player"])

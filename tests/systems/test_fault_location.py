@@ -978,6 +978,15 @@ def test_the_study_tool_takes_what_launch_gives_to_every_executable(monkeypatch,
     assert given == [3]
 
 
+def test_ctrl_c_stops_the_study_tool_without_its_stack(monkeypatch, capsys):
+    def interrupted(jobs, processes):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(study_tool, "run", interrupted)
+    assert study_tool.main([]) == 130
+    assert capsys.readouterr().err == "softrig: stopped\n"
+
+
 def test_command_line(record, tmp_path, capsys):
     for end in "sr":
         write_comtrade(tmp_path / end, record, end)

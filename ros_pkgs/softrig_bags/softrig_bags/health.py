@@ -1,6 +1,7 @@
 """What an outside recorder has of a run beside its signals: descriptions, health of the nodes, figures of observers.
 
-As they stood at the end, from what the nodes have said of themselves: equal runs still give equal bags.
+As they stood at the end, from what the nodes have said of themselves: equal runs still give equal bags. A bag has a
+rig's own names, without the namespace in which it was launched: `hardware_id`, which live tells rigs apart, is empty.
 """
 
 from __future__ import annotations

@@ -73,11 +73,14 @@ class Session:
         except ValueError as error:  # of the profile
             raise BagError(str(error)) from None
         Session.opened = self
-        for given in self.node.get_parameters_by_prefix(""):
-            if given not in _OF_ROS and not given.startswith("qos_overrides."):
+        options = {declaration.name: value for declaration, value in parameters}
+        for name, given in self.node.get_parameters_by_prefix("").items():
+            if name in options and given.value == options[name]:  # as in a file of `ros2 param dump`
+                self.node.undeclare_parameter(name)
+            elif name not in _OF_ROS and not name.startswith("qos_overrides."):
                 raise BagError(
-                    f"parameter {given} cannot be set by ROS arguments; what can be set are the options "
-                    "that --help shows"
+                    f"parameter {name} cannot be set to {given.value} by ROS arguments; what can be set are the "
+                    "options that --help shows"
                 )
         for declaration, value in parameters:
             self.node.declare_parameter(declaration.name, value, range_descriptor(declaration))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from softrig_core.command_line import without_ros
+from softrig_core.guard import guarded
 
 from .cases import PUBLISHED
 from .location import locate
@@ -19,15 +20,18 @@ from .study import METHODS, SENSITIVITY, Row, as_csv, published_jobs, run, sensi
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study; 0 when it is complete."""
+    """Run the study; 0 when it is complete, 130 when Ctrl-C stopped it."""
+    return guarded(lambda: _study(sys.argv[1:] if arguments is None else arguments))
+
+
+def _study(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="fault_study", description=__doc__)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--profile", default="m20k", choices=("m100k", "m20k", "m10k", "m4k", "raw100k", "raw20k"))
     parser.add_argument("--processes", type=int, metavar="N", help="default: all cores")
     parser.add_argument("--sensitivity", action="store_true", help="the disturbed records instead of the 48 cases")
     parser.add_argument("--out", type=Path, metavar="DIR", help="cases.csv and the pictures go here")
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    options = parser.parse_args(without_ros(given))
+    options = parser.parse_args(without_ros(arguments))
     if options.sensitivity:
         print(sensitivity_table(sensitivity(processes=options.processes)))
         return 0

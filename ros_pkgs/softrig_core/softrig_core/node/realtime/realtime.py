@@ -61,7 +61,8 @@ class Realtime:
         self.tick_number = -1
         self.skipped = 0
         self._silence_told = 0.0
-        self._missed = 0
+        self._missed = self._late = 0
+        self._period = node.schedule.time(1)
         self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
         node.epoch = node.options.epoch
         node.step.send = node.publish
@@ -270,7 +271,10 @@ class Realtime:
             return
         if self._rivals and any(f.deaf() for f in self._rivals) and not node.is_plant:
             return  # neither of two publishers is believed
-        self._lateness.append(now - node.epoch - due)
+        late = now - node.epoch - due
+        self._lateness.append(late)
+        if late >= self._period:
+            self._late += 1
         behind = number - self.tick_number if self.tick_number >= 0 else 0
         unanswered = max(behind - 1, 0)
         if behind > 1:
@@ -352,8 +356,8 @@ class Realtime:
         return figures
 
     def statistics(self) -> dict[str, Any]:
-        """Give the counts, lateness of the timer and round trip from output to command, in ms."""
-        figures: dict[str, Any] = {**self.counts()}
+        """Give the counts, ticks begun when the next was due, lateness and round trip from output to command in ms."""
+        figures: dict[str, Any] = {**self.counts()} | ({"late_ticks": self._late} if self._late else {})
         figures |= percentiles("lateness", self._lateness) | percentiles("round_trip", self._round_trip)
         if self._lateness:
             figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]
