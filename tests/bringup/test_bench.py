@@ -6,11 +6,12 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
+from types import SimpleNamespace
 
 import pytest
-from bench import induction, native, rectifier, systems
+from bench import induction, native, realtime, rectifier, systems
 from bench.__main__ import PARTS, main
-from softrig_core import bits
+from softrig_core import ScenarioError, bits
 from softrig_drives.induction_dtc.switching import VECTORS
 
 ROOT = Path(__file__).parents[2]
@@ -45,6 +46,24 @@ def test_nothing_of_it_is_installed_with_the_packages():
     """Who installs the packages gets nodes and tools, no measurements of this machine."""
     assert not [p for p in ROOT.glob("ros_pkgs/**/*bench*.py") if "__pycache__" not in p.parts]
     assert not [p for p in ROOT.glob("ros_pkgs/*/setup.cfg") if "bench" in p.read_text()]
+
+
+def test_a_run_in_real_time_that_breaks_costs_no_other_row(capsys, monkeypatch):
+    figures = {"ticks": 980, "missed_deadlines": 20, "late_ticks": 30, **dict.fromkeys(realtime.TIMES.values(), 0.01)}
+    recording = SimpleNamespace(topics={"joint_states": SimpleNamespace(data=[b""] * 980)})
+
+    def drive(rate, topic, duration):
+        if (rate, topic) == (10_000, "torque_ref"):
+            raise ScenarioError("it did not reach the end")
+        return SimpleNamespace(status={"im_plant": figures}, recording=recording)
+
+    monkeypatch.setattr(realtime, "drive", drive)
+    with pytest.raises(SystemExit, match="10,000 Hz, 10 s, torque_ref read: it did not reach the end"):
+        main(["realtime"])
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if ",000" in line]
+    assert len(rows) == 15
+    assert rows[0] == ["2,000", "10", "nothing", "2.00%", "3.00%", "10", "10", "10", "10", "100.00%"]
+    assert rows[7] == ["10,000", "10", "torque_ref", "broke"]
 
 
 def test_tables_of_the_rectifier(capsys):

@@ -93,6 +93,10 @@ def test_a_run_leaves_bag_metrics_plots_and_report(folder, capsys):
     assert "pass" in printed
 
 
+def test_a_negative_number_in_a_power_of_ten_is_no_option():
+    assert make_parser().parse_args(["set", "law.k", "-1e-3"]).values == ["law.k", "-1e-3"]
+
+
 def test_a_shared_value_is_set_by_its_name_and_the_rig_is_built_once(folder, monkeypatch):
     built = []
     from_scenario = Rig.from_scenario

@@ -30,6 +30,7 @@ from softrig_bringup.view.sources import Live, Recorded
 from softrig_bringup.view.tracks import Track
 from softrig_core import Recording, Session, Signals, load_scenario, rig_of, simulate
 from softrig_core.processes.placement import Placement
+from softrig_core.wire.recording import read_shards
 
 HASTY = """
 from softrig_bringup.view import serve
@@ -214,7 +215,7 @@ def test_a_run_goes_back_from_its_page_and_the_branch_is_that_of_run_from(tmp_pa
 
 
 def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_run(tmp_path):
-    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0)
+    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, log=lambda: tmp_path)
     session, control = source.session, source.control
     session.go(0.05)
     control.turn("me", "dc_motor_smc.delta", 0.5)
@@ -223,14 +224,17 @@ def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_r
     session.go(0.08)
     source.look()
     left = session.recording.before(80_000_000)
+    assert read_shards([tmp_path / "rig.shard"]).topics == left.topics  # were the process killed now
     control.go_back("me", 0.03)
     assert (session.t, source.end, control.knobs["dc_motor_smc.delta"].value) == (0.03, 0.0299, 0.8)
     assert source.pane(0.0, 1.0)["motor/state/shaft/velocity"].t[-1] == 0.0299
+    assert read_shards([tmp_path / "rig.shard"]).topics == left.topics  # until it goes on from there
     control.go_back("me", 0.02)  # nothing was turned between
     session.go(0.03)
     session.go()
     source.look()
     assert [t for t, *_ in source.changes] == [0.02]
+    assert read_shards([tmp_path / "rig.shard"]).topics == session.recording.topics
     plain = simulate("dc_motor_smc", duration=0.1)
     assert session.recording.topics == plain.branch(0.02, {"dc_motor_smc.delta": 0.8}).recording.topics
     found = source.written(tmp_path)

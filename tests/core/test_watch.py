@@ -1,5 +1,7 @@
 """Observers as windows with figures: each message once, nothing paired that does not belong together."""
 
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 from types import SimpleNamespace
 
 import numpy as np
@@ -39,12 +41,15 @@ def test_running_figures_equal_those_of_the_recording_to_the_last_bit(period):
     }
 
 
-def test_running_figures_go_out_while_somebody_reads_them():
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_running_figures_go_out_while_somebody_reads_them(mode):
+    """Against the wall clock they are measured beside the ticks, of what there was when they were asked for."""
     import diagnostic_msgs.msg  # noqa: F401
     from softrig_core.node.face.faces import Faces
 
     rig = Rig.from_blocks({"plant": Lag(), "source": Source(), "gain": Gain(), "eye": Eye()}, 1.0)
-    eye, said, readers = run_inprocess(rig, 3)["eye"], [], [0]
+    eye, said, readers, held = run_inprocess(rig, 3)["eye"], [], [0], Event()
+    expected = {name: f"{value:.9g} {unit}" for name, (value, unit) in eye.status().items()}
 
     class Publisher:
         publish = said.append
@@ -58,13 +63,26 @@ def test_running_figures_go_out_while_somebody_reads_them():
 
     faces = object.__new__(Faces)
     faces._adapter = SimpleNamespace(step=eye, block=eye.block, t=eye.t, middleware=SimpleNamespace(name="eye"))
-    faces._figures, faces._diagnostics = Publisher(), Nobody()
+    faces._figures, faces._diagnostics, faces._markers = Publisher(), Nobody(), None
+    faces._measured, faces._looks = None, 0
+    faces._beside = ThreadPoolExecutor(1) if mode == "realtime" else None
     faces._publish_diagnostics()
     assert not said
+    assert faces._measured is None
     readers[0] = 1
+    if faces._beside:
+        faces._beside.submit(held.wait)
     faces._publish_diagnostics()
+    if faces._beside:
+        eye.x = eye.block.first()  # it goes on meanwhile
+        faces._publish_diagnostics()  # one at a time
+        faces._look()
+        assert not said
+        held.set()
+        faces._measured.result()
+        faces._look()
+        assert faces._measured is None
     ((status,),) = [message.status for message in said]
-    expected = {name: f"{value:.9g} {unit}" for name, (value, unit) in eye.status().items()}
     assert {v.key: v.value for v in status.values} == expected
     assert "mean_command" in expected
 

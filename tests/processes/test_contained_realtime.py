@@ -207,8 +207,8 @@ def test_who_is_late_answers_with_what_had_been_said_by_its_tick(held, missed, w
     assert list(found.x) == pytest.approx([used.get(round(t, 3), t) for t in found.t])
 
 
-@pytest.mark.parametrize(("periods", "missed"), [(6, 0), (12, 11)])
-def test_a_law_that_was_slow_once_has_not_been_silent(periods, missed, monkeypatch):
+@pytest.mark.parametrize(("periods", "missed", "late"), [(6, 0, 5), (12, 11, 0)])
+def test_a_law_that_was_slow_once_has_not_been_silent(periods, missed, late, monkeypatch):
     """Its command comes after more periods of the plant than a silence has; a few of them are said late."""
     slow = []
 
@@ -226,6 +226,7 @@ def test_a_law_that_was_slow_once_has_not_been_silent(periods, missed, monkeypat
     assert run.run() == {"done"}
     plant = run.adapters["plant"]
     assert (len(slow), plant.drive.missed, list(plant.block.reports)) == (1, missed, [])
+    assert plant.drive.statistics().get("late_ticks", 0) == late
 
 
 def test_what_somebody_outside_reads_is_carried_beside(monkeypatch):

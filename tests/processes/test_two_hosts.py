@@ -167,6 +167,9 @@ def test_who_does_not_ask_for_other_hosts_is_not_reached_from_them(variables, pr
     with joining():
         text = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
     assert ("<address>127.0.0.1</address>" in text) == (profile == LOOPBACK)
+    with joining(silence=10.0):  # a node that is started singly: held for less than its patience, it is not dead
+        text = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
+    assert "<leaseDuration><sec>12</sec></leaseDuration>" in text.replace("\n", "").replace(" ", "")
     left = os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE")
     assert left == variables.get("FASTRTPS_DEFAULT_PROFILES_FILE")  # a run started here later takes one of its own
 

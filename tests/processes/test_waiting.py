@@ -284,14 +284,15 @@ def test_who_watches_a_run_waits_for_its_start_whatever_the_system_clock_does(ju
 
 
 def test_a_clock_that_was_set_back_is_a_reason(monkeypatch):
-    ahead, now = time.time() - time.monotonic(), time.time
-    assert supervision.set_back(ahead) == ""
+    clock, now = supervision.SystemClock(), time.time
+    assert clock.set_back() == ""
     monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)
-    assert supervision.set_back(ahead) == ""  # nobody minds
-    monkeypatch.setattr(time, "time", lambda: now() - HOUR / SECOND)
-    assert (
-        supervision.set_back(ahead) == "; the system's clock was set back by 3600 s meanwhile, and Fast DDS waits by it"
-    )
+    assert clock.set_back() == ""  # nobody minds
+    monkeypatch.setattr(time, "time", now)  # as it was at first, and an hour before what somebody has seen
+    told = "; the system's clock was set back by 3600 s meanwhile, and Fast DDS waits by it"
+    assert clock.set_back() == told
+    monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)
+    assert clock.set_back() == told
 
 
 @pytest.mark.parametrize("ok", [True, False])

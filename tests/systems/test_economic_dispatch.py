@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from softrig_core import ByHand, Level, ParameterError, list_scenarios, simulate
+from softrig_core.solver.solver import Result
 from softrig_power.dispatch.baselines import lambda_iteration, swarm, without_ripples
 from softrig_power.dispatch.branch import branch_and_bound, chord_excess
 from softrig_power.dispatch.certify import InfeasibleError, Optimiser, lowering
@@ -430,6 +431,13 @@ def test_an_infeasible_demand_is_an_error_and_the_last_set_points_stay(node):
         node.block.anew.clear()
     assert ask(node, 5, 900.0)["setpoints"]
     assert "infeasible" not in node.reports  # diagnostics are those of the dispatch in effect
+
+
+@pytest.mark.parametrize(("answer", "why"), [(None, "no dispatch in time"), ("too many kinks", "too many kinks")])
+def test_without_a_dispatch_the_last_set_points_stay(answer, why):
+    block = DispatchSolver(unit_table="units_3")
+    assert block.answer(block.first(), 0, Result(0, None, answer, answer is not None), True)[1] == {}
+    assert block.reports == {"no dispatch": (Level.ERROR, f"{why}; the last set points stay", 1)}
 
 
 def test_another_table_counts_and_a_broken_one_does_not(node):

@@ -3,9 +3,19 @@
 from collections import deque
 
 import pytest
-from softrig_core import ByHand, RunError, Scenario, ScenarioError, list_scenarios, load_scenario, rig_of, simulate
+from softrig_core import (
+    ByHand,
+    RunError,
+    Sample,
+    Scenario,
+    ScenarioError,
+    list_scenarios,
+    load_scenario,
+    rig_of,
+    simulate,
+)
 from softrig_core.node.live_figures import Figures
-from softrig_core.verdict.watch import Kept
+from softrig_core.verdict.watch import MANY, Kept, row_of
 
 SPEED = "motor/true_state/shaft/velocity"
 NODE = {"package": "softrig_core", "executable": "figures"}
@@ -120,24 +130,49 @@ def test_a_step_that_the_window_has_left_behind_has_no_figures():
     assert simulate("dc_motor_smc_b2", overrides=overrides, duration=5.5).blocks["dc_motor_metrics"].status() == {}
 
 
-@pytest.mark.parametrize("window", [5, 700])
+def rows(kept):
+    stamps, values = kept.columns(WIDE)
+    return list(zip(stamps.tolist(), map(tuple, values.tolist()), strict=True))
+
+
+WIDE = 100  # numbers of a message: four blocks hold what comes
+
+
+@pytest.mark.parametrize("window", [5, 700, 5000])
 def test_a_window_is_a_queue(window):
     """Over many blocks, with messages that are repeated and pauses that empty it."""
     kept, queue, forgot = Kept(), deque(), False
+    at_once, new, row = Kept(), [], row_of(WIDE)
     for t in range(2000):
-        stamp = t - t % 3
+        stamp, values = t - t % 3, (float(t), *range(1, WIDE))
         if 900 < t < 1800:
             continue
-        kept = kept.taken(stamp, (float(t),), t - window)
+        if stamp > kept.stamp:
+            new.append((stamp, values))
+        kept = kept.taken(row, stamp, values, t, window)
         if not queue or stamp > queue[-1][0]:
-            queue.append((stamp, (float(t),)))
+            queue.append((stamp, values))
         while queue and queue[0][0] < t - window:
             queue.popleft()
             forgot = True
-        assert list(kept.rows()) == list(queue)
+        assert rows(kept) == list(queue)
         assert kept.forgot == forgot
-    stale = kept.taken(0, (0.0,), 10**6)
-    assert (list(stale.rows()), stale.forgot) == ([], True)
+        if t in (3, 100, 899, 900, 1801, 1999):
+            at_once, new = at_once.taken_at_once(new, t, window), []
+            assert at_once == kept
+    stale = kept.taken(row, 0, (0.0,) * WIDE, 10**6, window)
+    assert (rows(stale), stale.forgot) == ([], True)
+
+
+def test_what_is_kept_takes_the_room_of_its_numbers_in_the_window():
+    kept, row = Kept(), row_of(2)
+    for t in range(20_000):
+        kept = kept.taken(row, t, Sample(0, (1.0, 2.0)), t, 6_000)
+    room = sum(map(len, kept.blocks)) + len(kept.filling) + len(kept.newest)
+    assert 6_000 * 24 <= room < 6_000 * 24 + 2 * MANY
+    assert kept.taken_at_once((), 40_000, 6_000).columns(2)[0].size == 0
+    longer = kept.taken(row, 20_000, (1.0, 2.0), 20_000, 15_000)  # what has left the window does not come back
+    assert longer.columns(2)[0][0] == 13_999
 
 
 def test_by_hand_it_reads_the_topics_of_a_scenario_alone():

@@ -771,8 +771,9 @@ def test_the_proven_bound_goes_when_the_light_changes(algorithm):
     assert bounds[1500] >= true
     assert bounds[-1] == 0.0
     # more light: the true maximum is above the bound that was proven
-    _, states, _ = in_changing_light(lambda s: (1000.0,) * 4 if s >= 1.6 else PATTERN1, 2.4, **values)
+    _, states, tracker = in_changing_light(lambda s: (1000.0,) * 4 if s >= 1.6 else PATTERN1, 2.4, **values)
     assert (states[1500][5] >= true, states[-1][5]) == (True, 0.0)
+    assert tracker.reports["proof"][::2] == (Level.WARN, 1)
 
 
 @pytest.mark.parametrize("algorithm", ["certified", "ramp"])

@@ -222,7 +222,9 @@ def test_the_search_of_constant_delays_ends_with_the_first_window():
                 assert all(e.positive for e in again), (step.shortest, d)
     assert covered == found.h
     # beyond the first window: from `low` on where that is asked for and there is nothing from 0 on
-    late = certified_margin(linear([[0.0, 1.0], [-2.0, 0.1]], [[0.0, 0.0], [1.0, 0.0]]), criterion, low=1.0, width=0.1)
+    late = linear([[0.0, 1.0], [-2.0, 0.1]], [[0.0, 0.0], [1.0, 0.0]])
+    assert certified_margin(late, criterion) is None  # nobody has named a delay to begin at
+    late = certified_margin(late, criterion, low=1.0, width=0.1)
     assert late.shortest == 1.0
     assert certified_margin(linear(0.5, 0.2), criterion, low=0.1) is None
     with pytest.raises(ValueError, match=r"shortest = 2.0: expected from 0 to h = 1.0"):
@@ -749,7 +751,8 @@ def test_controllers_hold_their_command_without_a_state(controller):
     law = ByHand(controller())
     law.update(0, **({"level": (0.4,)} if controller is TankController else {"state": (0.2, 0.1)}))
     assert law.refused(0) is None  # what was said last is held
-    assert len(law.reports) == 1
+    what, held = ("level", "inflow") if controller is TankController else ("state", "torque")
+    assert law.reports == {f"bad_{what}": (Level.ERROR, f"no valid {what}: the last {held} is held", 1)}
 
 
 def test_laws_of_tank_and_pendulum():

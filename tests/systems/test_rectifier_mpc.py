@@ -356,6 +356,7 @@ def test_bad_samples_hold_then_trip_for_good():
         assert (found["command"], found["health"][0]) == (last, 2.0)
     last = law.update(3, measured=(10.0,), reference=None)["command"]
     assert [law.refused(k)["command"] for k in (4, 5, 6)] == [last, last, (-1.5,)]
+    assert law.reports["bad_input"][::2] == (Level.ERROR, 5)
     assert law.update(7, measured=(10.0,), reference=None) == {"command": (-1.5,), "health": (3.0, 0.0, 0.0)}
     assert law.reports["trip"][0] == Level.ERROR
 
@@ -434,6 +435,16 @@ def test_equilibrium_is_one():
     plant = ByHand(RectifierPlant())
     held(plant, 200)
     assert moving(plant) == pytest.approx((CONSTANTS.current, 0.0, 400.0), abs=1e-9)
+
+
+def test_a_voltage_that_collapses_gives_the_converter_up():
+    plant = ByHand(RectifierPlant(v_least=401.0))
+    plant.advance(0, command=(CONSTANTS.drop,), events=None)
+    assert plant.reports == {"collapse": (Level.ERROR, "DC voltage 400 V, below 401 V: converter given up", 1)}
+    assert moving(plant) == (0.0, 0.0, 401.0)
+    plant.advance(NS, command=(CONSTANTS.drop,), events=None)  # whatever is commanded
+    assert plant.reports["off"] == (Level.WARN, "switches off: the diodes carry the current", 1)
+    assert plant.reports["collapse"][2] == 1
 
 
 def test_linear_model_is_the_slope_of_the_plant():

@@ -70,6 +70,10 @@ class Parser(argparse.ArgumentParser):
     A shell that completes a command line (argcomplete) is answered in place of parsing.
     """
 
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # of Python 3.14; before it -1e-3 is an option
+
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore[override]
         """Parse, or say what the word may become that somebody is typing."""
         if "_ARGCOMPLETE" in os.environ:

@@ -323,7 +323,7 @@ def _print_nodes(console: Console, run: Run) -> None:
         for topic, (count, text) in status.get("refused", {}).items():
             console.print(f"{name}: {count} messages refused on {topic}: {text}")
         if "missed_deadlines" in status:
-            figures = {k: v for k, v in status.items() if k.endswith("_ms") or k == "missed_deadlines"}
+            figures = {k: v for k, v in status.items() if k.endswith("_ms") or k in ("missed_deadlines", "late_ticks")}
             console.print(f"{name}: " + ", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
 
 

@@ -17,7 +17,8 @@ from softrig_core.processes.placement import Placement
 from softrig_core.processes.stopping import signal_of, unstopped
 from softrig_core.run.branch import branched
 from softrig_core.timebase import SECOND
-from softrig_core.wire.parameter_event import recorded
+from softrig_core.wire.parameter_event import TOPIC as EVENTS, recorded
+from softrig_core.wire.recording import ShardWriter
 
 from ..folder import ResultsFolder
 from ..run.run import gaps, status_of
@@ -45,6 +46,8 @@ class Here(Growing):
         Simulated by wall-clock time; 0: as fast as it goes.
     call : callable
         Gets a function to be called in the thread of the ticks: Bokeh hears browsers in threads of its own.
+    log : callable, optional
+        Gives the folder for what is recorded as it goes on, asked again after a way back; without it nothing is kept.
 
     Attributes
     ----------
@@ -55,10 +58,17 @@ class Here(Growing):
     """
 
     def __init__(
-        self, session: Session, held: bool, pace: float, call: Callable[[Callable[[], None]], object] = lambda do: do()
+        self,
+        session: Session,
+        held: bool,
+        pace: float,
+        call: Callable[[Callable[[], None]], object] = lambda do: do(),
+        log: Callable[[], Path] | None = None,
     ) -> None:
         super().__init__(session.rig)
-        self.session, self._call = session, call
+        self.session, self._call, self._log = session, call, log
+        self._shard: ShardWriter | None = None
+        self._written: Counter[str] = Counter()  # messages by topic
         self._pace = pace
         self._mark: tuple[float, float] | None = None  # s of the wall and of the run, which the pace counts from
         self._seen: Counter[str] = Counter()  # messages by topic
@@ -111,6 +121,7 @@ class Here(Growing):
         self.outcome, self.results, self.control.held = "", [], True
         self._tracks, self._newest = {topic: type(track)() for topic, track in self._tracks.items()}, {}
         self._seen.clear()
+        self._end_log()
         self.version += 1
         self.look()
         for knob in self.control.knobs.values():
@@ -121,6 +132,7 @@ class Here(Growing):
     def finish(self, outcome: str, folder: Path | None) -> None:
         """Note that the run is over, and what it has brought."""
         super().finish(outcome, folder)
+        self._end_log()
         self._folder = str(folder)
         self.control.say("the run", outcome)
 
@@ -179,6 +191,28 @@ class Here(Growing):
             }
             for name, step in session.steps.items()
         }
+        if self._log is not None and not (self.branched and session.t <= self.branched[-1][0]):
+            self._write(self._log)  # not what is gone back to: until it goes on, what was left stays in the file
+
+    def _write(self, log: Callable[[], Path]) -> None:
+        """Write what is new into a file as nodes do: of a process that is killed `bag repair` finds it there."""
+        topics = [topic for name, topic in self.session.recording.topics.items() if name != EVENTS]
+        events = self.session.recording.topics.get(EVENTS)
+        if self._shard is None:
+            self._shard = ShardWriter(log() / "rig.shard", [(topic.name, topic.msgtype) for topic in topics])
+        for number, topic in enumerate([*topics, *([events] if events else [])]):  # changes have the number after all
+            new, said = topic.since(self._written[topic.name]), self._written[topic.name]
+            messages = [data for part in new.parts() for data in part.messages(said)] or new.data
+            for t, data in zip(new.times, messages, strict=True):
+                self._shard.add(number, t, data)
+            self._written[topic.name] += len(messages)
+        self._shard.flush()
+
+    def _end_log(self) -> None:
+        if self._shard is not None:
+            self._shard.close()
+        self._shard = None
+        self._written.clear()
 
 
 def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, conclude: Conclude) -> int:
@@ -201,23 +235,32 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
 
     started = time.perf_counter()
     loop = IOLoop.current()
-    source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback)
+    place: ResultsFolder | None = folder
+
+    def log() -> Path:
+        nonlocal place
+        place = place or _beside(folder.path)
+        path = place.path / "log"
+        path.mkdir(exist_ok=True)
+        return path
+
+    source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback, log)
     pages = Pages(source, source.control, str(placement), address, new_token(), loop)
     say(f"the page is {pages.url}")
     status, ended = 0, False
 
     def end(stopped: int = 0) -> None:
-        nonlocal status, ended
-        place = _beside(folder.path) if ended else folder
-        with unstopped(), place.keeping():
+        nonlocal status, ended, place
+        place = into = place or _beside(folder.path)
+        with unstopped(), into.keeping():
             source.look()
             run = session.run
             run.mode, run.wall_s, run.stopped = str(placement), time.perf_counter() - started, stopped
-            run.status, run.branched = source.status, source.written(place.path)
+            run.status, run.branched = source.status, source.written(into.path)
             run.error = run.error or ("" if stopped else gaps(rig, run.recording))
-            status = conclude(run, place)
-            ended = True
-            source.finish(f"broke: {run.error}" if run.error else run.stopped_at or "ended", place.path)
+            status = conclude(run, into)
+            ended, place = True, None
+            source.finish(f"broke: {run.error}" if run.error else run.stopped_at or "ended", into.path)
 
     def turn() -> None:
         rest = source.turn()

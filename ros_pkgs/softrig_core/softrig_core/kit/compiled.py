@@ -193,7 +193,6 @@ def build(function: ca.Function) -> Path | None:
         library = folder / f"{function.name()}-{digest}.so"
         if library.exists():
             return library
-        folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder) as scratch:
             code, product = Path(scratch, f"{function.name()}.c"), Path(scratch, "product.so")
             code.write_text(source)

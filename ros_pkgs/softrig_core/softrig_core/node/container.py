@@ -22,6 +22,7 @@ from ..errors import RunError
 from ..guard import secure_streams, tell
 from ..interrupt import interrupt
 from ..rig.installed import load_block
+from ..rig.options import RunOptions
 from ..timebase import SECOND
 from .adapter.adapter import Adapter
 from .adapter.spin import conclude, failure
@@ -136,7 +137,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     container = Container()
     where = "container"
     try:
-        with joining(exclusive=True):
+        with joining(exclusive=True, silence=RunOptions().timeout):
             rclpy.init(args=[])
             interrupt.early = False
             if "fastrtps" not in (rmw := rclpy.get_rmw_implementation_identifier()):

@@ -57,7 +57,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
                 f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
                 "--help shows the parameters"
             )
-        with joining():
+        with joining(silence=RunOptions().timeout):  # its own is known only when it has joined
             rclpy.init(args=list(argv))
             interrupt.early = False
             node = ServingNode(name)

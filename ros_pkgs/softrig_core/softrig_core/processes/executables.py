@@ -83,10 +83,15 @@ def environment(
 
 def patient(profile: Path, directory: Path, silence: float) -> Path:
     """Write a profile of ours, ``profile.xml``, with a lease that a silence of so many s does not end."""
-    lease = f"<leaseDuration><sec>{math.ceil(silence) + MARGIN}</sec></leaseDuration>"
     file = directory / "profile.xml"
-    file.write_text(re.sub("<leaseDuration>.*</leaseDuration>", lease, profile.read_text()))
+    file.write_text(leased(profile.read_text(), silence))
     return file
+
+
+def leased(profile: str, silence: float) -> str:
+    """Give the text of a profile of ours with such a lease."""
+    lease = f"<leaseDuration><sec>{math.ceil(silence) + MARGIN}</sec></leaseDuration>"
+    return re.sub("<leaseDuration>.*</leaseDuration>", lease, profile)
 
 
 def node_main(package: str, executable: str, arguments: list[str]) -> int:

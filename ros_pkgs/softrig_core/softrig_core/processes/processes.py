@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from .restarting import Restarts, check_restart
 from .shared_memory import lacking, remove_leftovers
 from .spawning import Started, groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
-from .supervision import idle, set_back, supervise
+from .supervision import SystemClock, idle, supervise
 
 
 @dataclass
@@ -84,7 +83,7 @@ def run_processes(
     external = [m for m in rig.members if m.external]
     if wait is None:
         wait = 0.0 if external else rig.scenario.start_timeout
-    error, stopped, ahead = "", 0, time.time() - time.monotonic()
+    error, stopped, clock = "", 0, SystemClock()
     with ExitStack() as stack:
         own_domain = domain is None
         if domain is None:
@@ -130,7 +129,14 @@ def run_processes(
                         with unstopped():
                             children += start(run, group)
                     error = supervise(
-                        rig, children, listener.progress, guests, placement.clock == "realtime", stopping, restarts
+                        rig,
+                        children,
+                        listener.progress,
+                        guests,
+                        placement.clock == "realtime",
+                        stopping,
+                        restarts,
+                        clock,
                     )
                 except KeyboardInterrupt as interrupt:
                     stopped = signal_of(interrupt)
@@ -148,7 +154,7 @@ def run_processes(
         stopped = next((number for number in (stopped, *late, *later) if number), 0)
     if not (error or stopped):
         error = idle(status)
-    error += set_back(ahead) if error else ""
+    error += clock.set_back() if error else ""
     refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:
         raise ScenarioError(last_line(refused.log))

@@ -27,6 +27,7 @@ def supervise(
     realtime: bool,
     stopping: Stopping,
     restarts: Restarts,
+    clock: SystemClock,
 ) -> str:
     """Wait until all have ended or one has failed; gives the reason of a failure.
 
@@ -41,6 +42,7 @@ def supervise(
     last, before = -1, dict[str, Any]()
     while True:
         stopping.check()
+        clock.look()
         running = [c for c in children if c.process.poll() is None]
         started = dict(restarts.counts)
         if failed := restarts.look(children):
@@ -85,15 +87,31 @@ def _to_start(epoch: int, most: float) -> float:
     return min(max(0.0, epoch / 1e9 - time.time()), most)
 
 
-def set_back(ahead: float) -> str:
-    """Say that the system's clock was set back since it was so many s ahead of the steady one; empty if it was not.
+class SystemClock:
+    """Whether the system's clock was set back.
 
     Fast DDS waits by that clock: until it is there again nobody is found, nor is what was lost sent again.
     """
-    back = ahead - (time.time() - time.monotonic())
-    return (
-        f"; the system's clock was set back by {back:.0f} s meanwhile, and Fast DDS waits by it" if back > 1.0 else ""
-    )
+
+    def __init__(self) -> None:
+        self._most = self._ahead()
+        self._back = 0.0
+
+    def look(self) -> None:
+        """See how far ahead of the steady one it is, and by how much it was set back at most, s."""
+        now = self._ahead()
+        self._most = max(self._most, now)
+        self._back = max(self._back, self._most - now)
+
+    def set_back(self) -> str:
+        """Say that it was, or nothing."""
+        self.look()
+        what = f"; the system's clock was set back by {self._back:.0f} s meanwhile, and Fast DDS waits by it"
+        return what if self._back > 1.0 else ""
+
+    @staticmethod
+    def _ahead() -> float:
+        return time.time() - time.monotonic()
 
 
 def idle(states: Mapping[str, Mapping[str, Any]]) -> str:

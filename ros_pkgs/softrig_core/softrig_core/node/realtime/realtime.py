@@ -61,7 +61,8 @@ class Realtime:
         self.tick_number = -1
         self.skipped = 0
         self._silence_told = 0.0
-        self._missed = 0
+        self._missed = self._late = 0
+        self._period = node.schedule.time(1)
         self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
         node.epoch = node.options.epoch
         node.step.send = node.publish
@@ -129,6 +130,7 @@ class Realtime:
         self.node.epoch = epoch
         self.node.step.make()
         self.node.state = "running"
+        self._silence_told = self.node.middleware.steady()
         if self._idle:
             topics = ", ".join(row.port.topic for row in self._commands)
             self.node.middleware.log(Level.OK, f"stays at t = 0 until it is commanded on {topics}")
@@ -142,6 +144,8 @@ class Realtime:
         node = self.node
         if self.departure is not None:
             node.lacking = self.departure.handshake.lacking
+        if not node.ticks and self._answering is not None and node.state == "running":
+            self._tell_unheard()
         if self.senders.stale and node.middleware.steady() > self._silence_told + AGAIN:
             self._silence_told = node.middleware.steady()
             for row in sorted(self.senders.rows, key=lambda row: row.name):
@@ -150,6 +154,17 @@ class Realtime:
         end, begun = node.schedule.end, self._started if self._idle else node.epoch or self._started
         if end is not None and node.state == "running" and self.now() > begun + end + END_GRACE:
             node.finish()
+
+    def _tell_unheard(self) -> None:
+        """Name what a law has waited for in vain since it began although somebody publishes it."""
+        node, now = self.node, self.node.middleware.steady()
+        unheard = sorted(r.port.topic for r in self.senders.rows if r.awaited and r.stamp is None and r.publishers)
+        if not unheard:
+            self._silence_told = now
+        elif now > self._silence_told + AGAIN:
+            self._silence_told = now
+            text = f"has heard nothing on {', '.join(unheard)} for {AGAIN:g} s, which is published: no tick without it"
+            node.middleware.log(Level.ERROR, text)
 
     def now(self) -> int:
         """Wall-clock time."""
@@ -256,7 +271,10 @@ class Realtime:
             return
         if self._rivals and any(f.deaf() for f in self._rivals) and not node.is_plant:
             return  # neither of two publishers is believed
-        self._lateness.append(now - node.epoch - due)
+        late = now - node.epoch - due
+        self._lateness.append(late)
+        if late >= self._period:
+            self._late += 1
         behind = number - self.tick_number if self.tick_number >= 0 else 0
         unanswered = max(behind - 1, 0)
         if behind > 1:
@@ -338,8 +356,8 @@ class Realtime:
         return figures
 
     def statistics(self) -> dict[str, Any]:
-        """Give the counts, lateness of the timer and round trip from output to command, in ms."""
-        figures: dict[str, Any] = {**self.counts()}
+        """Give the counts, ticks begun when the next was due, lateness and round trip from output to command in ms."""
+        figures: dict[str, Any] = {**self.counts()} | ({"late_ticks": self._late} if self._late else {})
         figures |= percentiles("lateness", self._lateness) | percentiles("round_trip", self._round_trip)
         if self._lateness:
             figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from tempfile import NamedTemporaryFile
 
-from ...processes.executables import given_profile
+from ...processes.executables import LOOPBACK, PROFILE, given_profile, leased
 from ...processes.ports import chosen
 from ...processes.shared_memory import clear_ports, domain_id, numbers
 
@@ -24,13 +24,15 @@ SPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 
 
 @contextmanager
-def joining(*, exclusive: bool = False) -> Iterator[None]:
+def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterator[None]:
     """Within the block a participant may begin: no damaged port is in its way, and its profile is made.
 
     Parameters
     ----------
     exclusive : bool
         Whether its endpoints are matched with other processes only.
+    silence : float, optional
+        Where nobody has given a profile: others take it for dead only after more than so many s.
 
     Raises
     ------
@@ -41,7 +43,11 @@ def joining(*, exclusive: bool = False) -> Iterator[None]:
     """
     clear_ports(domain_id())
     before = os.environ.get(VARIABLE)
-    profile = own(given_profile().read_bytes(), exclusive=exclusive)
+    given = given_profile()
+    text = given.read_bytes()
+    if silence is not None and given in (PROFILE, LOOPBACK):
+        text = leased(text.decode(), silence).encode()
+    profile = own(text, exclusive=exclusive)
     with NamedTemporaryFile(prefix="softrig-", suffix=".xml") as file:
         file.write(profile)
         file.flush()
