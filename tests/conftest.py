@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import time
@@ -233,6 +234,12 @@ def replay(folder, bag, answered, node, *options):
         finally:
             process.kill()
             process.wait()
+
+
+def ears(process):
+    """Ports in shared memory on which a process listens."""
+    opened = {Path(os.path.realpath(f)) for f in Path(f"/proc/{process.pid}/fd").iterdir()}
+    return {f.with_name(f.name.removesuffix("_el")) for f in opened if re.fullmatch(r"fastrtps_port\d+_el", f.name)}
 
 
 def processes_of(directory):

@@ -3,6 +3,7 @@
 What is to know nothing of softrig is started by its own interpreter.
 """
 
+import os
 import signal
 
 from softrig_core.processes.executables import find_executable
@@ -36,3 +37,8 @@ def go(bench, name):
     """Let a node, or a script that ends in `SPIN`, leave by Ctrl-C: who is killed is there for 3 s more."""
     bench.nodes[name].send_signal(signal.SIGINT)
     assert bench.ends(name) == 0
+
+
+def busy():
+    """By how much a second is longer on a host that does so many things at once: each has a processor in its turn."""
+    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))

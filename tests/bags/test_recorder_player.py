@@ -8,6 +8,7 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from types import SimpleNamespace
 
 import pytest
 import rclpy
-from conftest import PATIENCE, differences, fork, until
+from conftest import PATIENCE, differences, ears, fork, until
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.duration import Duration
@@ -40,6 +41,7 @@ from softrig_core import Recording, RunError
 from softrig_core.node.ros.messages import message_class
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import PROFILE, environment, find_executable
+from softrig_core.processes.shared_memory import _judged
 from softrig_core.wire.cdr import Layout, parse
 from std_srvs.srv import Trigger
 
@@ -649,3 +651,15 @@ def test_a_late_recording_ends_with_a_status(rig, tmp_path):
     assert "JOINED LATE, MISSED 22: /clock: 22" in told
     with BagReader(tmp_path / "copy") as bag:
         assert bag.custom_data["missed"] == "/clock: 22"
+
+
+@pytest.mark.long
+def test_a_tool_says_in_its_ports_that_it_lives(rig):
+    """Fast DDS would look at its reader after 20 s, and who opens the port then waits for that."""
+    recorder = rig.recorder("--output", "copy")
+    for port in until(lambda: len(found := ears(recorder)) == 2 and found):
+        began, before = time.monotonic(), port.read_bytes()
+        place = _judged(before, port)
+        assert place > 0
+        until(lambda port=port, place=place, before=before: port.read_bytes()[place:][:8] != before[place:][:8])
+        assert time.monotonic() - began < 15.0

@@ -331,3 +331,40 @@ def test_a_rehearsal_leaves_native_code_ready_and_nothing_else():
     assert not rehearse(Gain, Gain.Params(), "a")
     assert rehearse(_Later, BlockParams(), "a")  # what no first tick reaches
     assert _later._run != _later._first
+
+
+@jit
+def borrowed(line, at, out):
+    values, scale = line
+    for k in range(out.size):
+        out[k] = values[(k + at) % values.size] * scale
+    return out[0]
+
+
+@jit
+def copied(line, out):
+    out[0, 1:] = line[:2]
+    out[0, :2] = out[0, 1:]  # which numba writes through a copy, made and given back
+    return out[0, 0]
+
+
+@jit
+def handed_back(line):
+    return line, line[1:]
+
+
+def test_a_function_that_only_reads_its_arrays_counts_no_references():
+    line, out, counts = np.arange(5.0), np.empty((1, 3)), []
+    for _ in range(9):  # compiled at the first, by what keeps its arguments for a while
+        assert borrowed((line, 2.0), 1, out[0]) == 2.0
+        assert copied(line, out) == 0.0
+        whole, part = handed_back(line)
+        counts.append([sys.getrefcount(x) for x in (line, out)])
+    assert counts[1:] == counts[1:2] * 8
+    assert out.tolist() == [[0.0, 1.0, 1.0]]
+    assert (whole.tolist(), part.tolist()) == (line.tolist(), line[1:].tolist())
+    from softrig_core.kit._borrowed import Borrowing
+
+    made = module.our_numba().njit(pipeline_class=Borrowing)(borrowed.py_func)  # anew: the cache has no text
+    made((line, 2.0), 1, out[0])
+    assert not any("NRT_incref" in text for text in made.inspect_llvm().values())

@@ -415,3 +415,16 @@ def test_a_plant_without_commands_says_so_again_while_it_lasts():
     world.run(run.epoch + 35 * SECOND)
     told = [text for _, text in run.nodes["plant"].logs if text.startswith("no command on lag/command")]
     assert 3 <= len(told) <= 5
+
+
+def test_a_law_that_hears_nothing_of_what_is_published_says_so_while_it_lasts():
+    """Where the middleware has lost a reader its node would stand without a word."""
+    world = World(lambda topic, *_: 25 * SECOND if topic == "/lag/reference" else MS // 10)
+    run = SimulatedRig(basic(60.0), world, "realtime")
+    world.match()
+    world.run(run.epoch + 24 * SECOND)
+    gain = run.adapters["gain"]
+    told = [text for _, text in run.nodes["gain"].logs if "has heard nothing" in text]
+    assert gain.ticks == 0
+    assert told == ["has heard nothing on lag/reference for 10 s, which is published: no tick without it"] * 2
+    assert not any("has heard nothing" in text for name in ("plant", "source") for _, text in run.nodes[name].logs)

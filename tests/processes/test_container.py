@@ -289,7 +289,9 @@ def test_realtime_in_a_container(tmp_path):
     outcome = run(rig(BASIC), tmp_path, clock="realtime")
     assert outcome.error == ""
     status = outcome.status["plant"]
-    assert len(outcome.recording.topics["lag/state"].times) + status["missed_deadlines"] >= 100
+    times = outcome.recording.topics["lag/state"].times  # on a busy machine it may begin late
+    assert len(times) + status["missed_deadlines"] == (times[-1] - times[0]) // 10_000_000 + 1
+    assert times[-1] - outcome.epoch >= 1_000_000_000
     assert status["lateness_p50_ms"] >= 0.0  # how late on a quiet machine: tests of the simulated clock
     assert status["round_trip_p50_ms"] > 0.0
 

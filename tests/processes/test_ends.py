@@ -103,6 +103,8 @@ def test_a_node_waits_for_a_port_that_is_being_made_and_removes_one_whose_maker_
     """Who opens it waits for ever."""
     monkeypatch.setattr(shared_memory, "AGE", 0.5)
     ports = [tmp_path / f"fastrtps_port{7400 + 250 + k}" for k in range(4)]
+    plain = tmp_path / "fastrtps_port7005"  # of a node that is not ours, in any domain
+    plain.touch()
     for port in ports:
         port.write_bytes(MADE)
     ports[0].write_bytes(b"")

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import random
 import subprocess
 import sys
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from conftest import in_process
+from outside import busy
 from softrig_core import Signals, rig_of, run_processes
 from softrig_core.node.seam.tick import TICK
 from softrig_core.processes.domain import free_domain
@@ -97,11 +97,6 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
                 process.kill()
                 process.wait()
     return ours, expected, outcome
-
-
-def busy():
-    """By how much a second is longer on a host that does so many things at once: each has a processor in its turn."""
-    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 def by_chance(rig):

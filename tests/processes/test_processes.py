@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
-from outside import script
+from outside import busy, script
 from softrig_core import ScenarioError, Signals, rig_of, run_processes
 from softrig_core.processes import children
 from softrig_core.processes.domain import free_domain
@@ -329,9 +329,9 @@ def by_itself(code, variables):
     return subprocess.Popen([sys.executable, "-c", code], env=variables)
 
 
-def with_outside_controller(extra, directory, duration=1.0, mode="lockstep", start=None):
+def with_outside_controller(extra, directory, duration=1.0, mode="lockstep", start=None, **keys):
     """Run the basic rig with a plain rclpy controller: nothing of softrig is imported in it, unless it is forked."""
-    wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, duration, timeout=2.5)
+    wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, duration, **keys)
     with free_domain() as domain:
         code, outside, said = OUTSIDE.replace("EXTRA", extra), [], []
 
@@ -390,7 +390,7 @@ def test_real_time_begins_when_the_outside_controller_has_come(tmp_path):
     ],
 )
 def test_a_bad_outside_command_never_reaches_the_plant(extra, reason, tmp_path):
-    _, outcome = with_outside_controller(extra, tmp_path, start=script)
+    _, outcome = with_outside_controller(extra, tmp_path, start=script, timeout=2.5 * busy())
     assert "plant: nothing stamped t = 0 s within" in outcome.error
     assert reason in outcome.error
     assert outcome.status["plant"]["refused"]["lag/command"] == [1, reason]
@@ -436,7 +436,7 @@ def test_a_link_loses_a_refused_measurement_and_the_run_goes_on(tmp_path):
     parameters = {"topic_in": "lag/state", "topic_out": "lag/late_state", "channels": ["x"], "delay": 0.03}
     link = {"package": "softrig_control", "executable": "fieldbus_delay", "parameters": parameters}
     nodes = {"plant": {"executable": "plant", "external": True}, "source": "source", "link": link, "gain": "late_gain"}
-    wired = rig(nodes, 0.3, timeout=2.5)
+    wired = rig(nodes, 0.3)
     with free_domain() as domain:
         outside = []
 

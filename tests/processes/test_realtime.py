@@ -1,16 +1,14 @@
 """Nodes against the wall clock, started one by one as a user does: watchdog, recovery, rivals, bad input."""
 
 import mmap
-import os
 import re
 import struct
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 import rclpy
-from conftest import PATIENCE, PRESS, make_scenario
+from conftest import PATIENCE, PRESS, ears, make_scenario
 from outside import SPIN, go, outside
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
@@ -166,12 +164,6 @@ def port_node(port):
                 if struct.unpack_from("<2I", node, m.start() + 8) == (20000, 20000 // 3)
             ),
         )
-
-
-def ears(process):
-    """Ports in shared memory on which a process listens."""
-    opened = {Path(os.path.realpath(f)) for f in Path(f"/proc/{process.pid}/fd").iterdir()}
-    return {f.with_name(f.name.removesuffix("_el")) for f in opened if re.fullmatch(r"fastrtps_port\d+_el", f.name)}
 
 
 PUBLISHER = (

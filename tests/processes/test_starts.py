@@ -15,12 +15,13 @@ from pathlib import Path
 
 import pytest
 from conftest import differences
+from outside import busy
 from softrig_core import rig_of, run_processes
 from softrig_core.processes.domain import DOMAINS
 from softrig_core.processes.executables import environment
 from softrig_core.processes.placement import Placement
 from test_discovery import KINDS, guests, rig_and_record
-from test_outside import busy, replaced
+from test_outside import replaced
 
 pytestmark = [pytest.mark.long, pytest.mark.processes]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import sys
@@ -35,6 +34,8 @@ class Interrupt:
             signal.signal(signal.SIGINT, self)
         parent = os.environ.get(PARENT)
         if parent == str(os.getppid()) and sys.platform == "linux":
+            import ctypes  # not with this module, which is imported before anything: Ctrl-C in it shows its stack
+
             ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
             if os.getppid() != int(parent):  # died before that
                 os._exit(0)

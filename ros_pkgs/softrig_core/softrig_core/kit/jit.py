@@ -23,6 +23,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
 MOST_PARTS = 100  # of the arguments of a call
+HOW = b"borrowed"  # it is compiled: another word here, and nothing is taken from the cache that was compiled otherwise
 
 _NUMPY = """abs array ceil empty empty_like float64 floor full inf int64 isfinite isinf isnan maximum minimum nan
 ndarray ones ones_like pi sign sqrt trunc zeros zeros_like"""
@@ -101,6 +102,7 @@ class Jit:
 
         None where no argument is a tuple. Later arguments of another kind than these go as they are.
         """
+        from ._borrowed import Borrowing
         from ._jit_cache import Cache
 
         kinds: dict[str, type] = {}
@@ -115,7 +117,7 @@ class Jit:
         scope: dict[str, Any] = {"function": self, "__name__": __name__, **kinds}
         exec(text, scope)
         scope["parted"].__qualname__ = f"parted_{digest[:32]}"  # its symbol: no two must share one
-        parted = numba.njit(fastmath=False, error_model="numpy")(scope["parted"])
+        parted = numba.njit(fastmath=False, error_model="numpy", pipeline_class=Borrowing)(scope["parted"])
         # a class that cannot be imported would be another one in the next process
         parted._cache = Cache(self.py_func.__qualname__, digest, (b"__main__", b"<locals>"))
         scope |= {"parted": parted, "whole": self.dispatcher(numba)}
@@ -128,16 +130,17 @@ class Jit:
     def dispatcher(self, numba: Any) -> Any:
         """Give numba's own object, with our cache: numba's knows nothing of changes in called functions."""
         if self._dispatcher is None:
+            from ._borrowed import Borrowing
             from ._jit_cache import Cache
 
-            made = numba.njit(fastmath=False, error_model="numpy")(self.py_func)
+            made = numba.njit(fastmath=False, error_model="numpy", pipeline_class=Borrowing)(self.py_func)
             made._cache = Cache(self.py_func.__qualname__, self.digest())
             self._dispatcher = made
         return self._dispatcher
 
     def digest(self) -> str:
         """Give a digest of all that decides what the native code does: own code, constants, everything it calls."""
-        content = hashlib.sha256()
+        content = hashlib.sha256(HOW)
         for token in _tokens(self.py_func, set()):
             content.update(token.encode() + b"\0")
         return content.hexdigest()

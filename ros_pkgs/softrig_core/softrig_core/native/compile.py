@@ -13,7 +13,7 @@ import numpy as np
 from ..block.answer import sum_of_products
 from ..block.bound import code_of
 from ..kit.compiled import Compiled
-from ..kit.jit import Jit, our_numba, tokens_of
+from ..kit.jit import HOW, Jit, our_numba, tokens_of
 from .rig_text import RigText
 from .twins import form
 from .words import OWN
@@ -38,14 +38,15 @@ def compiled(made: RigText) -> Callable[..., Any]:
         the one under way. What it raises gives that tick up.
     """
     numba = our_numba()
+    from ..kit._borrowed import Borrowing
+    from ..kit._jit_cache import Cache
+
     _teach(numba)
     names = made.program.names
     scope = {"same_": same, **BASE}
-    # arrays that are made on the way have to be given back
-    arrays = "array_(" in made.text or any(isinstance(thing, Jit) for thing in names.values())
-    options = {"error_model": "python", "boundscheck": True, "nogil": True, "_nrt": arrays}
+    options = {"error_model": "python", "boundscheck": True, "nogil": True}
     inner = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # called by the rig's alone
-    content = hashlib.sha256(f"{options} {inner}\0{made.text}".encode())
+    content = hashlib.sha256(HOW + f"{options} {inner}\0{made.text}".encode())
     for name, thing in names.items():
         content.update(f"\0{name}\0".encode())
         if isinstance(thing, Compiled):
@@ -61,9 +62,8 @@ def compiled(made: RigText) -> Callable[..., Any]:
         if callable(thing) and getattr(thing, "__globals__", None) is scope:
             # its symbol: two texts from the cache in one process must not share one
             thing.__qualname__ = f"{name}_{content.hexdigest()[:32]}"
-            scope[name] = numba.njit(**options, **({} if name == "rig" else inner))(thing)
-    from ..kit._jit_cache import Cache
-
+            more = {} if name == "rig" else inner
+            scope[name] = numba.njit(**options, **more, pipeline_class=Borrowing)(thing)
     found: Any = scope["rig"]
     # a class that cannot be imported would be another one in the next process
     found._cache = Cache("rig", content.hexdigest(), (b"__main__", b"<locals>"))

@@ -326,6 +326,7 @@ class Engine:
         self._newest = [follow(path, roots) for path in program.newest]
         self._keys = [one.key for one in self._newest]
         self._recorded = recorded
+        self._written = [(core.index(s), s, len(numbers_of(s)), len(stamps_of(s))) for s in recorded]
         self.native.members, self.native.reason = tuple(s.name for s in core), ""
         return True
 
@@ -446,11 +447,10 @@ class Engine:
         self._told: Any = np.zeros(size) if self._typed else [0.0] * size
         rows: dict[int, Answers] = {}
         named = self._tables | {WHEN: self._when, "told": self._told}
-        for s in self._recorded:
-            k, count = self._core.index(s), len(self._audience.own(s, first, last))
+        for k, s, size, stamps in self._written:
             rows[id(s)] = Answers([], [])
             if self._typed:
-                size, stamps = len(numbers_of(s)), len(stamps_of(s))
+                count = len(self._audience.own(s, first, last))
                 # column after column in memory: so they are read
                 rows[id(s)] = Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
             named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
@@ -504,7 +504,7 @@ class Engine:
             if not own:
                 continue
             s.x = applied(self._unpack[k], after[k])
-            newest = {j: t for (speaker, j), t in spoken.items() if speaker == k}
+            newest = {j: t for (speaker, j), t in spoken.items() if speaker == k} if spoken else {}
             answered(s, own[-1], after[count + k], stamps.get(k, ()), newest)
             if self._typed:
                 s.native = s.native[0] + len(own), ""

@@ -108,9 +108,12 @@ def _by_parts(kind: Any, ways: Sequence[Way], other: Any = None) -> Way:
 
 def form(value: Any) -> Any:
     """Give the types of a state, to its leaves."""
-    if isinstance(value, tuple):
-        return type(value), tuple([form(v) if isinstance(v, tuple) else type(v) for v in value])
-    return type(value)
+    if not isinstance(value, tuple):
+        return type(value)
+    kinds = tuple(map(type, value))
+    if NUMBERS.issuperset(kinds):
+        return type(value), kinds
+    return type(value), tuple([form(v) if isinstance(v, tuple) else type(v) for v in value])
 
 
 def class_of(sample: Any) -> type | None:

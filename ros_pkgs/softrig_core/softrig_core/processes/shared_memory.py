@@ -11,7 +11,7 @@ import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from .ports import FLOWS, of_domain
+from .ports import BASE, FLOWS, of_domain
 
 FOLDER = Path("/dev/shm")
 AGE = 2.0  # s: between making a segment and locking it pass some microseconds
@@ -71,7 +71,8 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
     domain : int
         ROS_DOMAIN_ID; others may be in it.
     """
-    ours = {f"fastrtps_port{n}" for n in (*FLOWS, *of_domain(domain))}
+    # of the whole host those of nodes that are not ours, too: they do not look, and would hang
+    ours = {f"fastrtps_port{n}" for n in (*range(FLOWS[0], BASE), *of_domain(domain))}
     looks: dict[tuple[str, int], int] = {}
     while True:
         there = os.listdir(folder) if folder.is_dir() else []

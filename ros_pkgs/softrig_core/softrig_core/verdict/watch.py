@@ -172,7 +172,7 @@ class Watch(Observer[W]):
 
     def keep(self, seen: tuple[Kept, ...], t: int, inputs: Mapping[str, Any]) -> tuple[Kept, ...]:
         """Give what was seen with what is new in the inputs of a tick."""
-        reach, age, found = self._reach, self.age, []
+        reach, age, found = self._reach, self.ages or self.age, []  # a call less for each input
         for (name, row), kept in zip(self._rows.items(), seen, strict=True):
             values = inputs.get(name)
             found.append(kept if values is None else kept.taken(row, t - (age(name) or 0), values, t, reach))

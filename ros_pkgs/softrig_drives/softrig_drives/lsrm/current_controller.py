@@ -112,27 +112,32 @@ def regulate(
     geometry, law : array
         As `CurrentController.setup` lays them out.
     """
-    K_pc, K_ic, U_dc, I_max, threshold, zero_current, resolution, period, feed_forward, R = law
     x, v = motion
-    G = geometry[2]
-    i_ref = min(math.sqrt(2.0 * abs(force) / G), I_max)
-    seen = math.floor(x / resolution + 0.5) * resolution
-    z, u = np.zeros(N_PHASES), np.zeros(N_PHASES)
-    for k in range(N_PHASES):
-        i = currents[k]
-        g = profile(distance(seen, k, geometry), geometry)[1]
-        if (force > 0.0 and g > threshold * G) or (force < 0.0 and -g > threshold * G):
-            error = i_ref - i
-            ahead = feed_forward * (R * i_ref + g * v * i_ref) / U_dc
-            wanted = K_pc * error + K_ic * integral[k] + ahead
-            duty = min(max(wanted, -1.0), 1.0)
-            z[k] = integral[k]
-            if wanted == duty or wanted * error <= 0.0:
-                z[k] += error * period
-            u[k] = U_dc * duty
-        else:
-            u[k] = -U_dc if i > zero_current else 0.0
-    return z[0], z[1], z[2], z[3], u[0], u[1], u[2], u[3]
+    i_ref = min(math.sqrt(2.0 * abs(force) / geometry[2]), law[3])
+    seen = math.floor(x / law[6] + 0.5) * law[6]
+    z_a, u_a = phase_law(integral[0], currents[0], i_ref, force, v, distance(seen, 0, geometry), geometry, law)
+    z_b, u_b = phase_law(integral[1], currents[1], i_ref, force, v, distance(seen, 1, geometry), geometry, law)
+    z_c, u_c = phase_law(integral[2], currents[2], i_ref, force, v, distance(seen, 2, geometry), geometry, law)
+    z_d, u_d = phase_law(integral[3], currents[3], i_ref, force, v, distance(seen, 3, geometry), geometry, law)
+    return z_a, z_b, z_c, z_d, u_a, u_b, u_c, u_d
+
+
+@jit
+def phase_law(
+    z: float, i: float, i_ref: float, force: float, v: float, xi: float, geometry: Array, law: Array
+) -> tuple[float, float]:
+    """Give the integral (A s) and the voltage (V) of a phase at `xi` (m) from its aligned position."""
+    K_pc, K_ic, U_dc, _, threshold, zero_current, _, period, feed_forward, R = law
+    G, g = geometry[2], profile(xi, geometry)[1]
+    if not ((force > 0.0 and g > threshold * G) or (force < 0.0 and -g > threshold * G)):
+        return 0.0, -U_dc if i > zero_current else 0.0
+    error = i_ref - i
+    ahead = feed_forward * (R * i_ref + g * v * i_ref) / U_dc
+    wanted = K_pc * error + K_ic * z + ahead
+    duty = min(max(wanted, -1.0), 1.0)
+    if wanted == duty or wanted * error <= 0.0:
+        z += error * period
+    return z, U_dc * duty
 
 
 main = executable(CurrentController)

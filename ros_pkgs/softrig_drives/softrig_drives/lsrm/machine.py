@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,11 @@ from softrig_core import Params, jit, param
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
-# State vector: flux linkages of the phases a to d (Wb), then position (m) and speed (m/s).
+Vector = tuple[Any, ...]  # of floats; a slice of a named tuple has the type of all its fields
+State = tuple[float, float, float, float, float, float]
+
 N_PHASES = 4
-X = 4
-V = 5
-STATES = 6
+STATES = 6  # flux linkages of the phases a to d (Wb), then position (m) and speed (m/s)
 
 # Within so much of a pole pitch around the aligned position the number of pitches that lie before it is sure without a
 # division, which a step would wait for: `distance` rounds a quotient that is at least a thousandth away from its edges.
@@ -109,18 +109,39 @@ def phase(flux: float, xi: float, geometry: Array) -> tuple[float, float]:
 
 
 @jit
-def electromagnetic(state: Array, geometry: Array) -> float:
+def forces(a: float, b: float, c: float, d: float, x: float, geometry: Array) -> float:
     """Force of all phases, N."""
-    total = 0.0
-    for k in range(N_PHASES):
-        total += phase(state[k], distance(state[X], k, geometry), geometry)[1]
-    return total
+    total = 0.0 + phase(a, distance(x, 0, geometry), geometry)[1]
+    total += phase(b, distance(x, 1, geometry), geometry)[1]
+    total += phase(c, distance(x, 2, geometry), geometry)[1]
+    return total + phase(d, distance(x, 3, geometry), geometry)[1]
+
+
+@jit
+def turn(x: float, phase: int, geometry: Array) -> float:
+    """Whole pole pitches (m) before the nearest aligned position of a phase."""
+    pitches = math.floor((x - phase * geometry[1]) / geometry[0] + 0.5)
+    return geometry[0] * pitches if abs(pitches) < FAR else math.inf
+
+
+@jit
+def charged(
+    flux: float, u: float, R: float, x: float, phase_: int, turned: float, geometry: Array
+) -> tuple[float, float]:
+    """Give the rate of a flux linkage (V) and the force (N) of its phase; `turned`: its pole pitches, nearly always."""
+    if not flux > 0.0:
+        return (u if u > 0.0 else 0.0), 0.0
+    xi = x - phase_ * geometry[1] - turned
+    if not abs(xi) < NEAR * geometry[0]:
+        xi = distance(x, phase_, geometry)
+    i, force = phase(flux, xi, geometry)
+    return u - R * i, force
 
 
 @jit
 def advance(
-    state: Array, u: Array, geometry: Array, constants: Triple, friction: float, locked: bool, h: float, steps: int
-) -> None:
+    state: Vector, u: Vector, geometry: Array, constants: Triple, friction: float, locked: bool, h: float, steps: int
+) -> State:
     """Move the state by `steps` Runge-Kutta steps of order 4 and size `h`, voltages held.
 
     ::
@@ -132,11 +153,13 @@ def advance(
     A flux linkage ends at zero in the step in which it gets there (asymmetric half bridge). Coulomb friction keeps its
     sign within a step; a translator whose speed changes sign stops, and sticks while the force is below the friction.
 
+    All in numbers, which native code keeps in registers: an array would be made anew at each call.
+
     Parameters
     ----------
-    state : array (6,)
-        Changed in place.
-    u : array (4,)
+    state : tuple (6,)
+        Flux linkages (Wb), position (m), speed (m/s).
+    u : tuple (4,)
         Voltages, V.
     constants : tuple
         R in ohm, M in kg, C + k_p in N s/m.
@@ -144,54 +167,55 @@ def advance(
         N.
     locked : bool
         Translator clamped.
+
+    Returns
+    -------
+    tuple (6,)
+        The state then.
     """
     R, mass, damping = constants
-    near = NEAR * geometry[0]
-    turn, rate, total = np.empty((3, N_PHASES))  # turn: whole pole pitches, nearly always those at the beginning
-    for k in range(N_PHASES):
-        pitches = math.floor((state[X] - k * geometry[1]) / geometry[0] + 0.5)
-        turn[k] = geometry[0] * pitches if abs(pitches) < FAR else math.inf
+    a, b, c, d, x, v = state
+    u_a, u_b, u_c, u_d = u
+    turn_a, turn_b = turn(x, 0, geometry), turn(x, 1, geometry)
+    turn_c, turn_d = turn(x, 2, geometry), turn(x, 3, geometry)
+    on_a, on_b = a > 0.0 or u_a > 0.0, b > 0.0 or u_b > 0.0  # the others stay without current
+    on_c, on_d = c > 0.0 or u_c > 0.0, d > 0.0 or u_d > 0.0
     for _ in range(steps):
-        x, v = state[X], state[V]
         drag = 0.0
         stuck = locked
         if friction > 0.0:
             if v != 0.0:
                 drag = math.copysign(friction, v)
             else:
-                pull = electromagnetic(state, geometry)
+                pull = forces(a, b, c, d, x, geometry)
                 drag = math.copysign(friction, pull)
                 stuck = stuck or abs(pull) <= friction
-        x_rate = v_rate = x_total = v_total = 0.0
-        for k in range(N_PHASES):
-            rate[k] = total[k] = 0.0
+        a_rate = b_rate = c_rate = d_rate = x_rate = v_rate = 0.0
+        a_total = b_total = c_total = d_total = x_total = v_total = 0.0
         for stage in range(4):
             ahead = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
             weight = 1.0 if stage == 0 or stage == 3 else 2.0
             at, x_rate = x + ahead * x_rate, v + ahead * v_rate
             pull = 0.0
-            for k in range(N_PHASES):
-                flux = state[k] + ahead * rate[k]
-                if flux > 0.0:
-                    xi = at - k * geometry[1] - turn[k]
-                    if not abs(xi) < near:
-                        xi = distance(at, k, geometry)
-                    i, force = phase(flux, xi, geometry)
-                    pull += force
-                    rate[k] = u[k] - R * i
-                else:
-                    rate[k] = u[k] if u[k] > 0.0 else 0.0
-                total[k] += weight * rate[k]
+            if on_a:
+                a_rate, force = charged(a + ahead * a_rate, u_a, R, at, 0, turn_a, geometry)
+                a_total, pull = a_total + weight * a_rate, pull + force
+            if on_b:
+                b_rate, force = charged(b + ahead * b_rate, u_b, R, at, 1, turn_b, geometry)
+                b_total, pull = b_total + weight * b_rate, pull + force
+            if on_c:
+                c_rate, force = charged(c + ahead * c_rate, u_c, R, at, 2, turn_c, geometry)
+                c_total, pull = c_total + weight * c_rate, pull + force
+            if on_d:
+                d_rate, force = charged(d + ahead * d_rate, u_d, R, at, 3, turn_d, geometry)
+                d_total, pull = d_total + weight * d_rate, pull + force
             v_rate = (pull - damping * x_rate - drag) / mass
             if stuck:
                 x_rate = v_rate = 0.0
-            x_total += weight * x_rate
-            v_total += weight * v_rate
-        for k in range(N_PHASES):
-            state[k] += h / 6.0 * total[k]
-            if state[k] < 0.0:
-                state[k] = 0.0
-        state[X] = x + h / 6.0 * x_total
-        state[V] = v + h / 6.0 * v_total
-        if friction > 0.0 and v * state[V] < 0.0:
-            state[V] = 0.0
+            x_total, v_total = x_total + weight * x_rate, v_total + weight * v_rate
+        a, b = max(a + h / 6.0 * a_total, 0.0), max(b + h / 6.0 * b_total, 0.0)
+        c, d = max(c + h / 6.0 * c_total, 0.0), max(d + h / 6.0 * d_total, 0.0)
+        before, x, v = v, x + h / 6.0 * x_total, v + h / 6.0 * v_total
+        if friction > 0.0 and before * v < 0.0:
+            v = 0.0
+    return a, b, c, d, x, v

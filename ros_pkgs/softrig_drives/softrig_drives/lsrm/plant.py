@@ -10,11 +10,10 @@ import numpy as np
 from softrig_control.hardware import axis_urdf, hardware_tag
 from softrig_core import BlockParams, Level, Marker, Plant, executable, jit, param
 
-from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, V, X, advance, distance, phase
+from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, Vector, advance, distance, phase
 from .markers import stator, translator
 from .ports import FORCE_PHASES, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE, TRANSLATOR
 
-Vector = tuple[Any, ...]  # of floats; a slice of a State has the type of all its fields
 Step = tuple[float, float, float, float, float, float, float, float, float, float, float]
 
 
@@ -160,19 +159,27 @@ def step(
         The state then, and the largest of the currents (A).
     """
     limit, R, M, damping, h, steps, locked = constants
-    x, u = np.empty(STATES), np.empty(N_PHASES)
-    for n in range(STATES):
-        x[n] = state[n]
-    for k in range(N_PHASES):
-        u[k] = min(max(voltages[k], -limit), limit)
-        if fault:
-            u[k] = -limit if x[k] > 0.0 else 0.0
+    u = (
+        held(voltages[0], state[0], limit, fault),
+        held(voltages[1], state[1], limit, fault),
+        held(voltages[2], state[2], limit, fault),
+        held(voltages[3], state[3], limit, fault),
+    )
     added, friction = load
-    advance(x, u, geometry, (R, M + added, damping), friction, locked > 0.0, h, int(steps))
+    after = advance(state, u, geometry, (R, M + added, damping), friction, locked > 0.0, h, int(steps))
     largest = 0.0
     for k in range(N_PHASES):
-        largest = max(largest, phase(x[k], distance(x[X], k, geometry), geometry)[0])
-    return x[0], x[1], x[2], x[3], x[X], x[V], largest
+        largest = max(largest, phase(after[k], distance(after[4], k, geometry), geometry)[0])
+    a, b, c, d, x, v = after
+    return a, b, c, d, x, v, largest
+
+
+@jit
+def held(voltage: float, flux: float, limit: float, fault: bool) -> float:
+    """Give what a half bridge applies to its phase, V."""
+    if fault:
+        return -limit if flux > 0.0 else 0.0
+    return min(max(voltage, -limit), limit)
 
 
 main = executable(LsrmPlant)

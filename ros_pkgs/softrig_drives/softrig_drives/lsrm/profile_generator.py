@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from math import inf
 from typing import Any
 
@@ -51,7 +52,7 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
         """Make the profile; find what it needs."""
         p = self.p
         self.profile = Profile(p.profile, p.v_d, p.t_d, p.x_d, inf if p.t_b is None else p.t_b, p.t_db)
-        self._largest = self._largest_force()
+        self._largest = largest_force(self.profile, p.M, p.C + p.k_p)
 
     def first(self) -> tuple[()]:
         """Tell what is wrong with the profile; nothing is remembered."""
@@ -80,17 +81,18 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
                     f"x_d = {p.x_d:g} m: the speed runs from {low:.4g} to {high:.4g} m/s, outside 0 to {p.v_d:g} m/s",
                 )
 
-    def _largest_force(self) -> float:
-        p = self.p
-        times = [p.t_d * n / SAMPLES for n in range(SAMPLES + 1)]
-        if p.t_b is not None:
-            times += [p.t_b + p.t_db * n / SAMPLES for n in range(SAMPLES + 1)]
-        points = (self.profile.at(t) for t in times)
-        return max(abs(p.M * a + (p.C + p.k_p) * v) for _, v, a in points)
-
     def update(self, x: tuple[()], t: int, **inputs: Any) -> tuple[tuple[()], Mapping[str, tuple[float, ...]]]:
         """Give the reference at t."""
         return x, {"reference": self.profile.at(to_s(t))}
+
+
+@lru_cache(maxsize=64)
+def largest_force(profile: Profile, M: float, damping: float) -> float:
+    """Give the largest force (N) that moves a mass M (kg) against a damping (N s/m) through the ramps of a profile."""
+    times = [profile.t_d * n / SAMPLES for n in range(SAMPLES + 1)]
+    if profile.t_b < inf:
+        times += [profile.t_b + profile.t_db * n / SAMPLES for n in range(SAMPLES + 1)]
+    return max(abs(M * a + damping * v) for _, v, a in map(profile.at, times))
 
 
 main = executable(ProfileGenerator)

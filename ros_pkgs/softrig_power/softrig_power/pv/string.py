@@ -8,6 +8,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from softrig_core import jit
 from softrig_core.kit.dense import total
 
 from .module import STC, Array, Cell, ModuleParams, cell
@@ -38,24 +39,20 @@ class Characteristic:
     i: Array
 
     @cached_property
-    def lines(self) -> tuple[list[float], list[float]]:
-        """The line i = a + b v through each segment: all a in A, all b in A/V."""
+    def segments(self) -> tuple[Array, Array, float, float]:
+        """The line i = a + b v of each segment: all a in A, all b in A/V; where the first begins, segments per V."""
         b = np.diff(self.i) / np.diff(self.v)
-        return (self.i[:-1] - b * self.v[:-1]).tolist(), b.tolist()
+        low, high = float(self.v[0]), float(self.v[-1])
+        return self.i[:-1] - b * self.v[:-1], b, low, float((self.v.size - 1) / (high - low))
 
     @cached_property
-    def segments(self) -> tuple[Array, Array, float, float]:
-        """The same for native loops, with the voltage at which the first segment begins and the segments per V."""
-        a, b = self.lines
-        low, high = float(self.v[0]), float(self.v[-1])
-        return np.array(a), np.array(b), low, float((self.v.size - 1) / (high - low))
+    def _width(self) -> float:
+        return float(self.v[1] - self.v[0])
 
     def current(self, v: float) -> float:
         """Give the current in A; beyond the table the end segments go on."""
-        a, b = self.lines
-        k = int((v - self.v[0]) / (self.v[1] - self.v[0]))
-        k = min(max(k, 0), len(b) - 1)
-        return a[k] + b[k] * v
+        a, b, low, _ = self.segments
+        return _current(v, low, self._width, a, b)
 
     @cached_property
     def _extrema(self) -> tuple[list[Peak], list[Peak]]:
@@ -108,6 +105,12 @@ class Characteristic:
         slope = (self.i[k + 1] - self.i[k]) / (self.v[k + 1] - self.v[k])
         v = (self.i[k] - slope * self.v[k]) / (1.0 / R - slope)
         return v, v / R
+
+
+@jit
+def _current(v: float, low: float, width: float, a: Array, b: Array) -> float:
+    k = min(max(int((v - low) / width), 0), b.size - 1)
+    return a[k] + b[k] * v
 
 
 @lru_cache(maxsize=64)

@@ -130,6 +130,7 @@ class Realtime:
         self.node.epoch = epoch
         self.node.step.make()
         self.node.state = "running"
+        self._silence_told = self.node.middleware.steady()
         if self._idle:
             topics = ", ".join(row.port.topic for row in self._commands)
             self.node.middleware.log(Level.OK, f"stays at t = 0 until it is commanded on {topics}")
@@ -143,6 +144,8 @@ class Realtime:
         node = self.node
         if self.departure is not None:
             node.lacking = self.departure.handshake.lacking
+        if not node.ticks and self._answering is not None and node.state == "running":
+            self._tell_unheard()
         if self.senders.stale and node.middleware.steady() > self._silence_told + AGAIN:
             self._silence_told = node.middleware.steady()
             for row in sorted(self.senders.rows, key=lambda row: row.name):
@@ -151,6 +154,17 @@ class Realtime:
         end, begun = node.schedule.end, self._started if self._idle else node.epoch or self._started
         if end is not None and node.state == "running" and self.now() > begun + end + END_GRACE:
             node.finish()
+
+    def _tell_unheard(self) -> None:
+        """Name what a law has waited for in vain since it began although somebody publishes it."""
+        node, now = self.node, self.node.middleware.steady()
+        unheard = sorted(r.port.topic for r in self.senders.rows if r.awaited and r.stamp is None and r.publishers)
+        if not unheard:
+            self._silence_told = now
+        elif now > self._silence_told + AGAIN:
+            self._silence_told = now
+            text = f"has heard nothing on {', '.join(unheard)} for {AGAIN:g} s, which is published: no tick without it"
+            node.middleware.log(Level.ERROR, text)
 
     def now(self) -> int:
         """Wall-clock time."""

@@ -1,0 +1,80 @@
+"""A step of numba's compiler: a function that only reads arrays which it is handed counts no references to them.
+
+Each count is a call with an atomic addition, before and after which all numbers leave their registers: in a loop of a
+few operations that is half of its time. Who calls holds the arrays until the function has returned.
+"""
+
+# mypy: allow-untyped-calls
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba.core import ir, types
+from numba.core.compiler import Compiler
+from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.errors import NumbaRuntimeError
+from numba.core.typed_passes import NoPythonSupportedFeatureValidation
+
+OF_TUPLES = frozenset({"static_getitem", "exhaust_iter", "getattr"})  # what they give is there already
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)
+class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
+    """Has a function that makes and returns nothing which is counted be written without counting."""
+
+    _name = "softrig_borrowed"
+
+    def __init__(self) -> None:
+        FunctionPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        """Judge a typed function; nothing of it is changed."""
+        if not state.func_ir.is_generator and not any(self._counted(state, made) for made in self._made(state)):
+            state.targetctx = state.targetctx.subtarget(enable_nrt=False)
+            vars(state.targetctx).pop("nrt", None)  # of before: what allocates after all is refused by numba
+        return False
+
+    def _made(self, state: Any) -> list[Any]:
+        """Give the types of what it returns, and of what is no part of anything that it was handed."""
+        found = [state.return_type]
+        for block in state.func_ir.blocks.values():
+            for assigned in block.find_insts(ir.Assign):
+                value = assigned.value
+                if isinstance(value, ir.Yield) or (isinstance(value, ir.Expr) and not self._part(state, value)):
+                    found.append(state.typemap[assigned.target.name])
+        return found
+
+    @staticmethod
+    def _part(state: Any, value: Any) -> bool:
+        if value.op in OF_TUPLES:
+            return isinstance(state.typemap[value.value.name], types.BaseTuple)
+        return value.op in ("build_tuple", "cast")
+
+    @staticmethod
+    def _counted(state: Any, kind: Any) -> bool:
+        return bool(state.targetctx.data_model_manager[kind].contains_nrt_meminfo())
+
+
+class Borrowing(Compiler):  # type: ignore[misc, unused-ignore]
+    """numba's compiler with that step; without it for a function that makes arrays nobody sees, as copies of parts."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._arguments = arguments
+
+    def compile_extra(self, func: Any) -> Any:
+        """Compile a function."""
+        try:
+            return super().compile_extra(func)
+        except NumbaRuntimeError:
+            return Compiler(*self._arguments).compile_extra(func)
+
+    def define_pipelines(self) -> list[Any]:
+        """Give numba's own, each with one step more."""
+        found: list[Any] = super().define_pipelines()
+        for pipeline in found:
+            if any(step is NoPythonSupportedFeatureValidation for step, _ in pipeline.passes):
+                pipeline.add_pass_after(Borrowed, NoPythonSupportedFeatureValidation)
+                pipeline.finalize()
+        return found
