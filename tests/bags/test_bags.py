@@ -713,6 +713,18 @@ def test_a_damaged_page_of_a_database_costs_its_rows_and_few_more(tmp_path):
     assert found[-1] == whole[-1]
 
 
+def test_a_database_that_ends_within_a_page_is_repaired(tmp_path):
+    source = recording(ticks=3000)
+    write_bag(tmp_path / "bag", source, storage="sqlite3")
+    file = tmp_path / "bag/bag_0.db3"
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) * 6 // 10 // 4096 * 4096 + 100])
+    assert repair(tmp_path / "bag").files[0].lost
+    whole, found = expected(source), expected(read_bag(tmp_path / "bag"))
+    assert set(found) < set(whole)
+    assert len(found) > 0.5 * len(whole)
+
+
 def test_a_single_database_is_repaired_with_write_permission_for_the_new_bag_alone(tmp_path, monkeypatch):
     places = []
 

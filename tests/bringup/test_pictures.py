@@ -21,7 +21,7 @@ from softrig_bringup.page.citations import cited
 from softrig_bringup.page.diagram import _lanes, draw_diagram
 from softrig_bringup.page.wiring import Node, Wire, Wiring, columns, wiring_of
 from softrig_bringup.plots import pictures as plots
-from softrig_bringup.plots.axes import draw as draw_curves, fold_exponents
+from softrig_bringup.plots.axes import draw as draw_curves, draw_logic, fold_exponents
 from softrig_bringup.plots.curves import Curve, Shown, check_plots, inside
 from softrig_bringup.plots.marks import marks_of
 from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
@@ -220,6 +220,8 @@ def test_who_only_looks_on_stands_behind_the_plant():
         Wire(topic="y", type="T", source="log", readers=("note",)),
     )
     assert columns(Wiring(nodes=nodes, wires=wires)) == [["law"], ["plant"], ["log"], ["note"]]
+    del nodes["plant"], nodes["law"]  # without a plant
+    assert columns(Wiring(nodes=nodes, wires=wires[2:])) == [["log"], ["note"]]
 
 
 def test_many_nodes_are_arranged_at_once():
@@ -576,3 +578,15 @@ def test_a_signal_of_few_values_is_drawn_as_steps(each, steps):
     figure = Figure()
     draw_curves(figure.subplots(), [Curve("n", "", np.arange(len(y)) + 0.0, y)], 1.0)
     assert figure.axes[0].lines[0].get_drawstyle() == steps
+
+
+def test_switches_stand_one_above_the_other_the_first_on_top():
+    figure = Figure()
+    draw_logic(figure.subplots(), [Curve(n, "", np.arange(3.0), np.array([0.0, 1.0, 1.0])) for n in "ab"], 1.0)
+    (axes,) = figure.axes
+    assert [(t.get_text(), place) for t, place in zip(axes.get_yticklabels(), axes.get_yticks(), strict=True)] == [
+        ("a", 1.9),
+        ("b", 0.5),
+    ]
+    assert [line.get_ydata().tolist() for line in axes.lines] == [[1.4, 2.4, 2.4], [0.0, 1.0, 1.0]]
+    assert {line.get_drawstyle() for line in axes.lines} == {"steps-post"}

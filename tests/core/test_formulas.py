@@ -59,7 +59,7 @@ PAST = ("once", "historically")
 
 
 def draw(rng, leaves):
-    """A formula as nested tuples; intervals in ticks, None without end."""
+    """A formula as nested tuples; intervals in ticks, None without end; some lie between two ticks."""
     if leaves <= 1 and rng.random() < 0.6:
         return ("atom", rng.choice([*ATOMS] * 2 + [*CONDITIONS]))
     kind = rng.choice(["not", "and", "or", "->", "always", "eventually", "once", "historically", "until", "since"])
@@ -67,6 +67,8 @@ def draw(rng, leaves):
         return kind, draw(rng, leaves - 1)
     low = rng.choice([0, 0, 1, 2])
     window = (low, None if rng.random() < 0.25 else low + rng.choice([0, 1, 2, 4]))
+    if rng.random() < 0.1:
+        window = (low + 0.2, low + 0.7)
     if kind in ("and", "or", "->"):
         return kind, draw(rng, leaves // 2), draw(rng, leaves // 2)
     if kind in ("until", "since"):
@@ -83,7 +85,7 @@ def write(tree):
     if kind in ("and", "or", "->"):
         return f"(({write(parts[0])}) {kind} ({write(parts[1])}))"
     low, high = parts[0]
-    window = "" if high is None and low == 0 else f"[{low / 10}, {'inf' if high is None else high / 10}]"
+    window = "" if high is None and low == 0 else f"[{low / 10:g}, {'inf' if high is None else f'{high / 10:g}'}]"
     if kind in ("until", "since"):
         return f"(({write(parts[1])}) {kind}{window} ({write(parts[2])}))"
     return f"({kind}{window} ({write(parts[1])}))"
@@ -127,7 +129,7 @@ class Loops:
             return min(a, b) if kind == "and" else max(a, b)
         (low, high), *inner = parts
         if kind in (*PAST, "since"):
-            window = range(0 if high is None else max(0, k - high), k - low + 1)
+            window = range(0 if high is None else max(0, math.ceil(k - high)), math.floor(k - low) + 1)
             if kind == "since":
                 held = {
                     i: min((self.at(inner[0], j, come, lost) for j in range(i + 1, k + 1)), default=math.inf)
@@ -139,8 +141,9 @@ class Loops:
         if high is None and self.ended and k + low < n:  # as far as the record goes, and by what is decided
             beyond, taken = False, (1 if kind == "always" else 0)
         else:
-            beyond, taken = high is None or k + high >= n, come
-        window = range(k + low, n if high is None else min(n, k + high + 1))
+            last = n - (0.0 if self.ended else 0.999)  # live, the next instant may be any after the last one
+            beyond, taken = high is None or k + high >= last, come
+        window = range(math.ceil(k + low), n if high is None else min(n, math.floor(k + high) + 1))
         if kind == "until":
             found = [
                 min([self.at(inner[1], i, taken, lost)] + [self.at(inner[0], j, taken, lost) for j in range(k, i)])

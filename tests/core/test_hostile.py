@@ -9,8 +9,11 @@ from typing import Literal, get_args, get_origin
 
 import pytest
 from conftest import PATIENCE, make_scenario
-from pydantic import model_validator
+from pydantic import BaseModel, ValidationError, model_validator
 from softrig_bringup.cli import main
+from softrig_bringup.falsify import definition as falsification
+from softrig_bringup.study import definition as study
+from softrig_bringup.verbs import golden
 from softrig_core import (
     Block,
     BlockParams,
@@ -25,8 +28,10 @@ from softrig_core import (
 )
 from softrig_core.block.answer import admit
 from softrig_core.block.params import LONGEST, Params, build, declarations
+from softrig_core.judge import claims, expectation, requirement_entry
 from softrig_core.processes.domain import free_domain
 from softrig_core.rig.options import RunOptions
+from softrig_core.scenario import changes, scenario
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 
@@ -246,6 +251,38 @@ def test_names_longer_than_any_file_name_are_unknown(text, said, tmp_path):
 def test_arguments_longer_than_any_file_name_are_bad_input(command, capsys):
     assert main(command) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+FILES = (changes, claims, expectation, golden, requirement_entry, scenario, study, falsification)
+
+
+def written():
+    """Models of what people write into files."""
+    for module in FILES:
+        for model in vars(module).values():
+            if isinstance(model, type) and issubclass(model, BaseModel) and model.__module__ == module.__name__:
+                yield model
+
+
+def test_no_number_that_people_write_into_a_file_may_be_none():
+    """Infinity and NaN, which YAML has: each field is asked by itself, whatever else its model lacks."""
+
+    def refused(model, name, value):
+        try:
+            model.model_validate({name: value})
+        except ValidationError as error:
+            return any(e["loc"][:1] == (name,) for e in error.errors())
+        return False
+
+    asked = [
+        (model, name)
+        for model in written()
+        for name in model.model_fields
+        if any(not refused(model, name, value) for value in (0.0, 0.5, 2.0))
+    ]
+    assert {model.__module__ for model, _ in asked} >= {m.__name__ for m in FILES}
+    for value in (math.inf, -math.inf, math.nan):
+        assert [(m.__name__, name) for m, name in asked if not refused(m, name, value)] == []
 
 
 def test_an_answer_that_is_no_row_of_numbers_is_the_nodes_fault():

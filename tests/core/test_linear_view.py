@@ -174,6 +174,18 @@ def off_at(view, L):
     return np.abs(view.at_frequencies(w) / L(np.exp(1j * w * view.period)).ravel() - 1.0).max()
 
 
+def test_the_whole_is_the_same_wherever_its_loop_is_opened():
+    """Also where what is heard acts at once on the link or by it, and is not in the loop at all (the reference)."""
+    speed, command = "motor/state/shaft/velocity", "motor/command/armature/effort"
+    heard, z = [speed, "motor/reference/shaft/velocity", command], np.exp(1j * T * np.array([1.0, 5.0, 20.0]))
+    whole, *opened = (
+        linear_view(motor_under_pid(), link, at=0.5, inputs=[speed], outputs=heard).closed(z)
+        for link in ("", command, speed)
+    )
+    for found in opened:
+        assert found == pytest.approx(whole, rel=1e-9, abs=1e-12)
+
+
 def test_the_loop_of_the_motor_under_softened_sliding_mode_is_the_analytic_one():
     overrides = {"period": T, "dc_motor_smc.delta": 5.0}
     view = linear_view("dc_motor_smc", "voltage", overrides=overrides, at=14.0)

@@ -262,6 +262,28 @@ def rig(
     return Rig.from_blocks(blocks, duration, changes=list(changes))
 
 
+class Large(Block[OscillatorParams]):
+    """Reports whole numbers that no float is."""
+
+    INPUTS = (SIGNAL,)
+
+    def first(self) -> Pushing:
+        """Nothing."""
+        return Pushing()
+
+    def update(self, x: Pushing, t: int, *, signal: tuple[float, ...]) -> tuple[Pushing, Mapping[str, Any]]:
+        """Report every third."""
+        if t % 3_000_000 == 0:
+            self.report(Level.WARN, "large", f"{t + 2**53 + 1}")
+        return x, {}
+
+
+def test_whole_numbers_that_no_float_is_are_reported_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    native = the_same(lambda: rig(0.1, other=Large()), monkeypatch)
+    assert "other" in native.members
+    assert native.given_up > 30
+
+
 def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ticks whose report is not written out are Python's: 10 of 500."""
     assert the_same(rig, monkeypatch).given_up == 10

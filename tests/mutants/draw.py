@@ -153,13 +153,17 @@ def _expression(node: ast.AST, runs: tuple[int, ...]) -> Iterator[Mutant]:
             if isinstance(first, ast.Constant) and (new := _number(first.value)):
                 yield _of("default", first, new, runs)
             node = ast.Call(node.func, node.args[1:], node.keywords)
-        elif len(node.args) > 1 and not any(isinstance(a, ast.Starred) for a in node.args[:2]):
+        elif len(node.args) > 1 and not (getattr(node.func, "attr", "") == "add_argument" or _starred(node)):
             new = ast.Call(node.func, [node.args[1], node.args[0], *node.args[2:]], node.keywords)
             if ast.unparse(new) != ast.unparse(node):
                 yield _of("argument", node, new, runs)
         elif node.keywords and node.keywords[-1].arg not in (None, "help", "metavar"):  # nothing of what only tells
             yield _of("argument", node, ast.Call(node.func, node.args, node.keywords[:-1]), runs)
     yield from _within(node, runs)
+
+
+def _starred(node: ast.Call) -> bool:
+    return any(isinstance(a, ast.Starred) for a in node.args[:2])
 
 
 def _words(node: ast.BinOp) -> bool:

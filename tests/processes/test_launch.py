@@ -177,11 +177,14 @@ def test_a_launch_that_is_terminated_ends_in_order(lag, monkeypatch):
     monkeypatch.setattr(AsyncSafeSignalManager, "_AsyncSafeSignalManager__current", manager, raising=False)
     before = signal.getsignal(signal.SIGTERM)
     try:
-        nodes_of({"scenario": "lag"}, emit_event_sync=events.append)
+        nodes = nodes_of({"scenario": "lag"}, emit_event_sync=events.append)
         signal.raise_signal(signal.SIGTERM)  # launch hears of it by a file descriptor
     finally:
         signal.signal(signal.SIGTERM, before)
+    (launched,) = {node.on_exit.args[0] for node in nodes}
+    assert launched.sent is signal.SIGINT
     handlers[signal.SIGTERM](signal.SIGTERM)
+    assert launched.sent is signal.SIGTERM
     assert [(e.reason, e.due_to_sigint) for e in events] == [("SIGTERM", False)]
 
 

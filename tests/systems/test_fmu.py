@@ -10,6 +10,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from conftest import differences, in_process, make_scenario, no_process_left, until
@@ -33,6 +34,7 @@ pytest.importorskip("fmpy")
 from fmu_build import build_fmu
 from softrig_control.fmu import nodes
 from softrig_control.fmu.description import Unit, Variable, _unit, conversion, describe
+from softrig_control.fmu.instance import Instance
 from softrig_control.fmu.mapping import Place
 from softrig_control.fmu.nodes import FmuLaw, FmuPlant
 
@@ -536,3 +538,10 @@ def test_one_that_cannot_write_its_state_is_told_again(fmus, monkeypatch):
     plant.reset(0)
     with pytest.raises(RunError, match="cannot keep its state"):
         plant.save()
+
+
+def test_what_an_fmu_logs_need_not_be_text():
+    log = SimpleNamespace(_said=[])
+    for said in (b"torn \xff", b"", None):
+        Instance._log(log, 0, "instance", said)
+    assert log._said == ["torn \ufffd", "", ""]

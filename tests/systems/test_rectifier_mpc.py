@@ -315,6 +315,12 @@ def test_infeasible_programme_is_told_and_solved_again_afterwards():
     assert solver.solve([10.0, 20.0], -5.0, 5.0).moves == pytest.approx(before.moves, abs=1e-12)
 
 
+def test_bounds_that_hold_are_counted_over_all_moves():
+    law = GpcController(solver="daqp", u_min=-1.0, u_max=1.0, du_max=2.0, u_start=0.0)
+    assert law._active(0.0, (1.0, -2.0, 0.5)) == 3  # the upper one; the move and the lower one; none
+    assert GpcController()._active(0.0, (1.0, -2.0, 0.5)) == 0
+
+
 def test_no_solution_holds_the_last_command_and_warns():
     law = ByHand(GpcController(solver="daqp", u_min=10.0, u_max=20.0, du_max=1.0, u_start=0.0, set_point=400.0))
     for k in range(2):

@@ -33,20 +33,25 @@ def _ended(launched, event, context):
         raise RuntimeError(wrong)
 
 
-def _end_in_order(context):
+def _end_in_order(context, launched):
     """SIGTERM kills launch itself (3.4), and its own handler for it would leave the processes and cancel the rest."""
     manager = getattr(AsyncSafeSignalManager, "_AsyncSafeSignalManager__current", None)
     if manager is not None:
         ending = Ending(reason="SIGTERM", due_to_sigint=False)
-        manager.handle(signal.SIGTERM, lambda number: context.emit_event_sync(ending))
+
+        def end(number):
+            launched.sent = signal.SIGTERM
+            context.emit_event_sync(ending)
+
+        manager.handle(signal.SIGTERM, end)
         signal.signal(signal.SIGTERM, lambda number, frame: None)  # the manager hears of it
 
 
 def _nodes(context):
     if told := strange(sys.argv):
         raise RuntimeError(told)
-    _end_in_order(context)
     launched = Launched({name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS})
+    _end_in_order(context, launched)
     at_end = {"rig": partial(_ended, launched), "viewer": Shutdown(reason="the viewer is closed")}
     # launch_ros itself has no empty lists, and a container names its nodes in its arguments
     return [

@@ -41,7 +41,7 @@ OURS = re.compile(r"softrig_(core|control|optim|drives|power|robots|systems)\.")
 class Allowed(BaseModel):
     """How far a number may be off: ``max(absolute, relative |golden|)``."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     absolute: float = Field(1e-9, ge=0)
     relative: float = Field(1e-9, ge=0)
 
@@ -67,7 +67,7 @@ class Recipe(BaseModel):
         Versions that wrote the bag.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     scenario: str
     duration: float = Field(gt=0)
     seed: int = Field(0, ge=0)

@@ -78,7 +78,14 @@ class Launched:
         The scenario, or what is changed of it, is wrong.
     RunError
         The domain is a run's own.
+
+    Attributes
+    ----------
+    sent : signal.Signals
+        What a launch that is shut down was sent.
     """
+
+    sent = signal.SIGINT
 
     def __init__(self, values: Mapping[str, str]) -> None:
         given = {name: values.get(name) or default or "" for name, (default, _, _) in ARGUMENTS.items()}
@@ -184,7 +191,7 @@ class Launched:
         if self._error:
             run.error = "; ".join([self._error, *told])
         elif self._stopped:
-            run.stopped = signal.SIGINT
+            run.stopped = self.sent
         elif not self._realtime:
             run.error = gaps(rig, recording)
         return run_verb.conclude(options, run, self._folder)
