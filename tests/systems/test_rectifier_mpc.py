@@ -327,7 +327,8 @@ def test_no_solution_holds_the_last_command_and_warns():
         found = law.update(k, measured=(390.0,), reference=None)
         assert found["command"] == (0.0,)
         assert found["health"] == (2.0, 0.0, k + 1.0)
-    assert law.reports["no_solution"][0] == Level.WARN
+    level, text, _ = law.reports["no_solution"]
+    assert (level, text) == (Level.WARN, "daqp: infeasible; the last command is held")
 
 
 def test_constrained_without_bounds_is_the_closed_form():

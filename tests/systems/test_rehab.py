@@ -367,6 +367,7 @@ def test_gain_above_the_limit_warns_with_the_limit(values, limit):
     level, text, _ = ByHand(VoltageController(build(VoltageController.Params, values))).reports["stability hip"]
     assert level == Level.WARN
     assert f"stability limit {limit}" in text
+    assert text.endswith("and one period of delay" if "loop_delay" in values else "and no delay")
     assert ByHand(VoltageController()).reports == {}
 
 
