@@ -180,9 +180,9 @@ def test_on_a_narrow_terminal_no_number_and_no_word_is_broken(tmp_path, capsys, 
 
 
 def test_few_long_cases_tell_how_far_they_are_where_there_is_no_terminal(capsys, monkeypatch):
-    now = iter(range(0, 100, 6))
+    now = iter(range(0, 100, 5))
     monkeypatch.setattr("softrig_optim.sweep.time", SimpleNamespace(monotonic=lambda: float(next(now))))
-    with progress("scenarios", 5) as advance:
-        for _ in range(5):
+    with progress("scenarios", 6) as advance:
+        for _ in range(6):
             advance()
-    assert capsys.readouterr().err.splitlines() == ["softrig: scenarios: 2 of 5", "softrig: scenarios: 4 of 5"]
+    assert capsys.readouterr().err.splitlines() == ["softrig: scenarios: 3 of 6", "softrig: scenarios: 6 of 6"]

@@ -6,6 +6,7 @@ import os
 import re
 import warnings
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from softrig_core import (
     scalars,
     simulate,
 )
+from softrig_core.native.batch_text import Form
 
 gymnasium = pytest.importorskip("gymnasium")
 check_env = pytest.importorskip("gymnasium.utils.env_checker").check_env
@@ -155,6 +157,19 @@ def test_many_that_native_code_moves_are_what_each_is_alone(keys, size, least):
         assert infos[0] == infos[1]
     assert many.unwrapped.native >= least
     assert bool(many.unwrapped.reason) == (least == 0)
+
+
+class Part(NamedTuple):
+    angle: float
+    on: bool
+
+
+def test_a_state_comes_back_as_it_was_put_wherever_its_complex_numbers_stand():
+    state = ((1.0 + 2.0j, 3, Part(-4.5, True)), None, (5.0j, (0.25, False)))
+    form = Form(state)
+    numbers, whole = np.zeros(form.sizes[0]), np.zeros(form.sizes[1], np.int64)
+    form.put(state, numbers, whole)
+    assert repr(form.get(numbers, whole)) == repr(state)
 
 
 def test_a_seed_is_that_of_the_rig_and_drawn_without_one():

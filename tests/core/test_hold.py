@@ -46,6 +46,17 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     assert not differences(run.recording, in_process(RIG))
 
 
+def test_at_a_pace_at_which_nothing_comes_due_nothing_is_taken_however_often_it_is_asked_for():
+    world, seen = World(), []
+    run, start = SimulatedRig(RIG, world, "lockstep", pace=1e-12), world.now
+    adapter = run.adapters[CLOCK]
+    for k in range(1, 11):
+        world.at(start + k * 100_000_000, partial(adapter.hold.go_at, 1e-12))
+    world.at(start + 2_000_000_000, lambda: (seen.append(adapter.t), adapter.hold.go_at(0.0)))
+    assert set(run.run(10.0).values()) == {"done"}
+    assert seen == [0]
+
+
 def test_who_waits_for_a_slow_pace_is_told_and_does_not_give_up():
     """The plant's period takes 20 s of the wall's time: twice as long as any peer waits without a word."""
     rig = rig_of(load_scenario("dc_motor_smc_b2").changed(duration=2 * float(RIG.clock.schedule.period)))

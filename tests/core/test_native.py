@@ -457,6 +457,20 @@ class Seldom(Block[SeldomParams]):
         return x, {"push": (float(f"{signal[0]:.2f}") if t < 100_000_000 else math.nan,)}
 
 
+class Noting(Seldom):
+    """The same, and keeps it."""
+
+    OUTPUTS = ()
+
+    def first(self) -> float:
+        """Nothing yet."""
+        return 0.0
+
+    def update(self, x: float, t: int, *, signal: tuple[float, ...]) -> tuple[float, Mapping[str, Any]]:
+        """Keep it."""
+        return float(f"{signal[0]:.2f}"), {}
+
+
 def test_a_native_member_doubts_what_one_in_python_says(monkeypatch: pytest.MonkeyPatch) -> None:
     blocks = {"plant": Oscillator, "law": Seldom}
     native = the_same(lambda: Rig.from_blocks({n: b() for n, b in blocks.items()}, 0.5), monkeypatch)
@@ -490,9 +504,12 @@ class Chooser(Block[OscillatorParams]):
 @pytest.mark.parametrize(
     ("fails", "decided", "given_up"), [(10**18, 24, 10), (400_000_000, 20, 8), (405_000_000, 20, 9)]
 )
-@pytest.mark.parametrize("watcher", [AtOnce, Watcher])
+@pytest.mark.parametrize("watcher", [AtOnce, Watcher, Noting])
 def test_ticks_that_a_member_decides_are_those_of_python(watcher, fails, decided, given_up, monkeypatch):
-    """Whether what was said is handed out at once after them or at each; a run that breaks there says the same."""
+    """Whether what was said is handed out at once after them or at each, and where another has them Python's anyway.
+
+    A run that breaks there says the same.
+    """
     monkeypatch.setattr(Chooser, "FAILS", fails)
     blocks = {"plant": Oscillator, "law": Chooser, "watcher": watcher}
 
@@ -582,11 +599,14 @@ def test_other_equations_are_another_text() -> None:
 
 
 class Texts(Pusher):
-    """Writes a text at each tick."""
+    """Writes a text at each tick, behind two ways that both lead there."""
 
     def update(self, x: Pushing, t: int, *, signal: tuple[float, ...]) -> tuple[Pushing, Mapping[str, Any]]:
         """Answer."""
-        return x, {"push": (float(len(str(signal[0]))),)}
+        sign = -1.0
+        if signal[0] > 0.0:
+            sign = 1.0
+        return x, {"push": (sign * len(str(signal[0])),)}
 
 
 def test_what_is_not_known_is_named() -> None:

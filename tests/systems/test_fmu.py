@@ -545,3 +545,18 @@ def test_what_an_fmu_logs_need_not_be_text():
     for said in (b"torn \xff", b"", None):
         Instance._log(log, 0, "instance", said)
     assert log._said == ["torn \ufffd", "", ""]
+
+
+def test_an_fmu_is_asked_to_log_only_where_the_scenario_says_so(fmus, monkeypatch):
+    from fmpy import simulation
+
+    made, asked = simulation.instantiate_fmu, []
+
+    def instantiated(*arguments, debug_logging, **more):
+        asked.append(debug_logging)
+        return made(*arguments, debug_logging=debug_logging, **more)
+
+    monkeypatch.setattr(simulation, "instantiate_fmu", instantiated)
+    for given in ({}, {"log": True}):
+        trace(motor(fmus, isolated=False, **given), 1)
+    assert asked == [False, True]

@@ -301,6 +301,8 @@ def test_packets_under_sspd_with_gains_for_the_delay():
 def test_packets_are_conserved_and_events_bounded():
     plant, controller = ByHand(TcpPackets()), AqmController(period=0.01, law="pi")
     plant.reset(1)
+    counts = plant.x.traffic.inside.counts
+    assert counts[MOST_EVENTS] == counts[EVENTS] == 60  # of each flow its first packet; none has gone
     loop(plant, controller, 20.0)
     sources, agenda, _, counts = plant.x.traffic.inside
     acknowledgements = sum(int(k == 1 or k == 2) for k in agenda.kind[: counts[EVENTS]])

@@ -193,7 +193,7 @@ class Engine:
                         self._kept.go = max(SHORTEST, go // 2)
                 k = reached
                 yield self._time(k - 1) if k else 0
-                if k == until and k < last and k < self._next_stop(k):
+                if k == until and k < last:
                     continue
                 if k < until and not self._cut:
                     self.native.decided += self._decided(k)
