@@ -230,6 +230,12 @@ def test_an_array_that_has_grown_joins_the_one_before() -> None:
     held(scenario("dc_motor_fsfb_s1", faults={"fault": fault}), typed)
 
 
+def test_what_is_refused_between_two_ticks_counts_at_the_next() -> None:
+    """The plant speaks twenty times as often as the speed law, which holds at its next tick what it said."""
+    fault = {"link": "joint_states", "from": 0.0025, "kind": "invalid", "probability": 0.02}
+    held(scenario("lsrm_fuzzy", faults={"fault": fault}))
+
+
 @given(changed(SOME))
 @settings(max_examples=6, deadline=None, derandomize=True)
 def test_what_changes_while_it_runs(case: Scenario) -> None:

@@ -263,7 +263,8 @@ class Engine:
 
     def _next_stop(self, k: int) -> int:
         """Give the first tick, from k on, that is one of Python's."""
-        due = [-(-k // self._every[id(s)]) * self._every[id(s)] for s in self.steps if s.name in self._aside]
+        left = [s for s in self.steps if s.bad or s.name in self._aside]  # bad: something refused between its ticks
+        due = [-(-k // self._every[id(s)]) * self._every[id(s)] for s in left]
         return min(self._next_change(k), *due) if due else self._next_change(k)
 
     def _share(self) -> None:
@@ -414,7 +415,7 @@ class Engine:
                         Answers(np.array(one[0]), np.array(one[1], np.int64)) if self._typed else Answers(*one)
                     )
             reached = at = reached + 1
-            if reached == last or self._others():
+            if reached == last or self._others() or any(s.bad for s in self._core):
                 break
             reached, after, rows = self._called(at, last)
             if after is None:

@@ -27,6 +27,7 @@ from ..seam.endpoint import Input, Output
 from ..seam.health import percentiles
 from ..seam.middleware import Timer
 from .answering import Answering
+from .gathering import gather
 from .live import Live, LiveSenders
 from .sporadic import Sporadic, listen
 from .stand import Stand
@@ -66,6 +67,7 @@ class Realtime:
         self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
         node.epoch = node.options.epoch
         node.step.send = node.publish
+        gather(node.step)
         node.begin(self)
         self._commands = [f for f in self.senders.rows if f.awaited and node.is_plant]
         block = node.block

@@ -1,0 +1,70 @@
+"""An observer that takes some ticks at once against the wall clock knows what one does that is asked at each."""
+
+import random
+
+import pytest
+from softrig_core import Sample, rig_of
+from softrig_core.node.realtime.gathering import STRETCH, gather
+from softrig_core.run.inprocess import step_of
+
+PERIOD = 0.0005
+
+
+def watchers():
+    """Two of the same: one that gathers, one that is asked at each tick."""
+    rig = rig_of(
+        "induction_dtc", overrides={f"{n}.period": PERIOD for n in ("im_plant", "dtc_controller", "flux_monitor")}
+    )
+    (member,) = (m for m in rig.members if m.name == "flux_monitor")
+    steps = [step_of(member, member.block(0)) for _ in range(2)]
+    gather(steps[0])
+    return steps
+
+
+def kept(step):
+    """What it knows, however it is cut into blocks."""
+    sizes = [port.size for port in step.inputs]
+    columns = [[c.tolist() for c in k.columns(size)] for k, size in zip(step.x.seen, sizes, strict=True)]
+    return columns, [(k.stamp, k.forgot) for k in step.x.seen]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_it_keeps_is_what_its_ticks_saw(seed):
+    chance, (gathering, plain) = random.Random(seed), watchers()
+    newest = {}
+    for step in (gathering, plain):
+        step.stamps = {p.name: (lambda name=p.name: newest.get(name)) for p in step.inputs}
+    every = {p.name: chance.choice((1, 1, 2, 7, 20, 1000)) for p in plain.inputs}
+    late = {p.name for p in plain.inputs if chance.random() < 0.3}
+    stretch, taken = STRETCH // plain.schedule.time(1), 0
+    for k in range(400):
+        t = plain.schedule.time(k)
+        for port in plain.inputs:
+            if k % every[port.name] == 0 or chance.random() < 0.05:
+                stamp = max(0, t - chance.choice((0, 0, 300_000, 2_000_000)))
+                newest[port.name] = stamp if chance.random() < 0.95 else t + 1  # a sender that is ahead
+                values = tuple(chance.gauss(0.0, 1.0) for _ in range(port.size))
+                for step in (gathering, plain):
+                    step.values[port.name] = Sample(stamp, values) if port.name in late else values
+        bad = chance.random() < 0.02
+        for step in (gathering, plain):
+            step.bad = bad
+            step.say(t)
+        taken += bad or kept(gathering) == kept(plain)
+        if chance.random() < 0.02 or k == 399:
+            assert gathering.status() == plain.status()
+            assert kept(gathering) == kept(plain)
+    assert 400 / stretch <= taken < 200  # now and then, and by itself
+
+
+@pytest.mark.parametrize(("period", "gathers"), [(0.0001, True), (0.006, False)])
+def test_who_is_slow_or_says_something_is_asked_at_each_tick(period, gathers):
+    rig = rig_of("induction_dtc", overrides={"flux_monitor.period": period})
+    found = set()
+    for member in rig.members:
+        step = step_of(member, member.block(0))
+        before = step.respond
+        gather(step)
+        if step.respond != before:
+            found.add(member.name)
+    assert found == ({"flux_monitor"} if gathers else set())
