@@ -168,9 +168,10 @@ for package in [m for n, m in list(sys.modules.items()) if n.startswith("softrig
         if not module.name.endswith(("__main__", ".environment", ".environments")) and ".view." not in module.name:
             importlib.import_module(module.name)
 owners = packages_distributions()
-# two packages bring lark; numpy.f2py takes charset_normalizer where it is there
+# two packages bring lark; numpy.f2py takes charset_normalizer where it is there, numba coverage
 found = {name: owners[name][0] for name in list(sys.modules) if name in owners}
-print(*{d.replace("_", "-").lower() for name, d in found.items() if name not in ("charset_normalizer", "lark")})
+others = ("charset_normalizer", "coverage", "lark")
+print(*{d.replace("_", "-").lower() for name, d in found.items() if name not in others})
 """
 
 
