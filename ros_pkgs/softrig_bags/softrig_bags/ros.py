@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import EventHandler, QoSSubscriptionEventType as Event
 from rclpy.experimental.events_executor import EventsExecutor
@@ -24,8 +23,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from softrig_core import SECOND
 from softrig_core.block.params import Declaration
 from softrig_core.node.ros.messages import range_descriptor
-from softrig_core.node.ros.profile import joining
-from softrig_core.processes.shared_memory import Ears
+from softrig_core.node.ros.profile import joining, look_after_ports
 
 from .errors import BagError
 from .topics import BagTopic
@@ -86,8 +84,7 @@ class Session:
                 )
         for declaration, value in parameters:
             self.node.declare_parameter(declaration.name, value, range_descriptor(declaration))
-        # who opens its ports meanwhile need not wait to see whether it lives
-        self.node.create_timer(1.0, Ears().lost, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        look_after_ports(self.node)
         self._executor: Any = EventsExecutor()
         self._executor.add_node(self.node)
 

@@ -17,9 +17,9 @@ from ...block.block import Observer
 from ...block.port import Port, Sample
 from ...block.step import Step
 from ...timebase import SECOND
+from ...verdict.watch import EVER
 
 STRETCH = SECOND // 100  # ns: what it has seen is older by so much at most
-EVER = -(1 << 63)  # ns, before all stamps
 NOTHING: Mapping[str, Any] = {}
 
 
@@ -86,7 +86,7 @@ class Gathering:
 
     def _status(self) -> Mapping[str, tuple[float, str]]:
         self._step.x = self._taken(self._step.x)
-        return self._step.block.status(self._step.x)  # type: ignore[attr-defined, no-any-return]
+        return Step.status(self._step)
 
 
 def gather(step: Step) -> None:

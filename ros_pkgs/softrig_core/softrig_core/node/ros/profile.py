@@ -14,9 +14,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from tempfile import NamedTemporaryFile
 
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
 from ...processes.executables import LOOPBACK, PROFILE, given_profile, leased
 from ...processes.ports import chosen
-from ...processes.shared_memory import clear_ports, domain_id, numbers
+from ...processes.shared_memory import Ears, clear_ports, domain_id, numbers
 
 PROPERTY = "fastdds.ignore_local_endpoints"
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -59,6 +62,11 @@ def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterato
                 del os.environ[VARIABLE]
             else:
                 os.environ[VARIABLE] = before
+
+
+def look_after_ports(node: Node) -> None:
+    """Have a tool's node look at its ports each second: who opens one then need not wait to see whether it lives."""
+    node.create_timer(1.0, Ears().lost, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def own(profile: bytes, *, exclusive: bool = False) -> bytes:

@@ -18,16 +18,14 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import rclpy
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
 from ...guard import secure_streams
-from ...processes.shared_memory import Ears
 from .messages import message_class
-from .profile import joining
+from .profile import joining, look_after_ports
 
 PATIENCE = 10.0  # s: for a node to be there, and again for it to answer
 
@@ -167,8 +165,7 @@ def main() -> None:
     with joining():
         rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])  # no files beside those of the run
         node = Node(f"softrig_view_{os.getpid()}")
-    # who opens its ports meanwhile need not wait to see whether it lives
-    node.create_timer(1.0, Ears().lost, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    look_after_ports(node)
     executor = rclpy.get_global_executor()
     executor.add_node(node)
 
