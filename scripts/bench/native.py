@@ -29,6 +29,7 @@ RIGS = (
     "tcp_aqm_smc",
     "rehab_impedance",
     "manipulator_adsmc",
+    "gupfc",
     "pv_mppt",
 )
 # by hand: seconds simulated, and topics of its tables: of each tick, and of each 20th

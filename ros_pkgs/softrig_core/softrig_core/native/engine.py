@@ -119,6 +119,10 @@ class Engine:
         self._fits: list[Any] = []
         self._pack: list[Way] = []  # of each member, how its state goes to native code
         self._unpack: list[Way] = []  # and comes back; empty until something has
+        self._n: Any  # tick under way, random numbers that are missing, tick with which the places begin
+        self._when: Any
+        self._told: Any
+        self._arrays: tuple[Any, ...]  # what native code is handed after its state, as `RigText.arrays`
 
     def run(self, first: int = 0) -> Iterator[int | None]:
         """Answer all ticks of a run that has an end; then the steps know what of them was native.
@@ -235,7 +239,8 @@ class Engine:
         if self._alone is None or kept.made or not self._typed:
             return False
         kept.made = True
-        arguments = k, k, *self._handed(k, self._places(k, k))
+        self._places(k, k)
+        arguments = k, k, *self._handed(k)
 
         def compile_() -> None:
             with suppress(Exception):  # said when it is called
@@ -431,21 +436,38 @@ class Engine:
         return later
 
     def _places(self, first: int, last: int) -> dict[int, Answers]:
-        """Give what native code writes the answers of ticks from `first` up to `last` into."""
-        if not self._typed:
-            return {id(s): Answers([], []) for _, s, _, _ in self._written}
+        """Give what native code writes the answers of ticks from `first` up to `last` into, and have it handed that."""
         counts = {id(s): len(self._audience.own(s, first, last)) for s in self._recorded}
-        return {  # column after column in memory: so they are read
+        rows = {
             id(s): Answers(np.empty((size, counts[id(s)])).T, np.empty((counts[id(s)], stamps), np.int64))
+            if self._typed  # column after column in memory: so they are read
+            else Answers([], [])
             for _, s, size, stamps in self._written
         }
+        assert self._kept is not None
+        reports = self._kept.text.program.reports
+        sizes = 1 + len(self._links) + len(self._speakers), reports.size if reports else 0
+        if self._typed:
+            self._n, self._when, self._told = np.zeros(3, np.int64), np.zeros(sizes[0], np.int64), np.zeros(sizes[1])
+        else:
+            self._n, self._when, self._told = [0] * 3, [0] * sizes[0], [0.0] * sizes[1]
+        self._name(rows)
+        return rows
+
+    def _name(self, rows: dict[int, Answers]) -> None:
+        """Put what native code is handed in its order."""
+        assert self._kept is not None
+        named = self._tables | {WHEN: self._when, "told": self._told}
+        for k, s, _, _ in self._written:
+            named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
+        self._arrays = tuple(named[name] for name in self._kept.text.arrays)
 
     def _said_by(self, rows: dict[int, Answers], first: int, last: int) -> dict[int, Answers]:
         """Give the answers of ticks from `first`, where their places begin, up to `last`."""
         counts = {id(s): len(self._audience.own(s, first, last)) for s in self._recorded}
         return {key: Answers(*(table[: counts[key]] for table in answers)) for key, answers in rows.items()}
 
-    def _handed(self, begin: int, rows: dict[int, Answers]) -> tuple[Any, ...]:
+    def _handed(self, begin: int) -> tuple[Any, ...]:
         """Give what the function is handed after its ticks; the places of answers begin at a tick."""
         kept = self._kept
         assert kept is not None
@@ -456,15 +478,10 @@ class Engine:
             *(packed(link.value) for link in self._links),
         )
         spoken = [self._core[k].spoken[j] for k, j in self._speakers]
-        times = [0, *(link.stamp for link in self._links), *(NEVER if t is None else t for t in spoken)]
-        self._when = np.array(times, np.int64) if self._typed else times
-        size = kept.text.program.reports.size if kept.text.program.reports else 0
-        self._told: Any = np.zeros(size) if self._typed else [0.0] * size
-        named = self._tables | {WHEN: self._when, "told": self._told}
-        for k, s, _, _ in self._written:
-            named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
-        n: Any = np.array([0, 0, begin], np.int64) if self._typed else [0, 0, begin]
-        return n, self._constants, before, *(named[name] for name in kept.text.arrays)
+        self._n[:] = 0, 0, begin
+        self._when[:] = [0, *(link.stamp for link in self._links), *(NEVER if t is None else t for t in spoken)]
+        self._told[:] = [0.0] * len(self._told)
+        return self._n, self._constants, before, *self._arrays
 
     def _called(self, begin: int, first: int, last: int, rows: dict[int, Answers]) -> tuple[int, Any]:
         """Answer ticks from `first` up to `last`, or as far as native code goes, into places that begin at a tick.
@@ -480,16 +497,18 @@ class Engine:
         self._cut = False
         kept.made = True
         while True:
-            handed = self._handed(begin, rows)
-            n = handed[0]
+            handed = self._handed(begin)
+            n = self._n
             try:
                 after = kept.function(first, last, *handed)
             except NATIVE:
                 if not self._typed:  # lists have grown
                     rows |= self._said_by(rows, begin, first)
+                    self._name(rows)
                 if n[1]:
                     for name, draws in self._sources.items():
                         self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
+                    self._name(rows)
                     continue
                 self._cut = True
                 if n[0] <= first:
