@@ -146,6 +146,7 @@ class Engine:
             yield from self._run(first)
         finally:
             self.tell()
+            self._arrays = ()  # large: who recorded them has them
 
     def tell(self) -> None:
         """Have the steps know what of them was native, as far as it goes."""
