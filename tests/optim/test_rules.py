@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings, strategies as st
+from scipy.optimize import minimize_scalar
 from softrig_optim.de import DifferentialEvolution
 from softrig_optim.firefly import Firefly
 from softrig_optim.genetic import Genetic
@@ -243,3 +245,135 @@ def test_what_nobody_says_is_as_published():
         Scan: np.random.default_rng(0).random(),
         PerturbObserve: np.random.default_rng(0).random(),
     }
+
+
+SHAPES = {
+    "smooth": lambda a, b: lambda x: math.cos(a * x) + 0.3 * b * x,
+    "kinked": lambda a, b: lambda x: abs(x - 0.3 * a) + b * abs(x - 1.1),
+    "stairs": lambda a, b: lambda x: math.floor(a * (x - b) ** 2),
+    "flat": lambda a, b: lambda x: a,
+    "falling": lambda a, b: lambda x: -a * x**3 - b * x,
+    "narrow": lambda a, b: lambda x: -math.exp(-((20.0 * (x - 0.1 * a)) ** 2)) + 0.01 * b * x,
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("low", [-1.7, 0.2])
+def test_a_scan_looks_where_scipy_does(shape, low):
+    """The grid, then each evaluation of scipy's bounded search in the two cells beside the best, over many curves."""
+    for a, b, tolerance in itertools.product((0.7, 3.1, 9.0), (-0.8, 0.4), (1e-2, 1e-5)):
+        f = SHAPES[shape](a, b)
+        search = Scan([low], [low + 2.5], n_grid=6, tolerance=tolerance)
+        run(search, lambda x, f=f: f(x[0]))
+        grid = np.linspace(low, low + 2.5, 6).tolist()
+        k = int(np.argmin([f(x) for x in grid]))
+        seen = []
+        minimize_scalar(
+            lambda x, f=f, seen=seen: (seen.append(float(x)), f(float(x)))[1],
+            bounds=(grid[max(k - 1, 0)], grid[min(k + 1, 5)]),
+            method="bounded",
+            options={"xatol": tolerance},
+        )
+        assert [e.x[0] for e in search.history] == [*grid, *seen]
+        assert search.iteration == len(seen)
+
+
+class Transformer:
+    """An ideal transformer as the matching: the source sees R = load / d^2."""
+
+    def load(self, command, seen):
+        return seen * command**2
+
+    def command(self, seen, load):
+        return math.sqrt(load / seen)
+
+
+class LoadLine:
+    """What both searches along the load line do with a measurement, and at their end."""
+
+    def __init__(self, samples, corrections):
+        self.samples, self.corrections = iter(samples), corrections
+        self.load, self.best, self.commands, self.seen = None, (0.0, 0.0), [], []
+
+    def measure(self, d):
+        self.commands.append(d)
+        v, i = next(self.samples)
+        self.seen.append((v, i))
+        if v > 0.0 and i > 0.0:
+            self.load = v / i * d * d
+            self.best = max(self.best, (v, i), key=lambda at: at[0] * at[1])
+
+    def towards(self, v, i):
+        return 1.25 if self.load is None else min(max(math.sqrt(self.load / (v / i)), 0.5), 2.0)
+
+    def end(self):
+        v, i = self.best
+        if v * i == 0.0:
+            return None
+        for _ in range(self.corrections):
+            self.measure(self.towards(v, i))
+        return self.towards(v, i)
+
+    def certified(self, eps, n_iter):
+        for d in (1.25, 0.5, 2.0):
+            self.measure(d)
+        for _ in range(n_iter):
+            row = sorted(self.seen)
+            boxes = [v * i if v > 0.0 and i > 0.0 else 0.0 for (v, _), (_, i) in zip(row[1:], row, strict=False)]
+            k = boxes.index(max(boxes))
+            if boxes[k] <= (1.0 + eps) * self.best[0] * self.best[1]:
+                break
+            self.measure(self.towards(row[k + 1][0], row[k][1]))
+        return self.end()
+
+    def ramp(self, n_ramp):
+        for k in range(n_ramp):
+            self.measure(0.5 + 1.5 * k / (n_ramp - 1))
+        return self.end()
+
+
+QUARTERS = st.integers(-1, 12).map(lambda n: n / 4.0)
+
+
+@given(st.lists(st.tuples(QUARTERS, QUARTERS), min_size=40, max_size=40), st.integers(0, 3), st.booleans())
+@settings(max_examples=40, deadline=None, derandomize=True)
+@example([(0.0, 0.0)] * 40, 2, True)
+@example([(2.0, 1.0), (1.0, 2.0), (3.0, 0.25)] + [(2.0, 1.0)] * 37, 2, True)
+def test_searches_along_the_load_line_go_where_their_rule_says(samples, corrections, gap):
+    """Of any measurements, also such as no source gives: the commands, what is best, and what is proven when."""
+    settings_of = {CertifiedSearch: {"eps": 0.5 if gap else 0.0, "n_iter": 9}, RampScan: {"n_ramp": 7}}
+    for kind, told in settings_of.items():
+        rule = LoadLine(samples, corrections)
+        last = rule.certified(**told) if kind is CertifiedSearch else rule.ramp(**told)
+        search = kind([0.5], [2.0], matching=Transformer(), corrections=corrections, **told)
+        for k, d in enumerate(rule.commands):
+            assert search.settle == (kind is CertifiedSearch or k >= 7)
+            assert search.ask() == (pytest.approx(d, rel=1e-12),)
+            search.tell(samples[k][0] * samples[k][1], samples[k])
+            if kind is CertifiedSearch:
+                check_bound(search, rule.seen[: k + 1], told["eps"])
+        assert search.done
+        assert (search.peak, search.expected) == (rule.best, rule.best[0] * rule.best[1])
+        assert search.result == (search.best.x if last is None else (pytest.approx(last, rel=1e-12),))
+
+
+def check_bound(search, seen, eps):
+    """No proof before the third measurement, nor where a current rises with the voltage by more than the gap."""
+    row, best = sorted(seen[: max(3, search.iteration + 3)]), search.expected
+    rises = any((j - i) * w > eps * best for (_, i), (w, j) in itertools.combinations(row, 2) if w > 0.0)
+    if len(seen) < 3 or rises:
+        assert search.bound is None
+    else:
+        boxes = [v * i if v > 0.0 and i > 0.0 else 0.0 for (v, _), (_, i) in zip(row[1:], row, strict=False)]
+        assert search.bound == max([best, *boxes])
+    assert search.gap == eps
+
+
+def test_what_is_passed_on_the_way_is_seen():
+    search = CertifiedSearch([0.5], [2.0], matching=Transformer(), transients=True)
+    assert (search.watches, CertifiedSearch([0.5], [2.0], matching=Transformer()).watches) == (True, False)
+    search.watch((4.0, 1.5))
+    assert (search.peak, search.bound) == ((4.0, 1.5), None)
+    for sample in ((3.0, 2.0), (1.0, 3.0), (5.0, 1.0)):
+        search.tell(sample[0] * sample[1], sample)
+    assert search.bound == 9.0  # 3 V and 3 A; without what was passed, 5 V and 2 A
