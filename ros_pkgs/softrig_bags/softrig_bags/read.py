@@ -62,7 +62,7 @@ class BagSignals(Signals):
     """
 
     def __init__(
-        self, recording: Recording, epoch: int, stores: dict[str, Typestore | None], from_start: bool = True
+        self, recording: Recording, epoch: int, stores: dict[str, Typestore | None], from_start: bool
     ) -> None:
         super().__init__(recording, epoch)
         self._stores = stores
