@@ -19,10 +19,27 @@ def view_of(a, b, c, d, link="plant/u", variation=0.0, **about):
     states = tuple(f"plant.x[{k}]" for k in range(n))
     whole = a + np.outer(b, c) / (1.0 - d)
     told = {
-        "rig": "drawn", "at": 1.5, "period": T, "states": states, "inputs": ("plant/w",), "outputs": ("plant/y",),
-        "units": {}, "values": {}, "A": whole, "B": np.eye(n)[:, :1], "C": np.eye(n)[:1], "D": np.zeros((1, 1)),
-        "link": link, "a": a, "b": b, "c": c, "d": d, "error": 0.0, "worst": "", "variation": variation,
-    }  # fmt: skip
+        "rig": "drawn",
+        "at": 1.5,
+        "period": T,
+        "states": states,
+        "inputs": ("plant/w",),
+        "outputs": ("plant/y",),
+        "units": {},
+        "values": {},
+        "A": whole,
+        "B": np.eye(n)[:, :1],
+        "C": np.eye(n)[:1],
+        "D": np.zeros((1, 1)),
+        "link": link,
+        "a": a,
+        "b": b,
+        "c": c,
+        "d": d,
+        "error": 0.0,
+        "worst": "",
+        "variation": variation,
+    }
     return LinearView(**told | about)
 
 

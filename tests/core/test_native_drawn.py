@@ -90,7 +90,7 @@ class Pen:
             lambda: f"{{'low': {e()}, **{{'high': {e()}}}}}['{rng.choice(['low', 'high'])}']",
             lambda: f"complex({e()}, {e()}).{rng.choice(['real', 'imag'])}",
             lambda: f"abs(complex({e()}, {e()}))",
-        )  # fmt: skip
+        )
 
     def whole(self) -> str:
         e, i, b, rng = self.number, self.whole, self.truth, self.rng
@@ -171,10 +171,16 @@ class Pen:
             self.block(1, deep + 1)
 
     def _turns(self, deep: int) -> None:
-        head = self.rng.choice([
-            "for g in x.pair:", "for h, g in enumerate(x.pair):", "for g, h in zip(x.pair, self.table):",
-            "for g in range(3):", "for h, g in reversed(((1, 0.5), (2, 0.25))):", "for g in range(x.k % 4):",
-        ])  # fmt: skip
+        head = self.rng.choice(
+            [
+                "for g in x.pair:",
+                "for h, g in enumerate(x.pair):",
+                "for g, h in zip(x.pair, self.table):",
+                "for g in range(3):",
+                "for h, g in reversed(((1, 0.5), (2, 0.25))):",
+                "for g in range(x.k % 4):",
+            ]
+        )
         self.say(head, deep)
         name = self.rng.choice(self.names)
         self.say(f"{name} = limited({name} * 0.5 + g * {self.rng.choice(self.names)}, -9.0, 9.0)", deep + 1)
@@ -233,8 +239,18 @@ def drawn(seed: int) -> type[Block[Any]]:
     text = HEAD + "\n".join(pen.lines) + "\n"
     name = f"<drawn {seed}>"
     linecache.cache[name] = (len(text), None, text.splitlines(keepends=True), name)
-    scope = {"Block": Block, "OscillatorParams": OscillatorParams, "SIGNAL": SIGNAL, "PUSH": PUSH, "Kept": Kept,
-             "math": math, "limited": limited, "total": total, "LEVEL": 0.875, "__name__": __name__}  # fmt: skip
+    scope = {
+        "Block": Block,
+        "OscillatorParams": OscillatorParams,
+        "SIGNAL": SIGNAL,
+        "PUSH": PUSH,
+        "Kept": Kept,
+        "math": math,
+        "limited": limited,
+        "total": total,
+        "LEVEL": 0.875,
+        "__name__": __name__,
+    }
     exec(compile(text, name, "exec"), scope)
     return scope["Drawn"]
 

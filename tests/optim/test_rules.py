@@ -104,16 +104,18 @@ def wolves(rule):
         a = 2.0 * (1.0 - k / rule.iterations)
         r1, r2 = rule.rng.random((2, rule.n, 3, 3)).tolist()
         rule.x = [
-            rule.inside([
-                sum(
-                    pack[m][1][j]
-                    - (2.0 * a * r1[i][m][j] - a) * abs(2.0 * r2[i][m][j] * pack[m][1][j] - x[j])
-                    for m in range(3)
-                ) / 3.0
-                for j in range(3)
-            ])
+            rule.inside(
+                [
+                    sum(
+                        pack[m][1][j] - (2.0 * a * r1[i][m][j] - a) * abs(2.0 * r2[i][m][j] * pack[m][1][j] - x[j])
+                        for m in range(3)
+                    )
+                    / 3.0
+                    for j in range(3)
+                ]
+            )
             for i, x in enumerate(rule.x)
-        ]  # fmt: skip
+        ]
 
 
 def whales(rule):

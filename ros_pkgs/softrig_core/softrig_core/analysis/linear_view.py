@@ -244,7 +244,7 @@ class LinearView:
 
     @cached_property
     def margins(self) -> Margins:
-        """Measure the margins by python-control; that of the disk on the frequencies alone, of gains also at the ends."""
+        """Measure the margins by python-control, gains at both ends, too; that of the disk on the frequencies."""
         import control
 
         gains, phases, _, _, crossings, _ = control.stability_margins(self.loop, returnall=True)
@@ -262,7 +262,7 @@ class LinearView:
         )
 
     def _ends(self) -> list[float]:
-        """Factors at which a pole leaves at z = 1 or -1: there the loop is real, and turns over no frequency between."""
+        """Factors at which a pole leaves at z = 1 or -1: the loop is real there, and turns at no frequency between."""
         A, b, c, d, _ = self._loop
         found = []
         for z in (1.0, -1.0):
