@@ -70,7 +70,7 @@ class Contained:
             self.readers[name] = matched
             return self.carried.setdefault(name, []).append
 
-        def subscribe(middleware, topic, msgtype, receive, matched):
+        def subscribe(middleware, topic, msgtype, receive, matched, numbered=None):
             self.writers[middleware.name, middleware.resolve(topic)] = matched
             self.receivers[middleware.name, middleware.resolve(topic)] = receive
 

@@ -208,7 +208,7 @@ class Adapter:
             self.drive.on_matched(item)
 
         self.inputs.append(item)
-        self.middleware.subscribe(item.port.topic, item.port.msgtype, item.receive, matched)
+        self.middleware.subscribe(item.port.topic, item.port.msgtype, item.receive, matched, item.numbered)
 
     def _noting(self, output: Output) -> Matched:
         """Give what hears how many read an output."""

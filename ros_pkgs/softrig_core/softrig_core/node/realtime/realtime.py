@@ -206,7 +206,7 @@ class Realtime:
         return self.senders.row(port, Sporadic if link is not None and link.told else Live)
 
     def on_matched(self, item: Input) -> None:
-        """Two publishers on one input: neither is believed until one of them has gone."""
+        """Two publishers on one input: neither is believed until one of them has gone, or has been silent for long."""
         assert isinstance(item, Live)
         item.on_matched()
         self._rivals = [f for f in self._fed if f.outside]
@@ -315,7 +315,7 @@ class Realtime:
         """Live commands; the safe value in place of one that is stale at the time of a tick, said late or not."""
         inputs = self.node.values
         for row in self._commands:
-            if row.publishers > 1 or row.silent(now):
+            if row.disputed or row.silent(now):
                 inputs = inputs | {row.name: row.port.safe}
         return inputs
 
