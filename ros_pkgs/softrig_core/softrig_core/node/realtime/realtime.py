@@ -117,11 +117,11 @@ class Realtime:
             shake = Handshake(node, awaited, wanted, local)
             self.departure = Departure(node, shake, local, self._begin_at, self._stand.hear)
         else:
-            self._begin_at(node.epoch)
+            self._begin_at(node.epoch, 0)
 
     # start and end ---------------------------------------------------------------------------------------------
 
-    def _begin_at(self, epoch: int, ahead: int = 0) -> None:
+    def _begin_at(self, epoch: int, ahead: int) -> None:
         """Run from now on; t = 0 is at `epoch`, or with the first tick when that is 0.
 
         The clock of the rig is `ahead` of ours, ns.
