@@ -247,7 +247,7 @@ def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_r
 
 
 def test_a_page_in_the_process_of_its_rig_keeps_the_pace_whatever_people_do_to_it(monkeypatch):
-    """A tick takes a second of the wall, or half of one; what is done ten times in it must not give a tick each time."""
+    """A tick takes a second of the wall, or half of one; done ten times in it this must not give a tick each time."""
     clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
     monkeypatch.setattr("softrig_bringup.view.here.time", clock)
     source = Here(Session("dc_motor_smc", duration=0.1), False, PERIOD := 1e-4)

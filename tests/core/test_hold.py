@@ -28,6 +28,7 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     adapter = run.adapters[CLOCK]
     hold = adapter.hold
     assert not run.adapters["dc_motor_smc"].hold.go_at(1.0)  # not the node of the clock
+    assert adapter.status()["pace"] == 1.0
     for moment, call in (
         (0.22, partial(hold.go_at, 0.1)),
         (2.22, partial(hold.ask, "pause")),
@@ -44,6 +45,7 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     assert stepped - held == pytest.approx(float(RIG.clock.schedule.period))
     assert again - stepped == pytest.approx(0.1, abs=0.012)
     assert world.now - start < 21.2e9
+    assert adapter.status()["pace"] == 0.0
     assert not differences(run.recording, in_process(RIG))
 
 
@@ -69,7 +71,7 @@ def test_at_a_pace_at_which_nothing_comes_due_nothing_is_taken_however_often_it_
     ],
 )
 def test_what_has_been_waited_for_a_tick_stays_whatever_people_do_to_the_pace(hands, ticks):
-    """A tick takes a second of the wall, or half of one; whoever acts ten times in it must not gain a tick each time."""
+    """A tick takes a second of the wall, or half of one; who acts ten times in it must not gain a tick each time."""
     world, seen = World(), []
     run, start = SimulatedRig(RIG, world, "lockstep", pace=PERIOD), world.now
     adapter = run.adapters[CLOCK]

@@ -48,12 +48,17 @@ class Hold:
         self._until = 0  # ns up to which the wall clock need not be asked
         self._timer: Timer | None = None
 
+    @property
+    def pace(self) -> float:
+        """As it is now."""
+        return self._pace.pace
+
     def begin(self, middleware: Middleware, turn: Callable[[], object]) -> None:
         """Serve a node that owns the clock; `turn` has its ticks go on, or stay."""
         self._turn, self._middleware = turn, middleware
         if self.held:
             self._tell()
-        self.go_at(self._pace.pace)
+        self.go_at(self.pace)
 
     def go_at(self, pace: float) -> bool:
         """Take another pace from now on; whether this node has one: that of the clock, in lockstep, begun."""
@@ -92,7 +97,7 @@ class Hold:
         if self.held:
             self.steps -= (single := self.steps > 0)
             return not single
-        if not self._pace.pace or t < self._until:
+        if not self.pace or t < self._until:
             return False
         reached = self._pace.reach(self._middleware.steady(), t)
         self.waits = reached is None
