@@ -1,18 +1,21 @@
 """Pictures, drawings and pages in words, a line each part: what a test holds against a file that a person can read.
 
-`SOFTRIG_EXPECTED=write scripts/softrig python -m pytest tests -k told` writes the files in `tests/expected` anew; look at
-the pictures and at the difference before it is committed.
+`SOFTRIG_EXPECTED=write scripts/softrig python -m pytest tests -k told` writes the files in `tests/expected` anew; look
+at the pictures and at the difference before it is committed.
 """
 
 import difflib
 import os
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_hex
 from matplotlib.ticker import FixedLocator
 from softrig_core.drawing import as_dict
 
+FEW = 6  # lines without a name that are told one by one
 FOLDER = Path(__file__).parent / "expected"
 
 
@@ -45,7 +48,9 @@ def _curve(x, y):
 
 
 def _text(text):
-    words = f"{text.get_text()!r} size {text.get_fontsize():g} {to_hex(text.get_color())} {text.get_ha()} {text.get_va()}"
+    words = (
+        f"{text.get_text()!r} size {text.get_fontsize():g} {to_hex(text.get_color())} {text.get_ha()} {text.get_va()}"
+    )
     return words + (f" turned {text.get_rotation():g}" if text.get_rotation() else "")
 
 
@@ -59,10 +64,18 @@ def _line(line):
     return f"line {line.get_label()!r} {look} z {line.get_zorder():.3g}: {_curve(line.get_xdata(), line.get_ydata())}"
 
 
+def _together(lines):
+    """What many lines are made of, and what their points come to."""
+    looks = Counter(_line(line).partition(" ")[2].partition(":")[0].partition(" ")[2] for line in lines)
+    x, y = (np.concatenate([np.asarray(c, float) for c in v]) for v in zip(*(i.get_data() for i in lines), strict=True))
+    return f"{', '.join(f'{n} {look}' for look, n in looks.items())}: {_curve(x, y)}"
+
+
 def _collection(part):
     face, alpha = part.get_facecolor(), part.get_alpha()
     colour = to_hex(face[0]) if len(face) else "none"
-    look = f"{type(part).__name__} {colour} alpha {alpha} z {part.get_zorder():.3g}"
+    kind = "area" if isinstance(part, PolyCollection) else type(part).__name__
+    look = f"{kind} {colour} alpha {alpha} z {part.get_zorder():.3g}"
     values = part.get_array()
     if values is not None:
         look += f" {part.get_cmap().name} values {_curve(np.arange(values.size), np.ravel(values))}"
@@ -78,7 +91,7 @@ def figure_lines(figure):
     yield from (f"  title {_text(t)} at {_row(t.get_position())}" for t in [figure._suptitle] if t is not None)
     for ax in figure.axes:
         spot = ax.get_subplotspec()
-        rows = "" if spot is None else f" {spot.get_geometry()}"
+        rows = "" if spot is None else f" {' '.join(map(str, spot.get_geometry()))}"
         yield f"  axes{rows} {ax.get_xlabel()!r} {ax.get_ylabel()!r} x {_row(ax.get_xlim())} y {_row(ax.get_ylim())}"
         scales = ax.get_xscale(), ax.get_yscale(), ax.get_aspect()
         grid = [bool(a.get_gridlines() and a.get_gridlines()[0].get_visible()) for a in (ax.xaxis, ax.yaxis)]
@@ -91,7 +104,10 @@ def figure_lines(figure):
             if isinstance(axis.get_major_locator(), FixedLocator):
                 names = [t.get_text() for t in axis.get_ticklabels()]
                 yield f"    ticks {_row(axis.get_majorticklocs())} {names}"
-        yield from (f"    {_line(line)}" for line in ax.lines)
+        unnamed = [line for line in ax.lines if line.get_label().startswith("_")]
+        if len(unnamed) > FEW:
+            yield f"    {len(unnamed)} lines without a name: {_together(unnamed)}"
+        yield from (f"    {_line(line)}" for line in ax.lines if line not in unnamed or len(unnamed) <= FEW)
         yield from (f"    {_collection(part)}" for part in ax.collections)
         boxes = [p.get_path().transformed(p.get_patch_transform()).get_extents().extents for p in ax.patches]
         if len(boxes) > 4:
@@ -104,7 +120,8 @@ def figure_lines(figure):
         if (legend := ax.get_legend()) is not None:
             words = [t.get_text() for t in legend.get_texts()]
             size = f"size {legend.get_texts()[0].get_fontsize():g}" if words else ""
-            yield f"    legend {legend.get_title().get_text()!r} {words} {legend._ncols} columns {size} at {legend._loc}"
+            title = legend.get_title().get_text()
+            yield f"    legend {title!r} {words} {legend._ncols} columns {size} at {legend._loc}"
 
 
 def drawing_lines(frame, before=()):
@@ -117,7 +134,9 @@ def drawing_lines(frame, before=()):
         where = "" if points is None else _points(points)
         words = [f"{k} {about.pop('kind')}", where]
         words += [f"{_row(about.pop(name))}" for name in ("centre", "at") if name in about]
-        words += [f"{name} {v if isinstance(v, str) else _number(v)}" for name, v in about.items() if v not in (None, False)]
+        words += [
+            f"{name} {v if isinstance(v, str) else _number(v)}" for name, v in about.items() if v not in (None, False)
+        ]
         yield "    " + " ".join(w for w in words if w)
 
 

@@ -1,6 +1,7 @@
 """Studies: points, rows, interruption and resumption, searches, summaries, pictures."""
 
 import csv
+import itertools
 import json
 import math
 import os
@@ -19,9 +20,11 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from conftest import PATIENCE, until
+from matplotlib import rc_context
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import STUDY, ResultsFolder
 from softrig_bringup.options.grammar import values
+from softrig_bringup.plots.style import style
 from softrig_bringup.study import pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
@@ -32,6 +35,7 @@ from softrig_bringup.study.page import best
 from softrig_bringup.study.table import summarise, without_signals
 from softrig_bringup.study.work import absent
 from softrig_core import ScenarioError
+from told import check_told, figure_lines
 
 LAG = """
 title: First-order lag
@@ -602,6 +606,57 @@ def test_pictures_follow_from_the_form(folder, request, keys, pictures):
     page = (folder / "out" / "report.html").read_text()
     assert page.count("data:image/png") == len(drawn)
     assert re.findall(r'alt="(plot [^"_]*)"', page) == [Path(name).stem.replace("_", " ") for name in drawn]
+
+
+UNITS = {"settling": "s", "power": "W", "gain.k": "N/m", "plant.gain": "1/s", "lag/state/x/position": "m"}
+
+
+def many(cases=("",), over=(("gain.k", (1.0, 2.0, 3.0)),), seeds=2):
+    """Rows by formula; of some runs a figure never comes, of one it was not measured, one broke."""
+    for number, (case, at, seed) in enumerate(
+        itertools.product(cases, itertools.product(*(v for _, v in over)), range(seeds))
+    ):
+        settling = 0.3 * sum(at) + 0.07 * seed + 0.2 * len(case)
+        lost = number % 7 == 3
+        yield a_row(number, 0.0, None if lost else settling, seed, ["settling"] if number % 2 else []) | {
+            "case": case,
+            "overrides": {name: v for (name, _), v in zip(over, at, strict=True)},
+            "figures": {"settling": None if lost else settling, "power": 40.0 - number, "none": None},
+        }
+
+
+def keeping(rows):
+    """With a signal each: a line of six samples."""
+    for row in rows:
+        x = [k * row["figures"]["power"] for k in range(6)]
+        yield row | {"signals": {"lag/state/x/position": {"end": 0.5, "x": [] if row["number"] == 1 else x}}}
+
+
+K, G = ("gain.k", (1.0, 2.0, 3.0)), ("plant.gain", (0.5, 1.5))
+FINE = ("gain.k", tuple(0.1 * k for k in range(1, 14)))
+SEARCH = {"figure": "settling", "count": 9, "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}
+SCATTERED = {"count": 9, "parameters": {"gain.k": {"uniform": [1, 3]}, "plant.gain": {"uniform": [1, 3]}}}
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "rows"),
+    [
+        ("grid", {"cases": {"a": {}, "bb": {}}, "grid": {"gain.k": [1, 2, 3]}, "signals": ["lag/state/x/position"],
+                  "samples": 6}, [*many(("a", "bb"), (K,))]),
+        ("fine", {"grid": {"gain.k": [1, 2]}}, [*many(("",), (FINE,))]),
+        ("map", {"grid": {"gain.k": [1, 2, 3], "plant.gain": [1, 2]}}, [*many(("",), (K, G))]),
+        ("scattered", {"draws": SCATTERED}, [row | {"overrides": {"gain.k": 1.0 + 0.1 * k, "plant.gain": 2.0 - 0.2 * k}}
+                                             for k, row in enumerate(many(seeds=3))]),
+        ("seeds", {"seeds": 9, "figures": ["power"]}, [*many(over=(), seeds=9)]),
+        ("search", {"search": SEARCH | {"subject_to": {"power": "at least 33"}}}, [*many(over=(FINE,), seeds=1)]),
+        ("largest", {"search": SEARCH | {"aim": "maximise"}}, [*many(over=(FINE,), seeds=1)]),
+    ],
+)  # fmt: skip
+def test_pictures_of_studies_are_as_told(name, keys, rows):
+    demo = study(**keys)
+    with rc_context(style()):
+        drawn = [*pictures._figures(demo, rows, keeping(rows), UNITS)]
+    check_told(f"studies/{name}", (line for title, f in drawn for line in (title, *figure_lines(f))))
 
 
 def test_the_history_of_a_search_holds_the_best_so_far():
