@@ -7,6 +7,7 @@ at the pictures and at the difference before it is committed.
 import difflib
 import os
 from collections import Counter
+from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -144,3 +145,73 @@ def _points(points):
     if len(points) <= 4:
         return ", ".join(f"{_row(p)}" for p in points)
     return _curve(*np.array(points, float).T)
+
+
+class _Tree(HTMLParser):
+    """A page as nested lists: tag, attributes, what is in it."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.root = ("page", {}, [])
+        self._open = [self.root]
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        element = (tag, dict(attrs), [])
+        self._open[-1][2].append(element)
+        if tag not in VOID:
+            self._open.append(element)
+
+    def handle_startendtag(self, tag, attrs):
+        self._open[-1][2].append((tag, dict(attrs), []))
+
+    def handle_endtag(self, tag):
+        while self._open[-1][0] != tag:
+            self._open.pop()
+        self._open.pop()
+
+    def handle_data(self, data):
+        if data.strip():
+            self._open[-1][2].append(" ".join(data.split()))
+
+
+VOID = ("meta", "img", "br", "link")
+INLINE = ("td", "th", "code", "b", "a", "span", "dt", "dd", "title")
+
+
+def page_lines(text, without=()):
+    """A page of HTML: each element on a line, a row of a table on one; nothing below the headings of `without`."""
+    yield from _below(_Tree(text).root[2], 0, without)
+
+
+def _below(content, depth, without):
+    skipped = ""
+    for part in content:
+        if isinstance(part, str):
+            yield "  " * depth + repr(part)
+            continue
+        tag, attributes, inside = part
+        if tag in ("h1", "h2", "h3", "h4"):
+            skipped = tag if inside and inside[0] in without else ""
+        if skipped or tag == "style":
+            continue
+        if tag in ("tr", "dl") or all(isinstance(i, str) or i[0] in INLINE for i in inside):
+            yield "  " * depth + _inline(part)
+        else:
+            yield "  " * depth + _head(tag, attributes)
+            yield from _below(inside, depth + 1, without)
+
+
+def _head(tag, attributes):
+    told = {k: v for k, v in attributes.items() if k not in ("class", "data-label") and v}
+    told = {k: "data" if str(v).startswith("data:") else v for k, v in told.items()}
+    name = ".".join([tag, *(attributes.get("class") or "").split()])
+    return " ".join([name, *(f"{k}={v}" for k, v in told.items())])
+
+
+def _inline(part):
+    if isinstance(part, str):
+        return part
+    tag, attributes, inside = part
+    words = " | ".join(_inline(i) for i in inside)
+    return f"{_head(tag, attributes)}: {words}" if tag not in ("td", "th") or attributes.get("class") else words

@@ -24,18 +24,19 @@ from matplotlib import rc_context
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import STUDY, ResultsFolder
 from softrig_bringup.options.grammar import values
+from softrig_bringup.page.html import page as make_page
 from softrig_bringup.plots.style import style
-from softrig_bringup.study import pictures
+from softrig_bringup.study import page, pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
 from softrig_bringup.study.draw import cases, count, drafts_of, draw
 from softrig_bringup.study.engine import _check, run_study
 from softrig_bringup.study.options import folder_name, study_of
 from softrig_bringup.study.page import best
-from softrig_bringup.study.table import summarise, without_signals
+from softrig_bringup.study.table import claims, results, summarise, without_signals
 from softrig_bringup.study.work import absent
 from softrig_core import ScenarioError
-from told import check_told, figure_lines
+from told import check_told, figure_lines, page_lines
 
 LAG = """
 title: First-order lag
@@ -443,6 +444,39 @@ def test_summaries_by_hand():
     assert value(statistic="count") == 4.0
     assert math.isnan(value())
     assert math.isnan(value(where={"case": "c"}))
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "made"),
+    [
+        ("summaries", {"grid": {"gain.k": [1, 2, 3]}, "source": "Nobody 2020", "duration": 0.3, "seeds": 2,
+                       "summaries": {"mean_last": {"figure": "settling"}, "share_of_it": {
+                           "figure": "settling", "statistic": "share", "of": "at most 0.6", "where": {"gain.k": 1.0}}},
+                       "expect": {"mean_last": "0.5 +- 0.1", "share_of_it": "at least 0.5"},
+                       "claims": {"mean_last": {"published": 0.6, "where": "Table I", "verdict": "reproduced"},
+                                  "share_of_it": {"published": 0.1, "where": "Table I", "verdict": "refuted",
+                                                  "reason": "it is more"}}}, {"over": (("gain.k", (1.0, 2.0, 3.0)),)}),
+        ("few", {"cases": {"a": {}, "bb": {}}, "grid": {"gain.k": [1, 2]}, "figures": ["power", "settling"]},
+         {"cases": ("a", "bb"), "over": (("gain.k", (1.0, 2.0)),)}),
+        ("best", {"seeds": 2, "search": {"figure": "settling", "count": 4, "subject_to": {"power": "at most 39"},
+                                         "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}},
+         {"over": (("gain.k", (2.0, 1.0, 3.0)),)}),
+        ("none", {"search": {"figure": "settling", "count": 4, "subject_to": {"power": "at most 1"}, "aim": "maximise",
+                             "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}}, {"seeds": 1}),
+    ],
+)  # fmt: skip
+def test_the_page_of_a_study_and_what_is_printed_are_as_told(name, keys, made, folder, capsys, monkeypatch):
+    """Rows by formula; one of them broke where there is more than one seed."""
+    demo, rows = study(**keys), [row | {"wall_s": 0.25, "ticks": 10} for row in many(**made)]
+    if name != "best":
+        rows[2] |= {"error": "node gain: RuntimeError: gone", "figures": {}}
+    found = results(demo, rows)
+    held = claims(demo, found)
+    monkeypatch.setenv("SOFTRIG_COMMAND", "softrig")
+    page._print(demo, rows, found, held, Path("out"))
+    said = capsys.readouterr().out.replace(str(folder), "HERE").splitlines()
+    text = make_page("Demo", page._page(demo, rows, found, held, [], UNITS)).replace(str(folder), "HERE")
+    check_told(f"studies/page_{name}", [*said, *page_lines(text)])
 
 
 def test_expectations_and_claims_of_a_study_are_held(folder, capsys):
