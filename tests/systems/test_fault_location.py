@@ -641,6 +641,7 @@ def test_confidence_covers_the_error():
             confidence(noisy, p, found, ErrorBudget(sync_us=0, ratio=0, reactance=0, resistance=0)).scatter_km
         )
     assert 0.3 < np.mean(scatters) / np.std(errors) < 3.0
+    assert scatters[0] == pytest.approx(0.0610, rel=0.02)  # km; of eight stretches
     clean = simulated()
     trust = confidence(clean, p, locate(clean, p))
     table = {"clocks 1 us": 0.0018, "u_s 0.5 %": 0.138, "L1 1 %": 0.095}
@@ -1028,6 +1029,9 @@ def test_tables_of_the_study_are_as_told(monkeypatch, capsys, tmp_path):
     ]
     *said, last = capsys.readouterr().out.splitlines()
     assert last.startswith("48 locations in 0 s")
+    assert study_tool.main([]) == 0
+    assert given[-1] == (study.published_jobs(), None)
+    assert capsys.readouterr().out.splitlines()[:-1] == said
     table = study_tool.sensitivity_table({"none": [1.0, -2.25, 1e3, math.nan], "R1 = 0": [0.0] * 4})
     changed = [f"{name}: {rig} {locator}" for name, rig, locator in study.disturbances()]
     check_told("fault_study", [*said, *table.splitlines(), *study.as_csv(rows[:6]).splitlines(), *changed])
