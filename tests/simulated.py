@@ -36,6 +36,8 @@ class Endpoint:
     born: int
     peers: int = 0  # that are matched, as this end sees it
     fits: bool = True  # whether its profile is one that anybody meets
+    numbered: Callable[[int], None] | None = None
+    said: int = 0  # messages of a writer
     known: dict = field(default_factory=dict)  # of a writer: reader -> time from which that accepts what is sent
 
     @property
@@ -70,6 +72,7 @@ class World:
             readers = [(r, 0) for r in self.readers if writer.meets(r)]
         else:
             readers = writer.known.items()
+        writer.said += 1
         for reader, accepts in readers:
             key = (writer, reader)  # one writer's messages never overtake each other
             when = max(self.now + self.latency(writer.topic, writer.node.name, reader.node.name), accepts)
@@ -79,14 +82,14 @@ class World:
                 and self.prompt.random() < 0.5
             ):
                 self.last[key] = self.now
-                reader.node.deliver(reader, data)
+                reader.node.deliver(reader, data, writer.said)
                 continue
             self.last[key] = when = max(when, self.last.get(key, 0))
-            self.at(when, partial(self._arrive, writer.node, reader, data), reader.node)
+            self.at(when, partial(self._arrive, writer.node, reader, data, writer.said), reader.node)
 
-    def _arrive(self, sender, reader, data):
+    def _arrive(self, sender, reader, data, number):
         if not sender.lost:
-            reader.node.deliver(reader, data)
+            reader.node.deliver(reader, data, number)
 
     def add(self, end):
         ends, others = (self.readers, self.writers) if end.receive else (self.writers, self.readers)
@@ -236,7 +239,9 @@ class SimulatedNode(Middleware):
         now = self.world.now
         return self.prompt and not self.dead and max(last, accepts, self.stalled) < now
 
-    def deliver(self, end, data):
+    def deliver(self, end, data, number):
+        if end.numbered is not None:
+            end.numbered(number)
         if self.prompt:
             self.monitor.arrive(partial(end.receive, data))
         else:
@@ -260,8 +265,9 @@ class SimulatedNode(Middleware):
         self.world.add(end)
         return lambda data: self.world.send(end, data)
 
-    def subscribe(self, topic, msgtype, receive, matched, fits=True):
-        self.world.add(Endpoint(self, self.resolve(topic), msgtype, receive, matched, self.world.now, fits=fits))
+    def subscribe(self, topic, msgtype, receive, matched, numbered=None, fits=True):
+        name, now = self.resolve(topic), self.world.now
+        self.world.add(Endpoint(self, name, msgtype, receive, matched, now, fits=fits, numbered=numbered))
 
     def post(self, call):
         self.world.at(self.world.now, call)  # of the process, which outlives the node

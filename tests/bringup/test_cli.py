@@ -349,6 +349,18 @@ def test_most_deadlines_missed_is_no_silent_success(folder, monkeypatch, capsys,
     assert slow == (options != ["--max-missed", "76.8"])  # not more than that
 
 
+def test_work_that_was_late_against_the_wall_clock_is_named_first(folder, monkeypatch, capsys):
+    def late(scenario, *_):
+        done = simulate(scenario)
+        done.status = {"gain": {"ticks": 100, "missed_deadlines": 0, "reports": {"unfinished": [0, "not done", 3]}}}
+        return done
+
+    monkeypatch.setattr("softrig_bringup.verbs.run_verb.execute", late)
+    run("lag", "--realtime", "--no-record", "--no-plots")
+    said = "the machine did not keep up: the work of gain was not done at 3 of its ticks when it was due; "
+    assert capsys.readouterr().err.startswith(f"softrig: {said}the figures are of a slower loop\n")
+
+
 def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys, undrawn):
     x = {"signal": "lag/state/x/position"}
     settings = {

@@ -2,6 +2,7 @@
 
 import json
 import random
+import re
 import shutil
 import sys
 
@@ -359,6 +360,26 @@ def test_a_package_that_one_range_needs_is_named_before_anything_is_written(file
     assert "falsify needs the package 'optuna'" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
     assert main([*given, "--sampler", "random", "--out", str(tmp_path / "a")]) == 0  # this one needs none
+
+
+@pytest.mark.parametrize("wrong", ["figures: {peak: {arguments: {signal: motor/nowhere}}}", "cites: [nobody1999]"])
+def test_what_its_runs_do_not_ask_for_is_judged_before_the_first_one(wrong, file, tmp_path, capsys):
+    """A trial measures its requirements alone: what is wrong elsewhere would be found when the search is over."""
+    file.write_text(f"{FILE}{wrong}\n")
+    given = [
+        "falsify",
+        str(file),
+        "--over",
+        "dc_motor_plant.R=0.6..0.7",
+        "--budget",
+        "4",
+        "--workers",
+        "1",
+        "--no-plots",
+    ]
+    assert main([*given, "--out", str(tmp_path / "a")]) == 2
+    assert re.search(r"no signal 'motor/nowhere'|nobody1999", capsys.readouterr().err)
+    assert not (tmp_path / "a").exists()
 
 
 def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(undrawn, tmp_path):

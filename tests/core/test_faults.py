@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from conftest import differences, in_process, make_scenario
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from simulated import Discovery, SimulatedRig, World
 from softrig_control.fault import Fault
 from softrig_core import ByHand, ParameterError, RunError, ScenarioError, rig_of, simulate
@@ -133,6 +133,153 @@ def test_when_it_comes_does_not_shift_its_random_numbers():
 def test_numbers_that_make_no_sense_are_refused(params, reason):
     with pytest.raises(ParameterError, match=reason):
         through([0.0], **params)
+
+
+KINDS = (
+    "offset",
+    "scale",
+    "drift",
+    "noise",
+    "quantise",
+    "saturate",
+    "stuck",
+    "spike",
+    "delay",
+    "loss",
+    "repeat",
+    "silence",
+    "add",
+    "replace",
+    "invalid",
+)
+SOME = st.sampled_from([0.0, 0.02, 0.05])
+
+
+@st.composite
+def drawn_faults(draw):
+    """Parameters of a fault on a link of two values, 24 messages of which some do not come, and when it is switched."""
+    kind = draw(st.sampled_from(KINDS))
+    start = draw(SOME)
+    p = {
+        "kind": kind,
+        "channels": ("a", "b"),
+        "fields": ("position",),
+        "start": start,
+        "holds": draw(st.booleans()),
+        "active": draw(st.booleans()),
+    }
+    p["affects"] = draw(st.sampled_from([(), ("b",), ("b", "a")]))
+    count = len(p["affects"]) or 2
+    p["value"] = tuple(draw(st.sampled_from([0.0, 0.25, 1.5])) for _ in range(draw(st.sampled_from([1, count]))))
+    if kind == "saturate" and draw(st.booleans()):
+        p["lower"] = tuple(draw(st.sampled_from([-0.5, 0.0])) for _ in range(draw(st.sampled_from([1, count]))))
+    if kind in ("add", "replace"):
+        p["points"] = tuple(draw(st.sampled_from([0.0, 1.0, -2.0])) for _ in range(draw(st.integers(1, 4))))
+        p["span"], p["linear"] = draw(st.sampled_from([0.03, 0.08, 1.0])), draw(st.booleans())
+    if draw(st.booleans()):
+        p["stop"] = start + 0.06
+    if draw(st.booleans()):
+        p["every"], p["lasts"] = 0.04, draw(st.sampled_from([0.01, 0.02]))
+    p["probability"] = draw(st.sampled_from([0.0, 0.5, 1.0]))
+    if draw(st.booleans()):
+        p["burst_begins"], p["burst_ends"], p["lost_in_burst"] = 0.5, 0.4, draw(st.sampled_from([0.0, 0.6, 1.0]))
+    p["delay"], p["jitter"] = draw(st.sampled_from([0.0, 0.015, 0.03])), draw(st.sampled_from([0.0, 0.02]))
+    p["overtaking"] = draw(st.booleans())
+    values = [tuple(draw(st.integers(-8, 8)) / 4.0 for _ in range(2)) for _ in range(24)]
+    fresh = [True] + [draw(st.integers(0, 3)) > 0 for _ in range(23)]
+    return p, values, fresh, draw(st.sets(st.integers(0, 23), max_size=3))
+
+
+def by_hand(p, values, fresh, toggles, random, normal):
+    """What comes out at each tick, written down from the documentation of the parameters; times in ticks of 10 ms."""
+    concerned = [("a", "b").index(name) for name in p["affects"]] or [0, 1]
+    kind, n = p["kind"], len(concerned)
+    amount = p["value"] * (n if len(p["value"]) == 1 else 1)
+    lower = p.get("lower") or [-v for v in amount]
+    lower = list(lower) * (n if len(lower) == 1 else 1)
+    start, stop = round(p["start"] * 100), round(p.get("stop", 0.0) * 100) or math.inf
+    every, lasts = round(p.get("every", 0.0) * 100), round(p.get("lasts", 0.0) * 100)
+    on, burst, begun, stuck, before, last, newest, due_before = p["active"], False, None, None, None, (0.0, 0.0), -1, 0
+    line, out, number = [], [], 0
+
+    def changed(k, x, t):
+        if k not in concerned:
+            return x
+        i = concerned.index(k)
+        points = p.get("points", (0.0,))
+        share = (t - start) / (p.get("span", 1.0) * 100)
+        at = [j / max(len(points) - 1, 1) for j in range(len(points))]
+        step = points[min(int(share * len(points) + 1e-9), len(points) - 1)]
+        profile = float(np.interp(share, at, points)) if p.get("linear") else step
+        return {
+            "offset": x + amount[i],
+            "spike": x + amount[i],
+            "scale": x * amount[i],
+            "drift": x + amount[i] * (t - begun) / 100.0,
+            "noise": x + amount[i] * normal(n * number + i),
+            "quantise": math.floor(x / amount[i] + 0.5) * amount[i] if amount[i] else x,
+            "saturate": min(max(x, lower[i]), amount[i]),
+            "stuck": stuck[k],
+            "add": x + profile,
+            "replace": profile,
+            "invalid": math.nan,
+        }[kind]
+
+    for t, sent in enumerate(values):
+        on ^= t in toggles and t - 1 not in toggles
+        said = None
+        if fresh[t]:
+            draw, turn = random(2 * number), random(2 * number + 1)
+            if kind == "loss" and "burst_begins" in p:
+                burst = turn >= p["burst_ends"] if burst else turn < p["burst_begins"]
+            if not (on and start <= t < stop and (not every or (t - start) % every < lasts)):
+                begun, said, newest = None, sent, t
+            else:
+                if begun is None:
+                    begun, stuck = t, sent
+                chance = p["probability"] if "burst_begins" not in p else p["lost_in_burst"] if burst else 0.0
+                if kind == "delay":
+                    due = t + math.ceil(p["delay"] * 100 - 1e-9) + int(draw * (round(p["jitter"] * 100) + 1))
+                    due_before = due if p["overtaking"] else max(due, due_before)
+                    line.append((due_before, t, sent))
+                elif kind == "repeat":
+                    said = before if before and draw < p["probability"] else sent
+                elif kind in ("spike", "invalid") and draw >= p["probability"]:
+                    said = sent
+                elif kind not in ("silence", "loss"):
+                    said = tuple(changed(k, x, t) for k, x in enumerate(sent))
+                elif kind == "loss" and draw >= chance:
+                    said = sent
+            before, number = sent, number + 1
+        came = [entry for entry in line if entry[0] <= t]
+        line = [entry for entry in line if entry[0] > t]
+        if came and max(entry[1] for entry in came) > newest:
+            _, newest, said = max(came, key=lambda entry: entry[1])
+        last = said or last
+        out.append(last if said or p["holds"] else None)
+    return out
+
+
+@given(drawn_faults(), st.integers(0, 3))
+@settings(max_examples=100, deadline=None, derandomize=True)
+def test_any_fault_is_what_its_parameters_say(drawn, seed):
+    p, values, fresh, toggles = drawn
+    if p["kind"] == "saturate" and any(low > high for low, high in zip(*limits_of(p), strict=True)):
+        return
+    dice = ByHand(Fault(name="fault", topic_in="a", topic_out="b", **p))
+    dice.reset(seed)
+    expected = by_hand(p, values, fresh, toggles, dice.block.uniform, dice.block.standard_normal)
+    found = through(values, seed, toggles=toggles, fresh=fresh, **p)
+    assert [x is None for x in found] == [x is None for x in expected]
+    told = [(a, b) for a, b in zip(found, expected, strict=True) if a is not None]
+    assert [a for a, _ in told] == [pytest.approx(b, abs=1e-12, nan_ok=True) for _, b in told]
+
+
+def limits_of(p):
+    count = len(p["affects"]) or 2
+    high = p["value"] * (count if len(p["value"]) == 1 else 1)
+    low = p.get("lower", tuple(-x for x in high))
+    return low * (count if len(low) == 1 else 1), high
 
 
 def faulty(duration=0.3, nodes=BASIC, **faults):

@@ -375,6 +375,63 @@ def test_of_commands_that_come_in_another_order_the_newest_stamp_counts_and_the_
     assert plant.drive.statistics()["late_messages"] == 3 * 39
 
 
+@pytest.fixture
+def beside_a_dead_law():
+    """A plant whose law was killed 2 s ago and is still matched, and another law in its place: speaks, tells."""
+    world = World()
+    run = SimulatedRig(basic(60.0), world, "realtime", without=("gain", "source"))
+    laws = [SimulatedNode(world, name, {}) for name in ("gain", "again")]
+    say = [law.publisher("lag/command", COMMAND.msgtype, lambda count: None) for law in laws]
+    layout, row = COMMAND.layout(), run.adapters["plant"].inputs[0]
+    world.match()
+    row.matched(1)
+
+    def speak(who, until, every=10):
+        """Commands of one of the two until so many ms, its number each; the newest that the plant has."""
+        for t in range(world.now, run.epoch + until * MS, every * MS):
+            world.run(t)
+            world.now = t
+            say[who](layout.encode(t, (float(who + 1),)))
+        world.run(world.now + MS)
+        return run.adapters["plant"].values["command"] if row.arrived is not None else None
+
+    world.run(run.epoch)
+    assert speak(0, 1000, every=2) == (1.0,)
+    world.run(run.epoch + 3000 * MS)
+    world.match()  # the other one is there, and nobody has told that the first one is not
+    assert row.publishers == 2
+    return run, speak
+
+
+def test_who_takes_the_place_of_a_killed_law_is_believed_when_that_has_been_silent_for_long(beside_a_dead_law):
+    run, speak = beside_a_dead_law
+    row = run.adapters["plant"].inputs[0]
+    assert speak(1, 3990) is None
+    assert row.last_refusal == "2 publishers at once (again, gain), expected one"
+    assert speak(1, 4050) == (2.0,)
+    said = "of 2 publishers one alone has spoken for 1 s: it is believed"
+    assert run.adapters["plant"].block.reports["rivals lag/command"][1:] == (said, 1)
+    refused = row.refused
+    row.matched(1)  # its lease is over
+    run.adapters["plant"].drive.on_matched(row)
+    assert (speak(1, 6000), row.refused) == ((2.0,), refused)
+
+
+@pytest.mark.parametrize("at", [3500, 4500, 9000])  # before it is believed; it has sent fewer, and more
+def test_of_two_who_both_speak_neither_is_ever_believed(beside_a_dead_law, at):
+    """The first one was held, not killed: at its first word the other one loses its belief, too."""
+    run, speak = beside_a_dead_law
+    row = run.adapters["plant"].inputs[0]
+    speak(1, at)
+    assert row.disputed == (at < 4000)
+    newest = row.recent[-1]
+    speak(0, at + 1)
+    assert row.recent[-1] == newest, "its command counts for nothing"
+    speak(1, at + 20_000)
+    assert row.disputed, "two have been heard"
+    assert row.recent[-1] == newest
+
+
 def test_a_law_far_behind_drops_what_is_older_than_the_window_and_says_so():
     rig = basic(10.0)
     world = World()

@@ -138,8 +138,11 @@ def test_against_the_wall_clock_nothing_waits():
     block.block.worker.warm()
     found = drive(block, 5)  # answers without the plan, which takes longer than five ticks
     assert [v["plan"][0] for v in found] == [-1.0] * 5
+    # at the tick of the request nobody can have its result
+    assert block.reports["unfinished"][1:] == ("the work was not done when its result was due: answered without it", 4)
     assert block.block.worker.wait(PATIENCE)
     assert drive(block, 1, 5)[0]["plan"] == (0.0, 1.0)
+    assert block.reports["unfinished"][2] == 4
     assert block.x.jobs.active.stamp == 500_000_000, "the newest request is next, the four between are forgotten"
     assert set(block.health()) >= {"work"}
     while "plan" not in block.health():

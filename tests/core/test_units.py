@@ -1,11 +1,14 @@
 """Units: held against each other where a rig is wired, converted where a figure asks for another."""
 
 import math
+import re
 
+import numpy as np
 import pytest
+from hypothesis import example, given, settings, strategies as st
 from softrig_control.unit_delay import UnitDelay
 from softrig_core import Block, BlockParams, Plant, Rig, ScenarioError, command, param, scalars
-from softrig_core.judge.units import factor, misfit
+from softrig_core.judge.units import base, compose, factor, misfit, powers, pretty_unit, text
 from softrig_core.rig.members import signal_units
 
 
@@ -96,3 +99,115 @@ def test_units_are_converted_where_they_measure_the_same(given, wanted, number):
     found = factor(given, wanted)
     assert found == (None if number is None else pytest.approx(number))
     assert bool(misfit(given, wanted)) == (number != 1.0)
+
+
+# by hand from the SI brochure: number of kg, m, s, A, K and rad in each, and how many of those one is
+DIMENSIONS = {
+    "s": ("001000", 1),
+    "m": ("010000", 1),
+    "g": ("100000", 1e-3),
+    "A": ("000100", 1),
+    "K": ("000010", 1),
+    "rad": ("000001", 1),
+    "Hz": ("00-1000", 1),
+    "N": ("11-2000", 1),
+    "Pa": ("1-1-2000", 1),
+    "J": ("12-2000", 1),
+    "W": ("12-3000", 1),
+    "VA": ("12-3000", 1),
+    "var": ("12-3000", 1),
+    "C": ("001100", 1),
+    "V": ("12-3-100", 1),
+    "ohm": ("12-3-200", 1),
+    "Ohm": ("12-3-200", 1),
+    "F": ("-1-24200", 1),
+    "H": ("12-2-200", 1),
+    "Wb": ("12-2-100", 1),
+    "T": ("10-2-100", 1),
+    "%": ("000000", 0.01),
+    "percent": ("000000", 0.01),
+    "deg": ("000001", math.pi / 180),
+    "rpm": ("00-1001", 2 * math.pi / 60),
+    "rev": ("000001", 2 * math.pi),
+    "min": ("001000", 60),
+    "h": ("001000", 3600),
+}
+PREFIXES = {"": 0, "p": -12, "n": -9, "u": -6, "m": -3, "c": -2, "k": 3, "M": 6, "G": 9}
+PLAIN = ("%", "percent", "deg", "rpm", "rev", "min", "h")
+
+
+def parsed(name):
+    """Dimensions and size of a unit with its prefix."""
+    prefix, unit = name
+    found = [int(x) for x in re.findall(r"-?\d", DIMENSIONS[unit][0])]
+    return np.array(found), 10.0 ** PREFIXES[prefix] * DIMENSIONS[unit][1]
+
+
+NAMES = st.one_of(
+    st.tuples(st.sampled_from([*PREFIXES]), st.sampled_from([u for u in DIMENSIONS if u not in PLAIN])),
+    st.tuples(st.just(""), st.sampled_from(PLAIN)),
+)
+UNITS = st.lists(st.tuples(NAMES, st.sampled_from([1, 1, 2, 3, -1, -2])), min_size=1, max_size=3)
+
+
+def written(unit):
+    text = ""
+    for k, (name, power) in enumerate(unit):
+        over = power < 0 and k > 0
+        size = -power if over else power
+        text += ("/" if over else " " if k else "") + "".join(name) + (f"^{size}" if size != 1 else "")
+    return text
+
+
+def total(unit):
+    dims = sum(parsed(name)[0] * power for name, power in unit)
+    return dims.tolist(), math.prod(parsed(name)[1] ** power for name, power in unit)
+
+
+@given(UNITS, UNITS)
+@settings(max_examples=60, deadline=None, derandomize=True)
+@example([(("", "N"), 1), (("", "m"), 1)], [(("", "J"), 1)])
+@example([(("k", "g"), 1)], [(("", "g"), 1)])
+@example([(("", "rad"), 2)], [(("", "deg"), 2)])
+@example([(("", "V"), 1)], [(("m", "V"), 1)])
+@example([(("", "rev"), 1), (("", "min"), -1)], [(("", "rpm"), 1)])
+def test_any_two_units_measure_the_same_or_not(one, other):
+    (dims, size), (wanted, of) = total(one), total(other)
+    a, b = written(one), written(other)
+    assert base(a)[0] == pytest.approx(size, rel=1e-12)
+    assert powers(text(powers(a))) == powers(a)
+    found = factor(a, b)
+    if dims == wanted:
+        assert found == pytest.approx(size / of, rel=1e-12)
+        same = math.isclose(size, of, rel_tol=1e-12)
+        assert misfit(a, b).startswith("" if same else f"is in {a!r}, expected {b!r}: the same quantity, 1 ")
+        assert bool(misfit(a, b)) != same
+    else:
+        assert found is None
+        assert misfit(a, b) == f"is in {a!r}, expected {b!r}, which is another quantity"
+    assert misfit(a, "") == misfit("", b) == ""
+
+
+def test_how_units_are_written():
+    assert powers("m/s^2") == {"m": 1, "s": -2}
+    assert powers("1/s") == {"s": -1}
+    assert powers("N*m/rad/m") == {"N": 1, "rad": -1}
+    assert text({"m": 1, "s": -2}) == "m/s^2"
+    assert text({"s": -1}) == "1/s"
+    assert text({"a": 2, "b": 1, "c": -1, "d": -3}) == "a^2 b/c/d^3"
+    assert text({}) == ""
+    assert [compose(t, "V") for t in ("A", "{signal}", "{signal}/s", "{signal} s", "{signal}^2")] == [
+        "A",
+        "V",
+        "V/s",
+        "V s",
+        "V^2",
+    ]
+    assert compose("{signal} s", "m/s") == "m"
+    assert compose("{signal}^2 s", "m/s") == "m^2/s"
+    assert misfit("V", "mV") == (
+        "is in 'V', expected 'mV': the same quantity, 1 V = 1000 mV; declare 'V' at the reader and scale there, "
+        "or 'mV' at the sender and scale there"
+    )
+    assert ": the same quantity, 1 % = 0.01; declare" in misfit("%", "1")
+    assert [pretty_unit(u) for u in ("kg m^2", "ohm", "m^-12", "kohm")] == ["kg m²", "Ω", "m⁻¹²", "kohm"]

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections import deque
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ from faultrig import COMMAND, STATE, Lag
 from simulated import _Sink
 from softrig_core import Block, Recording, Rig, Signals, command, load_scenario, rig_of
 from softrig_core.node import container as container_module
+from softrig_core.node.adapter import adapter as adapter_module
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.container import Container
 from softrig_core.node.group import Group
@@ -70,7 +72,7 @@ class Contained:
             self.readers[name] = matched
             return self.carried.setdefault(name, []).append
 
-        def subscribe(middleware, topic, msgtype, receive, matched):
+        def subscribe(middleware, topic, msgtype, receive, matched, numbered=None):
             self.writers[middleware.name, middleware.resolve(topic)] = matched
             self.receivers[middleware.name, middleware.resolve(topic)] = receive
 
@@ -197,9 +199,10 @@ def test_who_is_late_answers_with_what_had_been_said_by_its_tick(held, missed, w
 
     run = Contained(Rig.from_blocks({"plant": Both(), "law": Slow(Slow.Params(period=0.03))}, 0.3), monkeypatch)
     run.run(run.epoch + 105_000_000)
+    plant, law = run.adapters["plant"], run.adapters["law"]
+    plant.drive._lateness = deque(maxlen=3)  # the largest is of all ticks all the same
     run.clock.t += held
     assert run.run() == {"done"}
-    plant, law = run.adapters["plant"], run.adapters["law"]
     assert (plant.drive.missed, law.drive.missed) == missed
     assert plant.drive.statistics()["lateness_max_ms"] >= 5.0
     found = run.numbers()["lag/command/u/effort"]
@@ -328,10 +331,14 @@ def test_a_status_is_whole_while_it_is_changed_in_its_place(tmp_path, monkeypatc
     plant.write_status()  # shorter
     assert json.loads(path.read_text()) == before | {"t": 7, "cpu_s": json.loads(path.read_text())["cpu_s"]}
     assert path.stat().st_ino == number
-    plant.state = "done"
-    plant.write_status()
+    plant.state, worked = "done", []
+    monkeypatch.setattr(adapter_module, "figures", lambda step: worked.append(step) or {"figures": {"a": [1.0, ""]}})
+    for _ in range(3):
+        plant.write_status()
     assert path.stat().st_ino != number
     assert json.loads(path.read_text())["missed_deadlines"] == 0
+    assert json.loads(path.read_text())["figures"] == {"a": [1.0, ""]}
+    assert len(worked) == 1, "figures of a long run take a second"
 
 
 @pytest.mark.parametrize("states", [("failed", "done"), ("done", "done"), ("failed", "failed")])

@@ -197,6 +197,27 @@ def test_of_two_rivals_neither_is_believed(bench):
     bench.wait(lambda: bench.signal("plant", APPLIED).x[-1] != 0.0)
 
 
+ANOTHER = """def send():
+    global publisher, said
+    said += 1
+    if said == 100:
+        publisher = node.create_publisher(JointState, "lag/command", 10)"""
+TAKES_OVER = PUBLISHER.replace("VALUE", "2.0 if said < 100 else 3.0").replace("def send():", f"said = 0\n{ANOTHER}")
+
+
+@pytest.mark.long
+def test_of_two_publishers_the_one_that_alone_speaks_is_believed(bench):
+    """The first one stays and is silent, as one that was killed does for its lease."""
+    bench.start("plant", "plant")
+    outside(bench, "intruder", TAKES_OVER)
+    bench.wait(lambda: 3.0 in bench.signal("plant", APPLIED).x)
+    bench.wait(lambda: "rivals lag/command" in bench.status("plant")["reports"])
+    refused = bench.status("plant")["refused"]["lag/command"]
+    assert refused[1].startswith("2 publishers at once")
+    goes_on(bench, 50)
+    assert bench.status("plant")["refused"]["lag/command"] == refused
+
+
 def test_nan_from_outside_is_refused_and_counted(bench):
     bench.start("plant", "plant")
     outside(bench, "intruder", PUBLISHER.replace("VALUE", "float('nan')"))

@@ -1,5 +1,7 @@
 """A rig waits for outside nodes as long as it takes, and no clock but the steady one decides; over simulated nodes."""
 
+import json
+import os
 import random
 import time
 from types import SimpleNamespace
@@ -281,6 +283,20 @@ def test_who_watches_a_run_waits_for_its_start_whatever_the_system_clock_does(ju
     now = time.time() + jump
     monkeypatch.setattr(time, "time", lambda: now)
     assert supervision._to_start(epoch, 8.0) == pytest.approx(seconds, abs=0.1)
+
+
+def test_who_has_said_why_it_failed_is_the_cause_before_its_process_has_ended(tmp_path, monkeypatch):
+    """On a busy host it takes its time to end, and those that waited for it have ended before."""
+    monkeypatch.setattr(supervision, "GRACE", 0.0)
+
+    def child(name, code, error, waits_for):
+        status = tmp_path / name
+        status.write_text(json.dumps({"state": "failed", "error": error, "waits_for": waits_for}))
+        process = SimpleNamespace(poll=lambda: code, returncode=code, pid=os.getpid())
+        return SimpleNamespace(member=SimpleNamespace(name=name), process=process, status=status, log=status)
+
+    source, gain = child("source", None, "hears nobody", []), child("gain", 3, "nothing from source", ["source"])
+    assert supervision._reason([source, gain], [gain], None) == "node source: hears nobody"
 
 
 def test_a_clock_that_was_set_back_is_a_reason(monkeypatch):

@@ -156,10 +156,10 @@ class Player:
         publishers: Publishers,
         part: Span,
         *,
-        rate: float = 1.0,
-        loop: bool = False,
-        clock: bool = False,
-        paused: bool = False,
+        rate: float,
+        loop: bool,
+        clock: bool,
+        paused: bool,
     ) -> None:
         self._session, self._bag, self._publishers, self._part = session, bag, publishers, part
         self._rate, self._loop = rate, loop

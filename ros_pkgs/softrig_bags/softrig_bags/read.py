@@ -61,9 +61,7 @@ class BagSignals(Signals):
         Whether time is known to count from the start of the run: it is simulated, or the run has left its epoch.
     """
 
-    def __init__(
-        self, recording: Recording, epoch: int, stores: dict[str, Typestore | None], from_start: bool = True
-    ) -> None:
+    def __init__(self, recording: Recording, epoch: int, stores: dict[str, Typestore | None], from_start: bool) -> None:
         super().__init__(recording, epoch)
         self._stores = stores
         self.from_start = from_start

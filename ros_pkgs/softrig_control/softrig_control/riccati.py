@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,13 +34,15 @@ def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
     E. K.-W. Chu et al., Int. J. Systems Science 35, 2004.
     """
     A, G, H = (np.array(x, dtype=float) for x in (a, g, h))
-    for _ in range(60):
-        W = solve(np.eye(len(A)) + product(G, H), np.eye(len(A)))
-        AW, more = product(A, W), product(product(A.T, H), product(W, A))
-        G = G + product(product(AW, G), A.T)
-        A, H = product(AW, A), H + more
-        if np.max(np.abs(A)) < 1e-20:  # what is left of the start
-            return H
+    # what has no solution grows beyond all numbers, or goes on for ever
+    with np.errstate(over="ignore", invalid="ignore"), suppress(np.linalg.LinAlgError):
+        for _ in range(60):
+            W = solve(np.eye(len(A)) + product(G, H), np.eye(len(A)))
+            AW, more = product(A, W), product(product(A.T, H), product(W, A))
+            G = G + product(product(AW, G), A.T)
+            A, H = product(AW, A), H + more
+            if np.max(np.abs(A)) < 1e-20:  # what is left of the start
+                return H if np.isfinite(H).all() else None
     return None
 
 
@@ -74,11 +77,10 @@ def lqr(a: ArrayLike, b: ArrayLike, q: ArrayLike, r: ArrayLike) -> Matrix:
             f"A is {A.shape}, B {B.shape}, Q {Q.shape}, R {R.shape}: expected (n, n), (n, m), (n, n), (m, m)"
         )
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # what has no solution grows beyond all numbers
-            X = riccati(A, product(B, solve(R, B.T)), Q)
+        X = riccati(A, product(B, solve(R, B.T)), Q)
     except np.linalg.LinAlgError:
         X = None
-    if X is None or not np.isfinite(X).all():
+    if X is None:
         raise ValueError(
             "no such law: R is singular, or a state that grows is not reached by the inputs or not weighed"
         )

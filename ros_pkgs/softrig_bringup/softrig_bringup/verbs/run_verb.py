@@ -21,6 +21,7 @@ from softrig_core.processes.fork_server import prepare
 from softrig_core.processes.placement import Listener
 from softrig_core.processes.stopping import stoppable, unstopped
 from softrig_core.rig.agreement import assumptions
+from softrig_core.solver.solver import UNFINISHED
 
 from ..folder import ResultsFolder
 from ..options import packed
@@ -242,15 +243,23 @@ def too_slow(
     broken: bool = False,
     container: str = "--mode container",
 ) -> str:
-    """Say that the machine did not keep up; of a rig that has tripped or broken every missed deadline counts."""
+    """Say that the machine did not keep up, in ticks or in a solver's work.
+
+    Of a rig that has tripped or broken every missed deadline counts.
+    """
     trips = tripped(rig, status)
     most = MISSED if options.max_missed is None else options.max_missed
     most = 0.0 if trips or broken else most
     late = [f"{node} missed {share:.3g} % of its deadlines" for node, share in _missed(status).items() if share > most]
+    faster = f", {container} is faster" if late and options.mode == "processes" else ""
+    for node, s in status.items():
+        if UNFINISHED in s.get("reports", ()):
+            late.append(
+                f"the work of {node} was not done at {s['reports'][UNFINISHED][2]} of its ticks when it was due"
+            )
     if not late:
         return ""
     why = "".join(f", {node}: {text}" for node, text in trips.items())
-    faster = f", {container} is faster" if options.mode == "processes" else ""
     return f"the machine did not keep up: {', '.join(late)}{why}; the figures are of a slower loop{faster}"
 
 

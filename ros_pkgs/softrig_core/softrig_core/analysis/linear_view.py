@@ -244,11 +244,11 @@ class LinearView:
 
     @cached_property
     def margins(self) -> Margins:
-        """Measure the margins by python-control; that of the disk on the frequencies alone."""
+        """Measure the margins by python-control, gains at both ends, too; that of the disk on the frequencies."""
         import control
 
         gains, phases, _, _, crossings, _ = control.stability_margins(self.loop, returnall=True)
-        gains, crossings = np.atleast_1d(gains), np.atleast_1d(crossings)
+        gains, crossings = np.concatenate([np.atleast_1d(gains), self._ends()]), np.atleast_1d(crossings)
         lost = np.radians(np.atleast_1d(phases)) % (2.0 * np.pi)  # all crossings turn towards -1 with a delay
         up, down = gains[gains > 1.0], gains[gains < 1.0]
         S = 1.0 / (1.0 + self.at_frequencies(self.omega))
@@ -260,6 +260,17 @@ class LinearView:
             float(1.0 / np.abs(S - 0.5).max()),
             float(crossings.max()) if crossings.size else np.nan,
         )
+
+    def _ends(self) -> list[float]:
+        """Factors at which a pole leaves at z = 1 or -1: the loop is real there, and turns at no frequency between."""
+        A, b, c, d, _ = self._loop
+        found = []
+        for z in (1.0, -1.0):
+            with suppress(np.linalg.LinAlgError):  # a pole of the opened loop itself
+                back = float(c @ np.linalg.solve(z * np.eye(len(b)) - A, b)) + d
+                if back > DEAD:
+                    found.append(1.0 / back)
+        return found
 
     def plot(self) -> Any:
         """Draw Bode and Nyquist diagrams of the opened loop.

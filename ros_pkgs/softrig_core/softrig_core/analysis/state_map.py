@@ -165,7 +165,7 @@ class StateMap:
     """
 
     def __init__(
-        self, rig: Rig, at: float, seed: int, outputs: Sequence[str], inputs: Sequence[str] = (), periods: int = 1
+        self, rig: Rig, at: float, seed: int, outputs: Sequence[str], inputs: Sequence[str], periods: int
     ) -> None:
         self.places = {name: place_of(rig, name) for name in (*outputs, *inputs)}
         whole: dict[str, Member] = {}

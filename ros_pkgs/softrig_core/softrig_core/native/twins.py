@@ -65,7 +65,7 @@ def applied(way: Way, value: Any) -> Any:
     return value if way is None else way(value)
 
 
-def packer(sample: Any, typed: bool = True) -> Way:
+def packer(sample: Any, typed: bool) -> Way:
     """Give how states of the form of a sample are packed; None: they go as they are."""
     if type(sample) in NUMBERS:
         return None

@@ -139,7 +139,10 @@ def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> s
         deadline = time.monotonic() + GRACE
         while time.monotonic() < deadline and any(c.process.poll() is None for c in children):
             time.sleep(0.02)
-        failed = [c for c in children if c.process.poll() not in (None, 0)]
+        # on a busy host one that has said why takes its time to end, and is the cause all the same
+        failed = [
+            c for c in children if c.process.poll() not in (None, 0) or read_status(c.status).get("state") == "failed"
+        ]
     # a container fails as one, but some of its nodes may have finished before
     failed = [c for c in failed if read_status(c.status).get("state") != "done"] or failed
     waits = {c.member.name: read_status(c.status).get("waits_for", []) for c in failed}

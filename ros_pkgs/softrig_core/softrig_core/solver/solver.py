@@ -32,6 +32,8 @@ from ..errors import RunError
 from ..timebase import to_ns, to_s
 from .worker import Work, Worker
 
+UNFINISHED = "unfinished"  # what is reported under it counts the ticks that went without a result that was due
+
 
 class SolverParams(BlockParams):
     """What every solver node has."""
@@ -244,7 +246,10 @@ class Solver(Block[S]):
         """
         jobs: Jobs = x.jobs
         worker, job, new = self.worker, jobs.active, False
-        if job is not None and t >= jobs.effect and worker.state != "working":
+        due = job is not None and t >= jobs.effect
+        if job is not None and due and worker.state == "working" and t > job.stamp:  # against the wall clock
+            self.report(Level.OK, UNFINISHED, "the work was not done when its result was due: answered without it")
+        elif job is not None and due and worker.state != "working":
             jobs = replace(jobs, active=None)
             if worker.state == "failed":
                 text = f"work on the request of t = {to_s(job.stamp):.9g} s failed: {worker.error}"

@@ -25,7 +25,7 @@ class Writer:
         self.data = bytearray(b"\x00\x01\x00\x00")
         self.written: list[tuple[int, int]] = []
 
-    def room(self, code: str, n: int = 1) -> int:
+    def room(self, code: str, n: int) -> int:
         """Leave room for `n` values of a struct's code; gives where."""
         size = struct.calcsize(code)
         if n:

@@ -134,6 +134,7 @@ class Adapter:
         self._silent = any(p.sporadic for p in outputs)  # at times
         self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
         self._open_record(sink)
+        self._figures: dict[str, Any] = {}  # of one that is done: worked out once
         self.alone = False  # whether nothing of what it says is read in another process, in which case it stays here
         self._unread = False  # the same of one that says plain numbers: a look at its record is enough
         self.buttons = Buttons(self.values, self._record_press)
@@ -208,7 +209,7 @@ class Adapter:
             self.drive.on_matched(item)
 
         self.inputs.append(item)
-        self.middleware.subscribe(item.port.topic, item.port.msgtype, item.receive, matched)
+        self.middleware.subscribe(item.port.topic, item.port.msgtype, item.receive, matched, item.numbered)
 
     def _noting(self, output: Output) -> Matched:
         """Give what hears how many read an output."""
@@ -400,5 +401,6 @@ class Adapter:
         if self.state != "running":  # what takes longer than a tick
             status |= {"peak_memory_mb": peak_memory()} | self.drive.statistics()
         if self.state == "done":
-            status |= figures(self.step)
+            self._figures = self._figures or figures(self.step)
+            status |= self._figures
         return status

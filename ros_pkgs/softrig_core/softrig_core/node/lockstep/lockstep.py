@@ -57,7 +57,7 @@ class Lockstep:
         self._awaited = 0  # tick whose wants are set
         self._last = math.inf if node.schedule.last is None else node.schedule.last
         self._durations: deque[int] = deque(maxlen=100_000)
-        self._sent = self._first = 0
+        self._sent = self._first = self._longest = 0
         self.solving: Solving | None = None
         self._comeback: Comeback | None = None
         self._stood = -1  # ticks at the last look at its progress
@@ -216,7 +216,9 @@ class Lockstep:
         if node.is_plant:
             now = time.perf_counter_ns()
             if self._sent:
-                self._durations.append(now - self._sent)
+                self._durations.append(took := now - self._sent)
+                if took > self._longest:
+                    self._longest = took
             else:
                 self._first = now
             self._sent = now
@@ -234,6 +236,7 @@ class Lockstep:
             now = time.perf_counter_ns()
             share = (now - self._sent) // len(times)
             self._durations.extend([share] * min(len(times), self._durations.maxlen or 0))
+            self._longest = max(self._longest, share)
             self._sent = now
         if times[-1] >= self._last:
             self._leave()
@@ -274,7 +277,7 @@ class Lockstep:
         """Wall-clock time of a plant's ticks: all in s, each in ms; once they are over, for sorting them takes time."""
         if self.node.state == "running":
             return {}
-        return {"running_s": (self._sent - self._first) / 1e9} | percentiles("tick", self._durations)
+        return {"running_s": (self._sent - self._first) / 1e9} | percentiles("tick", self._durations, self._longest)
 
     def progress(self) -> None:
         """End the run when a peer is gone, stalls or never came; say again what may have been lost with one."""

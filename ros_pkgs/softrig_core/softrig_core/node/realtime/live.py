@@ -14,8 +14,10 @@ from ...timebase import SECOND, to_ns
 from ...wire.cdr import Pick
 from ..adapter.adapter import Adapter
 from ..adapter.sender import Sender
+from .rivals import Rivals
 
 KEPT = 64  # messages of a faster sender that may come before our tick is complete
+GONE = SECOND  # of several writers one may be late for so long without another one being believed
 
 
 class LiveSenders:
@@ -155,6 +157,9 @@ class Live(Sender):
         self.holds = 0
         self._used: int | None = None  # stamp of the value that the last tick used
         self._interval = 0 if self.schedule is None else self.schedule.time(1)
+        self._rivals = Rivals()
+        if self.awaited and untold:
+            self.numbered = self._numbered
 
     # what has come -------------------------------------------------------------------------------------------------
 
@@ -163,9 +168,24 @@ class Live(Sender):
         super().receive(data)
         self.table.act()
 
+    def _numbered(self, number: int | None) -> None:
+        """Who should speak at each tick and has been silent for too long does not keep another from being believed."""
+        if self.outside < 2:
+            return
+        before, silence = self._rivals.alone, max(self._silence(), GONE)
+        self._rivals.hear(number, self.table.clock(), silence)
+        if self._rivals.alone and not before and not self.local:
+            text = f"of {self.publishers} publishers one alone has spoken for {silence / SECOND:g} s: it is believed"
+            self.node.block.note(Level.WARN, f"rivals {self.port.topic}", text)
+
+    @property
+    def disputed(self) -> bool:
+        """Whether several write it of whom nobody knows whom to believe."""
+        return self.publishers > 1 and (self.local or not self._rivals.alone)
+
     def deaf(self) -> bool:
         """Whether no message counts: not before the start, and of two publishers neither is believed."""
-        return self._rivals() or self.node.state != "running"
+        return self._refuses() or self.node.state != "running"
 
     def read(self, data: bytes) -> tuple[int, Any]:
         """Give stamp and values; a stamp of 0 means: no stamp, now."""
@@ -204,7 +224,7 @@ class Live(Sender):
             if row is None:
                 self.told(stamp, False)
                 return
-            if self.outside and self._rivals():
+            if self.outside and self._refuses():
                 return
             sampled, values = row if isinstance(row, Sample) else (stamp - self.node.epoch, row)
             values = values if pick is None else pick(values)
@@ -314,9 +334,7 @@ class Live(Sender):
         node, table = self.node, self.table
         if self.arrived is None or now - self.arrived <= table.least:
             return False
-        learned = self.schedule is not None or not node.is_plant
-        slower = min(Block.STALE_PERIODS, node.block.STALE_PERIODS) * self._interval
-        limit = table.watchdog or max(table.least, slower if learned else 0)
+        limit = self._silence()
         if now - self.arrived <= limit:
             return False
         if self.name not in table.stale:
@@ -326,6 +344,13 @@ class Live(Sender):
             node.block.note(Level.ERROR, f"stale {self.port.topic}", text)
         return True
 
+    def _silence(self) -> int:
+        """Give the longest silence that is not too long, ns."""
+        node, table = self.node, self.table
+        learned = self.schedule is not None or not node.is_plant
+        slower = min(Block.STALE_PERIODS, node.block.STALE_PERIODS) * self._interval
+        return table.watchdog or max(table.least, slower if learned else 0)
+
     def _recovered(self) -> None:
         if self.name in self.table.stale:
             self.table.stale.discard(self.name)
@@ -333,13 +358,14 @@ class Live(Sender):
             self.node.block.note(Level.WARN, f"recovered {self.port.topic}", f"{what} back")
 
     def on_matched(self) -> None:
-        """Two publishers on one input: neither is believed until one of them has gone."""
-        if not self.port.held and self._rivals():
+        """Two publishers on one input: neither is believed until one of them has gone, or has been silent for long."""
+        self._rivals.change()
+        if not self.port.held and self._refuses():
             self.node.values[self.name] = self.port.safe
             self.arrived = None
 
-    def _rivals(self) -> bool:
-        if self.publishers <= 1:
+    def _refuses(self) -> bool:
+        if not self.disputed:
             return False
         middleware = self.node.middleware
         who = ", ".join(sorted({p.name for p in middleware.publishers(middleware.resolve(self.port.topic))}))

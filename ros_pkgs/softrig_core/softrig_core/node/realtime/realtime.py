@@ -59,6 +59,7 @@ class Realtime:
         # the newest: they are sorted for each status file, between two ticks
         self._round_trip: deque[int] = deque(maxlen=5_000)
         self._lateness: deque[int] = deque(maxlen=5_000)
+        self._longest = self._latest = -CATCH_UP
         self.tick_number = -1
         self.skipped = 0
         self._silence_told = 0.0
@@ -116,11 +117,11 @@ class Realtime:
             shake = Handshake(node, awaited, wanted, local)
             self.departure = Departure(node, shake, local, self._begin_at, self._stand.hear)
         else:
-            self._begin_at(node.epoch)
+            self._begin_at(node.epoch, 0)
 
     # start and end ---------------------------------------------------------------------------------------------
 
-    def _begin_at(self, epoch: int, ahead: int = 0) -> None:
+    def _begin_at(self, epoch: int, ahead: int) -> None:
         """Run from now on; t = 0 is at `epoch`, or with the first tick when that is 0.
 
         The clock of the rig is `ahead` of ours, ns.
@@ -206,7 +207,7 @@ class Realtime:
         return self.senders.row(port, Sporadic if link is not None and link.told else Live)
 
     def on_matched(self, item: Input) -> None:
-        """Two publishers on one input: neither is believed until one of them has gone."""
+        """Two publishers on one input: neither is believed until one of them has gone, or has been silent for long."""
         assert isinstance(item, Live)
         item.on_matched()
         self._rivals = [f for f in self._fed if f.outside]
@@ -222,6 +223,7 @@ class Realtime:
             if said <= stamp:
                 if said == stamp:
                     self._round_trip.append(now - sent)
+                    self._longest = max(self._longest, now - sent)
                 return
 
     def _excuse(self, row: Live, due: int, now: int) -> None:
@@ -275,6 +277,8 @@ class Realtime:
             return  # neither of two publishers is believed
         late = now - node.epoch - due
         self._lateness.append(late)
+        if late > self._latest:
+            self._latest = late
         if late >= self._period:
             self._late += 1
         behind = number - self.tick_number if self.tick_number >= 0 else 0
@@ -315,7 +319,7 @@ class Realtime:
         """Live commands; the safe value in place of one that is stale at the time of a tick, said late or not."""
         inputs = self.node.values
         for row in self._commands:
-            if row.publishers > 1 or row.silent(now):
+            if row.disputed or row.silent(now):
                 inputs = inputs | {row.name: row.port.safe}
         return inputs
 
@@ -358,9 +362,13 @@ class Realtime:
         return figures
 
     def statistics(self) -> dict[str, Any]:
-        """Give the counts, ticks begun when the next was due, lateness and round trip from output to command in ms."""
+        """Give the counts, ticks begun when the next was due, lateness and round trip from output to command in ms.
+
+        The largest is of all ticks, the percentiles are of the newest.
+        """
         figures: dict[str, Any] = {**self.counts()} | ({"late_ticks": self._late} if self._late else {})
-        figures |= percentiles("lateness", self._lateness) | percentiles("round_trip", self._round_trip)
+        figures |= percentiles("lateness", self._lateness, self._latest)
+        figures |= percentiles("round_trip", self._round_trip, self._longest)
         if self._lateness:
             figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]
         return figures

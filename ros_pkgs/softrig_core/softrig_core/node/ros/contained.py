@@ -7,7 +7,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from ..seam.exchange import Exchange, ExchangeTimer
-from ..seam.middleware import Matched, Place, Receive
+from ..seam.middleware import Matched, Numbered, Place, Receive
 from .ros import RosMiddleware
 
 
@@ -37,7 +37,9 @@ class ContainedMiddleware(RosMiddleware):
 
         return publish
 
-    def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
+    def subscribe(
+        self, topic: str, msgtype: str, receive: Receive, matched: Matched, numbered: Numbered | None = None
+    ) -> None:
         """Read a topic of other processes."""
         exchange, end = self._exchange, object()
         exchange.owners[receive] = self.name
@@ -46,7 +48,7 @@ class ContainedMiddleware(RosMiddleware):
             exchange.writers[end] = number
             matched(number)
 
-        super().subscribe(topic, msgtype, lambda data: exchange.hand(receive, data), count)
+        super().subscribe(topic, msgtype, lambda data: exchange.hand(receive, data), count, numbered)
 
     def be_prompt(self, place: Place) -> None:
         """The exchange takes what has come: its loop does not sleep."""

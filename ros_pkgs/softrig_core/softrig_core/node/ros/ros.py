@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from functools import wraps
+from inspect import signature
 from typing import Any, ParamSpec
 
 import rclpy
@@ -29,7 +30,7 @@ from ...block.block import Level
 from ...errors import RunError, closest
 from ...processes.shared_memory import Ears, domain_id
 from ...wire.cdr import Layout
-from ..seam.middleware import Matched, Middleware, Peer, Place, Receive, Send
+from ..seam.middleware import Matched, Middleware, Numbered, Peer, Place, Receive, Send
 from ..seam.monitor import Monitor
 from .arrival import Arrival, library
 from .garbage import Garbage
@@ -230,6 +231,19 @@ def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Argume
     return call
 
 
+def with_number(receive: Receive, numbered: Numbered) -> Callable[..., None]:
+    """Give a callback of a subscription that tells the number of each message before it hands the message over."""
+
+    def take(*said: Any) -> None:
+        # this executor hands both over as one (rclpy 7.1), which is not what it asks the signature for
+        data, info = said if len(said) == 2 else said[0]
+        numbered(info["publication_sequence_number"])
+        receive(data)
+
+    take.__signature__ = signature(lambda data, info: None)  # type: ignore[attr-defined]
+    return take
+
+
 class _RosTimer:
     def __init__(self, timer: Any) -> None:
         self._timer, self._period = timer, 0
@@ -318,10 +332,12 @@ class RosMiddleware(Middleware):
 
         return send
 
-    def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
+    def subscribe(
+        self, topic: str, msgtype: str, receive: Receive, matched: Matched, numbered: Numbered | None = None
+    ) -> None:
         """Read the bytes of a topic."""
         events = SubscriptionEventCallbacks(matched=self._counting(matched))
-        take = self._in_turn(receive)
+        take = self._in_turn(receive if numbered is None else with_number(receive, numbered))
         with self._deaf():
             made = self.node.create_subscription(
                 message_class(msgtype),

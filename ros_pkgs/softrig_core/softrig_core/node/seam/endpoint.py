@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from ...block.codec import Decoder
 from ...block.port import Port
-from .middleware import Send
+from .middleware import Numbered, Send
 
 
 class Input:
@@ -31,7 +31,11 @@ class Input:
     refused : int
         Messages that never reached the block.
     last_refusal : str
+    numbered : callable or None
+        Gets the number of each message before `receive` gets that: see `Middleware.subscribe`.
     """
+
+    numbered: Numbered | None = None
 
     def __init__(self, port: Port) -> None:
         self.port = port

@@ -15,6 +15,7 @@ from ...wire.cdr import Layout
 
 Receive = Callable[[bytes], None]
 Matched = Callable[[int], None]
+Numbered = Callable[[int | None], None]
 Place = Literal["together", "beside", "anywhere"]
 Send = Callable[[int, tuple[float, ...]], None]  # gets the stamp in ns, or the number of an array, and all numbers
 
@@ -71,8 +72,13 @@ class Middleware(Protocol):
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
         """Offer a topic and give the function that publishes; `matched` gets the number of readers at each change."""
 
-    def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
-        """Read a topic; `matched` gets the number of writers at each change."""
+    def subscribe(
+        self, topic: str, msgtype: str, receive: Receive, matched: Matched, numbered: Numbered | None = None
+    ) -> None:
+        """Read a topic; `matched` gets the number of writers at each change.
+
+        `numbered` gets, before `receive` gets the message, its number as its writer counts, or None if nobody says it.
+        """
 
     def be_prompt(self, place: Place) -> None:
         """Take messages of what is subscribed so far where they arrive, if that is possible; for ticks of some us.

@@ -1,0 +1,394 @@
+"""Small laws, filters and signals against their formulas, in exact fractions or by another library."""
+
+import cmath
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy.linalg import solve_discrete_are
+from softrig_control.discretise import expm, matmul
+from softrig_control.filters import SecondOrderFilter
+from softrig_control.fuzzy import TakagiSugeno, sum_rules
+from softrig_control.kalman import SteadyKalman, steady_kalman_gain
+from softrig_control.limit_cycle import Swinging, limit_cycle
+from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
+from softrig_control.pid import Pid, PidParams, PidState
+from softrig_control.predictive.carima import Carima, add
+from softrig_control.predictive.certificate import Certificate
+from softrig_control.predictive.controller import GpcController
+from softrig_control.predictive.gpc import Tuning, invert
+from softrig_control.profile import NEVER, ProfileParams, StepProfile
+from softrig_control.signal_name import signal_port, split
+from softrig_control.sliding_mode import switching
+from softrig_control.state_feedback import StateFeedback
+from softrig_control.unit_delay import LinkParams
+from softrig_core import ByHand, ParameterError
+
+EIGHTHS = st.integers(-40, 40).map(lambda n: n / 8.0)
+
+
+@given(
+    st.lists(EIGHTHS, min_size=2, max_size=4, unique=True).map(sorted),
+    st.lists(EIGHTHS, min_size=2, max_size=4, unique=True).map(sorted),
+    st.lists(EIGHTHS, min_size=16, max_size=16),
+    st.sampled_from(["product", "min"]),
+    st.tuples(EIGHTHS, EIGHTHS),
+)
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_a_fuzzy_surface_is_the_mean_of_its_rules(first, second, constants, conjunction, at):
+    """Over all rules, not the four that are active, with memberships by interpolation."""
+    rules = [constants[4 * i : 4 * i + len(second)] for i in range(len(first))]
+    conjoin = min if conjunction == "min" else lambda a, b: a * b
+    terms = [
+        [np.interp(x, peaks, np.eye(len(peaks))[k]) for k in range(len(peaks))]
+        for x, peaks in zip(at, (first, second), strict=True)
+    ]
+    weights = {(i, j): conjoin(a, b) for i, a in enumerate(terms[0]) for j, b in enumerate(terms[1])}
+    expected = sum(w * rules[i][j] for (i, j), w in weights.items()) / sum(weights.values())
+    assert TakagiSugeno((first, second), rules, conjunction)(*at) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_rules_of_a_fuzzy_controller():
+    assert sum_rules(3) == [[-1, -1, 0], [-1, 0, 1], [0, 1, 1]]
+    assert sum_rules(5)[0] == [-2, -2, -2, -1, 0]
+    for peaks, rules, said in (
+        (([0.0], [0.0, 1.0]), [[0.0, 0.0]], r"^peaks \[0.0\]: expected at least two increasing numbers$"),
+        (([0.0, 1.0], [0.0, 0.0]), [[0.0] * 2] * 2, r"^peaks \[0.0, 0.0\]: expected"),
+        (([0.0, 1.0], [0.0, 1.0]), [[0.0] * 2], r"^rules: expected 2 rows of 2 constants$"),
+        (([0.0, 1.0], [0.0, 1.0, 2.0]), [[0.0] * 3, [0.0] * 2], r"^rules: expected 2 rows of 3 constants$"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            TakagiSugeno(peaks, rules)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_steady_filter_is_that_of_scipy(seed):
+    rng = np.random.default_rng(seed)
+    a, b, c = 0.6 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
+    q, r = rng.uniform(0.1, 1.0, 3), rng.uniform(0.1, 1.0, 2)
+    p = solve_discrete_are(a.T, c.T, np.diag(q), np.diag(r))
+    gain = p @ c.T @ np.linalg.inv(c @ p @ c.T + np.diag(r))
+    assert np.array(steady_kalman_gain(a, c, q, r)) == pytest.approx(gain, rel=1e-8)
+    filtered = SteadyKalman(a, b, c, q, r)
+    x, u, y = rng.normal(size=3), rng.normal(size=2), rng.normal(size=2)
+    guess = a @ x + b @ u
+    assert np.array(filtered(x, u, y)) == pytest.approx(guess + gain @ (y - c @ guess), rel=1e-8)
+    assert filtered.first() == (0.0, 0.0, 0.0)
+    for grows in (1.0, 2.0):
+        with pytest.raises(np.linalg.LinAlgError, match="neither measured nor stable"):
+            steady_kalman_gain([[grows, 0.0], [0.0, 0.5]], [[0.0, 1.0]], [1.0, 1.0], [1.0])
+    for wrong in ((u[:1], y), (u, y[:1])):
+        with pytest.raises(ValueError, match="zip"):
+            filtered(x, *wrong)
+
+
+def fed(levels, reference):
+    x, found = Swinging(), []
+    for y in levels:
+        x, size = limit_cycle(x, y, reference)
+        found.append(size)
+    return found
+
+
+@given(st.lists(st.integers(9, 20), min_size=9, max_size=16))
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_a_loop_swings_when_eight_swings_are_alike_and_do_not_decay(steps):
+    """A sample each, up and down by so many eighths: a swing is known one sample after its end."""
+    levels = [0.0]
+    for k, step in enumerate(steps):
+        levels.append(levels[-1] + (step if k % 2 == 0 else -step) / 8.0)
+    expected = []
+    for k in range(len(levels)):
+        known = [s / 8.0 for s in steps[: max(k - 1, 0)]][-8:]
+        first, second = sum(known[:4]), sum(known[4:])
+        swings = len(known) == 8 and min(known) >= 0.5 * max(known) and second >= 0.9 * first
+        expected.append(second / 4.0 if swings else 0.0)
+    assert fed(levels, 50.0) == expected  # a fiftieth of 50 is less than each
+
+
+def test_edges_of_a_limit_cycle():
+    level = [0.0, 1.0] * 6
+    assert fed([x * 1.01 for x in level], 50.0)[-1] == 1.01
+    assert fed(level, 50.0)[-1] == 0.0  # as small as what does not count
+    assert fed(level, -49.0)[-1] == 1.0
+    halves = [0.0, 4.0, 2.0, 6.0, 2.0, 6.0, 2.0, 6.0, 2.0, 6.0, 2.0]  # the smallest of the eight is half of the largest
+    assert fed(halves, 50.0)[-1] == 4.0
+    decays = [0.0, 10.0, 0.0, 10.0, 0.0, 9.0, 0.0, 9.0, 0.0, 9.0]
+    assert fed(decays, 50.0)[-1] == 9.0  # nine tenths of the first half, exactly
+    rests = fed([0.0, 2.0] * 6 + [0.0] * 8, 50.0)
+    assert rests[12:] == [2.0] * 4 + [0.0] * 4  # three times the time of a swing, and it has come to rest
+    assert fed([0.0, 2.0] * 6, 50.0)[-1] == 2.0
+    x = Swinging()
+    for k in range(30):  # each new reference begins anew
+        x, size = limit_cycle(x, 2.0 * (k % 2), 50.0 + k // 8)
+        assert size == 0.0
+    assert x.aside == "only a warning depends on it"
+
+
+def test_a_pid_is_its_difference_equations():
+    rng = np.random.default_rng(5)
+    for anti_windup in (True, False):
+        p = PidParams(kp=2.5, ki=3.0, kd=0.25, n_filter=16.0, u_max=4.0, anti_windup=anti_windup)
+        law, ts = Pid(p, 0.125), Fraction(1, 8)
+        x, integral, d, last = PidState(), Fraction(0), Fraction(0), Fraction(0)
+        for e in rng.integers(-16, 16, 60).tolist():
+            error = Fraction(e, 8)
+            d = (d + Fraction(p.kd) * 16 * (error - last)) / (1 + 16 * ts)
+            u = Fraction(p.kp) * error + integral + d
+            x, found = law(x, float(error))
+            if not (anti_windup and abs(u) > 4 and u * error > 0):
+                integral += 3 * error * ts
+            last = error
+            assert found == pytest.approx(float(u), rel=1e-12, abs=1e-12)
+            assert x == pytest.approx((float(integral), float(d), float(error)), rel=1e-12, abs=1e-12)
+
+
+def test_a_pid_at_its_edges():
+    """At the limit itself the integral goes on, and without error it has nowhere to be driven."""
+    law = Pid(PidParams(kp=2.0, ki=1.0, u_max=1.0), 0.5)
+    assert law(PidState(), 0.5)[0].integral == 0.25
+    assert law(PidState(), 0.75)[0].integral == 0.0
+    assert law(PidState(integral=-4.0), 0.5)[0].integral == -3.75  # driven back
+    before = PidParams(kp=2.0, ki=1.0)
+    x = PidState(1.5, 0.0, 0.5)
+    for ki, kept in ((1.0, False), (0.0, True)):
+        after = Pid(PidParams(kp=3.0, ki=ki), 0.5)
+        x_after = after.go_on(x, before)
+        assert (x_after == x) == kept
+        assert after(x_after, 0.5)[1] == pytest.approx(2.0 * 0.5 + 1.5 + (0.5 if kept else 0.0))
+    assert Pid(PidParams(kp=2.0, ki=2.0), 0.5).go_on(x, before) == x
+
+
+@given(st.lists(EIGHTHS, min_size=6, max_size=6), st.booleans(), st.sampled_from([0.0, 0.5]))
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_a_state_feedback_is_its_law(numbers, anti_windup, kr):
+    xi, r, y, a, b, ki = map(Fraction, numbers)
+    law = StateFeedback((0.5, -2.0), float(ki), 0.25, 3.0, kr=kr, anti_windup=anti_windup)
+    u = Fraction(kr) * r + ki * xi - a / 2 + 2 * b
+    limited = max(min(u, 3), -3)
+    winds = anti_windup and (limited - u) * (r - y) < 0
+    expected = (float(xi if winds else xi + (r - y) / 4), float(limited))
+    assert law(float(xi), float(r), (float(a), float(b)), float(y)) == expected
+    settled = law.settle((float(a), float(b)), float(r))
+    assert settled == pytest.approx(float((a / 2 - 2 * b - Fraction(kr) * r) / ki) if ki else 0.0)
+    assert law.settle((float(a), float(b))) == pytest.approx(float((a / 2 - 2 * b) / ki) if ki else 0.0)
+    for other in (StateFeedback((0.5, -2.0), 1.5, 0.25, 3.0), StateFeedback((0.25, -2.0), float(ki), 0.25, 3.0)):
+        went = law.go_on(float(xi), other, (float(a), float(b)), float(r))
+        command = [k._unlimited(v, float(r), (float(a), float(b))) for k, v in ((other, float(xi)), (law, went))]
+        assert command[0] == pytest.approx(command[1]) if ki else went == float(xi)
+    same = StateFeedback((0.5, -2.0), float(ki), 0.25, 3.0)
+    assert law.go_on(float(xi), same, (float(a), float(b)), float(r)) == float(xi)
+
+
+def test_a_phase_locked_loop_is_its_formula():
+    gains, w0, T = PllParams(kp=20.0, ki=300.0, least=0.5), 314.0, 1e-3
+    loop = PhaseLockedLoop(gains, w0, T)
+    x, theta, summed, omega = loop.first(0.25), 0.25, 0.0, w0
+    assert x == (0.25, w0, 0.0)
+    for k in range(40):
+        u = cmath.rect(1.0 if k != 7 else 0.4, 0.3 + 320.0 * T * k)
+        lost = 3 if k == 20 else 0
+        theta += lost * T * omega
+        if k != 7:
+            error = cmath.phase(u * cmath.exp(-1j * theta))
+            summed += error
+            omega = w0 + 20.0 * error + 300.0 * T * summed
+        x, found = loop(x, u, lost) if lost else loop(x, u)
+        assert found == pytest.approx(math.remainder(theta, 2.0 * math.pi), abs=1e-9)
+        theta += T * omega
+        assert x == pytest.approx((math.remainder(theta, 2.0 * math.pi), omega, 300.0 * T * summed), abs=1e-9)
+    edge = loop(loop.first(0.0), 0.5j)[0]
+    assert edge.omega == pytest.approx(w0 + (20.0 + 0.3) * math.pi / 2.0)
+
+
+@pytest.mark.parametrize("step", [0.05, 0.5, 0.9, 1.5, 2.0, 2.5])
+@pytest.mark.parametrize("damping", [0.0, 0.1, 0.5, 0.75, 1.0, 3.0])
+def test_a_filter_is_made_where_it_is_stable(step, damping):
+    omega, period = 40.0, step / 40.0
+    rate = [-omega * omega * period, 1.0 - 2.0 * damping * step]
+    stable = np.abs(np.linalg.eigvals([[1.0 + period * rate[0], period * rate[1]], rate])).max() < 1.0 - 1e-9
+    if not stable:
+        with pytest.raises(ValueError, match=f"omega = 40 rad/s with damping {damping:g} and a period of {period:g} s"):
+            SecondOrderFilter(omega, damping, period)
+        return
+    law = SecondOrderFilter(omega, damping, period)
+    x, y, speed = law.first(0.5 + 1j), 0.5 + 1j, 0.0
+    for sample in (1.0, 0.0, 2j):
+        speed += period * (omega**2 * (sample - y) - 2.0 * damping * omega * speed)
+        y += period * speed
+        x, found = law(x, sample)
+        assert (found, x.rate) == (pytest.approx(y), pytest.approx(speed))
+
+
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=6, unique=True).map(sorted), st.integers(-2, 45))
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_a_profile_holds_each_value_until_the_next(times, at):
+    profile = StepProfile([t / 8.0 for t in times], times)
+    ns = 125_000_000
+    for t in (at * ns, at * ns + 1, at * ns - 1):
+        past = [k for k in times if k * ns <= t]
+        assert profile.at(t) == (past[-1] if past else times[0])
+        assert profile.next_change(t) == next((k * ns for k in times[1:] if k * ns > t), NEVER)
+    assert NEVER == 2**63 - 1
+
+
+def test_small_pieces():
+    assert [switching(s, d) for s, d in ((2.0, 0.0), (-2.0, 2.0), (0.0, 0.0), (0.0, 1.0))] == [1.0, -0.5, 0.0, 0.0]
+    assert switching(3.0) == 1.0
+    assert add((1.0, 2.0), (3.0,)) == (4.0, 2.0)
+    assert add((1.0,), (3.0, 4.0), 2) == (1.0, 0.0, 3.0, 4.0)
+    rng = np.random.default_rng(1)
+    for scale in (0.0, 0.01, 1.0, 30.0):
+        a = scale * rng.normal(size=(3, 3))
+        values, right = np.linalg.eig(a)
+        expected = (right * np.exp(values)) @ np.linalg.inv(right)
+        assert np.array(expm(a.tolist())) == pytest.approx(expected.real, rel=1e-9, abs=1e-9 * abs(expected).max())
+        assert np.array(matmul(a.tolist(), a[:, :2].tolist())) == pytest.approx(a @ a[:, :2])
+        positive = a @ a.T + np.eye(3)
+        assert np.array(invert(positive.tolist())) == pytest.approx(np.linalg.inv(positive), rel=1e-7)
+    assert split("a/b/c/effort") == ("a/b", "c", "effort")
+    port = signal_port("y", "plant/v/velocity", "", also=("w",))
+    assert (port.topic, port.channels, port.fields, port.units, port.held, port.safe) == (
+        "plant",
+        ("v", "w"),
+        ("velocity",),
+        ("1", ""),
+        False,
+        (0.0, 0.0),
+    )
+
+
+def certificate(modulus=0.5, definite=1.0, decrease=0.0, largest=1.0):
+    return Certificate(np.zeros((1, 1)), np.array([[-largest]]), np.array([modulus]), definite, 0.0, decrease)
+
+
+def test_what_a_certificate_needs():
+    assert certificate().valid
+    assert certificate(np.nextafter(1.0, 0.0), 1.1e-9, -0.9e-9).valid
+    for wrong in ((1.0,), (0.5, 1e-9), (0.5, 1.0, -1e-9), (0.5, 1.5e-9, 0.0, 2.0)):
+        assert not certificate(*wrong).valid
+    assert certificate(decrease=-1.5e-9, largest=2.0).valid
+    assert certificate(decrease=-0.9e-9, largest=0.5).valid
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: Tuning(0), "N1 = 0, Np = 11: expected 1 <= N1 <= Np"),
+        (lambda: Tuning(3, 2), "N1 = 3, Np = 2: expected 1 <= N1 <= Np"),
+        (lambda: Tuning(1, 2, 0), "Nc = 0, Np = 2: expected 1 <= Nc <= Np"),
+        (lambda: Tuning(1, 2, 3), "Nc = 3, Np = 2: expected 1 <= Nc <= Np"),
+        (lambda: Tuning(weight=-1e-9), "lambda = -1e-09: expected a finite number, not negative"),
+        (lambda: Tuning(weight=math.inf), "lambda = inf: expected a finite number, not negative"),
+        (lambda: Carima((), (1.0,)), "a = []: expected 1 as its first coefficient"),
+        (lambda: Carima((2.0,), (1.0,)), "a = [2.0]: expected 1 as its first coefficient"),
+        (lambda: Carima((1.0,), (0.0,)), "b = [0.0]: expected a coefficient other than zero"),
+        (lambda: Carima((1.0, math.inf), (1.0,)), "a = [1.0, inf], b = [1.0]: expected finite numbers"),
+        (lambda: Carima.from_continuous((1.0,), (), 0.1), "den = []: expected a first coefficient"),
+        (lambda: Carima.from_continuous((1.0,), (0.0, 1.0), 0.1), "den = [0.0, 1.0]: expected a first coefficient"),
+        (
+            lambda: Carima.from_continuous((0.0, 1.0, 1.0), (1.0, 1.0), 0.1),
+            "num = [1.0, 1.0]: expected a degree below the 1 of den",
+        ),
+        (lambda: Carima.from_continuous((0.0,), (1.0, 1.0), 0.1), "num = []: expected a degree below the 1 of den"),
+        (lambda: invert([[1.0, 1.0], [1.0, 1.0]]), "G' G + lambda I is singular"),
+        (lambda: StepProfile([], []), "times []: expected at least one"),
+        (lambda: StepProfile([0.0, 0.0], [1, 2]), "times [0.0, 0.0]: expected at least one"),
+        (lambda: StepProfile([0.0, 1.0], [1]), "1 values for 2 times"),
+        (lambda: split("b/c/position/"), "'b/c/position/': expected topic/channel/field"),
+        (lambda: split("c/position"), "'c/position': expected topic/channel/field"),
+        (lambda: split("a//position"), "'a//position': expected topic/channel/field"),
+    ],
+)
+def test_what_cannot_be_is_said(make, text):
+    with pytest.raises(ValueError) as refused:  # noqa: PT011
+        make()
+    assert str(refused.value).startswith(text)
+
+
+def test_what_is_just_allowed():
+    assert Tuning(1, 1, 1, 0.0)
+    assert Tuning(2, 2, 2)
+    assert Carima((1.0,), (0.0, 1.0)).b == (0.0, 1.0)
+    assert Carima.from_continuous((0.0, 0.0, 2.0), (1.0, 1.0), 0.1).b == pytest.approx((2.0 * (1.0 - math.exp(-0.1)),))
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"u_min": 1.0, "u_max": 1.0}, "u_min = 1, u_max = 1: expected u_min < u_max"),
+        ({"trip_low": 2.0, "trip_high": 2.0}, "trip_low = 2, trip_high = 2: expected trip_low below"),
+        ({"du_max": 5.0}, "du_max = 5 needs a solver, solver = closed_form has none"),
+        ({"measured": "v"}, "'v': expected topic/channel/field"),
+        ({"reference": "v"}, "'v': expected topic/channel/field"),
+        ({"command": "v"}, "'v': expected topic/channel/field"),
+        ({"N1": 12}, "N1 = 12, Np = 11"),
+    ],
+)
+def test_a_predictive_law_that_cannot_be(given, text):
+    with pytest.raises(ParameterError, match=text):
+        GpcController(**given)
+
+
+def test_a_predictive_law_trips_beyond_its_edges_and_at_the_third_bad_sample():
+    """Below and at `trip_low`, above `trip_high`; the command from then on is the safe one, whatever is measured."""
+    model = {"a": (1.0, -0.5), "b": (1.0,), "trip_low": 1.0, "trip_high": 3.0, "u_safe": 7.0, "set_point": 2.0}
+    for y, trips in ((3.0, False), (3.0000001, True), (1.0, True), (1.0000001, False)):
+        law = ByHand(GpcController(**model))
+        said = law.update(0, measured=(y,), reference=None)
+        assert (said["health"][0] == 3.0) == trips
+        assert ("trip" in law.reports) == trips
+        again = law.update(10_000_000, measured=(2.0,), reference=None)
+        assert (again["command"] == (7.0,)) == trips
+    law = ByHand(GpcController(**model, u_min=-0.25, u_max=0.25))
+    said = law.update(0, measured=(1.5,), reference=(2.0,))
+    assert said == {"command": (0.25,), "health": (1.0, 1.0, 0.0)}
+    states = [law.refused(k * 10_000_000)["health"] for k in (1, 2, 3, 4)]
+    assert states == [(2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (3.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
+    assert law.reports["bad_input"][1] == "a measurement or reference was refused; the last command is held"
+    assert law.reports["trip"][1] == "3 bad samples in a row: tripped to 7 V for good"
+    patient = ByHand(GpcController(**model))
+    for k in range(8):
+        said = (
+            patient.refused(k * 10_000_000)
+            if k % 3
+            else patient.update(k * 10_000_000, measured=(2.0,), reference=None)
+        )
+        assert said["health"][0] == (2.0 if k % 3 else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"topic_in": "a", "topic_out": "a"}, "topic_in and topic_out are both 'a'"),
+        ({"fields": ("speed",)}, "fields ['speed'], expected some of ['effort', 'position', 'velocity']"),
+        ({"fields": ()}, "fields [], expected some of ['effort', 'position', 'velocity']"),
+        ({"dims": ("a",), "sizes": (2,)}, "dims ['a'] with sizes [2], expected none"),
+        ({"message": "std_msgs/msg/Float64MultiArray"}, "dims [] with sizes [], expected one size"),
+        (
+            {"message": "std_msgs/msg/Float64MultiArray", "dims": ("a", "b"), "sizes": (2,)},
+            "dims ['a', 'b'] with sizes [2], expected one size",
+        ),
+        ({"initial": (1.0,)}, "initial has 1 values, expected 2"),
+        ({"units": ("m",) * 3}, "units has 3 values, expected 2"),
+        ({"limits": (1.0,)}, "limits has 1 values, expected 2"),
+    ],
+)
+def test_a_link_that_cannot_be(given, text):
+    with pytest.raises(ValueError) as refused:  # noqa: PT011
+        LinkParams(**given)
+    assert text in str(refused.value)
+
+
+def test_rows_of_a_profile():
+    class Params(ProfileParams):
+        values: tuple[float, ...] = (1.0, 2.0)
+
+    given = Params(channels=("a", "b"), times=(0.0, 1.0), values=(1.0, 2.0, 3.0, 4.0))
+    assert given.rows("values") == [(1.0, 2.0), (3.0, 4.0)]
+    with pytest.raises(ValueError, match=r"values has 3 values, expected 4 \(2 times, 2 channels\)"):
+        Params(channels=("a", "b"), times=(0.0, 1.0), values=(1.0, 2.0, 3.0)).rows("values")
+    with pytest.raises(ValueError, match=r"times begins with 0\.5 s, expected 0"):
+        Params(times=(0.5,))

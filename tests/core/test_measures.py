@@ -1,0 +1,303 @@
+"""All figures of merit against loops over their samples, written from what their documentation says."""
+
+import math
+import statistics
+from bisect import bisect
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings, strategies as st
+from softrig_core.judge import measures
+
+EIGHTH = st.integers(-16, 16).map(lambda n: n / 8.0)  # binary fractions: what lies on an edge does so exactly
+TIMES = st.lists(st.integers(1, 3), min_size=1, max_size=12)
+
+
+@st.composite
+def records(draw):
+    """A signal y and one that it may be compared with, their times in tenths of a second from the same begin on."""
+    found = {}
+    for name in ("y", "r"):
+        steps = draw(TIMES)
+        ticks = [sum(steps[:k]) for k in range(len(steps))]
+        t = np.array(ticks) * 0.1  # as a run has them: not all the nearest double of what is written
+        found[name] = (t, np.array([draw(EIGHTH) for _ in ticks]))
+    return found
+
+
+WINDOWS = st.tuples(*[st.none() | st.integers(0, 30).map(lambda n: n / 20.0)] * 2)
+
+
+def tick(t):
+    return round(t * 1e9)
+
+
+def cut(record, start, end):
+    found = [
+        (t, x)
+        for t, x in zip(*(column.tolist() for column in record), strict=True)
+        if (start is None or tick(t) >= tick(start)) and (end is None or tick(t) <= tick(end))
+    ]
+    if not found:
+        raise ValueError
+    return found
+
+
+def value_at(record, t):
+    """The newest value not after an instant."""
+    return cut(record, None, t)[-1][1]
+
+
+def errors(signals, reference, start, end):
+    pairs = cut(signals["y"], start, end)
+    if not isinstance(reference, str):
+        return [(t, x - reference) for t, x in pairs]
+    when = signals[reference][0].tolist()
+    if len(pairs) > 1 and len(when) > 1 and tick(pairs[-1][0]) >= tick(2.0 * when[-1] - when[-2]):
+        pairs.pop()
+    return [(t, x - value_at(signals[reference], t)) for t, x in pairs]
+
+
+def least_squares(points):
+    return statistics.linear_regression(*zip(*points, strict=True)).slope
+
+
+def growth(pairs):
+    peaks = []
+    for (_, a), (t, b), (u, c) in zip(pairs, pairs[1:], pairs[2:], strict=False):
+        if a <= b > c and b > 0.0:
+            shift = 0.5 * (a - c) / (a - 2.0 * b + c)
+            peaks.append((t + shift * (u - t), math.log(b - 0.25 * (a - c) * shift)))
+    if len(peaks) < 3:
+        raise ValueError
+    return least_squares(peaks)
+
+
+def settled(pairs, band):
+    for k in range(len(pairs), 0, -1):
+        if abs(pairs[k - 1][1]) > band:
+            return pairs[k][0] if k < len(pairs) else math.inf
+    return pairs[0][0]
+
+
+def held_integral(pairs):
+    if len(pairs) < 2:
+        raise ValueError
+    return sum(abs(e) for _, e in pairs) * (pairs[1][0] - pairs[0][0])
+
+
+def opposite(pairs):
+    first = pairs[0][1]
+    return max([0.0, *(abs(e) for _, e in pairs if e * first < 0.0)])
+
+
+OF_ERRORS = {
+    "mean_error": lambda pairs: statistics.fmean(-e for _, e in pairs),
+    "rms": lambda pairs: math.sqrt(statistics.fmean(e * e for _, e in pairs)),
+    "peak": lambda pairs: max(abs(e) for _, e in pairs),
+    "mean_square": lambda pairs: statistics.fmean(e * e for _, e in pairs),
+    "mean_absolute": lambda pairs: statistics.fmean(abs(e) for _, e in pairs),
+    "sum_absolute": lambda pairs: sum(abs(e) for _, e in pairs),
+    "error_overshoot": opposite,
+    "integral_absolute": held_integral,
+    "growth_rate": growth,
+    "error_settling_time": settled,
+}
+
+
+def variation(pairs):
+    if len(pairs) < 2:
+        raise ValueError
+    return sum(abs(b - a) for (_, a), (_, b) in pairwise(pairs)) / (pairs[-1][0] - pairs[0][0])
+
+
+OF_VALUES = {
+    "total_variation": variation,
+    "peak_to_peak": lambda pairs: max(x for _, x in pairs) - min(x for _, x in pairs),
+    "mean": lambda pairs: statistics.fmean(x for _, x in pairs),
+    "maximum": lambda pairs: max(x for _, x in pairs),
+    "minimum": lambda pairs: min(x for _, x in pairs),
+    "final_value": lambda pairs: pairs[-1][1],
+    "reach_time": lambda pairs, level: next((t for t, x in pairs if x >= level), math.inf),
+}
+
+
+def crossing(pairs, level):
+    for k, (t, z) in enumerate(pairs):
+        if z >= level:
+            before, low = pairs[max(k - 1, 0)]
+            return t if k == 0 else before + (t - before) * (level - low) / (z - low)
+    return math.inf
+
+
+def rise(pairs, zero, low=0.1, high=0.9):
+    if not 0.0 <= low < high:
+        raise ValueError
+    reached = crossing(pairs, high)
+    return reached - crossing(pairs, low) if reached < math.inf else math.inf
+
+
+def settling(pairs, zero, band=0.02, at="crossing"):
+    if band <= 0.0:
+        raise ValueError
+    outside = [k for k, (_, z) in enumerate(pairs) if abs(z - 1.0) > band]
+    if not outside:
+        return pairs[0][0] - zero
+    if outside[-1] == len(pairs) - 1:
+        return math.inf
+    (t, z), (after, inside) = pairs[outside[-1] : outside[-1] + 2]
+    edge = 1.0 + band if z > 1.0 else 1.0 - band
+    return (after if at == "sample" else t + (after - t) * (z - edge) / (z - inside)) - zero
+
+
+def beyond(pairs, zero):
+    return max(0.0, 100.0 * (max(z for _, z in pairs) - 1.0))
+
+
+OF_STEPS = {"rise_time": rise, "settling_time": settling, "overshoot": beyond}
+
+
+def compared(expected, found):
+    """Both the same number to rounding, or both refused."""
+    try:
+        wanted = expected()
+    except ValueError:
+        with pytest.raises(ValueError):  # noqa: PT011
+            found()
+        return
+    assert found() == pytest.approx(wanted, rel=1e-9, abs=1e-12)
+
+
+@given(records(), WINDOWS, st.sampled_from(["r", 0.0, 0.5, None]), EIGHTH.map(abs))
+@settings(max_examples=50, deadline=None, derandomize=True)
+@example({"y": (np.arange(9) * 0.1, np.array([0, 1, 0, 2, 1, 4, 0, 1, 0]) + 0.5)}, (None, None), 0.5, 1.0)
+@example({"y": (np.arange(5) * 0.1, np.array([0.0, 9.0, 1.0, 9.0, -1.0]))}, (None, None), 0.0, 1.0)
+@example({"y": (np.arange(4.0), np.arange(4.0) ** 2), "r": (np.arange(3.0), np.ones(3))}, (None, None), "r", 0.0)
+@example({"y": (np.arange(2.0), np.arange(2.0)), "r": (np.array([0.0, 0.5]), np.ones(2))}, (None, None), "r", 0.0)
+def test_figures_of_values_and_errors(signals, cuts, reference, number):
+    start, end = cuts
+    limits = {"start": start, "end": end}
+    told = {} if reference is None else {"reference": reference}
+    for name, of in OF_ERRORS.items():
+        more = {"band": number} if name == "error_settling_time" else {}
+        said = told or ({"reference": 0.0} if name == "mean_error" else {})
+        compared(
+            lambda of=of, more=more: of(errors(signals, reference or 0.0, start, end), **more),
+            lambda name=name, more=more, said=said: getattr(measures, name)(signals, "y", **said, **more, **limits),
+        )
+    for name, of in OF_VALUES.items():
+        more = {"level": number} if name == "reach_time" else {}
+        compared(
+            lambda of=of, more=more: of(cut(signals["y"], start, end), **more),
+            lambda name=name, more=more: getattr(measures, name)(signals, "y", **more, **limits),
+        )
+
+
+@given(
+    records(),
+    WINDOWS,
+    st.sampled_from([-4.0, -1.0, 0.0, 0.5, 1.0, 2.0]),
+    st.sampled_from(["level", "signal", None]),
+    st.sampled_from([{}, {"low": 0.0, "high": 0.5}, {"low": 0.25, "high": 0.25}, {"low": -0.25, "high": 0.5}]),
+    st.sampled_from([{}, {"band": 0.25}, {"band": 0.5, "at": "sample"}, {"band": 0.0}]),
+)
+@settings(max_examples=80, deadline=None, derandomize=True)
+def test_figures_of_steps(signals, cuts, initial, final, levels, bands):
+    start, end = cuts
+    limits = {"start": start, "end": end}
+    said = {"level": {"final": initial + 2.0}, "signal": {"final": "r", "initial": "r"}, None: {}}[final]
+    arguments = {"initial": initial} | said if initial or final == "signal" else said
+
+    def pairs():
+        found = cut(signals["y"], start, end)
+        goal, begin = found[-1][1], initial
+        if final == "level":
+            goal = initial + 2.0
+        elif final == "signal":
+            at = tick(signals["r"][0][0] if start is None else start)
+            goal = value_at(signals["r"], at * 1e-9)
+            begin = value_at(signals["r"], (at - 1) * 1e-9)
+        if goal == begin:
+            raise ValueError
+        return [(t, (x - begin) / (goal - begin)) for t, x in found]
+
+    for name, of in OF_STEPS.items():
+        more = {"rise_time": levels, "settling_time": bands}.get(name, {})
+
+        def expected(of=of, more=more):
+            z = pairs()
+            return of(z, z[0][0] if start is None else start, **more)
+
+        compared(
+            expected, lambda name=name, more=more: getattr(measures, name)(signals, "y", **arguments, **more, **limits)
+        )
+
+
+@given(st.lists(st.integers(0, 60), min_size=1, max_size=60), st.lists(st.integers(0, 60), max_size=60))
+@settings(max_examples=30, deadline=None, derandomize=True)
+def test_the_newest_of_many_instants(times, at):
+    times, at = sorted(set(times)), sorted(at)
+    assert measures.newest(np.array(times), np.array(at)).tolist() == [bisect(times, t) - 1 for t in at]
+    assert measures.newest(np.array(times[:1]), np.array(at)).tolist() == [bisect(times[:1], t) - 1 for t in at]
+
+
+@given(records())
+@settings(max_examples=15, deadline=None, derandomize=True)
+def test_the_newest_step_of_some_signals(signals):
+    steps = []
+    for t, x in signals.values():
+        k = max(k for k in range(len(t)) if k == 0 or x[k] != x[k - 1])
+        steps.append((float(t[k]), float(x[k])))
+    found = [measures.newest_step(signals, names) for names in ("y", "r", "y, r")]
+    assert found == [*steps, steps[0] if steps[0][0] >= steps[1][0] else steps[1]]
+
+
+def test_what_is_missing_is_named():
+    t = np.arange(1.0, 4.0)
+    signals = {"y": (t, t), "late": (t + 1.0, t), "none": (t[:0], t[:0])}
+    told = []
+    for figure, name, arguments in (
+        (measures.mean, "y", {"start": 5.0}),
+        (measures.mean, "y", {"end": 0.5}),
+        (measures.mean, "y", {"start": 2.5, "end": 1.5}),
+        (measures.total_variation, "y", {"start": 3.0, "end": 3.0}),
+        (measures.integral_absolute, "y", {"end": 1.0}),
+        (measures.mean, "none", {}),
+        (measures.peak, "y", {"reference": "late"}),
+        (measures.overshoot, "y", {"initial": 3.0}),
+        (measures.overshoot, "y", {"initial": "y"}),
+        (measures.overshoot, "y", {"initial": "late", "start": 2.0}),
+        (measures.overshoot, "y", {"final": "late", "start": 1.0}),
+        (measures.overshoot, "y", {"final": "none"}),
+        (measures.growth_rate, "y", {}),
+        (measures.settling_time, "y", {"at": "end"}),
+        (measures.settling_time, "y", {"band": -0.1}),
+        (measures.rise_time, "y", {"low": 0.5, "high": 0.5}),
+    ):
+        with pytest.raises(ValueError) as refused:  # noqa: PT011
+            figure(signals, name, **arguments)
+        told.append(str(refused.value))
+    assert told == [
+        "y has 0 samples from 5 s to its end, needed 1; recorded from 1 to 3 s",
+        "y has 0 samples from its begin to 0.5 s, needed 1; recorded from 1 to 3 s",
+        "y has 0 samples from 2.5 s to 1.5 s, needed 1; recorded from 1 to 3 s",
+        "y has 1 samples from 3 s to 3 s, needed 2; recorded from 1 to 3 s",
+        "y has 1 samples, needed 2",
+        "none has 0 samples from its begin to its end, needed 1; nothing is recorded",
+        "late has no value yet at 1 s, where y begins",
+        "y: the step from 3 to the final value has size zero",
+        "y has no value before the begin of the window",
+        "late has no value before the begin of the window",
+        "late has no value at the begin of the window",
+        "none has no value at the begin of the window",
+        "y has 0 peaks between 1 and 3 s, needed 3 for a growth rate",
+        "at = 'end': expected 'crossing' or 'sample'",
+        "band = -0.1: expected a positive fraction of the step",
+        "levels low = 0.5, high = 0.5: expected 0 <= low < high",
+    ]
+
+
+def test_every_figure_is_among_them_and_has_no_bound_of_its_own():
+    assert sorted(measures.__all__) == sorted(OF_ERRORS | OF_VALUES | OF_STEPS)
+    assert {getattr(measures, name).possible for name in measures.__all__} == {(-math.inf, math.inf)}

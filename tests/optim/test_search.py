@@ -1,0 +1,120 @@
+"""The one interface of all searches, and a search as a value of a block's state."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+from softrig_optim.pso import ParticleSwarm
+from softrig_optim.scan import Scan
+from softrig_optim.search import Search, Told, run
+from softrig_optim.sweep import progress
+
+
+class Walk(Search):
+    """Goes on by what it was told and what it has seen on the way; ends after five values."""
+
+    def moves(self):
+        seen = 0.0
+        for k in range(5):
+            self.iteration = k
+            self.settle = k % 2 == 0
+            (cost,) = yield [(0.1 * k + 0.01 * self.passed + 0.001 * self.rng.random(),)]
+            seen += cost
+
+    watches = True
+    passed = 0.0
+
+    def watch(self, sample):
+        self.passed += sample[0]
+
+
+def test_a_search_as_a_value_goes_on_from_any_of_its_past():
+    """Also after another line has gone on from there; equal by what was said, and copied with it."""
+    made = []
+
+    def make(rng):
+        made.append(Walk([0.0], [1.0], rng))
+        return made[-1]
+
+    rng = np.random.default_rng(4)
+    begin = Told(make, rng)
+    assert (begin.low, begin.high, begin.watches, begin.settle, begin.gap) == ((0.0,), (1.0,), True, True, math.inf)
+    assert math.isnan(begin.expected)
+    line = [begin]
+    for k in range(3):
+        watched = line[-1].watch((float(k),))
+        assert watched != line[-1]
+        line.append(watched.tell(5.0 - k))
+    assert len(made) == 1  # one live search serves the newest
+    assert [told.now.evaluations for told in line] == [0, 1, 2, 3]
+    assert len(made) > 1
+    candidates = [told.now.ask() for told in line]
+    assert len(set(candidates)) == 4
+    assert [told.expected for told in line[1:]] == [5.0, 4.0, 3.0]
+    assert [told.settle for told in line] == [True, False, True, False]
+    other = line[1].watch((9.0,))
+    assert other.now.ask() != line[2].now.ask()
+    assert [told.now.ask() for told in line] == candidates
+    again = Told(make, rng, [("watch", ((0.0,),)), ("tell", (5.0, ()))])
+    assert again == line[1] != line[2]
+    assert again != "else"
+    copied = copy.copy(line[2])
+    assert (copied, copied.now.ask()) == (line[2], candidates[2])
+    assert rng.random() == np.random.default_rng(4).random()  # it is not drawn from
+    native = line[2].native()
+    assert native[1:] == (line[2].low, line[2].high, True, True, math.inf, 4.0)
+    assert native.python() is line[2]
+
+
+def test_a_search_says_what_it_knows():
+    search = ParticleSwarm([0.0], [1.0], 0, n_pop=2, n_iter=1, maximise=True)
+    assert (search.bound, search.gap, search.settle, search.watches, search.remembers) == (
+        None,
+        math.inf,
+        True,
+        False,
+        True,
+    )
+    for read in (lambda: search.result, lambda: search.expected):
+        with pytest.raises(ValueError, match="no value was told yet"):
+            read()
+    search.watch((1.0,))
+    search.tell(-1.0, [3, 4])
+    assert search.sample == (3, 4)
+    search.tell(-2.0)
+    assert (search.sample, search.expected, search.iteration) == ((), -1.0, 1)
+    one = ParticleSwarm([0.0], [1.0], budget=1, stop=lambda s: False)
+    one.tell(1.0)
+    assert one.done
+    whole = run(ParticleSwarm([0.0], [1.0], n_pop=3, n_iter=2, budget=4), lambda x: x[0])
+    assert whole.value == whole.x[0]
+    edge = ParticleSwarm([0.0], [1.0], n_pop=1, n_iter=1)
+    assert run(edge, lambda x: x[0]).value <= edge.history[0].value
+    assert edge.evaluations == 2
+    for lower, upper in (([1.0], [1.0]), ([], []), ([[0.0]], [[1.0]]), ([0.0], [math.nan])):
+        with pytest.raises(ValueError, match=r"^lower = .*, upper = .*: expected "):
+            ParticleSwarm(lower, upper)
+    assert Scan([0.0], [1.0], n_grid=3, tolerance=0.0).pending == [(0.0,), (0.5,), (1.0,)]
+
+
+def test_progress_is_told_by_tenths_or_after_ten_seconds(monkeypatch, capsys):
+    """Where nobody looks at a terminal; nothing when it is to be quiet."""
+    clock = [0.0]
+    monkeypatch.setattr("softrig_optim.sweep.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("sys.stderr.isatty", lambda: False)
+
+    def told(total, seconds=0.0):
+        with progress("cases", total) as advance:
+            for _ in range(total):
+                clock[0] += seconds
+                advance()
+        return [int(line.split()[2]) for line in capsys.readouterr().err.splitlines()]
+
+    assert told(20) == [*range(2, 21, 2)]
+    assert told(19) == []
+    assert told(30) == [*range(3, 31, 3)]
+    assert told(5, 6.0) == [2, 4]
+    assert told(3, 10.0) == [2]
+    monkeypatch.setattr("softrig_optim.sweep.is_quiet", lambda: True)
+    assert told(20) == []
