@@ -29,6 +29,7 @@ RIGS = (
     "tcp_aqm_smc",
     "rehab_impedance",
     "manipulator_adsmc",
+    "gupfc",
     "pv_mppt",
 )
 # by hand: seconds simulated, and topics of its tables: of each tick, and of each 20th
@@ -155,8 +156,7 @@ def core_rates() -> dict[str, float]:
 def _driven(u: Any, geometry: Any, constants: Any, rows: Any) -> None:
     state = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for n in range(len(u)):
-        after = step(state, (u[n, 0], u[n, 1], u[n, 2], u[n, 3]), (0.0, 0.0), False, geometry, constants)
-        state = after[0], after[1], after[2], after[3], after[4], after[5]
+        state = step(state, (u[n, 0], u[n, 1], u[n, 2], u[n, 3]), (0.0, 0.0), False, geometry, constants)
         for k in range(6):
             rows[n, k] = state[k]
 

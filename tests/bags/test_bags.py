@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import heapq
 import json
 import os
 import random
@@ -133,6 +134,23 @@ POLICIES = {
     "durability": {"volatile", "transient_local", "system_default", "unknown"},
     "liveliness": {"automatic", "manual_by_topic", "system_default", "unknown"},
 }
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_messages_come_by_time_then_topic_and_those_of_a_topic_as_they_came(seed):
+    """Some late ones among them, as a run in real time may have; topics without any; none at all."""
+    rng, topics = random.Random(seed), seed % 5
+    found = Recording((f"t{k}", STATE) for k in range(topics))
+    streams = []
+    for rank in range(topics):
+        times = sorted(rng.choices(range(30), k=rng.choice([0, 3, 40])))
+        for k in rng.sample(range(len(times)), len(times) // 8):
+            times[k] -= rng.randrange(5)
+        for k, t in enumerate(times):
+            found.add(rank, t, b"%d" % k)
+        streams.append([(t, rank, b"%d" % k) for k, t in enumerate(times)])
+    merged = heapq.merge(*streams, key=lambda message: message[:2])
+    assert [(t, int(topic.name[1:]), data) for t, topic, data in found.messages()] == list(merged)
 
 
 @pytest.mark.parametrize(("storage", "suffix"), [("mcap", "mcap"), ("sqlite3", "db3")])

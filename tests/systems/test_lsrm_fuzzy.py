@@ -21,7 +21,7 @@ from softrig_drives.lsrm.fuzzy import TABLE_II, THIRDS, LsrmFuzzy
 from softrig_drives.lsrm.machine import Geometry, distance, profile
 from softrig_drives.lsrm.mrac import LsrmMrac
 from softrig_drives.lsrm.pi import LsrmPi
-from softrig_drives.lsrm.plant import LsrmPlant
+from softrig_drives.lsrm.plant import LsrmPlant, LsrmPlantParams, sense
 from softrig_drives.lsrm.ports import FORCE_CMD, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE
 from softrig_drives.lsrm.profile import Profile, Quintic
 from softrig_drives.lsrm.profile_generator import ProfileGenerator
@@ -566,6 +566,15 @@ def test_negative_load_is_refused(load):
         twin.advance(k, phase_voltage=(50.0, 0.0, 0.0, 0.0), load=(2.0, 1.0))
     assert plant.x == twin.x
     assert plant.reports["bad_load"][0] == Level.ERROR
+
+
+@given(st.floats(-0.1, 0.1), st.floats(0.06, 0.11), st.booleans())
+def test_it_trips_where_a_current_is_beyond_the_bound_and_nowhere_else(x, flux, steep):
+    """Currents are looked at from some flux on: below it none may be beyond the bound."""
+    plant = LsrmPlant(LsrmPlantParams(substeps=1, locked=True, G=8.0 if steep else 0.8), 0)
+    before = plant.first()._replace(psi_a=flux, x=x)
+    after = plant.advance(before, 0, phase_voltage=OFF, load=None)
+    assert after.fault == (sense(after[:6], plant._geometry)[3] > plant.p.trip_current)
 
 
 def test_overcurrent_trips_for_good():

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from softrig_core import Scenario, ScenarioError, load_scenario, rig_of
+from softrig_core import Scenario, ScenarioError, load_scenario
 from softrig_core.errors import closest
 from softrig_core.extras import need
 
 from ..folder import replace
+from ..run.run import checked
 from ..study.batch import Batch, Log
 from ..study.engine import made_of, same
 from ..study.work import LARGE, repeating, run, trial
@@ -94,7 +95,7 @@ def prepare(task: Falsification) -> Prepared:
     names = _requirements(scenario, task.requirements)
     space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
     free = {"name", "title", "expect", "budget", "first"}
-    content = task.model_dump(mode="json", exclude=free) | made_of({task.scenario: scenario}, [rig_of(scenario)])
+    content = task.model_dump(mode="json", exclude=free) | made_of({task.scenario: scenario}, [checked(scenario)])
     if package := needs(task.sampler, space.size):
         need(package, "falsify")
     nominal = repeating(trial(scenario, {}, names, runs=task.budget))

@@ -46,9 +46,14 @@ class Work(NamedTuple):
 def trial(
     scenario: Scenario, overrides: dict[str, Any], requirements: Iterable[str], number: int = -1, runs: int = 1
 ) -> Work:
-    """Give a run of which the margins of requirements are wanted."""
-    case = Case(number, scenario.name, "", overrides, scenario.seed)
-    return Work(case, figures=tuple(requirements), runs=runs, scenario=scenario, margins=True)
+    """Give a run of which the margins of requirements are wanted, and nothing else is measured or judged."""
+    case, names = Case(number, scenario.name, "", overrides, scenario.seed), tuple(requirements)
+    asked = {
+        kind: {name: entry for name, entry in getattr(scenario, kind).items() if name in names}
+        for kind in ("figures", "expect")
+    }
+    scenario = scenario.model_copy(update={**asked, "claims": {}})
+    return Work(case, figures=names, runs=runs, scenario=scenario, margins=True)
 
 
 def run(work: Work) -> dict[str, Any]:

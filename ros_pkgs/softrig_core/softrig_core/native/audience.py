@@ -102,12 +102,13 @@ class Answers(NamedTuple):
             return self.numbers, self.stamps or [()] * len(self.numbers)
         return self.numbers.tolist(), self.stamps.tolist()
 
-    @staticmethod
-    def joined(parts: Sequence[Answers]) -> Answers:
-        """Give what was said in ticks that follow one another."""
-        if isinstance(parts[0].numbers, list):
-            return Answers(*([row for part in parts for row in part[k]] for k in (0, 1)))
-        return Answers(*map(np.concatenate, zip(*parts, strict=True)))
+    def put(self, k: int, numbers: Sequence[float], stamps: Sequence[int]) -> None:
+        """Put what was said at one more tick in its place, row k."""
+        for table, row in ((self.numbers, numbers), (self.stamps, stamps)):
+            if isinstance(table, list):
+                table.append(row)
+            else:
+                table[k] = row
 
 
 def numbers_of(step: Step) -> tuple[float, ...]:

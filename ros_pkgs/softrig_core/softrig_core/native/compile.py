@@ -35,7 +35,7 @@ def compiled(made: RigText) -> Callable[..., Any]:
     -------
     callable
         ``rig(first, last, n, c, s, *arrays) -> s``: answers the ticks of the clock from `first` up to `last`; n[0] is
-        the one under way. What it raises gives that tick up.
+        the one under way, n[2] the one with which the places of answers begin. What it raises gives that tick up.
     """
     numba = our_numba()
     from ..kit._borrowed import Borrowing

@@ -119,6 +119,10 @@ class Engine:
         self._fits: list[Any] = []
         self._pack: list[Way] = []  # of each member, how its state goes to native code
         self._unpack: list[Way] = []  # and comes back; empty until something has
+        self._n: Any  # tick under way, random numbers that are missing, tick with which the places begin
+        self._when: Any
+        self._told: Any
+        self._arrays: tuple[Any, ...]  # what native code is handed after its state, as `RigText.arrays`
 
     def run(self, first: int = 0) -> Iterator[int | None]:
         """Answer all ticks of a run that has an end; then the steps know what of them was native.
@@ -142,6 +146,7 @@ class Engine:
             yield from self._run(first)
         finally:
             self.tell()
+            self._arrays = ()  # large: who recorded them has them
 
     def tell(self) -> None:
         """Have the steps know what of them was native, as far as it goes."""
@@ -235,7 +240,8 @@ class Engine:
         if self._alone is None or kept.made or not self._typed:
             return False
         kept.made = True
-        arguments = k, k, *self._handed(k, k)[0]
+        self._places(k, k)
+        arguments = k, k, *self._handed(k)
 
         def compile_() -> None:
             with suppress(Exception):  # said when it is called
@@ -354,15 +360,17 @@ class Engine:
 
     def _go(self, first: int, last: int) -> int:
         """Answer ticks of the clock from `first` up to `last`, or as far as native code goes; give how far that is."""
-        reached, after, rows = self._called(first, last)
+        rows = self._places(first, last)
+        reached, after = self._called(first, first, last, rows)
         if after is None:
             return first
         if self._smooth and self._decided(reached):
             return self._on(first, reached, last, after, rows)
+        said = self._said_by(rows, first, reached)
         begun = [(w.save(), dict(w.values)) for w in self._watchers]
         spoken = [s.spoken for s in self._core]
         try:
-            self._audience.watch(self._recorded, first, reached, rows)
+            self._audience.watch(self._recorded, first, reached, said)
         except RunError:  # of one who watches: all again up to that tick, which Python answers
             reached = self.runner.schedule.tick(
                 max(w.t for w in self._watchers if w.name in self._audience.tick_by_tick)
@@ -373,21 +381,22 @@ class Engine:
             for s, before in zip(self._core, spoken, strict=True):
                 s.spoken = before
             if reached > first:
-                _, after, rows = self._called(first, reached)
-                self._audience.watch(self._recorded, first, reached, rows)
+                said = self._places(first, reached)
+                _, after = self._called(first, first, reached, said)
+                self._audience.watch(self._recorded, first, reached, said)
         if reached > first:
             self._take(first, reached, after)
-            self._audience.hand_out(self._core, first, reached, rows)
+            self._audience.hand_out(self._core, first, reached, said)
             one_clock = self._core_alone.schedule.clock == self.runner.schedule.clock
             self._smooth = one_clock and not self._audience.tick_by_tick and self._alone is None
         return reached
 
     def _on(self, first: int, reached: int, last: int, after: Any, rows: dict[int, Answers]) -> int:
         """Go on where members want a tick to be Python's; all that was said is handed out at the end, at once."""
-        at, parts = first, {key: [answers] for key, answers in rows.items()}
+        at = first
 
         def hand_out() -> None:
-            whole = {key: Answers.joined(found) for key, found in parts.items()}
+            whole = self._said_by(rows, first, reached)
             try:
                 self._audience.watch(self._recorded, first, reached, whole)
             finally:
@@ -410,18 +419,14 @@ class Engine:
             self.native.decided += 1
             for s in self._recorded:
                 if reached % self._every[id(s)] == 0:
-                    one = [numbers_of(s)], [stamps_of(s)]
-                    parts[id(s)].append(
-                        Answers(np.array(one[0]), np.array(one[1], np.int64)) if self._typed else Answers(*one)
-                    )
+                    row = len(self._audience.own(s, first, reached))
+                    rows[id(s)].put(row, numbers_of(s), stamps_of(s))
             reached = at = reached + 1
             if reached == last or self._others() or any(s.bad for s in self._core):
                 break
-            reached, after, rows = self._called(at, last)
+            reached, after = self._called(first, at, last, rows)
             if after is None:
                 break
-            for key, answers in rows.items():
-                parts[key].append(answers)
         hand_out()
         return reached
 
@@ -431,8 +436,40 @@ class Engine:
 
         return later
 
-    def _handed(self, first: int, last: int) -> tuple[tuple[Any, ...], dict[int, Answers]]:
-        """Give what the function is handed after its ticks, and what it writes answers into."""
+    def _places(self, first: int, last: int) -> dict[int, Answers]:
+        """Give what native code writes the answers of ticks from `first` up to `last` into, and have it handed that."""
+        counts = {id(s): len(self._audience.own(s, first, last)) for s in self._recorded}
+        rows = {
+            id(s): Answers(np.empty((size, counts[id(s)])).T, np.empty((counts[id(s)], stamps), np.int64))
+            if self._typed  # column after column in memory: so they are read
+            else Answers([], [])
+            for _, s, size, stamps in self._written
+        }
+        assert self._kept is not None
+        reports = self._kept.text.program.reports
+        sizes = 1 + len(self._links) + len(self._speakers), reports.size if reports else 0
+        if self._typed:
+            self._n, self._when, self._told = np.zeros(3, np.int64), np.zeros(sizes[0], np.int64), np.zeros(sizes[1])
+        else:
+            self._n, self._when, self._told = [0] * 3, [0] * sizes[0], [0.0] * sizes[1]
+        self._name(rows)
+        return rows
+
+    def _name(self, rows: dict[int, Answers]) -> None:
+        """Put what native code is handed in its order."""
+        assert self._kept is not None
+        named = self._tables | {WHEN: self._when, "told": self._told}
+        for k, s, _, _ in self._written:
+            named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
+        self._arrays = tuple(named[name] for name in self._kept.text.arrays)
+
+    def _said_by(self, rows: dict[int, Answers], first: int, last: int) -> dict[int, Answers]:
+        """Give the answers of ticks from `first`, where their places begin, up to `last`."""
+        counts = {id(s): len(self._audience.own(s, first, last)) for s in self._recorded}
+        return {key: Answers(*(table[: counts[key]] for table in answers)) for key, answers in rows.items()}
+
+    def _handed(self, begin: int) -> tuple[Any, ...]:
+        """Give what the function is handed after its ticks; the places of answers begin at a tick."""
         kept = self._kept
         assert kept is not None
         before = (
@@ -442,40 +479,41 @@ class Engine:
             *(packed(link.value) for link in self._links),
         )
         spoken = [self._core[k].spoken[j] for k, j in self._speakers]
-        times = [0, *(link.stamp for link in self._links), *(NEVER if t is None else t for t in spoken)]
-        self._when = np.array(times, np.int64) if self._typed else times
-        size = kept.text.program.reports.size if kept.text.program.reports else 0
-        self._told: Any = np.zeros(size) if self._typed else [0.0] * size
-        rows: dict[int, Answers] = {}
-        named = self._tables | {WHEN: self._when, "told": self._told}
-        for k, s, size, stamps in self._written:
-            rows[id(s)] = Answers([], [])
-            if self._typed:
-                count = len(self._audience.own(s, first, last))
-                # column after column in memory: so they are read
-                rows[id(s)] = Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
-            named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
-        n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
-        return (n, self._constants, before, *(named[name] for name in kept.text.arrays)), rows
+        self._n[:] = 0, 0, begin
+        self._when[:] = [0, *(link.stamp for link in self._links), *(NEVER if t is None else t for t in spoken)]
+        self._told[:] = [0.0] * len(self._told)
+        return self._n, self._constants, before, *self._arrays
 
-    def _called(self, first: int, last: int) -> tuple[int, Any, dict[int, Answers]]:
+    def _called(self, begin: int, first: int, last: int, rows: dict[int, Answers]) -> tuple[int, Any]:
+        """Answer ticks from `first` up to `last`, or as far as native code goes, into places that begin at a tick.
+
+        Returns
+        -------
+        reached : int
+        after : tuple or None
+            What is remembered then, and was said last; None: it went nowhere.
+        """
         kept = self._kept
         assert kept is not None
         self._cut = False
         kept.made = True
         while True:
-            handed, rows = self._handed(first, last)
-            n = handed[0]
+            handed = self._handed(begin)
+            n = self._n
             try:
                 after = kept.function(first, last, *handed)
             except NATIVE:
+                if not self._typed:  # lists have grown
+                    rows |= self._said_by(rows, begin, first)
+                    self._name(rows)
                 if n[1]:
                     for name, draws in self._sources.items():
                         self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
+                    self._name(rows)
                     continue
                 self._cut = True
                 if n[0] <= first:
-                    return first, None, {}
+                    return first, None
                 last = int(n[0])
                 continue
             except Exception as error:
@@ -483,12 +521,7 @@ class Engine:
                     raise
                 _texts[:] = [other for other in _texts if other is not kept]
                 raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
-            reached = int(n[0])
-            if self._typed and reached < last:
-                for s in self._recorded:
-                    count = len(self._audience.own(s, first, reached))
-                    rows[id(s)] = Answers(*(table[:count] for table in rows[id(s)]))
-            return reached, after, rows
+            return int(n[0]), after
 
     def _take(self, first: int, last: int, after: Any) -> None:
         """Make what native code has found that of the steps."""

@@ -186,7 +186,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         raise NotNative("times beyond whole numbers of 64 bits")
     head = [f"def rig({', '.join(['first', 'last', 'n', 'c', 's', *handed])}):", f"    {state}, = s"]
     head += [
-        f"    e{numbers[id(s)]} = (first + {s.schedule.every // stride - 1}) // {s.schedule.every // stride}"
+        f"    e{numbers[id(s)]} = (n[2] + {s.schedule.every // stride - 1}) // {s.schedule.every // stride}"
         for s in recorded
     ]
     head += [

@@ -40,14 +40,16 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
         return copy(shared[name], (*path, name))
 
     def copy(value: Any, path: tuple[str, ...]) -> Any:
+        if isinstance(value, str):
+            found = SHARED.fullmatch(value) if value[:1] == "$" else None
+            return known(found[1], path) if found else value
+        if isinstance(value, float | int | None):  # most of a file: asking whether they are mappings takes long
+            return value
         if isinstance(value, Over):
             below = copy(value.below, path)
             for change in value.changes:
                 below = merge(below if isinstance(below, Mapping) else {}, copy(change, path))
             return below
-        if isinstance(value, str):
-            found = SHARED.fullmatch(value)
-            return known(found[1], path) if found else value
         if isinstance(value, Mapping):
             return {copy(k, path) if isinstance(k, str) else k: copy(v, path) for k, v in value.items()}
         return [copy(v, path) for v in value] if isinstance(value, list | tuple) else value
@@ -66,6 +68,8 @@ def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
         Gives a value for the name of a node and the dotted name of its parameter.
     """
     if isinstance(value, str):
+        if value[:1] != "$":
+            return value
         found = _PARAMETER.fullmatch(value)
         if found:
             return parameter(found[1], found[2])

@@ -15,6 +15,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from ..block.port import CLOCK
+from ..entry import Entry
 from ..errors import ScenarioError, closest
 from ..judge.claims import NEVER
 from ..judge.expectation import Expectation
@@ -172,7 +173,12 @@ def read_by(figures: Iterable[Figure], units: Mapping[str, str]) -> set[str]:
         given, reads = [a for a in f.arguments.values() if isinstance(a, str)], getattr(f.function, "reads", ())
         # of one of several drives in a rig, whose name is an argument, too
         asked += [*given, *reads, *(f"{one}/{name}" for one in given for name in reads), *f.since.split(", ")]
-    return {signal for name in asked for signal in filter_names(units, name)}
+    return {signal for name in asked for signal in _called(name, units)}
+
+
+def _called(name: str, units: Mapping[str, str]) -> Iterable[str]:
+    """Give the signals of a name, which may be a pattern."""
+    return (name,) if name in units else filter_names(units, name)
 
 
 def told(rig: Members) -> dict[str, str]:
@@ -263,9 +269,7 @@ def _model(function: Function) -> tuple[type[BaseModel], bool]:
     for p in parameters:
         if p.kind is not p.VAR_KEYWORD:
             fields[p.name] = (hints.get(p.name, Any), ... if p.default is p.empty else p.default)
-    return create_model(function.__name__, __config__=ConfigDict(extra="forbid", frozen=True), **fields), len(
-        fields
-    ) == len(parameters)
+    return create_model(function.__name__, __base__=Entry, **fields), len(fields) == len(parameters)
 
 
 def _arguments(function: Function, given: dict[str, Any]) -> dict[str, Any]:
@@ -288,7 +292,7 @@ def _arguments(function: Function, given: dict[str, Any]) -> dict[str, Any]:
 def _check_signals(function: Function, arguments: Mapping[str, Any], units: Mapping[str, str]) -> None:
     named = {k: v for k, v in arguments.items() if isinstance(v, str) and (k in SIGNALS or "/" in v)}
     for name in (*named.values(), *getattr(function, "reads", ())):
-        if not filter_names(units, name):
+        if not _called(name, units):
             raise ScenarioError(f"no signal {name!r}{closest(name, units)}; the rig has {', '.join(units)}")
     own, *others = [(k, units[arguments[k]]) for k in SIGNALS if isinstance(arguments.get(k), str)] or [("", "")]
     for name, unit in others:

@@ -66,12 +66,11 @@ class Judge:
         for name in variables(self.tree):
             condition = self.conditions.get(name)
             times, values = found[condition.signal if condition else name]
-            at = _newest(np.rint(times * SECOND), grid)
-            now = np.where(at < 0, 0.0, values[at]) if len(values) else np.zeros(len(grid))
+            now, none = _newest(np.rint(times * SECOND), values, grid)
             if condition:
                 truths[name] = truth(condition, now, np.concatenate((now[:1], now[:-1])))
             else:
-                held[name], late[name] = now, at < 0
+                held[name], late[name] = now, none
         after = self.clock.next(int(grid[-1]))
         return Record(grid, held, truths=truths, late=late, after=after).margin(self.tree)
 
@@ -82,11 +81,12 @@ def _grid(clock: Schedule, end: float) -> Array:
     return clock.times(0, last + 1).astype(np.float64)
 
 
-def _newest(times: Array, grid: Array) -> NDArray[np.intp]:
-    """Give for each tick which of the messages, at these times, is the newest; -1 before the first."""
+def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Give for each tick the newest of the values that came at these times, 0 before the first, and where that is."""
     if len(times) >= len(grid) and np.array_equal(times[: len(grid)], grid):  # one a tick
-        return np.arange(len(grid))
-    return newest(times, grid)
+        return values[: len(grid)], np.zeros(len(grid), dtype=bool)
+    at = newest(times, grid)
+    return np.where(at < 0, 0.0, values[at]) if len(values) else np.zeros(len(grid)), at < 0
 
 
 def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:

@@ -79,6 +79,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
         p = self.p
         self._geometry = p.numbers()
         self._constants = np.array([p.U_dc, p.R, p.M, p.C + p.k_p, p.period / p.substeps, p.substeps, float(p.locked)])
+        self._sure = 0.999 * p.trip_current * p.L_u  # Wb: no less inductance, so no phase with less can be beyond it
 
     def first(self) -> State:
         """Rest without current."""
@@ -97,16 +98,16 @@ class LsrmPlant(Plant[LsrmPlantParams]):
         if not fault and (max(phase_voltage) > p.U_dc or min(phase_voltage) < -p.U_dc):
             self.report(Level.WARN, "clipped", f"voltages {phase_voltage} V clipped to the supply, {p.U_dc:g} V")
         found = step(x[:STATES], phase_voltage, on.values, fault, self._geometry, self._constants)
-        psi_a, psi_b, psi_c, psi_d, position, v, largest = found
-        if largest > p.trip_current and not fault:
-            fault = True
-            currents = sense(found[:STATES], self._geometry)[3:7]
-            self.report(
-                Level.ERROR,
-                "overcurrent",
-                f"phase currents {currents} A beyond {p.trip_current:g} A: half bridges tripped for good",
-            )
-        return State(psi_a, psi_b, psi_c, psi_d, position, v, on, fault)
+        if not fault and max(found[:N_PHASES]) > self._sure:
+            currents = sense(found, self._geometry)[3:7]
+            if max(currents) > p.trip_current:
+                fault = True
+                self.report(
+                    Level.ERROR,
+                    "overcurrent",
+                    f"phase currents {currents} A beyond {p.trip_current:g} A: half bridges tripped for good",
+                )
+        return State(*found, on, fault)
 
     def _taken(self, load: tuple[float, ...]) -> Load | None:
         added, friction = load
@@ -138,7 +139,7 @@ def sense(state: Vector, geometry: Array) -> Step:
 @jit
 def step(
     state: Vector, voltages: Vector, load: Vector, fault: bool, geometry: Array, constants: Array
-) -> tuple[float, float, float, float, float, float, float]:
+) -> tuple[float, float, float, float, float, float]:
     """Hold four voltages for a period, within plus and minus U_dc; after a fault -U_dc on phases with current.
 
     Parameters
@@ -155,8 +156,8 @@ def step(
 
     Returns
     -------
-    tuple (7,)
-        The state then, and the largest of the currents (A).
+    tuple (6,)
+        The state then.
     """
     limit, R, M, damping, h, steps, locked = constants
     u = (
@@ -166,12 +167,7 @@ def step(
         held(voltages[3], state[3], limit, fault),
     )
     added, friction = load
-    after = advance(state, u, geometry, (R, M + added, damping), friction, locked > 0.0, h, int(steps))
-    largest = 0.0
-    for k in range(N_PHASES):
-        largest = max(largest, phase(after[k], distance(after[4], k, geometry), geometry)[0])
-    a, b, c, d, x, v = after
-    return a, b, c, d, x, v, largest
+    return advance(state, u, geometry, (R, M + added, damping), friction, locked > 0.0, h, int(steps))
 
 
 @jit
