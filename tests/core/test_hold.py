@@ -6,6 +6,7 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from simulated import SimulatedRig, World
 from softrig_core import Signals, load_scenario, rig_of
+from softrig_core.node.seam.hold import Hold
 
 RIG = rig_of(load_scenario("dc_motor_smc_b2").changed(duration=0.6))
 CLOCK = RIG.clock.name
@@ -143,3 +144,33 @@ def test_in_real_time_a_rig_with_hardware_does_not_stand_and_none_has_a_pace():
     guest = {"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}}
     run = SimulatedRig(rig_of(make_scenario(guest)), World(), "realtime", departs=True)
     assert not any(adapter.pauses for adapter in run.adapters.values())
+
+
+class Wall:
+    """A middleware of which only the clock is asked, s."""
+
+    now = 0.0
+
+    def steady(self):
+        return self.now
+
+    def timer(self, ns, call):
+        return self
+
+    def again(self, ns, period=0):
+        pass
+
+    def publisher(self, *_):
+        return lambda data: None
+
+    full_name = "/clock"
+
+
+@pytest.mark.parametrize(("late", "forgotten"), [(0.25, False), (0.250001, True)])
+def test_a_quarter_of_a_second_is_caught_up_and_more_is_forgotten(late, forgotten):
+    wall, hold = Wall(), Hold(pace=2.0)
+    hold.begin(wall, lambda: None)
+    assert hold.holds(0)  # from here on the pace counts
+    wall.now = 0.5 + late
+    assert not hold.holds(1_000_000_000)  # due at 0.5 s
+    assert hold.holds(1_400_000_000) == forgotten  # due at 0.7 s: what was missed is gone through at once, or not
