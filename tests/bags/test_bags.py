@@ -803,6 +803,47 @@ def test_split_bags_are_read_and_repaired(tmp_path, storage):
     assert len(list((tmp_path / "bag").iterdir())) == 4
 
 
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize(("begin", "split"), [(0, 0), (7_000, 0), (1_700_000_000 * 10**9, 30), (5, 1)])
+def test_the_metadata_says_what_is_in_each_file(tmp_path, storage, begin, split):
+    """Wherever the bag begins; a file is full when it lasts so long, the tenth is behind the ninth. Mended, too."""
+    times = [begin + t for t in (0, 4, 9, 10, 11, 12, 13, 29, 30, 31, 60, 75)]
+    writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=split)
+    number = writer.add_topic(BagTopic.known("/x", "std_msgs/msg/Float64"))
+    silent = writer.add_topic(BagTopic.known("/silent", "std_msgs/msg/Float64"))
+    for t in times:
+        writer.write(number, t, b"\x00\x01\x00\x00" + struct.pack("<d", float(t - begin)))
+    writer.close()
+    assert (writer.count, silent) == (len(times), 2)
+    files = []
+    for t in times:
+        if not files or (split and t - files[-1][0] >= split):
+            files.append([])
+        files[-1].append(t)
+
+    def check():
+        info = YAML(typ="safe").load(tmp_path / "bag/metadata.yaml")["rosbag2_bagfile_information"]
+        assert (info["starting_time"], info["duration"], info["message_count"]) == (
+            {"nanoseconds_since_epoch": begin},
+            {"nanoseconds": 75},
+            len(times),
+        )
+        told = [
+            (f["starting_time"]["nanoseconds_since_epoch"], f["duration"]["nanoseconds"], f["message_count"])
+            for f in info["files"]
+        ]
+        assert told == [(f[0], f[-1] - f[0], len(f)) for f in files]
+        assert [t["message_count"] for t in info["topics_with_message_count"]] == [len(times), 0]
+        with Reader(tmp_path / "bag") as theirs:
+            assert (theirs.start_time, theirs.duration, theirs.message_count) == (begin, 76, len(times))
+            assert [t for _, t, _ in theirs.messages()] == times
+
+    check()
+    (tmp_path / "bag/metadata.yaml").unlink()
+    repair(tmp_path / "bag")
+    check()
+
+
 def test_bags_of_other_recorders_are_repaired(tmp_path):
     for make in (humble_sqlite3, humble_mcap):
         directory = tmp_path / make.__name__

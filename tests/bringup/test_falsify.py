@@ -9,8 +9,9 @@ import sys
 import numpy as np
 import pytest
 from conftest import differences, in_process
+from matplotlib.figure import Figure
 from softrig_bringup.cli import main
-from softrig_bringup.falsify import engine
+from softrig_bringup.falsify import engine, picture
 from softrig_bringup.falsify.search import search
 from softrig_bringup.falsify.shrink import shrink
 from softrig_bringup.falsify.space import parse, space_of
@@ -18,6 +19,7 @@ from softrig_bringup.run.run import checked
 from softrig_bringup.study.work import run, trial
 from softrig_core import Scenario, ScenarioError, load_scenario, rig_of, simulate
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
+from told import check_told, figure_lines
 
 PIECES, PERIOD, LOAD = 15, 0.01, 1e-3
 
@@ -391,6 +393,24 @@ def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(undra
     assert not [signal for signal in drawn if "/drift/" in signal]
     checked(small)
     assert simulate(small).figures["settles"] == outcome(tmp_path / "a")["small"]["settles"] < 0.0
+
+
+def test_the_picture_of_the_worst_run_is_as_told(monkeypatch):
+    """Of a requirement over two signals, one of them the same in both runs; of one over a command; of a figure."""
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path: drawn.append((path, figure)))
+    scenario = load_scenario("dc_motor_smc_b2").changed(duration=0.4)
+    about = {
+        "speed": "motor/state/shaft/velocity",
+        "set_point": "motor/reference/shaft/velocity",
+        "u": "motor/command/armature/effort",
+    }
+    follows = {"follows": {"formula": "always[0.1, 0.3] speed >= 0.6 + 0 * set_point"}, "strong": "always abs(u) <= 3"}
+    nominal = scenario.having(shared=about, requirements=follows)
+    runs = {"as it is": simulate(nominal), "worst": simulate(nominal.changed(overrides={"dc_motor_plant.J": 0.03}))}
+    for name in ("follows", "strong", "overshoot"):
+        picture.draw_worst(runs, name, name, f"Worst of {name}")
+    check_told("pictures/worst", (line for path, f in drawn for line in (path, *figure_lines(f))))
 
 
 def test_a_scenario_without_requirements_says_what_it_needs(tmp_path, capsys):

@@ -122,6 +122,19 @@ def test_a_killed_run_in_lockstep_stays_when_somebody_has_tuned_it(tmp_path, mon
     del shard
 
 
+def test_a_killed_run_of_which_a_tuned_branch_was_left_stays(tmp_path, monkeypatch, capsys):
+    """Whoever went back from there and on without a change has that in the shards, and the branch in a file."""
+    monkeypatch.chdir(tmp_path)
+    folder = ResultsFolder(tmp_path / "runs" / "dc_motor_smc_b2")
+    folder.clear()
+    folder.let_go()
+    (folder.path / "left_1.yaml").write_text("what was tuned")
+    assert main([*RUN, "--no-plots", "--no-record"]) == 0
+    assert (folder.path / "left_1.yaml").read_text() == "what was tuned"
+    told = f"(left_1.yaml, and broken off: softrig bag repair {folder.path / 'log'})"
+    assert told in capsys.readouterr().err
+
+
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "out").write_text("")
     with pytest.raises(ScenarioError, match="out is a file, expected a folder"):

@@ -25,15 +25,16 @@ from softrig_bringup.plots.axes import draw as draw_curves, draw_logic, fold_exp
 from softrig_bringup.plots.curves import Curve, Shown, check_plots, inside
 from softrig_bringup.plots.marks import marks_of
 from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
-from softrig_bringup.plots.pictures import places, plot_run
+from softrig_bringup.plots.pictures import places, plot_entry, plot_run
 from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title, style
 from softrig_bringup.report.record import RunRecord, read_run
 from softrig_bringup.report.several import differences, differing, groups, names, overlaid, side_by_side
-from softrig_core import ScenarioError, list_scenarios, load_scenario, rig_of, simulate
+from softrig_core import ScenarioError, Signals, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.rig import code
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.scenario.scenario_file import resolve
 from softrig_core.verdict.figures import Result
+from told import check_told, figure_lines
 
 X = "lag/state/x/position"
 
@@ -83,6 +84,62 @@ def drawn(monkeypatch, tmp_path):
         return found
 
     return draw
+
+
+@pytest.fixture
+def unsaved(monkeypatch):
+    """Nothing is written: what a picture is made of tells all."""
+    monkeypatch.setattr(Figure, "savefig", lambda *_, **__: None)
+
+
+def marked(**keys):
+    """One with each kind of mark: in windows, of peaks on both sides, far away, violated; a plane, a difference."""
+    u, more = "lag/command/u/effort", {"arguments": {"signal": X}}
+    figures = {
+        "settling_time": more, "rise_time": more, "overshoot": {"arguments": {"signal": X, "final": 0.5}},
+        "last": {"function": "final_value", **more}, "largest": {"function": "maximum", **more},
+        "lowest": {"function": "minimum", "arguments": {"signal": X, "start": 0.3, "end": 0.7}},
+        "peak": {"arguments": {"signal": X, "reference": 0.5}}, "mean": {"arguments": {"signal": u, "start": 0.5}},
+    }  # fmt: skip
+    about = {
+        "figures": figures,
+        "expect": {"settling_time": "0.9 +- 0.1", "rise_time": "at most 0.7", "overshoot": "at most 0",
+                   "last": "0.45 +- 0.05", "largest": "0.44 +- 0.04", "lowest": "at least 0.25", "peak": "0.5 +- 0.02",
+                   "mean": "at least 5"},
+        "claims": {"last": {"published": 0.4, "where": "Table I", "verdict": "reproduced", "tolerance": "20 %"},
+                   "mean": {"published": 500.0, "where": "Table I", "verdict": "refuted", "reason": "far away"},
+                   "rise_time": {"published": 0.5, "where": "Table I", "verdict": "reproduced", "tolerance": "90 %"}},
+        "shared": {"state": X},
+        "requirements": {"low": "always[0.2, 0.8] state <= 0.3"},
+        "plots": [
+            {"title": "All", "signals": {X: "position", u: "command", f"{X} - {u}": "less"}},
+            {"title": "Cut", "signals": {X: ""}, "window": [0.2, 0.6], "quantity": "Way"},
+        ],
+    }  # fmt: skip
+    return scenario(**{**about, **keys})
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("marks", marked),
+        ("short", lambda: load_scenario("induction_dtc").changed(duration=0.02)),
+        ("angles", lambda: load_scenario("rehab_impedance").changed(duration=0.05)),
+    ],
+)
+def test_pictures_of_runs_are_as_told(name, given, drawn, unsaved):
+    """What is drawn where and how, of each picture of a run and of its overview."""
+    check_told(f"pictures/{name}", (line for figure in drawn(given()).values() for line in figure_lines(figure)))
+
+
+def test_a_picture_for_a_page_of_print_is_as_told():
+    """Width, letters and no title as asked; and what was not published is said."""
+    given = marked()
+    run = simulate(rig_of(given))
+    figures = [plot_entry(run.signals, run.rig, given.plots[0], inches=3.5, font=7.0, title=False)]
+    run.recording.topics["lag/command"] = run.recording.topics["lag/command"].before(0)
+    figures.append(plot_entry(Signals(run.recording), run.rig, given.plots[0]))
+    check_told("pictures/print", (line for figure in figures for line in figure_lines(figure)))
 
 
 def coloured(ax, colour):
@@ -466,6 +523,20 @@ def test_runs_overlay_with_bands_over_seeds(monkeypatch):
     (area,) = ax.collections
     assert area.get_paths()[0].get_extents().y0 == pytest.approx(0.4 * BAND[0])
     assert ax.get_ylabel() == "Position, m"
+
+
+def test_overlaid_pictures_are_as_told(monkeypatch, unsaved):
+    """A band of five with a run of its own; two groups too small for one; more runs than can be named; a window."""
+    figures = []
+    monkeypatch.setattr("softrig_bringup.plots.overlay.fold_exponents", figures.append)
+    cases = [
+        [overlay(f"seed {k}", "draws", 0.1 * k) for k in range(5)] + [overlay("own", "own", 1.0, end=2.0)],
+        [overlay(f"seed {k}", "ab"[k % 2], 0.1 * k, window=(0.02, 0.09), end=0.09) for k in range(4)],
+        [overlay(f"run {k}", f"run {k}", 0.1 * k, peak=1.0) for k in range(12)],
+    ]
+    titles = [title for runs in cases for title, _ in draw_overlay(runs, ", again")]
+    told = (line for title, f in zip(titles, figures, strict=True) for line in (title, *figure_lines(f)))
+    check_told("pictures/overlay", told)
 
 
 def test_signals_that_only_one_run_has_are_not_overlaid():

@@ -3,14 +3,18 @@
 import json
 import math
 import platform
+import struct
 from html.parser import HTMLParser
 from types import SimpleNamespace
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from softrig_bringup.folder import ResultsFolder
+from softrig_bringup.page.diagram import draw_diagram
+from softrig_bringup.page.wiring import Node, Wiring, wiring_of
 from softrig_bringup.page.wording import spans
 from softrig_bringup.plots import pictures as plots
 from softrig_bringup.plots.curves import envelope
@@ -40,6 +44,7 @@ from softrig_core import (
 from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
 from softrig_core.verdict.figures import Result
+from told import check_told, page_lines
 
 
 class Shaft(NamedTuple):
@@ -509,6 +514,55 @@ def test_several_runs_get_an_index_and_stand_side_by_side(make_run, tmp_path):
     assert page.tags.count("details") == 3 * (1 + len(BLOCKS))  # each run by itself is folded
     assert "This run has no pictures" in page.text
     assert not list(tmp_path.glob("*.part"))
+
+
+GAUGED = [
+    *METRICS,
+    {"name": "exact", "unit": "m", "expected": 2.0, "tolerance": 0.1, "value": 2.05, "pass": True},
+    {"name": "far_off", "expected": 2.0, "tolerance": 0.1, "value": -9.0, "pass": False},
+    {"name": "lower", "at_least": 1.0, "published": 1.5, "value": 1.0, "pass": True},
+    {"name": "never_there", "at_least": 1.0, "value": None, "pass": False, "error": "never"},
+]
+TURNED = [{"at_s": 0.0125, "node": "drive", "set": {"J": 0.03, "period": 0.001}}]
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "more"),
+    [
+        ("run", {"status": STATUS}, {"changes": TURNED, "label": "mine"}),
+        ("broke", {"status": STATUS, "error": "node law died", "metrics": ()}, {"mode": "processes"}),
+        ("stopped", {"stopped": 2, "metrics": GAUGED[:2]}, {"changed": ["drive.J=0.03", "seed 3"], "wall_s": 0.0}),
+        ("compared", {"metrics": GAUGED[1:3]}, {"changed": ["drive.J=0.03"]}),
+    ],
+)
+def test_the_page_of_a_run_is_as_told(make_run, name, keys, more):
+    folder = make_run(**{"metrics": GAUGED} | keys)
+    content = json.loads((folder / "metrics.json").read_text()) | more
+    (folder / "metrics.json").write_text(json.dumps(content))
+    if name == "run":
+        for k, picture in enumerate((plot_name(1, PLOTS[0]["title"]), OVERVIEW)):
+            (folder / picture).write_bytes(b"\x89PNG" + bytes(12) + struct.pack(">II", 640 + k, 390))
+    write_report([folder], folder / "report.html")
+    check_told(f"pages/{name}", page_lines((folder / "report.html").read_text(), ["Versions", "Block diagram"]))
+
+
+def test_the_page_of_several_runs_is_as_told(make_run, tmp_path):
+    folders = [make_run("first", GAUGED), make_run("second", METRICS[:2]), make_run("broken", [], error="gone")]
+    for folder, more in zip(folders, ({"label": "mine"}, {"seed": 4, "changed": ["seed 4"]}, {}), strict=True):
+        content = json.loads((folder / "metrics.json").read_text()) | more
+        (folder / "metrics.json").write_text(json.dumps(content))
+    write_report(folders, tmp_path / "all.html")
+    page = (tmp_path / "all.html").read_text().replace(str(tmp_path), "HERE")
+    check_told("pages/several", page_lines(page, ["Versions", "Block diagram", "Parameters"]))
+
+
+def test_the_block_diagram_is_as_told(make_rig):
+    """One with every kind of wire: back to the law, to several readers, to nobody; a node outside."""
+    wiring = wiring_of(make_rig(duration=0.2))
+    nodes = wiring.nodes | {"log": Node(executable="p/log", period=0.5, outside=True)}
+    wires = [w.model_copy(update={"readers": (*w.readers, "log")}) if "flux" in w.topic else w for w in wiring.wires]
+    text = ElementTree.tostring(draw_diagram(Wiring(nodes=nodes, wires=tuple(wires))), "unicode", "html")
+    check_told("pages/diagram", page_lines(text))
 
 
 def test_bad_run_directories_are_refused(make_run, tmp_path):

@@ -8,6 +8,7 @@ import pytest
 from softrig_bringup.cli import main
 from softrig_bringup.verbs.results import claiming, gather
 from softrig_bringup.verbs.results_page import counts, html, markdown
+from told import check_told, page_lines
 
 LAG = """
 title: First-order lag
@@ -135,6 +136,23 @@ def test_a_claim_that_needs_a_run_that_broke_is_not_borne_out(folder, capsys):
     error = capsys.readouterr().err
     assert "lag_slow: lag_slow: node plant: parameter gain = -0.5" in error
     assert "claim order: the verdict reproduced cannot be checked" in error
+
+
+def test_pages_of_results_are_as_told(folder, monkeypatch):
+    """A verdict that does not hold, one that cannot be checked, one of a figure of another run; what is left out."""
+    monkeypatch.setenv("SOFTRIG_COMMAND", "softrig")
+    (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "refuted"))
+    rows, _ = gather(claiming(), workers=1)
+    out = folder / "out"
+    for name in ("lag", "lag_slow"):
+        (out / "runs" / name).mkdir(parents=True)
+        (out / "runs" / name / "report.html").touch()
+    (out / "runs" / "lag" / "plot_01_position.png").touch()
+    marked, whole = (
+        make(claiming(), rows, "3 more are of studies", *to) for make, to in ((markdown, ()), (html, (out,)))
+    )
+    told = [*marked.splitlines(), *page_lines(whole), *page_lines(html(claiming(), rows[:1]))]
+    check_told("pages/results", [line.replace(str(folder), "HERE") for line in told])
 
 
 def test_results_are_told_to_machines(folder):

@@ -1,6 +1,7 @@
 """Studies: points, rows, interruption and resumption, searches, summaries, pictures."""
 
 import csv
+import itertools
 import json
 import math
 import os
@@ -19,19 +20,23 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from conftest import PATIENCE, until
+from matplotlib import rc_context
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import STUDY, ResultsFolder
 from softrig_bringup.options.grammar import values
-from softrig_bringup.study import pictures
+from softrig_bringup.page.html import page as make_page
+from softrig_bringup.plots.style import style
+from softrig_bringup.study import page, pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
 from softrig_bringup.study.draw import cases, count, drafts_of, draw
 from softrig_bringup.study.engine import _check, run_study
 from softrig_bringup.study.options import folder_name, study_of
 from softrig_bringup.study.page import best
-from softrig_bringup.study.table import summarise, without_signals
+from softrig_bringup.study.table import claims, results, summarise, without_signals
 from softrig_bringup.study.work import absent
 from softrig_core import ScenarioError
+from told import check_told, figure_lines, page_lines
 
 LAG = """
 title: First-order lag
@@ -441,6 +446,39 @@ def test_summaries_by_hand():
     assert math.isnan(value(where={"case": "c"}))
 
 
+@pytest.mark.parametrize(
+    ("name", "keys", "made"),
+    [
+        ("summaries", {"grid": {"gain.k": [1, 2, 3]}, "source": "Nobody 2020", "duration": 0.3, "seeds": 2,
+                       "summaries": {"mean_last": {"figure": "settling"}, "share_of_it": {
+                           "figure": "settling", "statistic": "share", "of": "at most 0.6", "where": {"gain.k": 1.0}}},
+                       "expect": {"mean_last": "0.5 +- 0.1", "share_of_it": "at least 0.5"},
+                       "claims": {"mean_last": {"published": 0.6, "where": "Table I", "verdict": "reproduced"},
+                                  "share_of_it": {"published": 0.1, "where": "Table I", "verdict": "refuted",
+                                                  "reason": "it is more"}}}, {"over": (("gain.k", (1.0, 2.0, 3.0)),)}),
+        ("few", {"cases": {"a": {}, "bb": {}}, "grid": {"gain.k": [1, 2]}, "figures": ["power", "settling"]},
+         {"cases": ("a", "bb"), "over": (("gain.k", (1.0, 2.0)),)}),
+        ("best", {"seeds": 2, "search": {"figure": "settling", "count": 4, "subject_to": {"power": "at most 39"},
+                                         "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}},
+         {"over": (("gain.k", (2.0, 1.0, 3.0)),)}),
+        ("none", {"search": {"figure": "settling", "count": 4, "subject_to": {"power": "at most 1"}, "aim": "maximise",
+                             "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}}, {"seeds": 1}),
+    ],
+)  # fmt: skip
+def test_the_page_of_a_study_and_what_is_printed_are_as_told(name, keys, made, folder, capsys, monkeypatch):
+    """Rows by formula; one of them broke where there is more than one seed."""
+    demo, rows = study(**keys), [row | {"wall_s": 0.25, "ticks": 10} for row in many(**made)]
+    if name != "best":
+        rows[2] |= {"error": "node gain: RuntimeError: gone", "figures": {}}
+    found = results(demo, rows)
+    held = claims(demo, found)
+    monkeypatch.setenv("SOFTRIG_COMMAND", "softrig")
+    page._print(demo, rows, found, held, Path("out"))
+    said = capsys.readouterr().out.replace(str(folder), "HERE").splitlines()
+    text = make_page("Demo", page._page(demo, rows, found, held, [], UNITS)).replace(str(folder), "HERE")
+    check_told(f"studies/page_{name}", [*said, *page_lines(text)])
+
+
 def test_expectations_and_claims_of_a_study_are_held(folder, capsys):
     text = """
 title: Gains
@@ -602,6 +640,56 @@ def test_pictures_follow_from_the_form(folder, request, keys, pictures):
     page = (folder / "out" / "report.html").read_text()
     assert page.count("data:image/png") == len(drawn)
     assert re.findall(r'alt="(plot [^"_]*)"', page) == [Path(name).stem.replace("_", " ") for name in drawn]
+
+
+UNITS = {"settling": "s", "power": "W", "gain.k": "N/m", "plant.gain": "1/s", "lag/state/x/position": "m"}
+
+
+def many(cases=("",), over=(("gain.k", (1.0, 2.0, 3.0)),), seeds=2):
+    """Rows by formula; of some runs a figure never comes, of one it was not measured, one broke."""
+    for number, (case, at, seed) in enumerate(
+        itertools.product(cases, itertools.product(*(v for _, v in over)), range(seeds))
+    ):
+        settling = 0.3 * sum(at) + 0.07 * seed + 0.2 * len(case)
+        lost = number % 7 == 3
+        yield a_row(number, 0.0, None if lost else settling, seed, ["settling"] if number % 2 else []) | {
+            "case": case,
+            "overrides": {name: v for (name, _), v in zip(over, at, strict=True)},
+            "figures": {"settling": None if lost else settling, "power": 40.0 - number, "none": None},
+        }
+
+
+def keeping(rows):
+    """With a signal each: a line of six samples."""
+    for row in rows:
+        x = [k * row["figures"]["power"] for k in range(6)]
+        yield row | {"signals": {"lag/state/x/position": {"end": 0.5, "x": [] if row["number"] == 1 else x}}}
+
+
+K, G = ("gain.k", (1.0, 2.0, 3.0)), ("plant.gain", (0.5, 1.5))
+FINE = ("gain.k", tuple(0.1 * k for k in range(1, 14)))
+SEARCH = {"figure": "settling", "count": 9, "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}
+SCATTERED = {"count": 9, "parameters": {"gain.k": {"uniform": [1, 3]}, "plant.gain": {"uniform": [1, 3]}}}
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "rows"),
+    [
+        ("grid", {"cases": {"a": {}, "bb": {}}, "grid": {"gain.k": [1, 2, 3]}, "signals": ["lag/state/x/position"],
+                  "samples": 6}, [*many(("a", "bb"), (K,))]),
+        ("map", {"grid": {"gain.k": [1, 2, 3], "plant.gain": [1, 2]}}, [*many(("",), (K, G))]),
+        ("scattered", {"draws": SCATTERED}, [row | {"overrides": {"gain.k": 1.0 + 0.1 * k, "plant.gain": 2.0 - 0.2 * k}}
+                                             for k, row in enumerate(many(seeds=3))]),
+        ("seeds", {"seeds": 9, "figures": ["power"]}, [*many(over=(), seeds=9)]),
+        ("search", {"search": SEARCH | {"subject_to": {"power": "at least 33"}}}, [*many(over=(FINE,), seeds=1)]),
+        ("largest", {"search": SEARCH | {"aim": "maximise"}}, [*many(over=(FINE,), seeds=1)]),
+    ],
+)  # fmt: skip
+def test_pictures_of_studies_are_as_told(name, keys, rows):
+    demo = study(**keys)
+    with rc_context(style()):
+        drawn = [*pictures._figures(demo, rows, keeping(rows), UNITS)]
+    check_told(f"studies/{name}", (line for title, f in drawn for line in (title, *figure_lines(f))))
 
 
 def test_the_history_of_a_search_holds_the_best_so_far():

@@ -215,7 +215,7 @@ def test_a_run_goes_back_from_its_page_and_the_branch_is_that_of_run_from(tmp_pa
 
 
 def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_run(tmp_path):
-    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, log=lambda: tmp_path)
+    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, place=lambda: tmp_path)
     session, control = source.session, source.control
     session.go(0.05)
     control.turn("me", "dc_motor_smc.delta", 0.5)
@@ -224,26 +224,55 @@ def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_r
     session.go(0.08)
     source.look()
     left = session.recording.before(80_000_000)
-    assert read_shards([tmp_path / "rig.shard"]).topics == left.topics  # were the process killed now
+    shard = tmp_path / "log/rig.shard"
+    assert read_shards([shard]).topics == left.topics  # were the process killed now
     control.go_back("me", 0.03)
     assert (session.t, source.end, control.knobs["dc_motor_smc.delta"].value) == (0.03, 0.0299, 0.8)
     assert source.pane(0.0, 1.0)["motor/state/shaft/velocity"].t[-1] == 0.0299
-    assert read_shards([tmp_path / "rig.shard"]).topics == left.topics  # until it goes on from there
+    assert read_shards([shard]).topics == left.topics  # until it goes on from there
+    run = simulate(str(tmp_path / "left_1.yaml"))  # it is there already: a process that is killed would leave it
+    assert run.recording.before(80_000_000).topics == left.topics
     control.go_back("me", 0.02)  # nothing was turned between
     session.go(0.03)
     session.go()
     source.look()
     assert [t for t, *_ in source.changes] == [0.02]
-    assert read_shards([tmp_path / "rig.shard"]).topics == session.recording.topics
+    assert read_shards([shard]).topics == session.recording.topics
     plain = simulate("dc_motor_smc", duration=0.1)
     assert session.recording.topics == plain.branch(0.02, {"dc_motor_smc.delta": 0.8}).recording.topics
-    found = source.written(tmp_path)
-    assert [(b["at_s"], b["from_s"], b["left"]) for b in found] == [
-        (0.03, 0.08, "left_1.yaml"),
-        (0.02, 0.03, "left_2.yaml"),
+    assert source.branched == [
+        {"at_s": 0.03, "from_s": 0.08, "left": "left_1.yaml"},
+        {"at_s": 0.02, "from_s": 0.03, "left": "left_2.yaml"},
     ]
-    run = simulate(str(tmp_path / "left_1.yaml"))
-    assert run.recording.before(80_000_000).topics == left.topics
+
+
+def test_a_page_in_the_process_of_its_rig_keeps_the_pace_whatever_people_do_to_it(monkeypatch):
+    """A tick takes a second of the wall, or half of one; done ten times in it this must not give a tick each time."""
+    clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
+    monkeypatch.setattr("softrig_bringup.view.here.time", clock)
+    source = Here(Session("dc_motor_smc", duration=0.1), False, PERIOD := 1e-4)
+    knob, control = "dc_motor_smc.delta", source.control
+
+    def ticks(seconds, do):
+        """How many there were while something was done at each tenth."""
+        first = source.session.t
+        for k in range(10 * seconds):
+            do(k)
+            for _ in range(10):
+                clock.now += 0.01
+                source.turn()
+        return (source.session.t - first) / PERIOD
+
+    assert ticks(10, lambda k: None) == pytest.approx(10, abs=1.01)
+    assert ticks(10, lambda k: control.go_at("me", PERIOD * (1 + k % 2))) == pytest.approx(15, abs=1.01)
+    assert ticks(10, lambda k: control.turn("me", knob, 1.0 + k)) == pytest.approx(20, abs=1.01)
+    assert ticks(10, lambda k: control.hold("me", ("pause", "resume")[k % 2])) == pytest.approx(10, abs=1.01)
+    control.hold("me", "pause")
+    assert ticks(10, lambda k: control.hold("me", "step")) == pytest.approx(100)
+    control.hold("me", "resume")
+    assert ticks(10, lambda k: None) == pytest.approx(20, abs=1.01)
+    clock.now += 60.0  # of a process that was stopped for a minute nothing is made up for
+    assert ticks(1, lambda k: None) == pytest.approx(3, abs=1.01)
 
 
 def test_what_a_browser_asks_for_is_done_in_the_thread_of_the_ticks():

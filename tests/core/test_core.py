@@ -27,6 +27,7 @@ from softrig_core import (
 from softrig_core.block.params import build, declarations, flatten
 from softrig_core.rig.installed import load_block
 from softrig_core.scenario.scenario import merge
+from softrig_core.scenario.yaml_file import _limit_depth
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.recording import ShardWriter, shard_topics
 from softrig_core.wire.types import TYPES
@@ -224,6 +225,26 @@ def test_in_process_gives_one_message_a_tick_and_repeats_itself(lag_rig):
         "lag/command": 100,
     }
     assert all(first.topics[n].data == second.topics[n].data for n in first.topics)
+
+
+def test_a_run_tells_of_its_progress_about_a_hundred_times_and_at_its_end():
+    """Each 2.05 s / 100 is the third of its ticks of 10 ms; the last is none of these."""
+    rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 2.05))
+    told = []
+    run_inprocess(rig, 0, progress=told.append)
+    assert told == [*range(0, 2_041_000_000, 30_000_000), 2_050_000_000]
+
+
+def test_how_deep_a_file_is_counts_what_is_closed_no_more():
+    for text, refused in (
+        ("[" + "[], " * 50 + "[" * 39 + "]" * 40, False),
+        ("[" + "[], " * 50 + "[" * 40 + "]" * 41, True),
+    ):
+        if refused:
+            with pytest.raises(ScenarioError, match="nested deeper than 40 levels"):
+                _limit_depth(text)
+        else:
+            _limit_depth(text)
 
 
 def test_in_process_follows_the_difference_equation():

@@ -54,6 +54,10 @@ RAMP = [float(k) for k in range(10)]
         ({"kind": "delay", "delay": 0.02, "start": 0.03, "stop": 0.06}, [0, 1, 2, None, None, 3, 6, 7, 8, 9]),
         ({"kind": "replace", "points": (5.0, 7.0), "span": 0.06, "start": 0.02}, [0, 1, 5, 5, 5, 7, 7, 7, 7, 7]),
         ({"kind": "add", "points": (0.0, 4.0), "span": 0.04, "linear": True}, [0, 2, 4, 6, 8, 9, 10, 11, 12, 13]),
+        (
+            {"kind": "replace", "points": (0.0, 4.0, 1.0), "span": 0.04, "linear": True},
+            [0, 2, 4, 2.5, 1, 1, 1, 1, 1, 1],
+        ),
         ({"kind": "loss", "probability": 1.0}, [None] * 10),
         ({"kind": "loss", "burst_begins": 1.0, "burst_ends": 0.5, "lost_in_burst": 0.0}, RAMP),
     ],

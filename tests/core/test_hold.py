@@ -6,9 +6,11 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from simulated import SimulatedRig, World
 from softrig_core import Signals, load_scenario, rig_of
+from softrig_core.node.seam.hold import Hold
 
 RIG = rig_of(load_scenario("dc_motor_smc_b2").changed(duration=0.6))
 CLOCK = RIG.clock.name
+PERIOD = float(RIG.clock.schedule.period)
 
 
 @pytest.mark.parametrize("groups", [(), [[m.name for m in RIG.members]]])
@@ -27,6 +29,7 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     adapter = run.adapters[CLOCK]
     hold = adapter.hold
     assert not run.adapters["dc_motor_smc"].hold.go_at(1.0)  # not the node of the clock
+    assert adapter.status()["pace"] == 1.0
     for moment, call in (
         (0.22, partial(hold.go_at, 0.1)),
         (2.22, partial(hold.ask, "pause")),
@@ -43,6 +46,7 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     assert stepped - held == pytest.approx(float(RIG.clock.schedule.period))
     assert again - stepped == pytest.approx(0.1, abs=0.012)
     assert world.now - start < 21.2e9
+    assert adapter.status()["pace"] == 0.0
     assert not differences(run.recording, in_process(RIG))
 
 
@@ -55,6 +59,45 @@ def test_at_a_pace_at_which_nothing_comes_due_nothing_is_taken_however_often_it_
     world.at(start + 2_000_000_000, lambda: (seen.append(adapter.t), adapter.hold.go_at(0.0)))
     assert set(run.run(10.0).values()) == {"done"}
     assert seen == [0]
+
+
+@pytest.mark.parametrize(
+    ("hands", "ticks"),
+    [
+        (lambda hold, k: hold.go_at(PERIOD * (1 + k % 2)), 15),  # a slider that is dragged ten times a second
+        (lambda hold, k: hold.ask(("resume", "pause")[k % 2]), 5),
+        (lambda hold, k: hold.ask(("pause", "pause", "resume", "resume")[k % 4]), 6),
+        (lambda hold, k: hold.ask(("pause", "resume")[k % 4 // 3]) and hold.go_at(PERIOD * (1 + k % 2)), 4),
+        (lambda hold, k: hold.ask("resume"), 10),
+    ],
+)
+def test_what_has_been_waited_for_a_tick_stays_whatever_people_do_to_the_pace(hands, ticks):
+    """A tick takes a second of the wall, or half of one; who acts ten times in it must not gain a tick each time."""
+    world, seen = World(), []
+    run, start = SimulatedRig(RIG, world, "lockstep", pace=PERIOD), world.now
+    adapter = run.adapters[CLOCK]
+    for k in range(100):
+        world.at(start + (k + 1) * 100_000_000, partial(hands, adapter.hold, k))
+    world.at(start + 10_050_000_000, lambda: (seen.append(adapter.t), adapter.hold.ask("resume")))
+    world.at(start + 10_060_000_000, partial(adapter.hold.go_at, 0.0))
+    assert set(run.run(60.0).values()) == {"done"}
+    assert seen[0] / 1e9 / PERIOD == pytest.approx(ticks, abs=1.01)
+
+
+def test_a_run_that_was_stepped_by_hand_goes_on_from_where_it_is():
+    world, seen = World(), []
+    run, start = SimulatedRig(RIG, world, "lockstep", pace=PERIOD), world.now
+    adapter = run.adapters[CLOCK]
+    for at, call in (
+        (1.5, partial(adapter.hold.ask, "pause")),
+        (2.0, partial(adapter.hold.ask, "step", 20)),
+        (3.0, partial(adapter.hold.ask, "resume")),
+        (5.5, lambda: seen.append(adapter.t)),
+        (5.6, partial(adapter.hold.go_at, 0.0)),
+    ):
+        world.at(start + round(at * 1e9), call)
+    assert set(run.run(60.0).values()) == {"done"}
+    assert seen[0] / 1e9 / PERIOD == pytest.approx(24, abs=1.01)
 
 
 def test_who_waits_for_a_slow_pace_is_told_and_does_not_give_up():
@@ -101,3 +144,33 @@ def test_in_real_time_a_rig_with_hardware_does_not_stand_and_none_has_a_pace():
     guest = {"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}}
     run = SimulatedRig(rig_of(make_scenario(guest)), World(), "realtime", departs=True)
     assert not any(adapter.pauses for adapter in run.adapters.values())
+
+
+class Wall:
+    """A middleware of which only the clock is asked, s."""
+
+    now = 0.0
+
+    def steady(self):
+        return self.now
+
+    def timer(self, ns, call):
+        return self
+
+    def again(self, ns, period=0):
+        pass
+
+    def publisher(self, *_):
+        return lambda data: None
+
+    full_name = "/clock"
+
+
+@pytest.mark.parametrize(("late", "forgotten"), [(0.25, False), (0.250001, True)])
+def test_a_quarter_of_a_second_is_caught_up_and_more_is_forgotten(late, forgotten):
+    wall, hold = Wall(), Hold(pace=2.0)
+    hold.begin(wall, lambda: None)
+    assert hold.holds(0)  # from here on the pace counts
+    wall.now = 0.5 + late
+    assert not hold.holds(1_000_000_000)  # due at 0.5 s
+    assert hold.holds(1_400_000_000) == forgotten  # due at 0.7 s: what was missed is gone through at once, or not

@@ -32,6 +32,7 @@ from softrig_core.judge import claims, expectation, requirement_entry
 from softrig_core.processes.domain import free_domain
 from softrig_core.rig.options import RunOptions
 from softrig_core.scenario import changes, scenario
+from softrig_core.verdict.figures import figures_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 
@@ -121,6 +122,48 @@ def test_every_bound_of_every_executable_holds_at_its_edge():
     assert RunOptions().duration == 0.0  # by hand a node runs until it is stopped
     for values in ({"seed": 2**63 - 1}, {"seed": 126}, {"duration": 1e9, "timeout": 1e6}):
         assert build(RunOptions, values).model_dump().items() >= values.items()
+
+
+def numbers(model, prefix=""):
+    """Name of every number and every list of numbers of a model, with what is declared of its type."""
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Params):
+            yield from numbers(field.annotation, f"{prefix}{name}.")
+        elif set(re.findall(r"\b(?:float|int|bool)\b", str(field.annotation))) in ({"float"}, {"int"}):
+            yield prefix + name, str(field.annotation)
+
+
+def test_true_is_no_number_for_any_parameter_of_any_executable():
+    """Alone and in a list; a whole number for one with a fraction is, and a switch still takes true."""
+    tried = 0
+    for model in {block.Params for _, _, block in blocks()} | {RunOptions}:
+        lists = {name for name, kind in numbers(model) if "tuple" in kind}
+        wanted = {name: [1, True] if name in lists else True for name, _ in numbers(model)}
+        said = refusal(model, wanted)
+        for name, value in wanted.items():
+            other = rf"parameter {re.escape(name)}(?: = {re.escape(str(value))}: |\.\d)"  # of a range or a size
+            assert re.search(other, said), (model, name)
+        ones = {name: [1] if name in lists else 1 for name in wanted}
+        assert "not true or false" not in refusal(model, ones)
+        tried += len(wanted)
+    assert tried > 500
+    said = refusal(RunOptions, {"pace": True})
+    assert "parameter pace = True: expected a number, not true or false" in said
+    assert build(RunOptions, {"paused": True, "pace": 1}).model_dump().items() >= {"paused": True, "pace": 1.0}.items()
+
+
+@pytest.mark.parametrize("what", ["duration", "timeout", "seed", "clock", "changes", "expect", "claims", "figures"])
+def test_true_is_no_number_in_a_scenario_either(what, tmp_path):
+    entries = {
+        "changes": "[{at: true, set: {dc_motor_smc.delta: 3.0}}]",
+        "expect": "{rise_time: {expected: true}}",
+        "claims": "{rise_time: {published: true, verdict: reproduced}}",
+        "figures": "{rise_time: {arguments: {signal: $speed, start: true}}}",
+    }
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"title: Mine\nextends: dc_motor_smc_b2\n{what}: {entries.get(what, 'true')}\n")
+    with pytest.raises(ScenarioError, match="expected a number, not true or false"):
+        figures_of(rig_of(load_scenario(str(path))))
 
 
 def test_every_choice_of_every_executable_names_its_words():

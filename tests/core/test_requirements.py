@@ -96,6 +96,8 @@ def test_units_of_both_sides_must_fit_and_several_need_a_scale():
         ("always -state^2 < 0", "minus before a power"),
         ("always[0.0001, 0.0002] state > 0", "no tick of plant"),
         ("always rising(state + 1) -> state > 0", "rising.*takes the name of a signal"),
+        ("always rising(state", r"rising\(\.\.\.\) takes the name of a signal"),
+        ("always rising(level) -> state > 0", r"rising\(\.\.\.\) takes the name of a signal"),
         ("always state + 1", "expected a comparison"),
         ("", "at least 1 character"),
         ("always abs() < 1", "abs takes one number, got 0"),

@@ -211,3 +211,4 @@ def test_how_units_are_written():
     )
     assert ": the same quantity, 1 % = 0.01; declare" in misfit("%", "1")
     assert [pretty_unit(u) for u in ("kg m^2", "ohm", "m^-12", "kohm")] == ["kg m²", "Ω", "m⁻¹²", "kohm"]
+    assert (base("packet"), factor("packet/min", "packet/s")) == ((1.0, {"packet": 1}), pytest.approx(1.0 / 60.0))

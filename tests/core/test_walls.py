@@ -14,8 +14,8 @@ MIDDLEWARE = ("rclpy", "rcl_interfaces", "std_srvs", "rosgraph_msgs", "builtin_i
 # layout, so the bytes and types of messages stand below the blocks.
 ROOMS = {
     "softrig_core": (
-        "errors bits timebase guard interrupt needs extras command_line kit wire judge block native solver scenario "
-        "rig verdict run drawing processes analysis "
+        "errors bits timebase entry guard interrupt needs extras command_line kit wire judge block native solver "
+        "scenario rig verdict run drawing processes analysis "
         "node.seam node.ros node.adapter node.lockstep node.realtime node.face node"
     ),
     "softrig_bringup": "folder terminal options page plots film report run study falsify view verbs cli __main__",

@@ -21,6 +21,7 @@ from softrig_core import ByHand, Level, Plant, ScenarioError, rig_of, run_inproc
 from softrig_core.solver.worker import Worker, _Process
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.de import DifferentialEvolution
+from softrig_optim.falling import FallingCurve
 from softrig_optim.firefly import Firefly
 from softrig_optim.genetic import Genetic
 from softrig_optim.load_line import CertifiedSearch, RampScan
@@ -609,6 +610,35 @@ def test_slew_limit():
     still = np.flatnonzero(np.all(steps == 0.0, axis=1))
     runs = np.split(still, np.flatnonzero(np.diff(still) != 1) + 1)
     assert {len(r) for r in runs[:-1]} == {29}  # the tick of arrival and 29 more
+
+
+class Source(Optimiser):
+    """Of a voltage and a current, on a characteristic that falls."""
+
+    def objective(self, sample):
+        return sample[0] * sample[1]
+
+    def characteristic(self, n):
+        return FallingCurve(n)
+
+
+@pytest.mark.parametrize(("met", "again"), [(3.0, False), (3.0000001, True)])
+def test_a_look_back_begins_anew_where_it_meets_more_than_the_threshold(met, again):
+    """Half as much again as the 2 W of the search is not more than half as much again."""
+    about = {"channels": ("d",), "lower": (0.0,), "upper": (1.0,), "algorithm": "scan", "n_grid": 3, "tolerance": 0.0}
+    block = ByHand(Source(**(DISH | about | {"restart_threshold": 0.5})))
+    block.reset(0)
+    said = []
+    for k in range(175):
+        power = (2.0 if k <= 3 * 30 else met, 1.0)
+        answer = block.update(k * TICK, measurement=power, start=None, stop=None, restart=None)
+        said.append((answer["state"][0], answer["state"][3], answer["command"][0]))
+    passed = [d for _, restarts, d in said[91:] if not restarts]
+    assert max(restarts for _, restarts, _ in said) == again
+    assert ("more" in block.reports) == again
+    if not again:
+        assert passed[:59] == pytest.approx([n / 60.0 for n in range(1, 60)])  # through the range in two hold_times
+        assert said[-1] == (2.0, 0.0, 0.0)
 
 
 # sweeps ---------------------------------------------------------------------------------------------------------

@@ -9,11 +9,13 @@ from collections import deque
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
 from outside import script
 from softrig_core import Recording, Signals, list_scenarios, rig_of, run_processes
+from softrig_core.node import container as containers
 from softrig_core.node.ros.profile import PROPERTY, VARIABLE, joining, own
 from softrig_core.node.seam.exchange import BURST, Exchange
 from softrig_core.processes.domain import free_domain
@@ -487,3 +489,20 @@ def test_a_container_without_nodes_says_how_it_is_used(tmp_path):
     assert "PACKAGE EXECUTABLE" in done.stdout
     for arguments in (["--ros-args"], ["--ros-args", "-r", "__node:=container"]):
         assert container(tmp_path, *arguments) == (2, done.stdout)
+
+
+def test_who_has_failed_is_named_by_those_that_had_not_ended(monkeypatch):
+    def node(name, state):
+        return SimpleNamespace(middleware=SimpleNamespace(name=name), state=state, error=None, waits_for=[])
+
+    monkeypatch.setattr(containers, "conclude", lambda node, stopped: 3 if node.state == "failed" else 0)
+    ended, _, going = nodes = [node("a", "done"), node("b", "failed"), node("c", "running")]
+    assert containers.Container._conclude(SimpleNamespace(adapters=nodes), stopped=False) == 3
+    assert [(n.state, str(n.error), n.waits_for) for n in nodes] == [
+        ("done", "None", []),
+        ("failed", "None", []),
+        ("failed", "stopped: b has failed", ["b"]),
+    ]
+    going = node("c", "running")
+    assert containers.Container._conclude(SimpleNamespace(adapters=[ended, going]), stopped=True) == 0
+    assert going.state == "running"

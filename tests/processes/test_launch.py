@@ -189,7 +189,10 @@ def test_a_launch_that_is_terminated_ends_in_order(lag, monkeypatch):
 
 
 def test_nodes_end_with_a_launch_that_is_killed(tmp_path):
-    node = "from softrig_core.interrupt import interrupt; interrupt.install(); print('up', flush=True); input()"
+    node = (  # it waits for nothing that ends with the launch
+        "import time\nfrom softrig_core.interrupt import interrupt\n"
+        "interrupt.install(); print('up', flush=True); time.sleep(1e3)"
+    )
     launch = (
         "import os, subprocess, sys, time\nfrom softrig_core.interrupt import PARENT\n"
         "os.environ[PARENT] = str(os.getpid())\n"

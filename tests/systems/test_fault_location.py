@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import replay
+from matplotlib.figure import Figure
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_bringup.cli import main
@@ -31,6 +32,7 @@ from softrig_power.fault_location.plant import LinePlant
 from softrig_power.fault_location.record import CHANNELS, Record, RecordError, Status
 from softrig_power.fault_location.resample import resampled
 from softrig_power.fault_location.simulation import FaultedLine
+from told import check_told, figure_lines
 
 AG = Case("AG", 50.0, 0.0)
 BAGS = Path(__file__).parents[2] / "bags"
@@ -639,6 +641,7 @@ def test_confidence_covers_the_error():
             confidence(noisy, p, found, ErrorBudget(sync_us=0, ratio=0, reactance=0, resistance=0)).scatter_km
         )
     assert 0.3 < np.mean(scatters) / np.std(errors) < 3.0
+    assert scatters[0] == pytest.approx(0.0610, rel=0.02)  # km; of eight stretches
     clean = simulated()
     trust = confidence(clean, p, locate(clean, p))
     table = {"clocks 1 us": 0.0018, "u_s 0.5 %": 0.138, "L1 1 %": 0.095}
@@ -985,6 +988,75 @@ def test_ctrl_c_stops_the_study_tool_without_its_stack(monkeypatch, capsys):
     monkeypatch.setattr(study_tool, "run", interrupted)
     assert study_tool.main([]) == 130
     assert capsys.readouterr().err == "softrig: stopped\n"
+
+
+def rows_by_formula():
+    """Of two methods over the first half of the cases; of each some are not located."""
+    for k, case in enumerate([*PUBLISHED][:24]):
+        for j, method in enumerate(("brent", "woa")):
+            lost = k % 5 == 1 + j
+            off = None if lost else (-1.0) ** k * 0.01 * (1 + k) * (1 + j)
+            at = None if lost else case.x_km + 1.2 * off
+            yield study.Row(case.type, case.x_km, case.rf_ohm, method, "m20k", "no_fault" if lost else "ok", at, off,
+                            10.0 + k, 1e4, 1 + j, 60 + k, 0.01 * (1 + k))  # fmt: skip
+
+
+def test_pictures_are_as_told(record, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, dpi: drawn.append((f"{path} at {dpi}", figure)))
+    p, found = LocatorParams(), located(record)
+    pictures.waveforms(record, p, Path("plain"))
+    pictures.waveforms(record, p, Path("known"), (0.02, 0.05))
+    pictures.objective(record, p, found, Path("objective"), truth=50.0)
+    pictures.objective(record, p, replace(found, x_km=None), Path("lost"))
+    pictures.methods([*rows_by_formula()], Path("methods"))
+    monkeypatch.setattr(pictures, "MISPRINTS", ("corrected", "printed_sign"))
+    pictures.misprints(record, p, Path("misprints"), truth=50.0)
+    check_told("pictures/fault_location", (line for path, f in drawn for line in (path, *figure_lines(f))))
+
+
+def test_tables_of_the_study_are_as_told(monkeypatch, capsys, tmp_path):
+    rows, given = [*rows_by_formula()], []
+    monkeypatch.setattr(study_tool, "run", lambda jobs, processes: given.append((jobs, processes)) or rows)
+    monkeypatch.setattr(study_tool, "_save", lambda rows, out: given.append((len(rows), out)))
+    assert study_tool.main(["--methods", "brent", "--profile", "m10k", "--processes", "2", "--out", str(tmp_path)]) == 0
+    (jobs, processes), saved = given
+    assert (processes, saved) == (2, (48, tmp_path))
+    assert jobs == [(case, {"measurement.profile": "m10k"}, {"algorithm": "brent"}) for case in PUBLISHED]
+    asked = [(rig["measurement.profile"], own) for _, rig, own in study.published_jobs(seed=3)[:6]]
+    assert asked == [
+        ("raw1m" if m == "travelling_wave" else "m20k", {"seed": 3, "algorithm": m}) for m in study.METHODS
+    ]
+    *said, last = capsys.readouterr().out.splitlines()
+    assert last.startswith("48 locations in 0 s")
+    assert study_tool.main([]) == 0
+    assert given[-1] == (study.published_jobs(), None)
+    assert capsys.readouterr().out.splitlines()[:-1] == said
+    table = study_tool.sensitivity_table({"none": [1.0, -2.25, 1e3, math.nan], "R1 = 0": [0.0] * 4})
+    changed = [f"{name}: {rig} {locator}" for name, rig, locator in study.disturbances()]
+    check_told("fault_study", [*said, *table.splitlines(), *study.as_csv(rows[:6]).splitlines(), *changed])
+
+
+def test_a_sensitivity_is_the_error_of_each_case_and_of_noise_its_deviation(monkeypatch):
+    """The jobs are what is asked for; each answers its place among them."""
+
+    def answered(jobs, processes):
+        assert {locator["mode"] for _, _, locator in jobs} == {"2"}
+        seeds = [(rig["measurement.noise_snr_db"], rig["measurement.seed"]) for _, rig, _ in jobs if len(rig) == 2]
+        assert seeds == [(snr, seed) for snr in (60.0, 40.0, 30.0) for _ in study.SENSITIVITY for seed in range(10)]
+        row = next(rows_by_formula())
+        return [replace(row, x_km=10.0, located_km=None if k == 1 else 10.0 + 1e-3 * k**1.5) for k in range(len(jobs))]
+
+    monkeypatch.setattr(study, "run", answered)
+    table = study.sensitivity(mode="2")
+    names = [name for name, _, _ in study.disturbances()]
+    assert [*table] == [*names, "SNR 60 dB, std", "SNR 40 dB, std", "SNR 30 dB, std"]
+    for k, name in enumerate(names):
+        expected = [math.nan if at == 1 else at**1.5 for at in range(4 * k, 4 * k + 4)]
+        assert table[name] == pytest.approx(expected, nan_ok=True)
+    first = 4 * len(names)
+    noisy = [np.std([(first + 10 * k + s) ** 1.5 for s in range(10)]) for k in range(12)]
+    assert [x for row in [*table.values()][-3:] for x in row] == pytest.approx(noisy)
 
 
 def test_command_line(record, tmp_path, capsys):

@@ -13,8 +13,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from conftest import differences, in_process, make_scenario, no_process_left, until
+from conftest import PATIENCE, differences, in_process, make_scenario, no_process_left, until
 from simulated import SimulatedRig, World
+from softrig_bringup.cli import main
 from softrig_core import (
     ByHand,
     ParameterError,
@@ -307,6 +308,45 @@ def test_one_that_asks_to_end_or_closes_descriptors_is_told(fmus, version, fault
     with pytest.raises(RunError, match=says):
         strict(fmus, version, values=(f"fault = {fault}",)).advance(0, u=(0.0,), n=(0.0,))
     assert "Traceback" not in capfd.readouterr().err
+
+
+CLOSING = """title: One that closes descriptors
+system: strict
+source: a test
+duration: 1.0
+nodes:
+  strict: {package: softrig_control, executable: fmu_plant, parameters: {fmu: strict2.fmu, period: 0.25,
+    outputs: [y/a/position = y, pid/a/position = pid], values: [fault = 7]}}
+"""
+
+
+@pytest.mark.parametrize(
+    "mode",
+    [
+        "inprocess",
+        *(pytest.param(m, marks=[pytest.mark.long, pytest.mark.processes]) for m in ("processes", "container")),
+    ],
+)
+def test_a_run_whose_fmu_closes_descriptors_ends_with_a_line_and_its_status(page, mode, capfd):
+    (page / "closing.yaml").write_text(CLOSING)
+    assert main(["run", "closing.yaml", "--mode", mode, "--no-plots", "--out", "out"]) == 3
+    said = [line for line in capfd.readouterr().err.splitlines() if line.startswith("softrig: the run broke")]
+    told = "the FMU strict2.fmu at 0 s of its time: crashed: its process closed the pipe by which it is asked"
+    assert len(said) == 1
+    assert said[0].endswith(told)
+    children = [pid for task in Path("/proc/self/task").glob("*/children") for pid in task.read_text().split()]
+    assert not [pid for pid in children if b"fmu.child" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    assert (page / "out" / "metrics.json").is_file()
+
+
+@pytest.mark.long
+def test_one_that_is_not_isolated_takes_the_terminal_with_it_but_not_the_status(page):
+    """`isolated: false` gives it our own descriptors: what was said goes nowhere, and the run ends all the same."""
+    (page / "closing.yaml").write_text(CLOSING)
+    words = ("run", "closing.yaml", "--mode", "inprocess", "--set", "strict.isolated=false", "--no-plots")
+    done = subprocess.run([sys.executable, "-m", "softrig_bringup", *words], capture_output=True, timeout=PATIENCE)
+    assert done.returncode == 3
+    assert b"Traceback" not in done.stderr + done.stdout
 
 
 @pytest.mark.parametrize("ending", ["end", "kill"])

@@ -319,6 +319,9 @@ def test_bounds_that_hold_are_counted_over_all_moves():
     law = GpcController(solver="daqp", u_min=-1.0, u_max=1.0, du_max=2.0, u_start=0.0)
     assert law._active(0.0, (1.0, -2.0, 0.5)) == 3  # the upper one; the move and the lower one; none
     assert GpcController()._active(0.0, (1.0, -2.0, 0.5)) == 0
+    edge = GpcController(solver="daqp", u_min=0.0, u_max=0.5, du_max=1.0)  # a ten-millionth of 1 counts, no more
+    assert [edge._active(0.0, (u,)) for u in (1e-7, 1.0000001e-7, 0.5 - 0.9e-7, 0.5 - 1.1e-7)] == [1, 0, 1, 0]
+    assert [edge._active(u, (-u,)) for u in (1.0 - 0.9e-7, 1.0 - 1.1e-7)] == [2, 1]
 
 
 def test_no_solution_holds_the_last_command_and_warns():

@@ -123,10 +123,11 @@ class ResultsFolder:
             content = json.loads((self.path / "metrics.json").read_text())
             reasons, packages = list(content.get("once", ())), list(content.get("code", ()))
         except (OSError, ValueError, AttributeError, TypeError):
-            log = self.path / "log"
-            if not self._broken_off or not (shards := sorted(log.glob("*.shard*"))):
+            log, left = self.path / "log", sorted(branch.name for branch in self.path.glob("left_*.yaml"))
+            shards = sorted(log.glob("*.shard*"))
+            if not self._broken_off or not (shards or left):
                 return ""
-            why = self._broken_off.removeprefix(UNDER_WAY) or ", ".join(broken_off(shards))
+            why = self._broken_off.removeprefix(UNDER_WAY) or ", ".join([*broken_off(shards), *left])
             return f"{why}, and broken off: softrig bag repair {log}" if why else ""
         reasons += [f"its package {name} is not installed here" for name in packages if find_spec(str(name)) is None]
         return ", ".join(map(str, reasons))

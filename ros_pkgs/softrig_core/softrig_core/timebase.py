@@ -1,4 +1,4 @@
-"""Integer time: nanoseconds, and periods that divide them exactly."""
+"""Integer time: nanoseconds, and periods that divide them exactly; how far a run may go by the clock on the wall."""
 
 SECOND = 1_000_000_000  # ns
 
@@ -11,3 +11,56 @@ def to_ns(seconds: float) -> int:
 def to_s(ns: int) -> float:
     """Give a time in ns as s."""
     return ns / SECOND
+
+
+BEHIND = 0.25  # s by which a run may be late and still catch up; what is beyond is forgotten
+
+
+class Pace:
+    """How far a run may go at a pace, by the wall clock; a person may stop it, or take another pace, at any moment.
+
+    Whatever they do, the part of a tick that has been waited for stays, so that the run never gets ahead by it.
+
+    Parameters
+    ----------
+    pace : float
+        Simulated time by wall-clock time; 0: as fast as it goes.
+    """
+
+    def __init__(self, pace: float) -> None:
+        self.pace = pace
+        self._mark: tuple[float, int] | None = None  # s of the wall, ns of the run, which the pace counts from
+        self._stopped: float | None = None
+
+    def change(self, pace: float, now: float) -> None:
+        """Take another pace from `now` (s of the wall) on."""
+        if self._mark is not None:
+            since, first = self._mark
+            now = now if self._stopped is None else self._stopped
+            self._mark = (now - (now - since) * self.pace / pace, first) if pace else None
+        self.pace = pace
+
+    def stop(self, now: float) -> None:
+        """Have the time stand still."""
+        self._stopped = now if self._stopped is None else self._stopped
+
+    def go_on(self, now: float) -> None:
+        """Have it go on."""
+        if self._mark is not None and self._stopped is not None:
+            self._mark = self._mark[0] + now - self._stopped, self._mark[1]
+        self._stopped = None
+
+    def begin(self) -> None:
+        """Count anew, from wherever the run is next."""
+        self._mark = None
+
+    def reach(self, now: float, t: int) -> int | None:
+        """Give the ns up to which a run that is at `t` may go without asking again; None: it has to wait there."""
+        rate = self.pace * SECOND
+        since, first = self._mark = self._mark or (now, t)
+        reached = first + round((now - since) * rate)
+        if t >= reached:
+            return None
+        if reached - t > BEHIND * rate:
+            self._mark, reached = (now, t), t
+        return reached

@@ -6,8 +6,9 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 from softrig_core import ScenarioError, list_scenarios
+from softrig_core.entry import Entry
 from softrig_core.errors import closest
 from softrig_core.judge.expectation import Expected
 from softrig_core.scenario.places import explain
@@ -19,7 +20,7 @@ from ..study.definition import study_folders
 SUFFIX = ".falsify.yaml"
 
 
-class Falsification(BaseModel):
+class Falsification(Entry):
     """A search for the run that violates a requirement.
 
     Parameters
@@ -37,8 +38,6 @@ class Falsification(BaseModel):
     expect : Expectation, optional
         What the least margin is expected to be.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
     title: str = ""

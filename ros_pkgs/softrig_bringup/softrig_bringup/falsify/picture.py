@@ -54,7 +54,8 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
     }
     different = {n: c for n, c in rows.items() if any(not np.array_equal(c[0].y, other.y) for other in c[1:])}
     rows = different or rows  # a reference that is the same in all says nothing
-    marks = [m for m in next(iter(marks_of(last.rig, last.signals).values()), []) if m.name == requirement]
+    first = next(iter(signals.values()), "")  # a requirement is marked on each of its signals
+    marks = [m for m in marks_of(last.rig, last.signals).get(first, ()) if m.name == requirement]
     with rc_context(look.style()):
         figure = Figure(figsize=(look.WIDTH, 1.3 + 2.3 * len(rows)), dpi=look.DPI, layout="constrained")
         axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]

@@ -7,8 +7,9 @@ from os.path import isfile
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from softrig_core import ScenarioError
+from softrig_core.entry import Entry
 from softrig_core.errors import closest
 from softrig_core.judge.claims import Claim
 from softrig_core.judge.expectation import Expected
@@ -20,14 +21,10 @@ from softrig_core.scenario.yaml_file import read_mapping
 MOST = 1_000_000  # seeds, points, candidates: room is made for all of them at once
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
 Bound = float | list[float]
 
 
-class Distribution(_Model):
+class Distribution(Entry):
     """How one parameter is drawn; exactly one of the keys. Bounds may be lists: one for each element of a vector."""
 
     uniform: tuple[Bound, Bound] | None = None
@@ -55,7 +52,7 @@ def _flat(values: Any) -> list[float]:
     return [x for v in values for x in (v if isinstance(v, list) else [v])]
 
 
-class Draws(_Model):
+class Draws(Entry):
     """Random parameters: `count` points by a generator of its own seed."""
 
     count: int = Field(ge=1, le=MOST)
@@ -64,7 +61,7 @@ class Draws(_Model):
     parameters: dict[str, Distribution] = Field(min_length=1)
 
 
-class Search(_Model):
+class Search(Entry):
     """A search for parameters that minimise (or maximise) a figure; a figure that cannot be measured is the worst.
 
     Candidates come in batches, told in order: the result does not depend on the number of workers. Those that do not
@@ -81,7 +78,7 @@ class Search(_Model):
     parameters: dict[str, Distribution] = Field(min_length=1)
 
 
-class Summary(_Model):
+class Summary(Entry):
     """A number over many runs.
 
     Parameters
@@ -117,7 +114,7 @@ def _seeds(given: Any) -> Any:
     return list(range(given))
 
 
-class Study(_Model):
+class Study(Entry):
     """A scenario many times: cases x grid x draws x seeds, or a search.
 
     Parameters

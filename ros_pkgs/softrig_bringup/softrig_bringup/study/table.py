@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,7 @@ def write_table(rows: Sequence[Row], folder: Path, duration: float | None = None
     columns |= {f"figure.{name}": [row["figures"].get(name) for row in rows] for name in figures}
     columns["never"] = [" ".join(row.get("never", ())) for row in rows]
     columns |= {k: [row[k] for row in rows] for k in ("passed", "error", "wall_s")}
-    columns["command"] = [command(row, duration) for row in rows]
+    columns["command"] = [*_commands(rows, duration)]
     table = pyarrow.table(columns)
     pyarrow.parquet.write_table(table, folder / "table.parquet", compression="zstd")
     pyarrow.csv.write_csv(table, folder / "table.csv")
@@ -55,17 +54,21 @@ def _column(values: list[Any]) -> list[Any]:
 
 def command(row: Row, duration: float | None = None) -> str:
     """Give the command that repeats a run."""
-    found = [*_begin(row["scenario"]), "--mode", "inprocess", "--seed", str(row["seed"])]
-    found += ["--duration", repr(duration)] if duration is not None else []
-    for name, value in row["overrides"].items():
-        found += ["--set", f"{name}={value if isinstance(value, str) else json.dumps(value)}"]
-    return joined(found)
+    return next(_commands([row], duration))
 
 
-@cache
-def _begin(scenario: str) -> list[str]:
-    nodes = load_scenario(scenario).nodes.values()
-    return [*words((node.package for node in nodes), "run"), scenario_word(scenario)]
+def _commands(rows: Iterable[Row], duration: float | None) -> Iterator[str]:
+    """Give that of each run; the scenario of many is looked at once."""
+    begins: dict[str, list[str]] = {}
+    for row in rows:
+        if (name := row["scenario"]) not in begins:
+            nodes = load_scenario(name).nodes.values()
+            begins[name] = [*words((node.package for node in nodes), "run"), scenario_word(name)]
+        found = [*begins[name], "--mode", "inprocess", "--seed", str(row["seed"])]
+        found += ["--duration", repr(duration)] if duration is not None else []
+        for parameter, value in row["overrides"].items():
+            found += ["--set", f"{parameter}={value if isinstance(value, str) else json.dumps(value)}"]
+        yield joined(found)
 
 
 def summarise(rows: Sequence[Row], summary: Summary) -> float:

@@ -17,12 +17,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 from softrig_bags.compare import Comparison, Tolerance, compare
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_core import Recording, Rig, RunError, ScenarioError, Signals, feed, load_scenario, rig_of, simulate
 from softrig_core.block.params import flatten
+from softrig_core.entry import Entry
 from softrig_core.scenario.places import explain
 from softrig_core.scenario.yaml_file import read_yaml
 from softrig_core.wire.signals import topic_of
@@ -38,15 +39,14 @@ ERAS = ((3, 12), (3, 14))
 OURS = re.compile(r"softrig_(core|control|optim|drives|power|robots|systems)\.")
 
 
-class Allowed(BaseModel):
+class Allowed(Entry):
     """How far a number may be off: ``max(absolute, relative |golden|)``."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     absolute: float = Field(1e-9, ge=0)
     relative: float = Field(1e-9, ge=0)
 
 
-class Recipe(BaseModel):
+class Recipe(Entry):
     """Content of golden.yaml.
 
     Parameters
@@ -67,7 +67,6 @@ class Recipe(BaseModel):
         Versions that wrote the bag.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     scenario: str
     duration: float = Field(gt=0)
     seed: int = Field(0, ge=0)

@@ -16,11 +16,11 @@ from softrig_core.guard import say
 from softrig_core.processes.placement import Placement
 from softrig_core.processes.stopping import signal_of, unstopped
 from softrig_core.run.branch import branched
-from softrig_core.timebase import SECOND
+from softrig_core.timebase import Pace, to_ns, to_s
 from softrig_core.wire.parameter_event import TOPIC as EVENTS, recorded
 from softrig_core.wire.recording import ShardWriter
 
-from ..folder import ResultsFolder
+from ..folder import ResultsFolder, replace
 from ..run.run import gaps, status_of
 from .control import Answer, Control
 from .page import FRAME
@@ -29,7 +29,6 @@ from .sources import Growing, Turned
 
 SLICE = 0.05  # s that ticks take before the page has its turn
 REST = 0.01  # s between two looks at the wall clock, where ticks wait for it
-BEHIND = 0.25  # s by which the run may be late and still catch up; what is beyond is forgotten
 
 Conclude = Callable[[Run, ResultsFolder], int]
 
@@ -46,15 +45,16 @@ class Here(Growing):
         Simulated by wall-clock time; 0: as fast as it goes.
     call : callable
         Gets a function to be called in the thread of the ticks: Bokeh hears browsers in threads of its own.
-    log : callable, optional
-        Gives the folder for what is recorded as it goes on, asked again after a way back; without it nothing is kept.
+    place : callable, optional
+        Gives the folder of the run, asked again after a way back: its `log` gets what is recorded as it goes on, and of
+        a process that is killed the branches that were left are there, too. Without it nothing is kept.
 
     Attributes
     ----------
     control : Control
-    branched : list of (float, float, str, dict)
-        Where it went back: to when, from when (s), the folder of what was left or, if it had not ended and somebody had
-        tuned it there, its scenario.
+    branched : list of dict
+        Where it went back, as `Run.branched`: what was left is a folder or, if it had not ended and somebody had tuned
+        it there, a scenario in that of the run.
     """
 
     def __init__(
@@ -63,16 +63,15 @@ class Here(Growing):
         held: bool,
         pace: float,
         call: Callable[[Callable[[], None]], object] = lambda do: do(),
-        log: Callable[[], Path] | None = None,
+        place: Callable[[], Path] | None = None,
     ) -> None:
         super().__init__(session.rig)
-        self.session, self._call, self._log = session, call, log
+        self.session, self._call, self._place = session, call, place
         self._shard: ShardWriter | None = None
         self._written: Counter[str] = Counter()  # messages by topic
-        self._pace = pace
-        self._mark: tuple[float, float] | None = None  # s of the wall and of the run, which the pace counts from
+        self._pace = Pace(pace)
         self._seen: Counter[str] = Counter()  # messages by topic
-        self.branched: list[tuple[float, float, str, dict[str, Any]]] = []
+        self.branched: list[dict[str, Any]] = []
         self._folder = ""  # of the newest run that has ended
         self.control = Control(session.rig, self._ask, lambda: self.end, lambda: self.outcome, held, pace)
         self.control.buttons.clear()  # a press is a message from outside, for which a session has no place
@@ -95,15 +94,17 @@ class Here(Growing):
         if back is not None:
             return self._back(back)
         if set is not None and "run.pace" in set:
-            self._pace, self._mark = set["run.pace"], None
+            self._pace.change(set["run.pace"], time.monotonic())
         elif set is not None:
             self.session.set({f"{node}.{name}": value for name, value in set.items()})
         elif call == "step":
             if not self.control.held:
                 raise ScenarioError("it runs: pause it first")
             self._step()
+            self._pace.begin()
             return "one step"
-        self._mark = None
+        elif call:
+            (self._pace.stop if call == "pause" else self._pace.go_on)(time.monotonic())
         return {"pause": "paused", "resume": "goes on"}.get(call, "")
 
     def _back(self, t: float) -> str:
@@ -112,12 +113,15 @@ class Here(Growing):
         changes = branched(session.rig, session.recording, self.end, {})
         turned = session.rewind(t)
         session.set(turned)
-        left = {}
-        if turned and not self.outcome:  # nothing is expected of a run that was tuned
-            left = session.rig.scenario.having(changes=changes).model_dump(
+        left = self._folder if self.outcome else ""
+        if turned and not self.outcome and self._place is not None:  # nothing is expected of a run that was tuned
+            left = f"left_{len(self.branched) + 1}.yaml"
+            scenario = session.rig.scenario.having(changes=changes).model_dump(
                 mode="json", exclude_defaults=True, exclude={"name", "expect", "claims", "requirements"}
             )
-        self.branched.append((session.t, before, self._folder if self.outcome else "", left))
+            replace(self._place() / left, yaml.safe_dump(scenario, sort_keys=False, width=110))
+        self.branched.append({"at_s": session.t, "from_s": before, "left": left})
+        self._pace.begin()
         self.outcome, self.results, self.control.held = "", [], True
         self._tracks, self._newest = {topic: type(track)() for topic, track in self._tracks.items()}, {}
         self._seen.clear()
@@ -136,17 +140,6 @@ class Here(Growing):
         self._folder = str(folder)
         self.control.say("the run", outcome)
 
-    def written(self, folder: Path) -> list[dict[str, Any]]:
-        """Say where it went back, as `Run.branched`; what keeps the branches that were left is written."""
-        found = []
-        for k, (at, before, left, scenario) in enumerate(self.branched, 1):
-            if scenario:
-                left = f"left_{k}.yaml"
-                (folder / left).write_text(yaml.safe_dump(scenario, sort_keys=False, width=110))
-            found.append({"at_s": at, "from_s": before, "left": left})
-        self.branched = []
-        return found
-
     # ticks ---------------------------------------------------------------------------------------------------------
 
     def turn(self) -> float:
@@ -154,13 +147,8 @@ class Here(Growing):
         session, until = self.session, time.monotonic() + SLICE
         while not session.over and not self.control.held:
             now = time.monotonic()
-            if self._pace:
-                since, first = self._mark = self._mark or (now, session.t)
-                reached = first + (now - since) * self._pace
-                if session.t > reached:
-                    return REST
-                if reached - session.t > BEHIND * self._pace:
-                    self._mark = now, session.t
+            if self._pace.pace and self._pace.reach(now, to_ns(session.t)) is None:
+                return REST
             if now > until:
                 return 0.0
             self._step()
@@ -178,7 +166,7 @@ class Here(Growing):
             part.topics[name] = topic.since(self._seen[name])
             self._seen[name] += len(part.topics[name].times)
         self.take(part)
-        found: list[Turned] = [(t / SECOND, node, values) for t, node, values in recorded(session.recording)]
+        found: list[Turned] = [(to_s(t), node, values) for t, node, values in recorded(session.recording)]
         for change in found:
             if change not in self.changes:
                 self.control.took_effect(*change)
@@ -191,15 +179,16 @@ class Here(Growing):
             }
             for name, step in session.steps.items()
         }
-        if self._log is not None and not (self.branched and session.t <= self.branched[-1][0]):
-            self._write(self._log)  # not what is gone back to: until it goes on, what was left stays in the file
+        if self._place is not None and not (self.branched and session.t <= self.branched[-1]["at_s"]):
+            self._write(self._place)  # not what is gone back to: until it goes on, what was left stays in the file
 
-    def _write(self, log: Callable[[], Path]) -> None:
+    def _write(self, place: Callable[[], Path]) -> None:
         """Write what is new into a file as nodes do: of a process that is killed `bag repair` finds it there."""
         topics = [topic for name, topic in self.session.recording.topics.items() if name != EVENTS]
         events = self.session.recording.topics.get(EVENTS)
         if self._shard is None:
-            self._shard = ShardWriter(log() / "rig.shard", [(topic.name, topic.msgtype) for topic in topics])
+            (log := place() / "log").mkdir(exist_ok=True)
+            self._shard = ShardWriter(log / "rig.shard", [(topic.name, topic.msgtype) for topic in topics])
         for number, topic in enumerate([*topics, *([events] if events else [])]):  # changes have the number after all
             new, said = topic.since(self._written[topic.name]), self._written[topic.name]
             messages = [data for part in new.parts() for data in part.messages(said)] or new.data
@@ -237,26 +226,24 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
     loop = IOLoop.current()
     place: ResultsFolder | None = folder
 
-    def log() -> Path:
+    def where() -> ResultsFolder:
         nonlocal place
         place = place or _beside(folder.path)
-        path = place.path / "log"
-        path.mkdir(exist_ok=True)
-        return path
+        return place
 
-    source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback, log)
+    source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback, lambda: where().path)
     pages = Pages(source, source.control, str(placement), address, new_token(), loop)
     say(f"the page is {pages.url}")
     status, ended = 0, False
 
     def end(stopped: int = 0) -> None:
         nonlocal status, ended, place
-        place = into = place or _beside(folder.path)
+        into = where()
         with unstopped(), into.keeping():
             source.look()
             run = session.run
             run.mode, run.wall_s, run.stopped = str(placement), time.perf_counter() - started, stopped
-            run.status, run.branched = source.status, source.written(into.path)
+            run.status, run.branched, source.branched = source.status, source.branched, []
             run.error = run.error or ("" if stopped else gaps(rig, run.recording))
             status = conclude(run, into)
             ended, place = True, None
@@ -280,7 +267,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
     try:
         loop.start()
     except KeyboardInterrupt as interrupt:
-        if not source.outcome and not (ended and session.t == source.branched[-1][0]):
+        if not source.outcome and not (ended and session.t == source.branched[-1]["at_s"]):
             end(signal_of(interrupt))
     finally:
         pages.close()

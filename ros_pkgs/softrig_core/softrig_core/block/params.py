@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
+from ..entry import Entry
 from .schedule import rational
 
 LARGEST = 1e12  # of any number in SI units: what lies beyond is a slip, and its square or cube soon no number any more
@@ -54,13 +55,11 @@ def param(
     return Field(default, description=doc, json_schema_extra=extra, **bounds)
 
 
-class Params(BaseModel):
-    """Base of every parameter model: frozen, no unknown names, no NaN or infinity.
+class Params(Entry):
+    """Base of every parameter model.
 
     Nested models are written with dots outside (``rig.pwm_bits``).
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     @field_validator("*")
     @classmethod

@@ -7,7 +7,9 @@ import re
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
+
+from ..entry import Entry
 
 Verdict = Literal["reproduced", "fitted", "corrected", "refuted", "not_checkable"]
 VERDICTS: dict[Verdict, str] = {
@@ -27,7 +29,7 @@ def spoken(value: float) -> str:
     return NEVER if value == math.inf else f"{value:.6g}"
 
 
-class Claim(BaseModel):
+class Claim(Entry):
     """One statement of a paper about a figure.
 
     Parameters
@@ -49,8 +51,6 @@ class Claim(BaseModel):
     reason : str
         In a sentence; may be absent for ``reproduced`` alone.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     text: str = ""
     figure: str = ""

@@ -6,7 +6,9 @@ import math
 import re
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import BeforeValidator
+
+from ..entry import Entry
 
 _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 _TWO_SIDED = re.compile(rf"{_NUMBER}\s*\+-\s*{_NUMBER}\s*(%?)")
@@ -16,7 +18,7 @@ WIDEST = 0.25  # a tolerance beyond this share of its value judges nothing
 FORMS = "expected a number, 'X +- T', 'X +- P %', 'at most X', 'at least X' or 'between A and B'"
 
 
-class Expectation(BaseModel):
+class Expectation(Entry):
     """Limits of a figure; those that are None judge nothing.
 
     Parameters
@@ -26,8 +28,6 @@ class Expectation(BaseModel):
     at_most, at_least : float, optional
         Bounds.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     expected: float | None = None
     tolerance: float | None = None

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
+from ..entry import Entry
 from ..errors import ScenarioError
 from ..timebase import SECOND
 from .formula import horizon, read
 
 
-class Requirement(BaseModel):
+class Requirement(Entry):
     """What must hold in a run.
 
     Parameters
@@ -28,8 +29,6 @@ class Requirement(BaseModel):
     ends : bool
         Whether that node ends the run when it is violated; implies `live`.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     formula: str = Field(min_length=1, max_length=2000)
     where: str = ""

@@ -33,8 +33,6 @@ def compose(template: str, signal: str) -> str:
     rest = powers(template.replace("{signal}", "1"))
     raised = re.search(r"\{signal\}\^(\d)", template)
     total = {name: power * (int(raised[1]) if raised else 1) for name, power in powers(signal).items()}
-    if raised:
-        rest.pop("1", None)
     for name, power in rest.items():
         total[name] = total.get(name, 0) + power
     return text({name: power for name, power in total.items() if power})

@@ -6,18 +6,19 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, Protocol
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from ..block.block import Block
 from ..block.change import Change, permit
 from ..block.params import ParameterError
+from ..entry import Entry
 from ..errors import ScenarioError, closest
 from ..timebase import to_ns
 from .faults import EXECUTABLE, PACKAGE, WORDS
 from .references import fill_parameters, parameter_of
 
 
-class ChangeEntry(BaseModel):
+class ChangeEntry(Entry):
     """New values of parameters from a time on.
 
     Parameters
@@ -27,8 +28,6 @@ class ChangeEntry(BaseModel):
     set : dict
         ``node.parameter`` to value; of a fault, ``fault.active``. ``$node.parameter`` is what a parameter is at first.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     at: float = Field(ge=0, le=1e9)
     set: dict[str, Any] = Field(min_length=1)

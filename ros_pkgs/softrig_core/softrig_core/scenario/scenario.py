@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
 
+from ..entry import Entry
 from ..errors import ScenarioError, closest
 from ..judge.claims import Claim
 from ..judge.expectation import Expected
@@ -36,11 +37,7 @@ NodeName = Annotated[str, Field(pattern=r"^_?[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)
 TopicName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=200)]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class NodeEntry(_Model):
+class NodeEntry(Entry):
     """One node: which executable, with which parameters and remapped topics."""
 
     package: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")
@@ -50,7 +47,7 @@ class NodeEntry(_Model):
     external: bool = Field(False, description="somebody else starts it; our executable only tells its ports")
 
 
-class FigureEntry(_Model):
+class FigureEntry(Entry):
     """What is measured of a run.
 
     Parameters
@@ -73,7 +70,7 @@ class FigureEntry(_Model):
     since: str = ""
 
 
-class PlotEntry(_Model):
+class PlotEntry(Entry):
     """One picture: signals as ``topic/channel/field`` with an optional label.
 
     Parameters
@@ -104,7 +101,7 @@ def _or_empty(given: Any) -> Any:
     return {} if given is None else given
 
 
-class Scenario(_Model):
+class Scenario(Entry):
     """A rig and its experiment.
 
     Parameters

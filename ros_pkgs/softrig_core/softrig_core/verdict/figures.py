@@ -15,6 +15,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from ..block.port import CLOCK
+from ..entry import Entry
 from ..errors import ScenarioError, closest
 from ..judge.claims import NEVER
 from ..judge.expectation import Expectation
@@ -268,9 +269,7 @@ def _model(function: Function) -> tuple[type[BaseModel], bool]:
     for p in parameters:
         if p.kind is not p.VAR_KEYWORD:
             fields[p.name] = (hints.get(p.name, Any), ... if p.default is p.empty else p.default)
-    return create_model(function.__name__, __config__=ConfigDict(extra="forbid", frozen=True), **fields), len(
-        fields
-    ) == len(parameters)
+    return create_model(function.__name__, __base__=Entry, **fields), len(fields) == len(parameters)
 
 
 def _arguments(function: Function, given: dict[str, Any]) -> dict[str, Any]:

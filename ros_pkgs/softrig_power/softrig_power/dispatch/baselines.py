@@ -63,7 +63,7 @@ def repaired(units: Units, P: Array, demand: float) -> Array:
 
 
 def swarm(
-    units: Units, demand: float, algorithm: Baseline, seed: int | Sequence[int], n_pop: int = 50, n_iter: int = 300
+    units: Units, demand: float, algorithm: Baseline, seed: int | Sequence[int], n_pop: int, n_iter: int
 ) -> Array:
     """Dispatch by a metaheuristic of `softrig_optim`, each candidate repaired onto the balance.
 

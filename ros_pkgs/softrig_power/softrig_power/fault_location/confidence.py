@@ -17,6 +17,7 @@ from .objective import LocatorParams
 from .record import GROUPS, Record, Status
 
 Array = NDArray[np.float64]
+STRETCHES = 8  # of the window, that locate by themselves
 
 
 class ErrorBudget(Params):
@@ -73,13 +74,13 @@ def confidence(record: Record, p: LocatorParams, found: Location, budget: ErrorB
     return Confidence(_scatter(Locator(record, fixed), found), effects, contrast)
 
 
-def _scatter(work: Locator, found: Location, blocks: int = 8) -> float:
-    """Locate on stretches of the window, each within 2 km of the answer; standard deviation over sqrt(blocks)."""
+def _scatter(work: Locator, found: Location) -> float:
+    """Locate on stretches of the window, each within 2 km of the answer; standard deviation of their mean."""
     from scipy.optimize import minimize_scalar
 
     assert found.x_km is not None
     low, high = max(found.x_km - 2.0, 0.0), min(found.x_km + 2.0, work.section.length)
-    edges = np.linspace(work.first, work.first + work.count, blocks + 1).astype(int)
+    edges = np.linspace(work.first, work.first + work.count, STRETCHES + 1).astype(int)
     places = [
         minimize_scalar(
             lambda x, a=a, b=b: float(work.f(np.array([x]), found.mode, (int(a), int(b - a)))[0]),

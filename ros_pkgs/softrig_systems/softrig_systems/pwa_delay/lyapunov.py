@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
 from softrig_core.kit.dense import product
 
@@ -74,6 +75,14 @@ class LyapunovMonitorParams(CriterionParams, BlockParams):
 
     period: float = param(3e-4, "sampling period, at most h/64", "s", gt=0.0, le=10.0)
     rise: float = param(1e-3, "relative rise of V over one delay that is told", gt=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _has_matrices(self) -> Self:
+        if self.method == "level" or self.system == "tank":
+            raise ValueError(
+                f"method = {self.method!r}, system = {self.system!r}: a certificate of levels has no matrices to watch"
+            )
+        return self
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ...timebase import SECOND
+from ...timebase import SECOND, Pace
 from .middleware import Middleware, Timer
 from .solving import BUSY, TOLD_EVERY
 from .tick import TICK, TickWriter
 
 SERVICES = ("pause", "resume", "step")  # std_srvs/Trigger, below the name of the node
 LOOK = SECOND // 100  # ns between two looks at the wall clock: ticks come in bursts as long as this
-BEHIND = 0.25  # s by which the run may be late and still catch up; what is beyond is forgotten
 
 
 class Hold:
@@ -40,14 +39,19 @@ class Hold:
     """
 
     def __init__(self, held: bool = False, pace: float = 0.0, paced: bool = True) -> None:
-        self.held, self.pace, self.waits = held, pace, False
+        self.held, self.waits = held, False
+        self._pace = Pace(pace)
         self._paced = paced
         self.steps = 0
         self._turn: Callable[[], object] | None = None
         self._tells = False
-        self._mark: tuple[float, int] | None = None  # s of the wall, ns of the run, which the pace counts from
         self._until = 0  # ns up to which the wall clock need not be asked
         self._timer: Timer | None = None
+
+    @property
+    def pace(self) -> float:
+        """As it is now."""
+        return self._pace.pace
 
     def begin(self, middleware: Middleware, turn: Callable[[], object]) -> None:
         """Serve a node that owns the clock; `turn` has its ticks go on, or stay."""
@@ -60,7 +64,8 @@ class Hold:
         """Take another pace from now on; whether this node has one: that of the clock, in lockstep, begun."""
         if self._turn is None or not self._paced:
             return False
-        self.pace, self._mark, self._until = pace, None, 0
+        self._pace.change(pace, self._middleware.steady())
+        self._until = 0
         if pace:
             self._tell()
             if self._timer is None:
@@ -94,16 +99,10 @@ class Hold:
             return not single
         if not self.pace or t < self._until:
             return False
-        now, rate = self._middleware.steady(), self.pace * SECOND
-        since, first = self._mark = self._mark or (now, t)
-        reached = first + round((now - since) * rate)
-        if t >= reached:
-            self.waits = True
-            return True
-        if reached - t > BEHIND * rate:
-            self._mark, reached = (now, t), t
-        self._until = reached
-        return False
+        reached = self._pace.reach(self._middleware.steady(), t)
+        self.waits = reached is None
+        self._until = reached or 0
+        return self.waits
 
     def ask(self, what: str, steps: int = 1) -> tuple[bool, str]:
         """Pause, resume or take steps; gives whether that could be done, and what to say."""
@@ -111,13 +110,16 @@ class Hold:
             return False, "this node has not begun"
         if what == "pause":
             self.held = True
+            self._pace.stop(self._middleware.steady())
             self._tell()
         elif what == "step":
             if not self.held:
                 return False, "it runs: pause it first"
             self.steps += steps
+            self._pace.begin()
         else:
-            self.held, self.steps, self._mark, self._until = False, 0, None, 0
+            self.held, self.steps, self._until = False, 0, 0
+            self._pace.go_on(self._middleware.steady())
         self._middleware.post(self._turn)
         return True, {"pause": "paused", "step": "one step"}.get(what, "goes on")
 
