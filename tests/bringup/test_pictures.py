@@ -124,7 +124,7 @@ def marked(**keys):
     [
         ("marks", marked),
         ("short", lambda: load_scenario("induction_dtc").changed(duration=0.02)),
-        ("angles", lambda: load_scenario("rehab_impedance").changed(duration=0.2)),
+        ("angles", lambda: load_scenario("rehab_impedance").changed(duration=0.05)),
     ],
 )
 def test_pictures_of_runs_are_as_told(name, given, drawn, unsaved):

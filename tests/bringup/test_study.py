@@ -677,7 +677,6 @@ SCATTERED = {"count": 9, "parameters": {"gain.k": {"uniform": [1, 3]}, "plant.ga
     [
         ("grid", {"cases": {"a": {}, "bb": {}}, "grid": {"gain.k": [1, 2, 3]}, "signals": ["lag/state/x/position"],
                   "samples": 6}, [*many(("a", "bb"), (K,))]),
-        ("fine", {"grid": {"gain.k": [1, 2]}}, [*many(("",), (FINE,))]),
         ("map", {"grid": {"gain.k": [1, 2, 3], "plant.gain": [1, 2]}}, [*many(("",), (K, G))]),
         ("scattered", {"draws": SCATTERED}, [row | {"overrides": {"gain.k": 1.0 + 0.1 * k, "plant.gain": 2.0 - 0.2 * k}}
                                              for k, row in enumerate(many(seeds=3))]),

@@ -1010,7 +1010,7 @@ def test_pictures_are_as_told(record, monkeypatch):
     pictures.objective(record, p, found, Path("objective"), truth=50.0)
     pictures.objective(record, p, replace(found, x_km=None), Path("lost"))
     pictures.methods([*rows_by_formula()], Path("methods"))
-    monkeypatch.setattr(pictures, "MISPRINTS", ("corrected", "printed", "printed_sign"))
+    monkeypatch.setattr(pictures, "MISPRINTS", ("corrected", "printed_sign"))
     pictures.misprints(record, p, Path("misprints"), truth=50.0)
     check_told("pictures/fault_location", (line for path, f in drawn for line in (path, *figure_lines(f))))
 

@@ -19,7 +19,7 @@ from parameters import executables
 
 PACKAGES = ("softrig_drives", "softrig_power", "softrig_robots", "softrig_systems")
 TICKS = 3
-FINE = ("raw1m", "raw100k", "m100k")  # a tick of these samples is tenths of a second
+FINE = ("raw1m", "raw100k", "m100k", "pulse")  # of these a tick is tenths of a second; other tests have them
 SCALES = {"rad/s": 20.0, "V": 10.0, "A": 3.0, "N": 5.0, "W": 50.0, "W/m^2": 900.0, "degC": 40.0, "rpm": 500.0}
 OTHER = 0.3  # of other units
 
