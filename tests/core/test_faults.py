@@ -265,7 +265,7 @@ def by_hand(p, values, fresh, toggles, random, normal):
 
 
 @given(drawn_faults(), st.integers(0, 3))
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 def test_any_fault_is_what_its_parameters_say(drawn, seed):
     p, values, fresh, toggles = drawn
     if p["kind"] == "saturate" and any(low > high for low, high in zip(*limits_of(p), strict=True)):

@@ -79,7 +79,7 @@ def test_a_pole_may_leave_over_no_frequency_at_all():
     assert (integrates.margins.gain, integrates.margins.gain_down) == (pytest.approx(4.0), 0.0)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_margins_are_where_the_loop_loses_its_stability(seed):
     loop = drawn(seed)
     view = view_of(*loop)
@@ -93,7 +93,7 @@ def test_margins_are_where_the_loop_loses_its_stability(seed):
             assert largest(*loop, factor) < 1.0
         if 1e-2 < end < 1e2:
             assert largest(*loop, end) == pytest.approx(1.0, abs=1e-4)
-    w = np.linspace(1e-4, math.pi / T - 1e-4, 3000)
+    w = np.linspace(1e-4, math.pi / T - 1e-4, 1500)
     L = loop_at(*loop, w)
     gain = np.abs(L)
     k = np.flatnonzero((gain[1:] >= 1.0) != (gain[:-1] >= 1.0))
@@ -106,7 +106,7 @@ def test_margins_are_where_the_loop_loses_its_stability(seed):
         assert m.delay == pytest.approx((phases / w[k]).min(), rel=0.01)
         assert m.crossover == pytest.approx(w[k].max(), rel=0.01)
     assert m.disk == pytest.approx(1.0 / np.abs(1.0 / (1.0 + L) - 0.5).max(), rel=2e-3)
-    assert view.at_frequencies(w[::300]) == pytest.approx(L[::300], rel=1e-9)
+    assert view.at_frequencies(w[::150]) == pytest.approx(L[::150], rel=1e-9)
     assert view.loop.eval(w[100]) == pytest.approx(L[100], rel=1e-2)
     assert view.closed.dt == view.opened.dt == T
     assert (view.closed.input_labels, view.closed.output_labels) == (["plant/w"], ["plant/y"])
@@ -187,8 +187,7 @@ def test_the_plot_shows_the_loop():
     assert nyquist.lines[2].get_xydata().tolist() == [[-1.0, 0.0]]
     assert (nyquist.get_xlim(), nyquist.get_ylim(), nyquist.get_aspect()) == ((-3.0, 1.0), (-2.0, 2.0), 1.0)
     assert figure.get_suptitle() == "drawn, opened at plant/u, t = 1.5 s"
-    a, b, c, d = drawn(3)
-    assert view_of(1.2 * a, b, c, d).plot().get_suptitle().endswith("t = 1.5 s, unstable when closed")
+    assert view_of([[1.2]], [1.0], [0.1], 0.0).plot().get_suptitle().endswith("t = 1.5 s, unstable when closed")
 
 
 def test_who_reaches_whom_in_a_net():
