@@ -473,6 +473,7 @@ def test_the_page_of_a_study_and_what_is_printed_are_as_told(name, keys, made, f
     found = results(demo, rows)
     held = claims(demo, found)
     monkeypatch.setenv("SOFTRIG_COMMAND", "softrig")
+    monkeypatch.delenv("COLUMNS", raising=False)
     page._print(demo, rows, found, held, Path("out"))
     said = capsys.readouterr().out.replace(str(folder), "HERE").splitlines()
     text = make_page("Demo", page._page(demo, rows, found, held, [], UNITS)).replace(str(folder), "HERE")

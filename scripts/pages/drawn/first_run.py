@@ -8,6 +8,7 @@ from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from unittest import mock
 from xml.etree.ElementTree import Element, fromstring, tostring
 
 import numpy as np
@@ -70,8 +71,7 @@ def draw(folder: Path) -> None:
 def _typed(*words: str) -> list[str]:
     """Give the lines that a command prints, what it says of itself last."""
     out, error = StringIO(), StringIO()
-    os.environ["COLUMNS"] = "100"
-    with redirect_stdout(out), redirect_stderr(error):
+    with mock.patch.dict(os.environ, COLUMNS="100"), redirect_stdout(out), redirect_stderr(error):
         status = main(words)
     assert status == 0, error.getvalue()
     return [line.rstrip() for line in (*out.getvalue().splitlines(), *error.getvalue().splitlines())]
