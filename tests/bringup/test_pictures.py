@@ -364,6 +364,24 @@ def test_scenarios_of_a_user_cite_from_their_own_folder(tmp_path, monkeypatch):
         cited(["me"])
 
 
+@pytest.mark.parametrize(
+    ("fields", "place"),
+    [
+        ("journal = {Automatica}, volume = {2}, number = {6}, pages = {582--587}", "Automatica 2(6), 582–587"),
+        ("journal = {Automatica}, volume = {2}, booktitle = {Talks}, publisher = {Press \\& Co}", "Automatica 2"),
+        ("booktitle = {{ACM} SIGCOMM}, pages = {1--9}, publisher = {Press \\& Co}", "ACM SIGCOMM, 1–9"),
+        ("publisher = {Press \\& Co}", "Press & Co"),
+        ("pages = {7}", "7"),
+        ("note = {Unpublished}", ""),
+    ],
+)
+def test_a_paper_is_in_its_journal_else_in_a_book_else_with_its_publisher(tmp_path, monkeypatch, fields, place):
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
+    entry = "@misc{me, author = {Doe, Jane}, title = {PID loops}, year = {1999}, "
+    (tmp_path / "references.bib").write_text(f"{entry}{fields}}}")
+    assert cited(["me"])[0].place == place
+
+
 # several runs -----------------------------------------------------------------------------------------------------
 
 
@@ -575,6 +593,22 @@ def test_runs_of_very_different_length_have_no_axis_in_common(tmp_path):
     page = b"".join(tostring(e) for e in overlaid([(tmp_path / n, read_run(tmp_path / n)) for n in "abcde"], "abcde"))
     assert re.findall(r'alt="Position(, [^"]*)"', page.decode()) == [", runs of up to 1 s", ", runs of up to 0.02 s"]
     assert b"no other run of about their length has their plots: e" in page
+
+
+def test_the_pictures_of_several_systems_stand_under_their_own_each_with_its_runs(tmp_path, monkeypatch):
+    def drawn(overlays, title):
+        yield " and ".join(o.label for o in overlays) + title, b"\x89PNG"
+
+    monkeypatch.setattr("softrig_bringup.report.several.draw_overlay", drawn)
+    monkeypatch.setattr("softrig_bringup.report.several.picture", lambda data, title: title)
+    monkeypatch.setattr("softrig_bringup.report.several._signals", lambda bag: None if bag.parent.name == "e" else {})
+    systems = {"a": "lag", "b": "motor", "c": "lag", "d": "motor", "e": "motor"}
+    runs = [(tmp_path / name, run_of(system=system)) for name, system in systems.items()]
+    said = ["".join(element.itertext()) for element in overlaid(runs, [*systems])]
+    assert said == [
+        *("lag: signals", "a and c"),
+        *("motor: signals", "b and d", "Not drawn here, for want of a bag: e"),
+    ]
 
 
 def test_many_figures_of_few_runs_stand_one_a_row():

@@ -127,6 +127,40 @@ def test_edges_of_a_limit_cycle():
     assert x.aside == "only a warning depends on it"
 
 
+def held(*levels):
+    """Samples of levels, each so many samples long."""
+    return [y for y, samples in levels for _ in range(samples)]
+
+
+def test_a_swing_has_ended_after_three_times_the_longest_of_the_newest_eight():
+    def up_and_down(samples, times):
+        return [(2.0 * (k % 2), samples) for k in range(times)]
+
+    for samples in (2, 3, 5):  # the last swing, up to 2, is known with the first sample of the rest at 0
+        found = fed(held(*up_and_down(samples, 12), (0.0, 40)), 50.0)
+        assert found[12 * samples :] == [2.0] * (3 * samples + 1) + [0.0] * (39 - 3 * samples)
+    for later in range(13):  # one swing of five samples among those of two: while it is one of the eight
+        levels = [*up_and_down(2, 10), (0.0, 2), (2.0, 5), *up_and_down(2, later), (2.0 * (later % 2), 40)]
+        found = fed(held(*levels), 50.0)
+        longest = 5 if later < 8 else 2
+        assert found.count(0.0) == fed(held(*levels[:-1]), 50.0).count(0.0) + 39 - 3 * longest, later
+
+
+@pytest.mark.parametrize("anew", ["reference", "rest"])
+def test_swings_before_a_new_reference_or_a_rest_have_no_time_any_more(anew):
+    """Quick ones follow slow ones: a pause that is shorter than three slow swings ends them."""
+    slow = held(*[(2.0 * (k % 2), 8) for k in range(6)])
+    quick = [0.0, 2.0] * 3
+    for pause, swings in ((6, True), (20, False)):
+        x, found = Swinging(), []
+        for y in slow + [0.0] * (53 if anew == "rest" else 0):
+            x, _ = limit_cycle(x, y, 50.0)
+        for y in quick + [0.0] * pause + quick[1:] + [0.0]:
+            x, size = limit_cycle(x, y, 50.0 if anew == "rest" else 60.0)
+            found.append(size)
+        assert (found[-1] == 2.0) == swings, pause
+
+
 def test_a_pid_is_its_difference_equations():
     rng = np.random.default_rng(5)
     for anti_windup in (True, False):

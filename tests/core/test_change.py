@@ -6,7 +6,7 @@ from argparse import Namespace
 from functools import partial
 
 import pytest
-from conftest import differences, in_process
+from conftest import differences, in_process, make_scenario
 from hypothesis import given, settings, strategies as st
 from simulated import SimulatedRig, World
 from softrig_bags.read import read_bag
@@ -291,6 +291,21 @@ def test_of_nothing_no_repetition_is_said(tmp_path):
     same, told = compared(before, run, {})
     assert not same
     assert told == [f"nothing of {tmp_path} could be compared: no message of any node that runs here"]
+
+
+@pytest.mark.parametrize(("at", "told"), [(0.17, True), (0.18, True), (0.19, False)])
+def test_a_sporadic_sender_is_compared_up_to_two_of_its_ticks_before_the_end(tmp_path, at, told):
+    """In real time its last ticks may be over before it has answered them."""
+    nodes = {"plant": "plant", "burst": {"executable": "burst", "parameters": {"at": [0.05, at]}}, "gain": "burst_gain"}
+    rig = rig_of(make_scenario(nodes, 0.2))
+    whole, cut = in_process(rig), in_process(rig)
+    assert max(t.times[-1] for t in whole.topics.values() if t.times) == 200_000_000
+    del cut.topics["lag/burst"].times[-1], cut.topics["lag/burst"].data[-1]
+    for there, here in ((whole, cut), (cut, whole)):
+        before = Recalled(tmp_path, Namespace(), tmp_path, there, 0, {}, {})
+        same, said = compared(before, Run(rig, 0, here), {})
+        assert same is not told, said
+        assert (f"differs from {tmp_path}: lag/burst from t = {at:g} s; " in said[0]) is told
 
 
 def test_what_is_refused_while_it_runs_changes_nothing():

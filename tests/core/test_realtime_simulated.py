@@ -264,6 +264,30 @@ def test_who_is_held_over_the_end_of_a_run_says_its_last_tick_and_none_after_it(
     assert all(t <= run.epoch + rig.end for topic in run.recording.topics.values() for t in topic.times)
 
 
+def test_who_is_ready_says_so_ten_times_a_second_until_the_start_and_not_before_all_its_peers_are_there():
+    world = World()
+    run = SimulatedRig(basic(), world, "realtime", departs=True)
+    departures = {name: adapter.drive.departure for name, adapter in run.adapters.items()}
+    (starter,) = (name for name, d in departures.items() if d.is_starter)
+    begun, send, said = world.now, world.send, {name: [] for name in departures}
+
+    def noted(writer, data):
+        if writer.topic == "/softrig/ready":
+            said[writer.node.name].append((world.now - begun) // MS)
+        send(writer, data)
+
+    world.send = noted
+    for name, d in departures.items():
+        until = begun + (2_000 if name == starter else 1_000) * MS
+        d.handshake.absent = lambda until=until: [] if world.now >= until else ["somebody"]
+    world.match()
+    world.run(begun + 1_900 * MS)
+    assert not any(d.absent for name, d in departures.items() if name != starter)
+    world.run(begun + 2_400 * MS)
+    often = [*range(1_000, 2_001, 100)]  # looks are 20 ms apart
+    assert said == {name: [] if name == starter else often for name in departures}
+
+
 def test_a_law_notices_a_source_that_has_stopped():
     rig = basic(2.0)
     world = World()
@@ -285,6 +309,21 @@ def test_the_ports_of_the_rigs_work_in_lockstep_whatever_the_order_of_delivery(n
         run = SimulatedRig(rig, World(jitter(seed, 1_000, 5 * MS)), "lockstep", groups=some(rig, random.Random(seed)))
         assert set(run.run(1000.0).values()) == {"done"}, (seed, {n: str(a.error) for n, a in run.adapters.items()})
         assert differences(expected, run.recording) == [], seed
+
+
+@pytest.mark.parametrize("name", ["arrays", "events"])
+def test_what_a_sporadic_sender_has_told_of_its_ticks_is_taken_once_where_it_is_said_again(name):
+    """Its messages are counted (arrays) or bear their tick (events)."""
+    nodes, duration, options = RIGS[name]
+    rig = rig_of(make_scenario(nodes, duration, **options))
+    world = World()
+    run = SimulatedRig(rig, world, "lockstep")
+    ticks = [reader for reader in world.readers if reader.topic.endswith("/tick")]
+    for reader in ticks:
+        reader.receive = lambda data, receive=reader.receive: (receive(data), receive(data))
+    assert ticks
+    assert set(run.run().values()) == {"done"}, {n: str(a.error) for n, a in run.adapters.items()}
+    assert differences(in_process(rig), run.recording) == []
 
 
 def test_a_plant_waits_for_a_good_command_also_where_commands_have_no_stamp():

@@ -7,6 +7,7 @@ import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
+import comtrade
 import numpy as np
 import pytest
 from conftest import replay
@@ -902,6 +903,28 @@ def test_comtrade_secondary_kilovolts_and_names(record, tmp_path):
     names = [line.split(",")[1] for line in lines[2:14]]
     swapped = read_comtrade([cfg], [*names[6:], *names[:6]])
     np.testing.assert_allclose(swapped.samples[:, :6], record.samples[:, 6:], rtol=1e-6, atol=1.0)
+
+
+@pytest.mark.parametrize(("switches", "words"), [(1, 1), (16, 1), (17, 2), (32, 2), (33, 3)])
+def test_comtrade_with_switches_has_room_for_16_of_them_a_word(record, tmp_path, switches, words):
+    """Against the reader: it finds the last switch closed, so each sample has these words; what has room is exact."""
+    cfg, data = write_comtrade(tmp_path / "both", record, file_format="binary")
+    lines = cfg.read_text().splitlines()
+    lines[1] = f"{12 + switches},12A,{switches}D"
+    lines[14:14] = [f"{k + 1},switch {k},,,0" for k in range(switches)]
+    rows = np.frombuffer(data.read_bytes(), dtype="<u2").reshape(1200, -1)
+    closed = np.zeros((1200, words), dtype="<u2")
+    closed[:, -1] = 1 << (switches - 1) % 16
+    data.write_bytes(np.hstack([rows, closed]).astype("<u2").tobytes())
+    cfg.write_text("\n".join(lines) + "\n")
+    reader = comtrade.load(str(cfg), str(data))
+    assert [sum(values) for values in reader.status] == [0] * (switches - 1) + [1200]
+    np.testing.assert_allclose(read_comtrade([cfg]).samples, np.transpose(reader.analog), rtol=1e-6)
+    assert ",1200" in lines[-7]
+    lines[-7] = lines[-7].replace(",1200", ",9999")
+    cfg.write_text("\n".join(lines) + "\n")
+    with pytest.raises(ComtradeFileError, match="room for 1200 at most"):
+        read_comtrade([cfg])
 
 
 def test_comtrade_of_windows(record, tmp_path):

@@ -92,6 +92,22 @@ def test_a_tape_gives_the_values_of_its_function(x0, x1):
     assert result[0] == pytest.approx(np.array(f([x0, x1])).ravel(), rel=1e-13)
 
 
+def test_outputs_that_are_structurally_zero_are_zero_in_their_places():
+    x = ca.SX.sym("x", 2)
+    f = ca.Function("f", [x], [ca.vertcat(ca.SX(1, 1), ca.sin(x[0]), ca.SX(2, 1), x[0] * x[1], ca.SX(1, 1))])
+    assert f.nnz_out(0) == 2  # casadi writes no others
+    result = np.full((1, 6), np.nan)
+    evaluate(Tape.of(f), np.array([[0.5, 3.0]]), result)
+    assert result[0].tolist() == [0.0, pytest.approx(math.sin(0.5)), 0.0, 0.0, 1.5, 0.0]
+    table, more = np.full((2, 3), np.nan), np.full((4, 3), np.nan)
+    table[:, 0] = 0.5, 3.0
+    expand(Tape.of(f), table, more, 2.0)
+    assert table[0].tolist() == [0.5, 0.0, 0.0]
+    assert table[1].tolist() == [3.0, pytest.approx(2.0 * math.sin(0.5)), 0.0]
+    assert more[[0, 1, 3]].tolist() == [[0.0] * 3] * 3
+    assert more[2].tolist() == [1.5, pytest.approx(math.sin(0.5)), 0.0]
+
+
 def test_the_series_of_an_equation_is_its_solution():
     """x'' = -sin x - 0.1 exp(x) / (2 + x), against an integration with tight tolerances."""
     from scipy.integrate import solve_ivp

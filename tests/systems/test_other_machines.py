@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from docs.outline import SYSTEMS, pages
@@ -359,6 +361,20 @@ def test_a_step_beyond_the_armature_s_time_constant_is_refused():
     with pytest.raises((ParameterError, ValueError), match="substeps = 2: expected at least 4"):
         ManipulatorParams(motors=motors)
     ManipulatorParams(motors=motors, substeps=4)
+
+
+@pytest.mark.parametrize("name", ["position", "velocity", "disturbance.amplitude"])
+def test_values_of_an_arm_are_one_or_one_a_joint(name):
+    def arm(*values):
+        group, _, field = name.rpartition(".")
+        return ManipulatorParams(**({group: {field: values}} if group else {field: values}))
+
+    arm(0.1)
+    arm(0.1, 0.2, 0.3)
+    for values in ((0.1, 0.2), (0.1, 0.2, 0.3, 0.4)):
+        given = re.escape(f"{name} = {list(values)} has {len(values)} values, expected 1 or 3 (one a joint)")
+        with pytest.raises((ParameterError, ValueError), match=given):
+            arm(*values)
 
 
 def test_another_leg_gives_way_by_its_impedance():

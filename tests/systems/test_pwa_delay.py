@@ -689,6 +689,24 @@ def test_bad_systems_are_refused(changes, reason):
         cells(**changes)
 
 
+@pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
+def test_faces_of_cells_are_the_same_however_their_inequalities_are_scaled(scale):
+    """Three strips, the middle one 0.5 wide: a face is that of two neighbours, and no look across it leaps over one."""
+    three = tuple(np.eye(2) for _ in range(3))
+    E = ([[-1.0, 0.0]], [[1.0, 0.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    strips = cells(
+        A=tuple(-np.eye(1) for _ in range(3)),
+        Ad=tuple(np.zeros((1, 1)) for _ in range(3)),
+        a=tuple(np.zeros(1) for _ in range(3)),
+        E=tuple(scale * np.array(rows) for rows in E),
+        e=tuple(scale * np.array(offsets) for offsets in ([-0.25], [0.25, 0.25], [-0.25])),
+        F=three,
+        lines=np.zeros((0, 1)),
+        lines_delayed=np.zeros((0, 1)),
+    )
+    assert strips.faces() == [(0, 0, 1), (1, 0, 0), (1, 1, 2), (2, 0, 1)]
+
+
 @pytest.mark.parametrize(
     ("h", "mu", "named"),
     [(0.0, 0.0, "h"), (-1.0, 0.0, "h"), (math.nan, 0.0, "h"), (1.0, -0.1, "mu"), (1.0, math.inf, "mu")],

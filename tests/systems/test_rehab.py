@@ -40,7 +40,7 @@ from softrig_robots.rehab.patient import Patient
 from softrig_robots.rehab.plant import RehabPlant
 from softrig_robots.rehab.prom import PromReference
 from softrig_robots.rehab.stability import alpha_hat_limit
-from softrig_robots.rehab.tuner import Tuner, cost, exercise, guarded_limit, tune
+from softrig_robots.rehab.tuner import Tuner, cost, exercise, guarded_limit, search, tune
 
 URDF = Path(softrig_robots.__file__).parent / "urdf"
 G = 9.81
@@ -501,6 +501,16 @@ def test_a_guarded_search_has_room_below_its_limit():
     with pytest.raises(ValueError, match=f"expected less than {limit:.3g}"):
         build(Tuner.Params, {"lower": limit})
     assert build(Tuner.Params, {"lower": limit, "guarded": False}).lower == limit
+
+
+def test_a_search_by_hand_is_that_of_the_node():
+    """Between the bounds of the node's parameters, a guarded one up to its limit where that is less."""
+    params = Tuner.Params()
+    assert guarded_limit() < params.upper
+    for guarded, upper in ((False, params.upper), (True, guarded_limit())):
+        found = search(guarded=guarded)
+        assert (*found.lower, *found.upper, found.n_pop) == (params.lower, upper, params.n_pop)
+    assert list(search(upper=1.0).upper) == [1.0]
 
 
 def test_tuner_node_waits_for_its_trigger_and_repeats_itself():

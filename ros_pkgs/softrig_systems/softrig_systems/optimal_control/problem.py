@@ -192,4 +192,4 @@ class Extremal:
 def _tape(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> Tape:
     import casadi as ca
 
-    return Tape.of(ca.Function(name, [ca.vertcat(*inputs)], [ca.densify(ca.vertcat(*outputs))]))
+    return Tape.of(ca.Function(name, [ca.vertcat(*inputs)], [ca.vertcat(*outputs)]))

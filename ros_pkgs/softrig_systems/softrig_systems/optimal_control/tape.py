@@ -58,7 +58,8 @@ class Tape(NamedTuple):
         rows: list[tuple[int, int, int, float]] = []
         at: dict[int, int] = {}  # casadi's working place, which it uses again, to ours
         number: dict[int, float] = {}  # our place to the constant there
-        out = [-1] * function.nnz_out(0)
+        written = function.sparsity_out(0).row()  # an entry that is structurally zero is written by no instruction
+        out = [-1] * function.numel_out(0)
 
         def add(code: int, left: int = 0, right: int = 0, constant: float = 0.0) -> int:
             rows.append((code, left, right, constant))
@@ -73,7 +74,7 @@ class Tape(NamedTuple):
             op = function.instruction_id(k)
             given, to = function.instruction_input(k), function.instruction_output(k)
             if op == ca.OP_OUTPUT:
-                out[to[1]] = at[given[0]]
+                out[written[to[1]]] = at[given[0]]
                 continue
             operands = [] if op in (ca.OP_INPUT, ca.OP_CONST) else [at[i] for i in given]
             if op == ca.OP_INPUT:
@@ -100,7 +101,6 @@ class Tape(NamedTuple):
                     "expected + - * /, sin, cos, exp, log, sqrt and constant powers"
                 )
             at[to[0]] = place
-        # outputs that are structurally zero are written by no instruction
         if -1 in out:
             zero = add(CONST)
             out = [zero if place < 0 else place for place in out]
