@@ -342,18 +342,11 @@ def test_bad_input_is_one_line_before_the_first_run(file, arguments, reason, tmp
     assert not (tmp_path / "a").exists()
 
 
+FEW = ("--over", "dc_motor_plant.R=0.6..0.7", "--budget", "4", "--workers", "1", "--no-plots")  # of one range
+
+
 def test_a_package_that_one_range_needs_is_named_before_anything_is_written(file, tmp_path, capsys, monkeypatch):
-    given = [
-        "falsify",
-        str(file),
-        "--over",
-        "dc_motor_plant.R=0.6..0.7",
-        "--budget",
-        "4",
-        "--workers",
-        "1",
-        "--no-plots",
-    ]
+    given = ["falsify", str(file), *FEW]
     monkeypatch.setitem(sys.modules, "optuna", None)
     monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
     assert main([*given, "--out", str(tmp_path / "a")]) == 2
@@ -366,17 +359,7 @@ def test_a_package_that_one_range_needs_is_named_before_anything_is_written(file
 def test_what_its_runs_do_not_ask_for_is_judged_before_the_first_one(wrong, file, tmp_path, capsys):
     """A trial measures its requirements alone: what is wrong elsewhere would be found when the search is over."""
     file.write_text(f"{FILE}{wrong}\n")
-    given = [
-        "falsify",
-        str(file),
-        "--over",
-        "dc_motor_plant.R=0.6..0.7",
-        "--budget",
-        "4",
-        "--workers",
-        "1",
-        "--no-plots",
-    ]
+    given = ["falsify", str(file), *FEW]
     assert main([*given, "--out", str(tmp_path / "a")]) == 2
     assert re.search(r"no signal 'motor/nowhere'|nobody1999", capsys.readouterr().err)
     assert not (tmp_path / "a").exists()
