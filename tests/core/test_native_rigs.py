@@ -121,6 +121,37 @@ class Talker(Block[Params]):
         return x, {}
 
 
+class Both(Block[Params]):
+    """Says one thing or another, and two things late."""
+
+    INPUTS = (SIGNAL,)
+    OUTPUTS = (
+        replace(PUSH, name="one", topic="one", sporadic=True),
+        replace(SIGNAL, name="old", topic="old", delayed=True),
+        replace(PUSH, name="two", topic="two", sporadic=True),
+        replace(SIGNAL, name="older", topic="older", delayed=True),
+    )
+
+    def update(self, x: tuple[()], t: int, *, signal: tuple[float, ...]) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Answer."""
+        old, older = Sample(t - 1, signal), Sample(t - 2, signal)
+        if signal[0] > 0.0:
+            return x, {"one": (1.0,), "old": old, "older": older}
+        return x, {"two": (2.0,), "old": old, "older": older}
+
+
+class Hearing(Block[Params]):
+    """Hears all of it, and with a stamp what has none."""
+
+    INPUTS = (*Both.OUTPUTS, replace(SIGNAL, name="signal", delayed=True))
+
+    def update(self, x: tuple[()], t: int, **inputs: Any) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Nothing."""
+        if inputs["signal"].stamp + inputs["old"].stamp > inputs["older"].stamp + inputs["one"][0] + inputs["two"][0]:
+            return x, {}
+        return (), {}
+
+
 class Asking(Body):
     """Asks how old what it hears is."""
 
@@ -217,30 +248,37 @@ class Shaken(Body):
         return x._replace(a=x.a + push[0] + self.draws(x.k), k=x.k + 1)
 
 
-def batch(blocks: dict[str, Any], agent: str) -> Any:
+def batch(blocks: dict[str, Any], agent: str, native: str) -> Any:
     """Give the text of a batch, one of whose members is an agent that says what is in its row."""
-    steps = stepped(blocks)
+    steps = stepped(blocks, native)
     found = {s.name: s for s in steps}
     form = Form(remembered(found[agent], steps, [(s.x, s.numbers) for s in steps]))
     return batch_text(steps, found[agent], [f"a[{k}]" for k, _ in enumerate(found[agent].numbers)], form)
 
 
-BATCHES: dict[str, tuple[Any, str]] = {
-    "an agent in the place of the law": (lambda: {"body": Body(), "law": Law()}, "law"),
-    "an agent at each third tick": (lambda: {"body": Shaken(), "law": Law(period=0.003)}, "law"),
+BATCHES: dict[str, tuple[Any, str, str]] = {
+    "an agent in the place of the law": (lambda: {"body": Body(), "law": Law()}, "law", ""),
+    "an agent at each third tick": (lambda: {"body": Shaken(), "law": Law(period=0.003)}, "law", ""),
+    "the quickest is Python's": (
+        lambda: {"body": Body(period=0.002), "law": Law(period=0.004), "wide": Wide()},
+        "law",
+        "body law",
+    ),
     "an agent beside a law": (
         lambda: {"body": Body(), "law": Law(period=0.002), "wide": Wide(period=0.002), "more": More(period=0.004)},
         "more",
+        "",
     ),
-    "silent": (hard, "sensor"),
+    "silent": (hard, "sensor", ""),
 }
 
 
 @pytest.mark.parametrize("name", BATCHES)
 def test_the_text_of_a_batch_is_as_told(name: str) -> None:
-    blocks, agent = BATCHES[name]
+    blocks, agent, native = BATCHES[name]
     check_told(
-        f"native_rigs/batch_{name.replace(' ', '_')}", (f"  {line}" for line in lines_of(batch, blocks(), agent))
+        "native_rigs/batch_" + name.replace(" ", "_").replace("'", ""),
+        (f"  {line}" for line in lines_of(batch, blocks(), agent, native)),
     )
 
 
@@ -270,15 +308,26 @@ RIGS: dict[str, tuple[Any, str, int]] = {
     "late and silent": (hard, "", 12),
     "late and seldom": (lambda: hard(sensor=0.002, talker=0.004), "", 12),
     "late of which one is Python's": (hard, "body sensor", 12),
+    "several late and silent": (
+        lambda: {
+            "body": Body(period=0.003),
+            "both": Both(period=0.003),
+            "hearing": Hearing(period=0.006),
+            "law": Law(period=0.003),
+            "wide": Wide(),
+        },
+        "body both hearing law",
+        12,
+    ),
     "doubted": (lambda: {"body": Body(), "law": Spoiling()}, "", 2),
     "of many numbers": (lambda: {"wide": Wide()}, "", 2),
     "an answer that is too short": (lambda: {"body": Body(), "law": Short()}, "", 2),
 }
 
 
-def stepped(blocks: dict[str, Any], native: str = "", ticks: int = 2) -> list[Any]:
+def stepped(blocks: dict[str, Any], native: str = "", ticks: int = 2, duration: float = 0.1) -> list[Any]:
     """Give the steps of a rig after some ticks, those that are native."""
-    made = Rig.from_blocks(blocks, 0.1)
+    made = Rig.from_blocks(blocks, duration)
     steps = inprocess.wired(made, blocks)
     going = iter(Runner(list(steps.values())).run())
     for _ in range(ticks):
@@ -313,3 +362,34 @@ def test_the_text_of_a_rig_is_as_told(name: str) -> None:
         changed = [line for line in unified_diff(whole, other, n=0, lineterm="") if line[:2] not in ("--", "++", "@@")]
         told += [what, *(f"  {line}" for line in changed)] if changed else []
     check_told("native_rigs/" + name.replace(" ", "_").replace("'", ""), told)
+
+
+@pytest.mark.parametrize(("ticks", "refused"), [(2305, False), (2306, True)])
+def test_times_are_whole_numbers_of_64_bits(ticks: int, refused: bool) -> None:
+    """Ticks of 1000003/10007 s are 1000003 * 10**9 / 10007 ns apart: twice the first number by 2306 is beyond 2**62."""
+    blocks = {"body": Body(period="1000003/10007"), "law": Law(period="1000003/10007")}
+    steps = stepped(blocks, duration=ticks * 1000003 / 10007 + 1.0)
+    form = Form(remembered(steps[1], steps, [(s.x, s.numbers) for s in steps]))
+    said = "times beyond whole numbers of 64 bits"
+    for found in (lines_of(rig_text, steps, []), lines_of(batch_text, steps, steps[1], ["a[0]"], form)):
+        assert (found == [said]) == refused
+
+
+@pytest.mark.parametrize(("size", "refused"), [(64, False), (65, True)])
+def test_an_input_of_many_numbers_is_an_array(size: int, refused: bool) -> None:
+    port = scalars("many", "many", {f"c{k}": "" for k in range(size)})
+
+    class Many(Block[Params]):
+        OUTPUTS = (port,)
+
+        def update(self, x: Any, t: int) -> Any:
+            return x, {"many": (0.5,) * size}
+
+    class Reads(Block[Params]):
+        INPUTS = (port,)
+
+        def update(self, x: Any, t: int, *, many: Any) -> Any:
+            return x, {}
+
+    found = lines_of(rig_text, stepped({"many": Many(), "reads": Reads()}), [])
+    assert (found == ["reads: many has 65 numbers, expected at most 64"]) == refused

@@ -193,6 +193,11 @@ def signed(x: float) -> float | None:
     return None
 
 
+def applied(function: Any, x: float) -> Any:
+    """Calls what it is given."""
+    return function(x)
+
+
 def parted(x: float) -> dict[str, Any]:
     """Gives a mapping."""
     return {"sum": x + 1.0, "row": (x, -x), "in": {"a": x}}
@@ -378,6 +383,7 @@ CASES = {
         p == q
         p != q
         p < q < r
+        p < q + 1.0
         p < 1.0 <= r
         1.0 < 2.0 < p
         2.0 < 1.0 < p
@@ -427,6 +433,10 @@ CASES = {
         bool(self.large)
         bool(self.spin)
         bool(self.edge)
+        1.0 if self.edge else 2.0
+        1.0 if self.beyond else 2.0
+        1.0 if self.gain else 2.0
+        1.0 if self.spin else 2.0
         bool(self.beyond)
         bool(-self.beyond)
         self.edge < 1
@@ -500,6 +510,8 @@ CASES = {
         (p, i)[0]
         (p, i)[-1]
         (p, i)[2]
+        (p, i)[-2]
+        (p, i)[-3]
         e[0] + e[-1]
         e[3]
         e[-3]
@@ -761,6 +773,8 @@ CASES = {
         never(p)
         signed(p)
         Gain(2.0)(p)
+        applied(math.sin, p) + applied(math.cos, p)
+        applied(self.gainful, p) + applied(self.lent, p)
         self.half(p)
         self.half(p, 4)
         self.gainful(p)
@@ -1445,3 +1459,55 @@ def test_reports_are_taken_down_as_if_they_were_told_one_by_one() -> None:
                 wanted[block].report(level, key, f"{k}: {row[0]} {row[1]}")
             reports.take_down(table, natively)
             assert [list(b.reports.items()) for b in natively] == [list(b.reports.items()) for b in wanted]
+
+
+def test_what_another_block_may_have_another_of() -> None:
+    """Numbers that are handed in; not what chooses the text, nor objects within a table, nor the length of one."""
+    program = Program([Owner()], Writer)
+    writer = Writer(program, told, {})
+    own = Static(program.roots[0], (0,))
+    node = written_out("p")[0]  # of nothing that matters
+
+    def attribute(*names: str) -> Any:
+        value: Any = own
+        for name in names:
+            value = writer.attribute(value, name, node)
+        return value
+
+    program.slot(attribute("gain"))
+    program.slot(attribute("table"))
+    program.slot(attribute("array"))
+    for name in ("count", "word", "nothing", "whole", "named", "rows", "gainful", "lent", "bound", "laws", "kept"):
+        program.guard(attribute(name))
+    changes: dict[str, tuple[Any, str]] = {
+        "gain": (7.5, ""),
+        "array": (np.zeros(9), ""),
+        "table": ([0.5, 0.5], "table"),
+        "count": (5, "count"),
+        "word": ("up", "word"),
+        "nothing": (0.0, "nothing"),
+        "whole": ((1, 2, 3.0), "whole"),
+        "named": ({"low": -0.5, "high": 1.0}, "named"),
+        "rows": (({"u": 1.0, "v": 2.0}, {"v": 3.0, "u": 4.5}), "rows"),
+        "gainful": (Gain(9.0), ""),
+        "lent": (Gain(2.0).own, ""),
+        "bound": (partial(limited, most=2.0), "bound"),
+        "laws": ((Gain(1.0).own, Gain(1.5).own), "laws"),
+        "kept": (Kept(a=1.0), "kept"),
+        "edge": (3, ""),
+    }
+    assert program.differs([program.roots[0]]) == ""
+    for name, (value, differs) in changes.items():
+        other = Owner()
+        other.half, other.gainful, other.laws = program.roots[0].half, program.roots[0].gainful, program.roots[0].laws
+        setattr(other, name, value)
+        assert program.differs([other]) == differs, name
+    other = Owner()
+    del other.word
+    assert program.differs([other]) == "word"
+    assert program.constants([Owner()]) == (0.625, (0.5, -0.25, 1.5, 2.0))
+    assert [table.tolist() for table in program.tables([Owner()])] == [[1.0, 2.0, 3.0]]
+    assert [written(path) for path in ((0, ("attr", "a"), ("item", 1)), (0, ("item", "k"), ("attr", "b")))] == [
+        "a[1]",
+        "['k'].b",
+    ]

@@ -441,7 +441,7 @@ class Calls(Expressions):
         home = None if path is None else path[:-1]
         if isinstance(own, Mapping) and called.__name__ == "get":
             return self._looked_up(Static(own, home), given[0], node)
-        if path and (path[-1][0] != "attr" or own is not follow(path[:-1], self.program.roots)):
+        if path and own is not follow(path[:-1], self.program.roots):
             home = (*path, ("attr", "__self__"))  # a method that another object has lent, or that stands in a table
         if isinstance(own, type):
             home = None
