@@ -1,4 +1,4 @@
-"""Nodes in real time, each by itself with a clock that a test moves: what it believes, waits for, counts and reports."""
+"""Nodes in real time, each by itself with a clock that a test moves: what it believes, waits for and counts."""
 
 import math
 import random
@@ -12,6 +12,7 @@ from softrig_core import Block, BlockParams, Plant, RunError, command, joint_sta
 from softrig_core.block.block import Level
 from softrig_core.block.schedule import Schedule
 from softrig_core.node.adapter.adapter import Adapter
+from softrig_core.node.realtime.beat import Beat
 from softrig_core.node.realtime.realtime import Realtime, newest
 from softrig_core.node.realtime.rivals import Rivals
 from softrig_core.node.realtime.stand import LEAD, NEVER, Stand
@@ -278,6 +279,11 @@ def test_ticks_that_are_older_than_what_is_believed_are_dropped():
         timer.call()
     assert [*SEEN] == [(400 * MS, 1.0, 1.0, None, 0)]
     assert (timer.now, node.drive.incomplete) == (None, 0)
+    last = three()
+    for k in range(3):
+        last.hear("a", START + k * 10 * MS, 1.0, at=START + k * 10 * MS)
+    last.hear("c", START + 9 * SECOND, 1.0, at=START + 9 * SECOND)
+    assert last.drive.counts()["dropped_ticks"] == 2  # the newest one stays, however old
     other = three(stamp_window=100.0)
     for k in range(70):
         other.hear("a", START + k * 10 * MS, 1.0, at=START + k * 10 * MS)
@@ -685,7 +691,10 @@ def test_a_law_waits_for_what_a_sender_that_may_be_silent_says_of_its_ticks():
     node.hear("b", START + 10 * MS, 7.0)
     assert SEEN[-1] == (10 * MS, 2.0, 7.0, None, 0)
     assert row.held_stamp() == 10 * MS
+    arrived, node.hand.time = row.arrived, node.hand.time + 1
     told(10, "out")  # said again
+    told(10)
+    assert row.arrived == arrived
     told(20)
     node.hear("b", START + 30 * MS, 8.0)
     node.hear("a", START + 20 * MS, 3.0)
@@ -813,3 +822,87 @@ def test_an_error_of_a_block_ends_the_run_without_the_name_of_the_node(capsys):
     assert isinstance(Gain(), Block)
     assert issubclass(Lag, Plant)
     assert Level.OK < Level.ERROR
+
+
+# ---- nodes of one process that read only each other ----
+
+
+class Beats:
+    """Nodes that are told their ticks, of which the first says what time it is."""
+
+    def __init__(self, periods, clock="0.01"):
+        self.hand, self.said = Hand(time=START), []
+        self.nodes = []
+        for k, period in enumerate(periods):
+            node = SimpleNamespace(
+                schedule=Schedule(period, clock), middleware=self.hand, epoch=START, state="starting"
+            )
+            tick = lambda number, t, now, k=k: self.said.append((k, number, t // MS, (now - START) // MS))  # noqa: E731
+            drive = SimpleNamespace(node=node, clock=self.hand.now, tick=tick, follow=self.follows)
+            drive.commanded = lambda stamp, now, k=k: self.said.append(("commanded", (stamp - START) // MS))
+            self.nodes.append(drive)
+        self.begins = []
+        self.law, self.row = SimpleNamespace(t=0), SimpleNamespace(fed=lambda now: self.said.append("fed"))
+        Beat(self.nodes, [(self.law, self.row, self.nodes[0])])
+        (self.timer,) = self.hand.timers
+
+    def follows(self, begun):
+        self.begins.append(begun)
+
+    def begin(self):
+        for drive, begun in zip(self.nodes, self.begins, strict=True):
+            drive.node.state = "running"
+            begun()
+
+    def at(self, ms):
+        """What is said when the timer fires at a time."""
+        self.hand.time = START + round(ms * MS)
+        self.said.clear()
+        self.timer.call()
+        return [*self.said]
+
+
+def test_nodes_of_one_process_answer_in_order_by_one_timer_and_late_ones_first():
+    beats = Beats(["0.01", "0.02", "0.03"])
+    assert beats.timer.asked == [(MS, 0), None]
+    beats.law.t = -1
+    assert beats.at(5) == []
+    assert beats.timer.now is None
+    beats.begin()
+    assert beats.timer.asked[-1:] == [(MS, 0)]
+    assert len(beats.timer.asked) == 4  # when all of them run
+    assert beats.at(2) == [(0, 0, 0, 2), (1, 0, 0, 2), (2, 0, 0, 2)]
+    assert beats.timer.now == (8 * MS, 10 * MS)
+    assert beats.at(9.9) == []
+    assert beats.at(10) == [(0, 1, 10, 10)]
+    assert beats.at(41) == [
+        (0, 2, 20, 41),
+        (1, 1, 20, 41),
+        (0, 3, 30, 41),
+        (2, 1, 30, 41),
+        (0, 4, 40, 41),
+        (1, 2, 40, 41),
+    ]
+    # by a twentieth of a second all are gone through, by more the newest of each
+    assert [s[1] for s in beats.at(100) if s[0] == 0] == [5, 6, 7, 8, 9, 10]
+    assert beats.at(170) == [(1, 8, 160, 170), (2, 5, 150, 170), (0, 17, 170, 170)]
+    beats.law.t = 180 * MS
+    assert beats.at(180)[-2:] == ["fed", ("commanded", 180)]
+    assert "fed" not in beats.at(190)
+    for drive in beats.nodes[:2]:
+        drive.node.state = "done"
+    assert beats.at(200) != []
+    beats.nodes[2].node.state = "done"
+    assert beats.at(210) == []
+    assert beats.timer.now is None
+
+
+def test_nodes_that_are_all_slower_than_the_clock_beat_at_their_common_period():
+    beats = Beats(["0.04", "0.06"], clock="0.01")
+    beats.law.t = -1
+    beats.begin()
+    assert beats.at(0) == [(0, 0, 0, 0), (1, 0, 0, 0)]
+    assert beats.timer.now == (20 * MS, 20 * MS)
+    assert beats.at(20) == []
+    assert beats.at(40) == [(0, 1, 40, 40)]
+    assert beats.at(60) == [(1, 1, 60, 60)]

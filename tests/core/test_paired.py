@@ -661,7 +661,7 @@ def test_a_start_that_takes_too_long_says_who_is_not_there(starting):
         reader.state = "starting" if starting else "running"
         return reader, row, stalls
 
-    reader, row, stalls = begun()
+    reader, _row, stalls = begun()
     assert after(reader, stalls, 30.0) == reader.state
     assert after(reader, stalls, 0.1) == "not all peers after 30 s: nothing on x yet"
     assert reader.waits_for == ["sender"]

@@ -387,6 +387,17 @@ def test_signals_are_the_same_of_numbers_and_of_bytes():
     assert told["rig/state/x"] is told["rig/state/x"]
 
 
+def test_of_many_channels_none_is_lost():
+    """A flag for each number of a row: more than nine are counted right."""
+    port, recording = (
+        joint_state("a", "wide", [f"x{k}" for k in range(13)], position="m"),
+        Recording([("wide", "sensor_msgs/msg/JointState")]),
+    )
+    recording.rows({0: port.layout()})(np.array([0, 10**9]), np.arange(26.0).reshape(2, 13))
+    table = Signals(recording).table("wide")
+    assert {k: x.tolist() for k, x in table.columns.items()} == {f"x{k}/position": [k, 13.0 + k] for k in range(13)}
+
+
 def test_stamps_that_are_not_the_ticks_and_messages_of_several_forms_are_read_one_by_one():
     recording = Recording(TOPICS)
     state = recording.topics["rig/state"]
