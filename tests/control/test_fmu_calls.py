@@ -193,15 +193,9 @@ def test_the_integrator_is_the_classical_one_cut_at_time_events(played, version)
         return [x[1] + t * t, 3 * t - x[0] * x[1]]
 
     update = "updateDiscreteStates" if version == 3 else "newDiscreteStates"
-    at = {
-        update: [
-            (*NOTHING[:4], True, 0.3125),
-            NOTHING,
-            (*NOTHING[:4], True, 0.3125),
-            (*NOTHING[:4], True, 0.5),
-            NOTHING,
-        ]
-    }
+    # of the start, of the inputs' jumps, and of events; one that is asked for where time is already takes nothing away
+    asked = (5 / 16, None, 5 / 16, 5 / 16, 8 / 16, None)
+    at = {update: [NOTHING if t is None else (*NOTHING[:4], True, t) for t in asked]}
     one, fmu = played(version, True, 2, slope=slope, x=(0.75, 1.25), **at)
     one.begin()
     x = [0.75, 1.25]
