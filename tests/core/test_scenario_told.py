@@ -30,8 +30,8 @@ def said(function, *given, **words):
 # YAML -----------------------------------------------------------------------------------------------------------------
 
 SCALARS = """
-1 -1 +7 007 0x1F 0o17 1e-5 1.5e3 .5 -.5 5. 1_000 0b1 1:30 .inf -.Inf +.INF .nan .NaN true True TRUE false tRue on off yes
-no y null Null NULL ~ nUll word '1' "true" 2026-11-26 << = - -- 1-2 0x 0o8 e5 1e5 +1.e+2 .e5
+1 -1 +7 007 0x1F 0o17 1e-5 1.5e3 .5 -.5 5. 1_000 0b1 1:30 .inf -.Inf +.INF .nan .NaN true True TRUE false tRue on off
+yes no y null Null NULL ~ nUll word '1' "true" 2026-11-26 << = - -- 1-2 0x 0o8 e5 1e5 +1.e+2 .e5
 """
 
 
