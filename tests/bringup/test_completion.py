@@ -97,30 +97,6 @@ def test_other_shells_get_a_script_that_they_can_read(shell, capsys):
         assert subprocess.run([shell, "-n", "/dev/stdin"], input=said, text=True, timeout=PATIENCE).returncode == 0
 
 
-def test_the_list_is_a_tree_where_it_is_narrow_and_one_line_a_scenario_in_a_pipe(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "60")
-    assert main(["list", "dc_motor_smc"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("dc_motor")
-    assert max(map(len, lines)) <= 60
-    branch = next(i for i, line in enumerate(lines) if "dc_motor_smc_b5 " in line)
-    assert lines[branch].index("dc_motor_smc") < next(x for x in lines if "dc_motor_smc_b5_pid" in x).index(
-        "dc_motor_smc"
-    )
-    assert main(["list"]) == 0
-    folded = capsys.readouterr().out.splitlines()
-    assert not any("dc_motor_smc_b5_pid" in line for line in folded)
-    assert any("variant: list" in line or "variants: list" in line for line in folded)
-    assert main(["list", "dc_motor_smcc"]) == 1
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert "nothing matches 'dc_motor_smcc' (did you mean 'dc_motor_smc'?)" in said.err
-    monkeypatch.delenv("COLUMNS")
-    assert main(["list", "dc_motor_smc_b5_pid"]) == 0
-    (line,) = capsys.readouterr().out.splitlines()
-    assert line.split("\t")[:3] == ["dc_motor_smc_b5_pid", "dc_motor", "10 s"]
-
-
 @pytest.mark.parametrize("stray", ["delta:=2", "--params-file", "-p"])
 def test_stray_arguments_of_a_node_are_refused(stray, tmp_path):
     logs = os.environ | {"ROS_LOG_DIR": str(tmp_path)}
