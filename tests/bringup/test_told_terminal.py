@@ -124,7 +124,15 @@ def listed(monkeypatch, tmp_path):
 
 def test_the_list_is_as_told(listed, monkeypatch, capsys):
     told = []
-    for columns, part in (("70", ""), ("70", "a"), ("30", "mot"), ("", "a_1"), (None, "b"), ("70", "c"), ("70", "a_1_z")):
+    for columns, part in (
+        ("70", ""),
+        ("70", "a"),
+        ("30", "mot"),
+        ("", "a_1"),
+        (None, "b"),
+        ("70", "c"),
+        ("70", "a_1_z"),
+    ):
         monkeypatch.delenv("COLUMNS", raising=False) if columns is None else monkeypatch.setenv("COLUMNS", columns)
         status = listing.list_scenarios_of(part)
         said = capsys.readouterr()

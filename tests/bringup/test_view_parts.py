@@ -143,7 +143,7 @@ def clock(monkeypatch):
 def test_a_run_has_come_as_far_as_all_have_spoken_for(run, clock, held):
     """A message of a topic holds for a period of its node in lockstep; in real time the newest one counts."""
     rig, rng = run.rig, random.Random(3)
-    source = Growing(rig, held)
+    source = Growing(rig) if held else Growing(rig, False)
     periods = {p.topic: m.params.period for m in rig.members for p in m.outputs if not p.sporadic}
     assert source.length == rig.scenario.duration
     assert (source.end, source.version, source.outcome, source.live) == (0.0, 0, "", True)
@@ -209,7 +209,10 @@ def test_a_run_under_way_is_what_its_nodes_have_written(run, tmp_path, clock):
     clock.now = 3.0
     assert source.waited == 3.0
     written(tmp_path, run, 100_000_000)
+    version = source.version
     source.look()
+    spoken = sum(bool(run.recording.topics[t].times and p.labels) for t, p in run.rig.topics.items())
+    assert source.version == version + spoken + 1  # a topic each, and a change
     source.look()
     assert source.waited == 0.0  # all are there
     assert source.end == pytest.approx(0.1)
@@ -563,7 +566,7 @@ def test_a_run_that_is_over_is_shown_until_the_last_browser_has_gone(pages):
 
 
 def test_figures_are_measured_now_and_then_while_a_run_goes_on(pages, monkeypatch, run):
-    clock = SimpleNamespace(now=0.0)
+    clock = SimpleNamespace(now=50.0)
     clock.monotonic = lambda: clock.now
     monkeypatch.setattr(serve, "time", clock)
     measured = []
