@@ -1,6 +1,7 @@
 """What holds where nobody says anything, of the packages of systems: see `tests/core/test_defaults.py`.
 
-Who changes a default on purpose writes the list anew: ``scripts/softrig python tests/systems/test_defaults_of_systems.py``.
+Who changes a default on purpose writes the list anew:
+``scripts/softrig python tests/systems/test_defaults_of_systems.py``.
 """
 
 import sys
