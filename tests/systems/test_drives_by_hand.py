@@ -413,10 +413,10 @@ def test_the_machine_moves_as_its_equations_say():
         k3 = slope(x + h / 2 * k2)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(x + h * k3))
     wanted = [x[0].real, x[0].imag, x[1].real, x[1].imag, x[2].real, x[3].real]
-    assert np.ravel(after).tolist() == near(wanted)
+    assert after.full().ravel().tolist() == near(wanted)
     i = (x[0] - x[1]) / m.L_sigma
     phases = [(i * cmath.exp(-2j * math.pi * k / 3)).real for k in range(3)]
-    assert np.ravel(y).tolist() == near([*phases, 3.0 * (x[0].conjugate() * i).imag])
+    assert y.full().ravel().tolist() == near([*phases, 3.0 * (x[0].conjugate() * i).imag])
 
 
 def test_the_inverter_at_the_edges_of_what_it_takes():

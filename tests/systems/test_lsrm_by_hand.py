@@ -87,9 +87,20 @@ def test_the_speed_controllers_are_their_formulas():
     """PI with conditional anti-windup, the adaptive law within its bounds, the fuzzy one where no rule is clipped."""
     pi = ByHand(LsrmPi(K_F=10.0, K_p=2.0, K_i=5.0, F_max=9.0, period=0.01))
     mrac = ByHand(
-        LsrmMrac(M=4.0, C=6.0, k_p=2.0, q=900.0, r=0.25, period=0.01, F_max=30.0, gains=(20.0, 30.0, 300.0),
-                 theta_0=(3.0, 1.0, 0.0), theta_min=(2.5, 0.0, -4.0), theta_max=(3.5, 2.0, 4.0))
-    )  # fmt: skip
+        LsrmMrac(
+            M=4.0,
+            C=6.0,
+            k_p=2.0,
+            q=900.0,
+            r=0.25,
+            period=0.01,
+            F_max=30.0,
+            gains=(20.0, 30.0, 300.0),
+            theta_0=(3.0, 1.0, 0.0),
+            theta_min=(2.5, 0.0, -4.0),
+            theta_max=(3.5, 2.0, 4.0),
+        )
+    )
     fuzzy = ByHand(LsrmFuzzy(K_e=4.0, K_de=6.0, K_u=8.0, F_max=5.0))
     draw = Random(6)
     integral, theta, force, last = 0.0, [3.0, 1.0, 0.0], 0.0, 0.0
@@ -162,8 +173,12 @@ def test_a_profile_on_its_edges():
     """At t_d it cruises; at t_b it does not brake yet; at the end of the braking it stands."""
     p = Profile("trapezoid", 1.0, 0.5, None, 2.0, 0.25)
     assert [p.at(t)[1:] for t in (0.0, 0.5, 2.0, 2.25, 3.0)] == [
-        (0.0, 2.0), (1.0, 0.0), (1.0, 0.0), (0.0, 0.0), (0.0, 0.0),
-    ]  # fmt: skip
+        (0.0, 2.0),
+        (1.0, 0.0),
+        (1.0, 0.0),
+        (0.0, 0.0),
+        (0.0, 0.0),
+    ]
     assert [p.at(t)[0] for t in (0.5, 2.0, 2.25, 9.0)] == [0.25, 1.75, 1.875, 1.875]
     step = Profile("step", 1.0, 0.5, None, 2.0, 0.25)
     assert [step.at(t) for t in (0.0, 2.0, 2.1)] == [(0.0, 1.0, 0.0), (2.0, 1.0, 0.0), (2.0, 0.0, 0.0)]

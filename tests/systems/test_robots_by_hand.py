@@ -72,9 +72,15 @@ def test_the_voltage_laws_of_the_arm_are_their_formulas(law, option):
     own = {"adsmc": {"gamma": (50.0, 100.0), "k": 2.0}, "dsmc": {"rho": (30.0, 60.0)}, "smc": {"rho": (2.0, 4.0)}}[law]
     surface = {k: v for k, v in GAINS.items() if law != "smc" or k[0] == "a"}
     arm = ByHand(
-        VcsController(joints=("x", "y"), law=law, period=T, v_max=6.0, **({option: True} if option else {}),
-                      **{law: surface | own})
-    )  # fmt: skip
+        VcsController(
+            joints=("x", "y"),
+            law=law,
+            period=T,
+            v_max=6.0,
+            **({option: True} if option else {}),
+            **{law: surface | own},
+        )
+    )
     draw, both = Random(law), [Surfaces(option == "use_printed_mu1") for _ in range(2)]
     v, f, before = [0.0, 0.0], [0.0, 0.0], [None, None]
     limited = 0
@@ -144,10 +150,18 @@ def test_the_reference_of_the_arm_swings_up_and_back():
 def test_the_voltage_laws_of_the_rehabilitation_robot_are_their_formulas(law, use_applied):
     gains = {
         "emvc": {"alpha_hat": (3.0, 2.0), "lam": 5.0, "resistance": 3.0},
-        "tsarc": {"alpha_hat": (3.0, 2.0), "lam": 5.0, "resistance": 3.0, "gamma_a": 9.0, "gamma_b": 40.0, "rho": 2.0,
-                  "phi": 0.3, "window": 0.07},
+        "tsarc": {
+            "alpha_hat": (3.0, 2.0),
+            "lam": 5.0,
+            "resistance": 3.0,
+            "gamma_a": 9.0,
+            "gamma_b": 40.0,
+            "rho": 2.0,
+            "phi": 0.3,
+            "window": 0.07,
+        },
         "arsc": {"k1": (3.0, 2.0), "k2": 1.5, "h": 0.8, "gamma1": 5.0, "gamma2": 90.0, "gamma3": 20.0, "gamma4": 400.0},
-    }[law]  # fmt: skip
+    }[law]
     robot = ByHand(VoltageController(law=law, period=T, v_max=9.0, use_applied=use_applied, **{law: gains}))
     draw, first, sent = Random(5), next(iter(gains.values())), (0.0, 0.0)
     theta = [[0.1, 4.592, 0.0, 0.0] for _ in range(2)]
@@ -205,8 +219,10 @@ def test_what_is_as_old_as_is_allowed_is_not_lost_yet(name, answer):
     robot.block.ages = {name: 5 * MS}.get
     fresh = robot.update(0, **TICK)
     assert (fresh["motor_command"] != (0.0, 0.0), "SAFE" in robot.reports, "reference" in robot.reports) == (
-        True, False, False,
-    )  # fmt: skip
+        True,
+        False,
+        False,
+    )
     robot.block.ages = {name: 5 * MS + 1}.get
     late = robot.update(MS, **TICK)
     assert late["controller_state"][:2] == near((0.01, 0.01))
@@ -214,8 +230,9 @@ def test_what_is_as_old_as_is_allowed_is_not_lost_yet(name, answer):
         still = ByHand(VoltageController()).update(0, **TICK | {"reference": (0.21, -0.49, 0.0, 0.0, 0.0, 0.0)})
         assert late["motor_command"] == still["motor_command"]
         assert robot.reports["reference"][:2] == (
-            Level.ERROR, "no new reference for more than 5 periods: its position is held with speed zero",
-        )  # fmt: skip
+            Level.ERROR,
+            "no new reference for more than 5 periods: its position is held with speed zero",
+        )
     else:
         assert late["motor_command"] == (0.0, 0.0)
         assert robot.reports["SAFE"][1] == f"SAFE: no new {name} for more than 5 periods: 0 V"
@@ -248,9 +265,13 @@ def test_the_impedance_law_is_its_formula():
         stiff, damp = draw.choice((None, None, 0.0, 44.0, -1.0)), draw.choice((None, None, 0.0, 6.0, -1.0))
         wrench = None if force is None else Sample(k, (*force, 1.0, 2.0, 3.0))
         said = law.update(
-            k, reference=tuple(ref), patient_force=wrench, joint_states=tuple(joints),
-            stiffness=None if stiff is None else (stiff,), damping=None if damp is None else (damp,),
-        )  # fmt: skip
+            k,
+            reference=tuple(ref),
+            patient_force=wrench,
+            joint_states=tuple(joints),
+            stiffness=None if stiff is None else (stiff,),
+            damping=None if damp is None else (damp,),
+        )
         K = [stiff] * 2 if stiff is not None and stiff >= 0.0 else K
         B = [damp] * 2 if damp is not None and damp >= 0.0 else B
         if q is None:
@@ -334,8 +355,9 @@ def test_a_voltage_at_its_limit_is_saturation_below_it_none(volts):
     arm.advance(2, motor_command=(0.0, 5.0 * volts, -volts))
     assert arm.x.saturated == (0, 2, 1)
     assert arm.reports["saturation"][:2] == (
-        Level.WARN, "motor voltages at their limit of 4 V for [0.0, 0.004, 0.002] s (motor after motor)",
-    )  # fmt: skip
+        Level.WARN,
+        "motor voltages at their limit of 4 V for [0.0, 0.004, 0.002] s (motor after motor)",
+    )
     assert arm.block.clip((0, 0, 0), (9.0, -9.0, 1.0)) == ((1, 1, 0), (4.0, -4.0, 1.0))
 
 
@@ -389,17 +411,22 @@ def test_the_watch_of_the_leg_on_its_edges():
         assert watched(q) == ((True, True), True)
         assert watched(q, entered=(False, False)) == ((q[0] == 0.0, q[1] == -1.0), False)  # never been inside
     for v, t, live, stops in (
-        ((1.0, -1.0), half, 0, False), ((1.0001, 0.0), half, 0, True), ((0.0, -1.0001), half, 0, True),
-        ((2.0, 2.0), half - 1, 0, False), ((2.0, 2.0), half, None, False), ((2.0, 2.0), half, 1, False),
-    ):  # fmt: skip
+        ((1.0, -1.0), half, 0, False),
+        ((1.0001, 0.0), half, 0, True),
+        ((0.0, -1.0001), half, 0, True),
+        ((2.0, 2.0), half - 1, 0, False),
+        ((2.0, 2.0), half, None, False),
+        ((2.0, 2.0), half, 1, False),
+    ):
         assert watched(v=v, t=t, live=live)[1] is stops
     assert watched(safe=True)[1]
     block.reports.clear()
     watched((2.3, -1.0), (5.0, 5.0))
     watched(v=(0.0, 3.0))
     assert block.reports["safe"][1:] == (
-        "SAFE from t = 0.5 s, motors at 0 V: knee at 3 rad/s, limit 1 rad/s", 3 - 1,
-    )  # fmt: skip
+        "SAFE from t = 0.5 s, motors at 0 V: knee at 3 rad/s, limit 1 rad/s",
+        3 - 1,
+    )
 
 
 @pytest.mark.parametrize(("constant", "warns"), [(0.287 * 1.2, False), (0.287 * 1.21, True), (0.287 * 0.79, True)])
@@ -413,9 +440,15 @@ def test_the_sampled_leg_is_the_plant_near_a_pose():
     motors = {"inertia": (3e-4, 2e-4), "damping": (2e-3, 1e-3), "inductance": (2.5e-3, 5e-3), "gear": (0.1, 0.05)}
     robot = build(LinearRobot, {"motors": motors, "payload": 1.5, "viscous": (1.3, 0.6)})
     plant = RehabPlant(
-        motors=motors, payload=1.5, friction={"coulomb": 0.0, "static": 0.0, "viscous": (1.3, 0.6)}, v_max=1e3,
-        rom_margin=9.0, rom_speed=90.0, substeps=4, disturbance={"torque": 0.0},
-    )  # fmt: skip
+        motors=motors,
+        payload=1.5,
+        friction={"coulomb": 0.0, "static": 0.0, "viscous": (1.3, 0.6)},
+        v_max=1e3,
+        rom_margin=9.0,
+        rom_speed=90.0,
+        substeps=4,
+        disturbance={"torque": 0.0},
+    )
     pose, eps = np.array([0.4, -0.7]), 1e-5
 
     def potential(q):
@@ -491,11 +524,15 @@ class Tuned(JointGains):
 
 def test_no_body_has_a_moment_beyond_the_sum_of_the_others():
     check_inertia("m", 1.0, "I", (1.0, 2.0, 3.0))
-    check_inertia("m", 1.0, "I", (3.0, 1.0, 2.0 + 1e-12))
+    check_inertia("m", 1.0, "I", (3.0 * (1.0 + 0.9e-9), 1.0, 2.0))  # of rounding
     for mass, moments, said in (
         (0.0, (1.0, 1.0, 1.0), "^m = 0 kg: expected a positive mass$"),
         (1.0, (1.0, 0.0, 1.0), r"^I = \[1.0, 0.0, 1.0\] kg m\^2: expected a positive definite inertia$"),
-        (1.0, (1.0, 3.01, 2.0), r"^I = .*: no body has one moment larger than the sum of the other two"),
+        (
+            1.0,
+            (1.0, 3.0 * (1.0 + 1.05e-9), 2.0),
+            r"^I = .*: no body has one moment larger than the sum of the other two",
+        ),
     ):
         with pytest.raises(ValueError, match=said):
             check_inertia("m", mass, "I", moments)

@@ -17,8 +17,21 @@ from softrig_systems.tcp_aqm.packets import Agenda, Fifo, Inside, Rules, Sources
 from softrig_systems.tcp_aqm.packets_plant import TcpPackets
 
 MS = 1_000_000
-GAINS = {"k1": 3.0, "k2": 40.0, "lam": 5.0, "l1": 2.0, "l2": 7.0, "k": 30.0, "kp": 1e-3, "ki": 2e-3, "bias": 0.1,
-         "pid_gain": 4e-3, "pid_ti": 2.0, "pid_td": 0.3, "a": 1.5}  # fmt: skip
+GAINS = {
+    "k1": 3.0,
+    "k2": 40.0,
+    "lam": 5.0,
+    "l1": 2.0,
+    "l2": 7.0,
+    "k": 30.0,
+    "kp": 1e-3,
+    "ki": 2e-3,
+    "bias": 0.1,
+    "pid_gain": 4e-3,
+    "pid_ti": 2.0,
+    "pid_td": 0.3,
+    "a": 1.5,
+}
 
 
 def near(expected):
@@ -50,8 +63,12 @@ def wanted(name, m, g, width):
 def test_each_law_bends_the_queue_as_its_formula_says(name, width):
     g, draw = build(Gains, {**GAINS, "boundary": width}), Random(name)
     for _ in range(30):
-        m = Measured(*(draw.uniform(-20.0, 20.0) for _ in range(3)), draw.uniform(-900.0, -100.0),
-                     draw.uniform(-9.0, 9.0), draw.uniform(-2.0, 2.0))  # fmt: skip
+        m = Measured(
+            *(draw.uniform(-20.0, 20.0) for _ in range(3)),
+            draw.uniform(-900.0, -100.0),
+            draw.uniform(-9.0, 9.0),
+            draw.uniform(-2.0, 2.0),
+        )
         assert LAWS[name](m, g) == near(wanted(name, m, g, width))
     share = INTEGRAL[name](g)
     moved = [LAWS[name](m._replace(integral=i), g) for i in (0.0, 1.0)]
@@ -130,17 +147,22 @@ def test_the_controller_at_the_edges_of_what_it_takes():
         said = block.update(0, state=(9.0, queue, 0.2), reference=None)
         assert (said["command"], said["health"]) == ((bias,), near((0.0, way * 0.001, 0.0)))
     for state, said in (
-        ((0.0, 9.0, 0.2), ["bad_state"]), ((9.0, 9.0, 0.0), ["bad_state"]), ((9.0, -1e-9, 0.2), ["bad_state"]),
-        ((9.0, 0.0, 0.2), []), ((9.0, 9.0, 0.5), []), ((9.0, 9.0, 0.501), ["deep"]),
-    ):  # fmt: skip
+        ((0.0, 9.0, 0.2), ["bad_state"]),
+        ((9.0, 9.0, 0.0), ["bad_state"]),
+        ((9.0, -1e-9, 0.2), ["bad_state"]),
+        ((9.0, 0.0, 0.2), []),
+        ((9.0, 9.0, 0.5), []),
+        ((9.0, 9.0, 0.501), ["deep"]),
+    ):
         block = ByHand(AqmController())
         block.update(0, state=state, reference=None)
         assert list(block.reports) == said
     block = ByHand(AqmController())
     block.update(0, state=(9.0, -2.0, 0.25), reference=None)
     assert block.reports["bad_state"][:2] == (
-        Level.ERROR, "state window 9, queue -2, rtt 0.25: impossible, the last command is held",
-    )  # fmt: skip
+        Level.ERROR,
+        "state window 9, queue -2, rtt 0.25: impossible, the last command is held",
+    )
 
 
 def test_what_the_integral_gives_stays_under_other_gains():
@@ -189,10 +211,16 @@ def test_the_fluid_looks_back_one_round_trip():
 
 def test_events_that_just_fit_are_taken():
     for events, fits in (
-        ((1.0, 3750.0, 0.2, 0.0), True), ((2000.0, 3750.0, 0.2, 0.0), True), ((2001.0, 3750.0, 0.2, 0.0), False),
-        ((60.0, 3750.0, 0.92, 0.0), True), ((60.0, 3750.0, 0.921, 0.0), False), ((60.0, 3750.0, 0.004, 0.0), True),
-        ((60.0, 3750.0, 0.0039, 0.0), False), ((0.4, 3750.0, 0.2, 0.0), False), ((60.0, 0.0, 0.2, 0.0), False),
-    ):  # fmt: skip
+        ((1.0, 3750.0, 0.2, 0.0), True),
+        ((2000.0, 3750.0, 0.2, 0.0), True),
+        ((2001.0, 3750.0, 0.2, 0.0), False),
+        ((60.0, 3750.0, 0.92, 0.0), True),
+        ((60.0, 3750.0, 0.921, 0.0), False),
+        ((60.0, 3750.0, 0.004, 0.0), True),
+        ((60.0, 3750.0, 0.0039, 0.0), False),
+        ((0.4, 3750.0, 0.2, 0.0), False),
+        ((60.0, 0.0, 0.2, 0.0), False),
+    ):
         plant = TcpFluid()
         x = plant._happened(plant.first(), *events)
         flows, capacity, propagation, rate, _, seen = x.net
@@ -275,12 +303,18 @@ def test_packets_go_by_their_rules(drop):
     windows, propagation, starts = [1.0, 3.0, 9.0, 2.0], (0.05 + 0.03 * rng.random(n)).tolist(), rng.random(n) * 0.05
     size = 400
     inside = Inside(
-        Sources(np.array(windows), np.zeros(n, np.int64), np.array(propagation), np.full(n, -1.0),
-                np.ones(n, np.int64), np.ones(n)),
+        Sources(
+            np.array(windows),
+            np.zeros(n, np.int64),
+            np.array(propagation),
+            np.full(n, -1.0),
+            np.ones(n, np.int64),
+            np.ones(n),
+        ),
         Agenda(np.zeros(size), *(np.zeros(size, np.int64) for _ in range(3)), np.zeros(size)),
         Fifo(np.zeros(room + 1, np.int64), np.zeros(room + 1, np.int64), np.zeros(room + 1)),
         np.zeros(8, np.int64),
-    )  # fmt: skip
+    )
     for flow, t in enumerate(starts):
         schedule(inside.agenda, inside.counts, float(t), START, flow, 0, 0.0)
     naive = Naive(windows, propagation, starts.tolist())
@@ -293,11 +327,23 @@ def test_packets_go_by_their_rules(drop):
         assert inside.sources.window.tolist() == near(naive.windows)
         assert inside.sources.on_the_way.tolist() == naive.way
         assert (events, waiting, served, lost, crossing, drawn) == (
-            len(naive.events), len(naive.queue), naive.served, naive.lost, naive.crossing, naive.drawn,
-        )  # fmt: skip
+            len(naive.events),
+            len(naive.queue),
+            naive.served,
+            naive.lost,
+            naive.crossing,
+            naive.drawn,
+        )
         assert most >= events
     assert lost > (8 if drop else 0)
     assert max(naive.windows) <= 20.0
+
+
+def test_marks_halve_windows_from_the_start_on():
+    plant = ByHand(TcpPackets(N=3, w0=8.0, C=1e4))
+    for k in range(50):
+        plant.advance(k * 10 * MS, command=(1.0,))
+    assert plant.outputs(0)["truth"][0] <= 4.0
 
 
 def test_traffic_is_a_value():
