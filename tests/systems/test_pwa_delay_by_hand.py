@@ -13,7 +13,8 @@ import pytest
 from numpy.polynomial import legendre
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from softrig_core import ByHand, Level
+from softrig_core import ByHand, Level, ParameterError
+from softrig_core.block.params import build
 from softrig_systems.pwa_delay import certify as certifying
 from softrig_systems.pwa_delay.applicability import NotApplicable, require_equilibrium, require_no_sliding
 from softrig_systems.pwa_delay.bessel import bessel
@@ -233,7 +234,7 @@ def test_the_functional_on_samples_is_its_integrals():
             + over(lambda y: (y + 1.0) * form(at(v, y), m["R"]), -1.0, 0.0)
         )
 
-    for d in (0.0, 0.25, 1.0):
+    for d in (0.0, 0.005, 0.25, 0.995, 1.0):
         assert functional(system, m, rows, slopes, d) == pytest.approx(V(d), rel=1e-3, abs=2e-3)
 
 
@@ -346,6 +347,9 @@ def test_a_margin_is_looked_for_from_what_is_certified(monkeypatch):
         assert 0.3 * (1.0 - 1e-3) <= found.h <= 0.3
         assert [c.h for c in told] == asked
         assert sliding == [options.get("high", 1e-9), found.h]
+    replaced(math.inf)  # stable for every delay: doubled up to a billion fastest times, walked until beyond that
+    assert certified_margin(system).h == 2.0**28
+    assert certified_margin(system, Criterion("constant")).h == 2.0**29
     replaced(-1.0)
     assert certified_margin(system) is None
     assert asked[-1] == pytest.approx(0.5 * 2.0**-19)  # half of it would be below a millionth of 1/2 s
@@ -619,6 +623,8 @@ def test_systems_by_name_and_by_their_numbers():
     own = SystemParams(
         system="user", n=2, A=tuple(range(8)), Ad=tuple(range(8, 16)), lines=(1.0, 2.0), offsets=(1.0, 2.0, 3.0, 4.0)
     )
+    with pytest.raises(ParameterError, match="2 matrices A and 1 Ad for 1 cells of 0 lines"):
+        build(SystemParams, {"system": "user", "A": (1.0, 2.0), "Ad": (1.0,)})
     assert [m.tolist() for m in own.build().A] == [[[0, 1], [2, 3]], [[4, 5], [6, 7]]]
     assert [m.tolist() for m in own.build().Ad] == [[[8, 9], [10, 11]], [[12, 13], [14, 15]]]
     assert [a.tolist() for a in own.build().a] == [[1.0, 2.0], [3.0, 4.0]]
