@@ -412,7 +412,9 @@ def test_a_dispatch_in_the_columns_of_the_milp_is_that_dispatch(P):
         assert z[at : at + n].tolist() == [float(i == k) for i in range(n)]
         assert np.flatnonzero(w[at : at + n]).tolist() in ([], [k])
         assert ends[k] + w[at + k] == p
-        assert 0.0 <= w[at + k] <= (ends[k + 1] - ends[k] if n > 1 or len(ends) > 1 else 0.0)
+        width = ends[k + 1] - ends[k] if len(ends) > 1 else 0.0
+        assert 0.0 <= w[at + k] <= width
+        assert w[at + k] < width or k == n - 1  # a break point begins a segment
         at += n
 
 
@@ -562,9 +564,20 @@ def problem(units, demand, reserve=0.0, losses=None, ready=None, conditioned=Tru
     n = len(units)
     given = losses or Losses.none(n)
     return branch.Problem(
-        units.table, np.arange(n) if groups is None else groups, demand, 1e-3, NARROW, units.p_min, units.p_max,
-        given.B, given.B0, given.B00, reserve, units.p_max - units.p_min if ready is None else ready, conditioned,
-    )  # fmt: skip
+        units.table,
+        np.arange(n) if groups is None else groups,
+        demand,
+        1e-3,
+        NARROW,
+        units.p_min,
+        units.p_max,
+        given.B,
+        given.B0,
+        given.B00,
+        reserve,
+        units.p_max - units.p_min if ready is None else ready,
+        conditioned,
+    )
 
 
 def test_pieces_are_filled_as_a_linear_programme_fills_them(plain):
@@ -693,16 +706,24 @@ CONDITIONS = {
 @pytest.mark.parametrize(
     ("case", "demand", "boxes"),
     [
-        ("losses", 380.0, 285), ("losses", 500.0, 285), ("reserve", 400.0, 3), ("reserve", 560.0, 387),
-        ("windows", 330.0, 25), ("all", 380.0, 285), ("all", 440.0, 237),
+        ("losses", 380.0, 285),
+        ("losses", 500.0, 285),
+        ("reserve", 400.0, 3),
+        ("reserve", 560.0, 387),
+        ("windows", 330.0, 25),
+        ("all", 380.0, 285),
+        ("all", 440.0, 237),
     ],
-)  # fmt: skip
+)
 def test_a_proof_with_conditions_is_below_all_and_reaches_the_best_in_so_many_boxes(case, demand, boxes):
     losses, reserve, ready, low, high = CONDITIONS[case]
     given = Conditions(
-        THREE.p_min if low is None else np.array(low), THREE.p_max if high is None else np.array(high),
-        losses or Losses.none(3), reserve, np.array(ready) if ready else THREE.p_max - THREE.p_min,
-    )  # fmt: skip
+        THREE.p_min if low is None else np.array(low),
+        THREE.p_max if high is None else np.array(high),
+        losses or Losses.none(3),
+        reserve,
+        np.array(ready) if ready else THREE.p_max - THREE.p_min,
+    )
     best = brute(THREE, demand, losses, reserve, given.ready, given.low, given.high)
     found = Optimiser(THREE).conditioned(demand, given)
     assert found.bound <= best + 1e-9
