@@ -12,7 +12,7 @@ from scipy.optimize import linprog, minimize_scalar
 from softrig_core import ByHand, Level, ParameterError
 from softrig_core.solver.solver import Result
 from softrig_power.dispatch import branch
-from softrig_power.dispatch.baselines import lambda_iteration, repaired
+from softrig_power.dispatch.baselines import lambda_iteration, repaired, swarm
 from softrig_power.dispatch.certify import Dispatch, InfeasibleError, Optimiser, lowering
 from softrig_power.dispatch.conditions import Conditions, Losses
 from softrig_power.dispatch.enumeration import TooManyError, enumerate_kinks
@@ -251,6 +251,13 @@ def test_a_candidate_is_repaired_in_proportion_to_the_room_left():
     assert repaired(units, np.array([4.0, 8.0, 5.0]), 11.0).tolist() == [2.0, 4.0, 5.0]
     assert repaired(units, np.array([99.0, -9.0, 0.0]), 15.0).tolist() == [10.0, 0.0, 5.0]
     assert repaired(units, np.array([10.0, 20.0, 5.0]), 40.0).tolist() == [10.0, 20.0, 5.0]
+
+
+def test_a_swarm_searches_over_what_is_free():
+    three = Units(tuple("abc"), FOUR.table[:3])
+    found = swarm(FOUR, 500.0, "pso", 3, 6, 4)
+    assert found.tolist() == pytest.approx([*swarm(three, 430.0, "pso", 3, 6, 4), 70.0])
+    assert swarm(linear((2.0, 2.0, 1.0)), 2.0, "pso", 3, 6, 4).tolist() == [2.0]
 
 
 # Losses, ramps and reserve -------------------------------------------------------------------------------
@@ -732,6 +739,9 @@ def test_a_proof_with_conditions_is_below_all_and_reaches_the_best_in_so_many_bo
     assert found.nodes == pytest.approx(boxes, rel=0.05)
     assert (found.losses, found.reserve) == (given.losses.of(found.P), given.spinning(THREE, found.P))
     assert (found.stage, found.reason) == ("branch and bound", "proven")
+    share = 1.0 - given.losses.slopes(found.P)  # of a MW of a unit that arrives
+    left, right = (s / share for s in THREE.slopes(found.P))
+    assert found.price == (max(left), min(right))
 
 
 # The answer ---------------------------------------------------------------------------------------------
@@ -769,6 +779,22 @@ def test_progress_tells_the_best_cost_then_its_bound():
     assert list(found.stages) == ["branch and bound"]
     assert [(best, bound) for _, best, bound in found.trace] == told
     assert found.gap == found.cost - found.bound
+
+
+def test_the_stages_of_a_proof_that_runs_out_of_boxes():
+    told = []
+    work = Optimiser(PAIR, max_nodes=1, nseg=2, tol=1e-2)
+    found = work.certified(333.0, progress=lambda best, bound: told.append((best, bound)))
+    assert list(found.stages) == ["branch and bound", "two stages", "adaptive MILP"]
+    assert (found.stage, found.reason, found.limited) == ("adaptive MILP", "proven", False)
+    assert len(found.trace) == len(told) > 2
+    assert found.trace[0][2] == found.trace[1][2]  # two stages prove nothing
+    assert [t for t, *_ in found.trace] == sorted(t for t, *_ in found.trace)
+    assert found.binaries >= 6 + 5
+    assert found.nodes >= 1
+    proven = Optimiser(PAIR).certified(333.0)
+    assert (proven.binaries, proven.reason) == (0, "proven")
+    assert found.cost == pytest.approx(proven.cost, abs=1e-2)
 
 
 def test_where_a_segment_is_split_and_by_how_much_its_chord_is_too_low():
