@@ -16,14 +16,18 @@ from softrig_power.fault_location import (
     confidence as trust,
     ends,
     equations,
+    figures,
     location,
     measurement,
     resample,
+    study_tool,
     transient,
 )
+from softrig_power.fault_location.comtrade_file import ComtradeFileError, _bounded, _text, read_comtrade, write_comtrade
 from softrig_power.fault_location.confidence import Confidence, ErrorBudget
 from softrig_power.fault_location.inception import inception, windowed
 from softrig_power.fault_location.location import Location, Locator
+from softrig_power.fault_location.marker import LocationMarker
 from softrig_power.fault_location.network import LEAST_RESISTANCE, network, steady
 from softrig_power.fault_location.objective import LocatorParams, Objective, check_travel
 from softrig_power.fault_location.parameters import RATES, RigParams, grounded, phases
@@ -121,7 +125,8 @@ OFF = "R resampled, its samples lie {} of a sample off those of the other end"
         (np.arange(60.0), np.arange(60.0) - 0.9e-3, 0.0, 60, ""),
         (np.arange(60.0), np.arange(60.0) + 1.1e-3, 11.0, 39, OFF.format("+0.0011")),
         (np.arange(60.0), np.arange(60.0) - 0.4, 10.0, 39, OFF.format("-0.4")),
-        (np.arange(60.0), np.arange(0.0, 60.0, 0.5), 10.0, 40, "R resampled from 2 to 1 Hz"),
+        (np.arange(60.0), np.arange(0.0, 60.5, 0.5), 10.0, 41, "R resampled from 2 to 1 Hz"),
+        (np.arange(23.0), np.arange(23.0) + 0.3, 11.0, 2, OFF.format("+0.3")),
         (np.arange(0.0, 60.0, 0.5), np.arange(60.0), 10.0, 40, "S resampled from 2 to 1 Hz"),
         (np.arange(0.0, 60.0, 0.5), np.arange(20.0, 90.0), 20.0, 30, "S resampled from 2 to 1 Hz"),
     ],
@@ -240,7 +245,195 @@ def test_resampling_is_a_sinc_in_a_blackman_window(rate, to_rate):
         window = 0.42 + 0.5 * np.cos(np.pi * u / half) + 0.08 * np.cos(2 * np.pi * u / half)
         w = np.where(inside, window * np.sinc(share * u), 0.0)
         assert found[n].tolist() == pytest.approx(list(w @ x / w.sum()), rel=1e-11)
+    np.testing.assert_allclose(resample.resampled(x, 0.5, rate, t, to_rate), found, rtol=1e-12)
     assert resample.reach(rate, to_rate) == 10.0 / min(rate, to_rate)
+
+
+# Files -----------------------------------------------------------------------------------------------------
+
+
+CFG = """\
+Süd,softrig,2013
+6,6A,0D
+1,VA_R,A,R,V,1.0,0,0,-3.4e+38,3.4e+38,1,1,P
+2,VB_R,B,R,V,1.0,0,0,-3.4e+38,3.4e+38,1,1,P
+3,VC_R,C,R,V,1.0,0,0,-3.4e+38,3.4e+38,1,1,P
+4,IA_R,A,R,A,1.0,0,0,-3.4e+38,3.4e+38,1,1,P
+5,IB_R,B,R,A,1.0,0,0,-3.4e+38,3.4e+38,1,1,P
+6,IC_R,C,R,A,1.0,0,0,-3.4e+38,3.4e+38,1,1,P
+60
+1
+4000.0,9
+01/01/2000,00:00:01.500250,
+01/01/2000,00:00:01.500250,
+FLOAT32
+1.0
+0,0
+4,0
+"""
+
+
+def whole(n=9, start=1.5):
+    """A record with numbers that each format holds exactly: multiples of the largest one's share."""
+    samples = np.arange(n)[:, None] * np.arange(1.0, 13.0)
+    samples[0] = -samples[-1]
+    return Record(start, 4000.0, samples)
+
+
+def test_a_written_file_line_by_line(tmp_path):
+    cfg, data = write_comtrade(tmp_path / "one.cfg", whole(), "r", frequency=60.0, station="S", clock_late=250e-6)
+    assert [cfg.name, data.name] == ["one.cfg", "one.dat"]
+    wanted = CFG.replace("Süd", "S").replace("250,\n", "250\n").replace("\n", "\r\n")
+    assert cfg.read_bytes().decode() == wanted
+    rows = np.frombuffer(data.read_bytes(), dtype=[("n", "<u4"), ("us", "<u4"), ("x", "<f4", 6)])
+    assert rows["n"].tolist() == list(range(1, 10))
+    assert rows["us"].tolist() == [250 * k for k in range(9)]
+    assert rows["x"].tolist() == whole().samples[:, 6:].tolist()
+    both = write_comtrade(tmp_path / "two", whole())[0].read_text().splitlines()
+    assert [line.split(",")[1] for line in both[2:14]] == [f"{q}{p}_{e}" for e in "SR" for q in "VI" for p in "ABC"]
+    assert (both[1], both[14]) == ("12,12A,0D", "50")
+    assert both[17] == "01/01/2000,00:00:01.500000"
+
+
+@pytest.mark.parametrize(("kind", "largest"), [("ascii", 99998), ("binary", 32767)])
+def test_whole_numbers_of_a_written_file(tmp_path, kind, largest):
+    cfg, data = write_comtrade(tmp_path / "one", whole(), "s", file_format=kind)
+    fields = cfg.read_text().splitlines()[3].split(",")
+    assert float(fields[5]) == 16.0 / largest
+    assert fields[8:10] == [f"{-largest:g}", f"{largest:g}"]
+    if kind == "ascii":
+        rows = [[int(x) for x in line.split(",")] for line in data.read_bytes().decode().split("\r\n")[:-1]]
+    else:
+        table = np.frombuffer(data.read_bytes(), dtype=[("n", "<u4"), ("us", "<u4"), ("x", "<i2", 6)])
+        rows = [[int(n), int(us), *x.tolist()] for n, us, x in table]
+    for k, row in enumerate(rows):
+        share = -1.0 if k == 0 else k / 8.0
+        assert row == [k + 1, 250 * k, *[round(share * largest)] * 6]
+
+
+APART_BY = (
+    "expected 2 voltage(s) and 2 current(s) of each phase, told apart by unit and phase; name the channels; it has "
+)
+
+
+def edited(tmp_path, record=None, name="one", end="both", **changes):
+    """A written file with other lines (by number), read."""
+    cfg, _ = write_comtrade(tmp_path / name, record or whole(), end)
+    lines = cfg.read_text().splitlines()
+    for number, text in changes.items():
+        lines[int(number[1:])] = text
+    cfg.write_text("\n".join(lines) + "\n")
+    return cfg
+
+
+def test_channels_by_unit_and_phase_and_their_scale(tmp_path):
+    record = whole()
+    for line, scale in [
+        ("1,VA_S,A,S,V,1.0,0,0,-3.4e+38,3.4e+38,1,1,P", 1.0),
+        ("1,VA_S, a ,S, kV ,1.0,0,0,-3.4e+38,3.4e+38,1,1,P", 1e3),
+        ("1,VA_S,L1,S,KV,1.0,0,0,-3.4e+38,3.4e+38,1,1,P", 1e3),
+        ("1,VA_S,AN,S,mV,1.0,0,0,-3.4e+38,3.4e+38,1,1,P", 1e-3),
+        ("1,VA_S,A,S,MV,1.0,0,0,-3.4e+38,3.4e+38,1,1,P", 1e6),
+        ("1,VA_S,A,S,v,1.0,0,0,-3.4e+38,3.4e+38,400,4,s", 100.0),
+        ("1,VA_S,A,S,v,1.0,0,0,-3.4e+38,3.4e+38,400,4,P", 1.0),
+    ]:
+        found = read_comtrade([edited(tmp_path, l2=line)])
+        assert found.samples[:, 0].tolist() == pytest.approx((scale * record.samples[:, 0]).tolist())
+        assert found.samples[:, 1:].tolist() == record.samples[:, 1:].tolist()
+    assert (found.start, found.rate) == (0.0, 4000.0)
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("1,VA_S,A,S,uV,1.0,0,0,-1,1,1,1,P", "channel VA_S has the unit 'uV', expected V, A, kV, kA"),
+        ("1,VA_S,A,S,V,1.0,0,0,-1,1,400,0,S", "channel VA_S is secondary with a ratio of 400:0"),
+        ("1,VA_S,X,S,V,1.0,0,0,-1,1,1,1,P", APART_BY + "VA_S (V, phase X), VB_S (V, phase B)"),
+        ("1,VA_S,B,S,V,1.0,0,0,-1,1,1,1,P", APART_BY + "VA_S (V, phase B), VB_S (V, phase B)"),
+        ("1,VA_S,A,S,Hz,1.0,0,0,-1,1,1,1,P", APART_BY + "VA_S (Hz, phase A), VB_S (V, phase B)"),
+    ],
+)
+def test_channels_that_are_not_told_apart(tmp_path, line, text):
+    cfg = edited(tmp_path, l2=line)
+    with pytest.raises(ComtradeFileError) as refused:
+        read_comtrade([cfg])
+    assert str(refused.value).startswith(f"{cfg}: {text}")
+
+
+def test_which_files_and_channels_may_be_named(tmp_path):
+    cfg = edited(tmp_path)
+    names = [f"{q}{p}_{e}" for e in "SR" for q in "VI" for p in "ABC"]
+    for paths, channels, text in [
+        ([], (), "0 files: expected one with both ends, or one of each end"),
+        ([cfg] * 3, (), "3 files: expected one with both ends, or one of each end"),
+        ([cfg], names[:11], "11 channels: expected twelve, u_S, i_S, u_R, i_R of the phases a, b, c"),
+        ([cfg], [*names[:11], "X"], f"{cfg}: no channel X; it has VA_S (V, phase A), "),
+        ([tmp_path / "no.cfg"], (), f"{tmp_path / 'no.cfg'}: no such file"),
+    ]:
+        with pytest.raises(ComtradeFileError) as refused:
+            read_comtrade(paths, channels)
+        assert str(refused.value).startswith(text)
+    assert read_comtrade([cfg], names[::-1]).samples.tolist() == whole().samples[:, ::-1].tolist()
+    short = edited(tmp_path, whole(2), name="short")
+    assert len(read_comtrade([short]).samples) == 2
+    one = edited(tmp_path, whole(1), name="single")
+    with pytest.raises(RecordError) as unfit:
+        read_comtrade([one])
+    assert (unfit.value.status, str(unfit.value)) == (Status.TOO_SHORT, f"{one}: 1 samples")
+
+
+def test_two_recorders_by_their_clocks_and_what_is_told_of_them(tmp_path):
+    long = whole(40)
+    s = write_comtrade(tmp_path / "s", long, "s")[0]
+    r = write_comtrade(tmp_path / "r", long, "r", clock_late=0.001)[0]
+    found = read_comtrade([s, r])  # R began a ms, four samples, later
+    assert (found.start, found.rate, len(found.samples)) == (0.001, 4000.0, 36)
+    assert found.samples.tolist() == np.hstack([long.samples[4:, :6], long.samples[:36, 6:]]).tolist()
+    again = read_comtrade([s, r], late=(0.0, 0.001))
+    assert (again.start, again.samples.tolist()) == (0.0, long.samples.tolist())
+    swapped = read_comtrade([r, s])
+    assert swapped.samples.tolist() == found.samples[:, [*range(6, 12), *range(6)]].tolist()
+    both = read_comtrade([edited(tmp_path, long)], late=(0.0005, 0.001))
+    assert (both.start, both.samples.tolist()) == (
+        -0.0005,
+        np.hstack([long.samples[:38, :6], long.samples[2:, 6:]]).tolist(),
+    )
+    with pytest.raises(ComtradeFileError) as refused:
+        read_comtrade([s, s])
+    assert str(refused.value) == f"{s} and {s}: both are the same record, expected one of each end"
+
+
+@pytest.mark.parametrize("kind", ["float32", "binary", "ascii"])
+def test_how_much_more_than_it_has_a_file_may_tell_of(tmp_path, kind):
+    cfg, data = write_comtrade(tmp_path / "one", whole(), "s", file_format=kind)
+    lines = cfg.read_text().splitlines()
+    size, least = data.stat().st_size, {"float32": 8 + 4 * 6, "binary": 8 + 2 * 6, "ascii": 6 + 2}[kind]
+    for count, good in ((2 * (size // least + 1), True), (2 * (size // least + 1) + 1, False)):
+        lines[10] = f"4000.0,{count}"
+        cfg.write_text("\n".join(lines) + "\n")
+        if good:
+            _bounded(cfg)
+            continue
+        with pytest.raises(ComtradeFileError) as refused:
+            _bounded(cfg)
+        text = f"{cfg}: tells of {count} samples, but its data are {size} bytes, room for {size // least} at most"
+        assert str(refused.value) == text
+    for count, good in ((len(lines), True), (len(lines) + 1, False)):
+        lines[1], lines[10] = f"{count},{count}A,0D", "4000.0,9"
+        cfg.write_text("\n".join(lines) + "\n")
+        why = ""
+        try:
+            _bounded(cfg)
+        except (ComtradeFileError, ValueError, TypeError, IndexError) as error:  # of the reader, lines are missing
+            why = str(error)
+        assert (why == f"{cfg}: tells of {count} channels in {len(lines)} lines") is not good
+
+
+def test_the_text_of_a_file_in_what_recorders_write():
+    assert _text("Süd".encode()) == "Süd"
+    assert _text(b"\xef\xbb\xbf" + "Süd".encode()) == "Süd"
+    assert _text("Süd".encode("cp1252")) == "Süd"
+    assert _text(b"S\x81d") == "S\N{REPLACEMENT CHARACTER}d"
 
 
 # The equations --------------------------------------------------------------------------------------------
@@ -1051,3 +1244,62 @@ def test_what_the_simulated_line_cannot_be(given, text):
     with pytest.raises(ParameterError) as refused:
         build(RigParams, given)
     assert text in str(refused.value)
+
+
+@pytest.mark.parametrize("given", [["--profile", "raw1m"], ["--methods", "guess"], ["--processes", "two"]])
+def test_the_study_takes_known_profiles_and_methods_only(capsys, given):
+    with pytest.raises(SystemExit) as ended:
+        study_tool.main(given)
+    assert ended.value.code == 2
+    assert given[-1] in capsys.readouterr().err
+
+
+# What is shown ------------------------------------------------------------------------------------------------
+
+
+def test_the_marker_keeps_the_newest_location():
+    block = LocationMarker(length=100.0, towers=3, scale=0.5)
+    seen, x = (
+        [(None, (1.0,) * 6), (0, (25.0, 7.0, 9.0, 1.0, 8.0, 0.5)), (1, (1.0,) * 6), (9, (2.0,) * 6)],
+        block.first(),
+    )
+    for age, told in seen:
+        block.age = lambda name, age=age: age
+        x, said = block.update(x, 0, location=told)
+        assert said == {}
+        assert x == (None if age is None else seen[1][1])
+    assert block.status(None) == {}
+    assert block.status(x) == {"x": (25.0, "km"), "f_min": (7.0, "V"), "scatter": (0.5, "km")}
+    conductor, towers = block.markers(None)
+    assert conductor.points == ((0.0, 0.0, 0.2), (25.0, 0.0, 0.2), (50.0, 0.0, 0.2))
+    assert towers.points == tuple((x, 0.0, z) for x in (0.0, 25.0, 50.0) for z in (0.0, 0.2))
+    *same, fault = block.markers(x)
+    assert same == [conductor, towers]
+    assert (fault.name, fault.kind, fault.points, fault.size, fault.color) == (
+        "fault",
+        "sphere_list",
+        ((12.5, 0.0, 0.2),),
+        0.2,
+        (0.9, 0.1, 0.1, 1.0),
+    )
+    assert [(m.frame_id, m.name, m.kind, m.size, m.color) for m in same] == [
+        ("line", "conductor", "line_strip", 0.02, (0.5, 0.5, 0.5, 1.0)),
+        ("line", "towers", "line_list", 0.02, (0.5, 0.5, 0.5, 1.0)),
+    ]
+
+
+def test_figures_of_a_run_are_those_of_its_last_answer():
+    signals = {
+        "location/0": (np.arange(2.0), np.array([10.0, 49.5])),
+        "verdict/0": (np.arange(2.0), np.array([2.0, 1.0])),
+        "line/fault_current/x": (np.arange(3.0), np.array([1.0, -7.0, 3.0])),
+        "line/fault_current/z": (np.arange(3.0), np.array([1.0, 2.0, 3.0])),
+    }
+    assert figures.location_error(signals, truth=50.0) == pytest.approx(-500.0)
+    assert figures.location_error_percent(signals, truth=50.0, length=200.0) == pytest.approx(0.25)
+    told = [figures.location_status(signals, status=s) for s in ("ok", "at_terminal", "no_fault")]
+    assert told == [0.0, 1.0, 0.0]
+    assert figures.locations(signals) == 2.0
+    assert [figures.fault_peak(signals, phase=p) for p in "ac"] == [7.0, 3.0]
+    with pytest.raises(ValueError, match=r"^nothing came on location$"):
+        figures.location_error({"location/0": (np.empty(0), np.empty(0))}, truth=1.0)
