@@ -5,13 +5,12 @@ import math
 import numpy as np
 import pytest
 from cmaes import CMA
-from softrig_bringup.falsify import search as rules
 from softrig_bringup.falsify.engine import _sizes, margin
 from softrig_bringup.falsify.search import needs, search
 from softrig_bringup.falsify.shrink import shrink
 from softrig_bringup.falsify.space import Over, Space, parse
 from softrig_bringup.study.work import LARGE
-from softrig_core import Scenario, ScenarioError
+from softrig_core import Scenario
 
 # what is asked for -----------------------------------------------------------------------------------------------
 
@@ -50,7 +49,9 @@ class Account:
             inside = [float(k in those) for k in range(self.size)]
             listed += [tuple(inside), tuple(1.0 - u for u in inside)]
         listed += [tuple(map(float, rng.integers(0, 2, self.size))) for _ in range(1000)]
-        once = [p for k, p in enumerate(listed) if p not in listed[:k]] if self.size < 5 else list(dict.fromkeys(listed))
+        once = (
+            [p for k, p in enumerate(listed) if p not in listed[:k]] if self.size < 5 else list(dict.fromkeys(listed))
+        )
         while once and not self.over() and len(self.asked()) < few:
             self.ask(once[:4])
             once = once[4:]
@@ -206,7 +207,9 @@ def test_a_range_says_of_what_it_is():
         parse(*words)
         for words in (("n.k", "1..2"), (" n.v ", "1..2*3"), ("a/b/c", "log 1..2*4"), ("a/b/c + ", "-1..2~5"))
     )
-    assert [(o.key, o.on_signal, o.adds, o.size, o.count, o.log, o.linear) for o in (number, vector, course, added)] == [
+    assert [
+        (o.key, o.on_signal, o.adds, o.size, o.count, o.log, o.linear) for o in (number, vector, course, added)
+    ] == [
         ("n.k", False, False, 1, 0, False, False),
         ("n.v", False, False, 3, 3, False, False),
         ("a/b/c", True, False, 4, 4, True, False),
