@@ -295,23 +295,25 @@ class Account:
 
 
 class Episode:
-    """A plant of two measurements that is another one now and then; what is measured is lost, bad or refused."""
+    """A source of which the command turns the load, another one now and then; what is measured is bad or refused."""
 
-    def __init__(self, seed, calm, floor):
-        self.rng, self.calm, self.level, self.floor = random.Random(seed), calm, 1.0, floor
-        self.down = [False] * 3
+    def __init__(self, seed, calm, floor, threshold):
+        self.rng, self.calm, self.level, self.down = random.Random(seed), calm, 1.0, [False] * 3
+        just = [share * (1.0 + part * edge) for edge in (threshold, 0.1) for part in (1.03, -0.99) for share in (1.0,)]
+        self.levels = [1.0, 1.0, 0.6, 1.5, *just, *([0.0] * 2 if floor is not None else [])]
 
     def next(self, command):
         draw = self.rng
         if draw.random() < self.calm:
-            self.level = draw.choice([1.0, 1.0, 1.04, 0.9, 0.6, 1.5, *([0.0] * 2 if self.floor is not None else [])])
+            self.level = draw.choice(self.levels)
         for k in range(3):
             if draw.random() < self.calm / (60.0 if k == 1 and not self.down[1] else 12.0):  # stopped seldom, not long
                 self.down[k] = not self.down[k]
-        v = 1.0 + command[0] + 0.2 * command[-1]
-        i = self.level * max(4.0 - 0.5 * v - 0.1 * v * v, 0.01)
+        load = 2.0 / command[0] ** 2 + (0.3 * command[1] if len(command) > 1 else 0.0)
+        a, b, c = 0.1 * load, 1.0 + 0.5 * load, -4.0 * load  # v = load i, and i = 4 - 0.5 v - 0.1 v^2 at level 1
+        v = (math.sqrt(b * b - 4.0 * a * c) - b) / (2.0 * a)
         kind = draw.random()
-        return (v, i if kind > 0.004 else math.nan), tuple(self.down), kind > 0.996
+        return (v, self.level * v / load if kind > 0.004 else math.nan), tuple(self.down), kind > 0.996
 
 
 KINDS = {
@@ -350,7 +352,7 @@ def test_each_tick_is_answered_as_the_page_says(kind, seed):
         threshold=threshold, rescan=rescan, floor=floor, autostart=autostart, slew=slew * 0.01 or math.inf,
     )  # fmt: skip
     block.reset(seed)
-    episode = Episode(f"{kind} {seed}", draw.choice([0.004, 0.02]), floor)
+    episode = Episode(f"{kind} {seed}", draw.choice([0.004, 0.02]), floor, threshold)
     command, met = account.command, set()
     for k in range(500):
         (v, i), down, bad = episode.next(command)
@@ -368,3 +370,51 @@ def test_each_tick_is_answered_as_the_page_says(kind, seed):
         met.add((account.phase, account.looking is None, account.waits, account.broken))
     assert set(block.reports) == account.said
     assert len(met) > 1
+
+
+def built(**changes):
+    return Optimiser(
+        **({"algorithm": "scan", "n_grid": 3, "tolerance": 0.0, "period": 0.01, "hold_time": 0.02} | changes)
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "refused"),
+    [
+        ({"hold_time": 0.01}, ""),
+        ({"hold_time": 0.009, "measure_window": 0.009}, "hold_time = 0.009 s is shorter than period = 0.01 s"),
+        ({"measure_window": 0.02}, ""),
+        ({"measure_window": 0.021}, "measure_window = 0.021 s is longer than hold_time = 0.02 s"),
+        ({"lower": (0.0, 1.0)}, "2 values of lower for 1 channels"),
+        ({"algorithm": "issa"}, "positive"),  # the search itself is tried
+        ({"upper": (0.0,)}, "lower < upper"),
+    ],
+)
+def test_times_and_bounds_that_cannot_be_are_refused_at_once(changes, refused):
+    if not refused:
+        assert built(**changes)
+    else:
+        with pytest.raises(ValueError, match=refused):
+            built(**changes)
+
+
+@pytest.mark.parametrize(("value", "phase"), [(0.5, SEARCH), (0.5000001, HOLD)])
+def test_what_just_reaches_the_floor_is_no_signal(value, phase):
+    block = ByHand(built(floor=0.5, measure_window=0.01))
+    block.reset(0)
+    for k in range(60):
+        answer = block.update(k * PERIOD, measurement=(value,), start=None, stop=None, restart=None)
+    assert answer["state"][0] == phase
+
+
+def test_buttons_are_held_and_the_state_names_its_channels():
+    (measured, *buttons), (command, state) = Optimiser.ports(built(channels=("a", "b"), lower=(0.1, 0.2),
+                                                                    upper=(1.0, 1.0), algorithm="pso").p)  # fmt: skip
+    assert [(b.name, b.topic, b.held) for b in buttons] == [
+        (name, f"optimiser/{name}", True) for name in ("start", "stop", "restart")
+    ]
+    assert (measured.topic, command.topic, command.safe, state.topic) == (
+        "objective", "command", (0.1, 0.2), "optimiser/state"
+    )  # fmt: skip
+    about = ("phase", "iteration", "evaluations", "restarts", "best_value", "bound", "best_a", "best_b")
+    assert tuple(label.partition("/")[0] for label in state.labels) == about
