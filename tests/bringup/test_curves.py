@@ -10,9 +10,9 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from softrig_bringup.plots import marks as marks_module, pictures, style as look
 from softrig_bringup.plots.axes import draw, draw_marks, fold_exponents, is_logic, legend, styles
-from softrig_bringup.plots.curves import Curve, Source, by_unit, envelope, inside
+from softrig_bringup.plots.curves import Curve, Shown, Source, by_unit, envelope, inside
 from softrig_bringup.plots.marks import Mark, marks_of
-from softrig_bringup.plots.overlay import band
+from softrig_bringup.plots.overlay import Overlay, _shared, band
 from softrig_bringup.plots.pictures import plot_name, time_scale
 from softrig_core import rig_of
 from softrig_core.judge import measures
@@ -167,6 +167,19 @@ def test_a_band_is_of_quantiles_where_all_runs_are(held):
         assert (low[k], middle[k], high[k]) == pytest.approx(np.quantile(values, [0.1, 0.5, 0.9]))
 
 
+def test_only_what_two_runs_show_in_a_plot_of_the_same_signals_is_overlaid():
+    """One shows x, the other x and r: both have x, and no plot in common; a third that shows x makes one."""
+    t = np.arange(5) / 10.0
+    about = Shown(unit="m", held=False, reference=False)
+
+    def run(label, *names):
+        entry = PlotEntry(title="It", signals=dict.fromkeys(names, ""))
+        return Overlay(label, label, [entry], dict.fromkeys(names, about), dict.fromkeys(names, (t, t)))
+
+    assert _shared([run("a", "x"), run("b", "x", "r")]) == []
+    assert [list(e.signals) for e in _shared([run("a", "x"), run("b", "x", "r"), run("c", "x")])] == [["x"]]
+
+
 @pytest.mark.parametrize(
     ("number", "title", "name"),
     [(1, "Speed, and more: x_1 (V)", "plot_01_speed_and_more_x_1_v.png"), (12, "__a__", "plot_12_a.png"),
@@ -268,6 +281,7 @@ class Fixed(Judge):
         ([(1.0, 2.0)], [(1.0, 2.0)]),
         ([(0.0, 1.0), (1.099, 2.0), (2.2, 10.0)], [(0.0, 2.0), (2.2, 10.0)]),  # a hundredth of ten seconds
         ([(0.0, 1.0), (1.0, 1.5), (1.5, 1.6)], [(0.0, 1.6)]),
+        ([(0.0, 0.5), (1.5, 100.0)], [(0.0, 100.0)]),  # just so near
         ("not judged", []),
     ],
 )
@@ -306,19 +320,18 @@ MARKS = {
 
 @pytest.mark.parametrize(("scale", "name"), [(1.0, "marks_each"), (1e3, "marks_in_ms")])
 def test_each_kind_of_mark_is_drawn_as_told(scale, name):
-    """In axes from 0 to 10 and from 0 to 1."""
+    """In axes of ten by one, which begin at 2 and 1."""
     chosen = MARKS if scale == 1.0 else {k: MARKS[k] for k in ("a band in its window", "a stretch of time", "violated")}
     figure = Figure()
-    for k, (about, marks) in enumerate(chosen.items()):
+    for k, (about, shown) in enumerate(chosen.items()):
         ax = figure.add_axes((0.0, k / len(chosen), 1.0, 0.9 / len(chosen)))
         ax.set_axis_off()
-        ax.set(xlim=(0.0, 10.0), ylim=(0.0, 1.0))
-        if scale != 1.0:
-            by = [scale if m.axis == "time" else 1.0 for m in marks]
-            marks = [
-                Mark(m.axis, m.name, m.low / b, m.high / b, m.published / b, m.start / scale, m.end / scale)
-                for m, b in zip(marks, by, strict=True)
-            ]
+        ax.set(xlim=(2.0, 12.0), ylim=(1.0, 2.0))
+        marks = []
+        for m in shown:
+            plus, by = (2.0, scale) if m.axis == "time" else (1.0, 1.0)
+            low, high, published = ((v + plus) / by for v in (m.low, m.high, m.published))
+            marks.append(Mark(m.axis, m.name, low, high, published, (m.start + 2.0) / scale, (m.end + 2.0) / scale))
         entries = draw_marks(ax, marks, scale)
         ax.set_title(f"{about}: {', '.join(name for _, name in entries) or 'nothing'}", loc="left")
     check_told(f"pictures/{name}", (line for line in figure_lines(figure) if not line.strip().startswith("linear")))

@@ -292,6 +292,7 @@ def test_a_circle_is_round_its_centre():
     assert (shade(bare, 60.5, 50.5), shade(bare, 60.5, 39.5)) == ("paper", "alarm")
     full = drawn(Circle((60.0, 50.0), 12.0, "alarm", "second", 0.0))
     assert (shade(full, 60.5, 50.5), shade(full, 60.5, 39.5)) == ("second",) * 2
+    assert len(drawn(Circle((60.0, 50.0), 0.5, "alarm", "alarm")).getcolors()) > 1
     assert drawn(Circle((60.0, 50.0), 0.0, "alarm", "second")).getcolors() == [(6000, colour("paper"))]
 
 
