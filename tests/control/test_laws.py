@@ -20,11 +20,12 @@ from softrig_control.predictive.certificate import Certificate
 from softrig_control.predictive.controller import GpcController
 from softrig_control.predictive.gpc import Tuning, invert
 from softrig_control.profile import NEVER, ProfileParams, StepProfile
+from softrig_control.requirement_monitor import RequirementMonitor
 from softrig_control.signal_name import signal_port, split
 from softrig_control.sliding_mode import switching
 from softrig_control.state_feedback import StateFeedback
 from softrig_control.unit_delay import LinkParams
-from softrig_core import ByHand, ParameterError
+from softrig_core import ByHand, ParameterError, RunError
 
 EIGHTHS = st.integers(-40, 40).map(lambda n: n / 8.0)
 
@@ -414,6 +415,25 @@ def test_a_link_that_cannot_be(given, text):
     with pytest.raises(ValueError) as refused:  # noqa: PT011
         LinkParams(**given)
     assert text in str(refused.value)
+
+
+def test_a_watched_margin_of_zero_holds_and_what_is_below_is_told_once():
+    watched = ByHand(RequirementMonitor(formula="always x <= 1"))
+    watched.block.ages = lambda name: 0
+    found = []
+    for k, x in enumerate((0.5, 1.0, 1.25, 2.0, 0.0)):
+        found.append(watched.update(k * 10_000_000, state=(x,))["margin"])
+        assert ("violated" in watched.reports) == (k > 1)
+    assert found == [(-1e12, upper, 0.0) for upper in (0.5, 0.0, -0.25, -1.0, -1.0)]
+    said = "always x <= 1 is violated, its margin is at most -0.25 m, known at t = 0.02 s"
+    assert watched.reports["violated"][1] == said
+    ends = ByHand(RequirementMonitor(formula="always x <= 1", ends=True, name="limit"))
+    ends.block.ages = lambda name: 0
+    ends.update(0, state=(1.0,))
+    with pytest.raises(
+        RunError, match=r"^limit: always x <= 1 is violated, its margin is at most -1 m, known at t = 0\.01 s$"
+    ):
+        ends.update(10_000_000, state=(2.0,))
 
 
 def test_rows_of_a_profile():

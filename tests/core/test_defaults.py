@@ -1,19 +1,35 @@
-"""What holds where nobody says anything is part of the interface: each default of the general packages is written down.
+"""What holds where nobody says anything is part of the interface: each default and constant is written down.
 
-A scenario, a call and a bag that leave something out mean another thing when a default changes, without a word. Who
-changes one on purpose writes the list anew: ``scripts/softrig python tests/core/test_defaults.py``.
+A scenario, a call and a bag that leave something out mean another thing when a default changes, without a word, and so
+does all that a constant of a module or class decides. Of a parameter its bounds and whether it may change in a run
+stand beside its default. Who changes one on purpose writes the list anew:
+``scripts/softrig python tests/core/test_defaults.py``.
 """
 
 import inspect
 import pkgutil
+import re
+from enum import Enum
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 LIST = Path(__file__).with_name("defaults.txt")
-PACKAGES = ("softrig_core", "softrig_bags", "softrig_control", "softrig_optim")
-LAZY = ("softrig_control.fmu.child", "softrig_control.fmu.slave")  # of an extra
+PACKAGES = (
+    "softrig_core",
+    "softrig_bags",
+    "softrig_control",
+    "softrig_optim",
+    "softrig_drives",
+    "softrig_power",
+    "softrig_robots",
+    "softrig_systems",
+)
+LAZY = ("softrig_control.fmu.child", "softrig_control.fmu.slave", "softrig_core.kit._borrowed")  # of an extra; numba's
+BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length")
+SET = re.compile(r"^_?[A-Z]\w*(?:, _?[A-Z]\w*)*(?=: .* = | = )", re.M)  # names of a module, at the line's begin
+LONG = 300  # characters; tables longer than this have tests of their own
 
 
 def public(package):
@@ -37,14 +53,63 @@ def public(package):
 NUMBER = bool | int | float
 
 
+def told(value):
+    """A number, or what is made of numbers, in words; of anything else a TypeError."""
+    if hasattr(value, "tolist"):
+        return told(value.tolist())
+    if isinstance(value, float | complex):
+        return f"{value:.12g}"
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"{int(value)}"  # of an enumeration, too
+    if isinstance(value, bool | str | None):
+        return repr(value)
+    if isinstance(value, tuple | list):
+        return f"({', '.join(told(v) for v in value)})"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{told(k)}: {told(v)}' for k, v in value.items())}}}"
+    raise TypeError
+
+
+def constants(name, home, names):
+    """A line for each constant with a number in it, but for paths of this machine."""
+    for constant in names:
+        value = getattr(home, constant, None)
+        value = value.value if isinstance(value, Enum) else value
+        try:
+            words = told(value)
+        except TypeError:
+            continue
+        if not isinstance(value, str) and any(c.isdigit() for c in words) and len(words) < LONG and "'/" not in words:
+            yield f"{name}.{constant} = {words}"
+
+
+def parameter(field):
+    """Default and bounds of a parameter, and whether it may change in a run."""
+    bounds = [f"{name} {getattr(m, name):.12g}" for m in field.metadata for name in BOUNDS if hasattr(m, name)]
+    more = [f"{name} {told(value)}" for name, value in (field.json_schema_extra or {}).items() if name != "unit"]
+    return ", ".join([told(field.default), *bounds, *more])
+
+
 def defaults(package):
     """A line for each."""
+    for module in pkgutil.walk_packages(import_module(package).__path__, f"{package}."):
+        if module.name not in LAZY:
+            home = import_module(module.name)
+            set_here = SET.findall(Path(home.__file__).read_text(encoding="utf-8"))
+            yield from constants(module.name, home, [name for names in set_here for name in names.split(", ")])
+    for name, found in public(package):
+        if inspect.isclass(found) and not hasattr(found, "model_fields"):
+            yield from constants(name, found, [k for k in vars(found) if not k.startswith("_")])
+            named = getattr(found, "_field_defaults", {})  # of a named tuple
+            yield from (f"{name}.{k} = {told(v)}" for k, v in named.items() if isinstance(v, NUMBER))
     for name, found in public(package):
         if fields := getattr(found, "model_fields", None):
             own = inspect.get_annotations(found)
-            yield from (
-                f"{name}.{k} = {f.default!r}" for k, f in fields.items() if k in own and isinstance(f.default, NUMBER)
-            )
+            for k in (k for k in fields if k in own):
+                try:
+                    yield f"{name}.{k} = {parameter(fields[k])}"
+                except TypeError:
+                    continue
         elif inspect.isfunction(found) and not getattr(found, "__wrapped__", None):
             given = inspect.signature(found).parameters.values()
             yield from (f"{name}({p.name} = {p.default!r})" for p in given if isinstance(p.default, NUMBER))
@@ -53,7 +118,7 @@ def defaults(package):
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_default_changes_without_a_word(package):
     lines = [line for line in LIST.read_text().splitlines() if line.startswith(f"{package}.")]
-    written, now = (dict(line.rsplit(" = ", 1) for line in found) for found in (lines, defaults(package)))
+    written, now = (dict(line.split(" = ", 1) for line in found) for found in (lines, defaults(package)))
     known = written.keys() & now.keys()
     assert {name: now[name] for name in known} == {name: written[name] for name in known}
     assert len(known) > 0.9 * len(now)  # what is new is to be written down, too

@@ -10,7 +10,7 @@ from conftest import differences, in_process, make_scenario
 from hypothesis import given, settings, strategies as st
 from simulated import Discovery, SimulatedRig, World
 from softrig_control.fault import Fault
-from softrig_core import ByHand, ParameterError, RunError, ScenarioError, rig_of, simulate
+from softrig_core import ByHand, ParameterError, RunError, Sample, ScenarioError, rig_of, simulate
 
 MS = 1_000_000
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
@@ -277,6 +277,21 @@ def test_any_fault_is_what_its_parameters_say(drawn, seed):
     assert [x is None for x in found] == [x is None for x in expected]
     told = [(a, b) for a, b in zip(found, expected, strict=True) if a is not None]
     assert [a for a, _ in told] == [pytest.approx(b, abs=1e-12, nan_ok=True) for _, b in told]
+
+
+def test_behind_a_link_of_acquisition_times_the_first_message_is_new_whatever_its_stamp():
+    """Before it the port has what is there at first, of no age."""
+    fault = ByHand(
+        Fault(topic_in="a", topic_out="b", channels=("x",), fields=("position",), delayed=True, value=(4.0,))
+    )
+    age, said = [None], []
+    fault.block.ages = lambda name: age[0]
+    for k, (heard, sent) in enumerate(
+        [(None, Sample(0, (9.0,))), (2, Sample(0, (1.0,))), (3, Sample(0, (1.0,))), (0, Sample(4, (2.0,)))]
+    ):
+        age[0] = heard
+        said.append(fault.update(k * MS, sent=sent, toggle=None).get("arrived"))
+    assert said == [None, Sample(0, (5.0,)), None, Sample(4, (6.0,))]
 
 
 def limits_of(p):

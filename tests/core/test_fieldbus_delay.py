@@ -6,7 +6,7 @@ from bisect import insort
 import pytest
 from conftest import in_process
 from hypothesis import given, settings, strategies as st
-from softrig_control.delay import BLOCK, FieldbusDelay, Line
+from softrig_control.delay import BLOCK, FieldbusDelay, Line, whole_periods
 from softrig_core import ByHand, Level, Sample, Scenario, ScenarioError, Signals, load_scenario, rig_of
 
 PERIOD = 10_000_000
@@ -31,6 +31,24 @@ def test_a_delay_between_periods_is_rounded_up_and_reported():
     assert pass_through(link) == pass_through(ByHand(FieldbusDelay(delay=0.08)))
     assert link.reports["delay"][0] == Level.WARN
     assert "rounded up to 8 and 0 periods" in link.reports["delay"][1]
+
+
+@pytest.mark.parametrize(
+    ("time", "expected"),
+    [
+        (0.0, (0, False)),
+        (1.0 - 0.95e-9, (1, False)),
+        (1.0 - 1.05e-9, (1, True)),
+        (1.0 + 0.95e-9, (1, False)),
+        (1.0 + 1.05e-9, (2, True)),
+        (0.5, (1, True)),
+        (1000.0 - 0.95e-6, (1000, False)),
+        (1000.0 - 1.05e-6, (1000, True)),
+        (1000.0 + 0.5e-9, (1000, False)),
+    ],
+)
+def test_a_time_is_whole_periods_but_for_a_billionth(time, expected):
+    assert whole_periods(time, 1.0) == whole_periods(time / 4.0, 0.25) == expected
 
 
 def ages(link, seed=0, ticks=2000):

@@ -95,6 +95,8 @@ class Variable:
         ValueError
             There is none.
         """
+        if not self.dims:
+            raise ValueError(f"{self.name} is one value, no array: expected {self.name}")
         inside = len(indices) == len(self.dims) and all(1 <= i <= n for i, n in zip(indices, self.dims, strict=True))
         if not inside:
             sizes = " x ".join(map(str, self.dims))

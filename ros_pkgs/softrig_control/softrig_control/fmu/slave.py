@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     from pythonfmu import Fmi2Slave as Base
 else:
     Base = object  # the class in the FMU has Fmi2Slave as its second base: PythonFMU is an extra
+
+
+LARGEST = (1 << 31) - 1  # of an Integer of FMI 2.0
 
 
 def variable(topic: str, label: str) -> str:
@@ -100,7 +104,10 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
             if one.name == "period" or one.type not in types or isinstance(self._values.get(one.name), list | None):
                 continue
             bounds = {"min": one.lower, "max": one.upper} if one.type in (float, int) else {}
-            self._extra[one.name] = {k: repr(v) for k, v in bounds.items() if v is not None}
+            largest = LARGEST if one.type is int else math.inf
+            self._extra[one.name] = {
+                k: repr(one.type(v)) for k, v in bounds.items() if v is not None and abs(v) <= largest
+            }
             if one.type is float and one.unit:
                 self._extra[one.name]["unit"] = one.unit
             self.register_variable(

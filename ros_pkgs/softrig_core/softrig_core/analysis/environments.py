@@ -131,7 +131,6 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds, expected {self.num_envs}")
         self._ended[:] = False
-        self._k[:] = -1
         found = [self._begun(j, each) for j, each in enumerate(seeds)]
         return np.array(found), self._info({})
 

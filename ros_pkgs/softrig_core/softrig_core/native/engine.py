@@ -547,7 +547,7 @@ class Engine:
                     link.values[link.name] = unpacked(value)
 
 
-NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, TypeError)  # what gives a tick up
+NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, NameError, TypeError)  # what gives a tick up
 
 
 def _worth_another(kinds: Any) -> bool:

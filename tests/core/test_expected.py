@@ -1,0 +1,186 @@
+"""Expectations and claims: what is read, refused, holds, agrees and is asked, each edge in a table by hand."""
+
+import math
+
+import pytest
+from pydantic import ValidationError
+from softrig_core.judge.claims import Claim, spoken
+from softrig_core.judge.expectation import FORMS, Expectation, parse
+from softrig_core.judge.formula import Condition
+from softrig_core.judge.robustness import truth
+
+NAN, INF = math.nan, math.inf
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("0.694 +- 0.0069", {"expected": 0.694, "tolerance": 0.0069}),
+        (" -0.5+-1 % ", {"expected": -0.5, "tolerance": 0.005}),
+        ("2.e1 +- 5", {"expected": 20.0, "tolerance": 5.0}),
+        ("0.4 +- 0.1", {"expected": 0.4, "tolerance": 0.1}),
+        ("-8 +- 25%", {"expected": -8.0, "tolerance": 2.0}),
+        ("1.2 +- 0.3", {"expected": 1.2, "tolerance": 0.3}),  # a quarter but for rounding: 0.3 / 1.2 is above it
+        ("0 +- 7", {"expected": 0.0, "tolerance": 7.0}),
+        ("3 +- 0", {"expected": 3.0, "tolerance": 0.0}),
+        (44, {"expected": 44.0, "tolerance": 0.0}),
+        (0.5, {"expected": 0.5, "tolerance": 0.0}),
+        ("at most -.5", {"at_most": -0.5}),
+        ("at least 1e-3", {"at_least": 1e-3}),
+        ("between 80 and 81.1", {"at_least": 80.0, "at_most": 81.1}),
+        ("between 3 and 3", {"at_least": 3.0, "at_most": 3.0}),
+        ("4 +- -1", "a tolerance is not negative"),
+        ("-4 +- -1%", "a tolerance is not negative"),
+        (
+            "8 +- 26 %",
+            "the tolerance is 26% of the value and judges little; say what is meant: 'between 5.92 and 10.08', "
+            "'at most ...' or 'at least ...'",
+        ),
+        (
+            "-4 +- 2",
+            "the tolerance is 50% of the value and judges little; say what is meant: 'between -6 and -2', "
+            "'at most ...' or 'at least ...'",
+        ),
+        (
+            "1 +- 0.2500001",
+            "the tolerance is 25% of the value and judges little; say what is meant: 'between 0.75 and 1.25', "
+            "'at most ...' or 'at least ...'",
+        ),
+        ("between 2 and 1", "between 2 and 1: nothing is"),
+        ("44", FORMS),
+        ("at most", FORMS),
+        ("between 1 and", FORMS),
+        (True, FORMS),
+        (None, FORMS),
+        ("4 +- 1 m", FORMS),
+        ("at most nan", FORMS),
+    ],
+)
+def test_expectations_are_read_or_refused(text, expected):
+    if isinstance(expected, str):
+        with pytest.raises(ValueError) as refused:  # noqa: PT011
+            parse(text)
+        assert str(refused.value) == expected
+        return
+    found = parse(text)
+    assert found.model_dump(exclude_none=True) == pytest.approx(expected, rel=1e-15)
+    assert parse(found) is found
+    assert parse({"at_most": 1.0}) == {"at_most": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("limits", "holds", "not_holds", "margins"),
+    [
+        ({"expected": 2.0, "tolerance": 0.5}, (1.5, 2.0, 2.5), (1.4375, 2.5625, NAN, INF, -INF), {2.0: NAN}),
+        ({"expected": 2.0}, (2.0,), (1.9375, 2.0625), {}),
+        ({"at_most": 3.0}, (3.0, -9.0), (3.0625, INF, -INF, NAN), {1.0: 2.0, 4.0: -1.0}),
+        ({"at_least": 3.0}, (3.0, 9.0), (2.9375, INF, NAN), {1.0: -2.0, 4.0: 1.0}),
+        ({"at_least": 1.0, "at_most": 3.0}, (1.0, 3.0), (0.9375, 3.0625), {1.5: 0.5, 2.75: 0.25, 0.0: -1.0, 5.0: -2.0}),
+        ({}, (0.0, 1e300), (NAN, INF), {0.0: NAN}),
+    ],
+)
+def test_limits_hold_to_their_edges_and_margins_count_from_bounds(limits, holds, not_holds, margins):
+    one = Expectation(**limits)
+    assert [one.holds(x) for x in (*holds, *not_holds)] == [True] * len(holds) + [False] * len(not_holds)
+    assert {x: one.margin(x) for x in margins} == pytest.approx(margins, nan_ok=True)
+
+
+def claim(verdict="reproduced", reason="so it is", where="Table 1", **given):
+    return Claim(verdict=verdict, reason=reason, where=where, **given)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"published": 2.0}, ""),
+        ({"published": 2.0, "reason": ""}, ""),
+        ({"published": 2.0, "reason": "", "verdict": "refuted"}, "the verdict refuted needs a reason"),
+        ({"published": 2.0, "where": ""}, "at least 1 character"),
+        ({}, "expected a published number, or below, above or equals"),
+        ({"text": "it is fast"}, "expected a published number, or below, above or equals"),
+        ({"text": "it is fast", "verdict": "not_checkable"}, ""),
+        ({"verdict": "not_checkable"}, "a claim without a published number needs its text"),
+        ({"below": 1.0}, "a claim without a published number needs its text"),
+        ({"below": 1.0, "text": "it is fast"}, ""),
+        ({"below": 1.0, "published": 2.0}, "published and below: expected one of them"),
+        ({"above": 1.0, "equals": 3.0, "published": 2.0}, "published and above: expected one of them"),
+        ({"published": 0.0}, "a published value of 0 needs a tolerance"),
+        ({"published": 0.0, "tolerance": 0.0}, ""),
+        ({"published": 0.0, "verdict": "not_checkable"}, ""),
+        ({"published": 1.0, "tolerance": -0.1}, "a tolerance is not negative"),
+        ({"published": 1.0, "tolerance": "2"}, "expected a number or a percentage such as '2 %'"),
+        ({"published": 1.0, "tolerance": " 2e0% "}, ""),
+        ({"published": 1.0, "verdict": "seen"}, "Input should be 'reproduced', 'fitted'"),
+    ],
+)
+def test_a_claim_is_whole_or_refused(given, said):
+    if not said:
+        assert claim(**given)
+        return
+    with pytest.raises(ValidationError) as refused:
+        claim(**given)
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "others", "agrees", "not_agrees", "asked"),
+    [
+        ({"published": 2.0}, {}, (1.9, 2.1), (1.899, 2.101, NAN, INF), "2 ± 0.1 (5 %)"),
+        ({"published": -0.607, "tolerance": "10 %"}, {}, (-0.6677, -0.5463), (-0.668, 0.607), "-0.607 ± 0.0607 (10 %)"),
+        ({"published": 0.607, "tolerance": "2.5%"}, {}, (0.607, 0.5919), (0.5918,), "0.607 ± 0.0152 (2.5 %)"),
+        ({"published": 2.0, "tolerance": 0.5}, {}, (1.5, 2.5), (1.4999, 2.5001), "2 ± 0.5"),
+        ({"published": 2.0, "tolerance": 1}, {}, (1.0, 3.0), (0.999,), "2 ± 1"),
+        ({"published": 0.0, "tolerance": 0.0}, {}, (0.0,), (1e-12,), "0 ± 0"),
+        ({"below": 3.0}, {"below": 3.0}, (2.9999,), (3.0, 3.1, NAN), "below 3"),
+        ({"above": "a.b"}, {"above": 0.69}, (0.7, INF), (0.69, 0.6), "above a.b = 0.69 here"),
+        ({"above": "a.b"}, {"above": INF}, (), (1e300,), "above a.b = never here"),
+        ({"above": "a.b"}, {"above": None}, (), (), "above a.b = ? here"),
+        ({"equals": "b", "tolerance": 0.5}, {"equals": 4.0}, (3.5, 4.5), (3.4,), "equals b = 4 ± 0.5 here"),
+        ({"equals": 4.0}, {"equals": 4.0}, (3.8, 4.2), (3.79,), "equals 4 ± 0.2 (5 %)"),
+        ({"below": 3.0, "above": 1.0}, {"below": 3.0, "above": 1.0}, (2.0,), (1.0, 3.0), "below 3, above 1"),
+    ],
+)
+def test_what_agrees_with_a_claim(given, others, agrees, not_agrees, asked):
+    one = claim(text="it is", **given)
+    assert one.asks(others) == asked
+    assert [one.agrees(x, others) for x in (*agrees, *not_agrees)] == [True] * len(agrees) + [False] * len(not_agrees)
+    assert one.compared() == {k: v for k, v in given.items() if k in ("below", "above", "equals")}
+    assert one.references() == [v for k, v in given.items() if isinstance(v, str) and k != "tolerance"]
+
+
+def test_a_claim_agrees_at_the_edge_of_its_tolerance_but_for_rounding():
+    one = claim(published=0.3, tolerance=0.1)  # 0.3 - 0.1 is not the double of 0.2
+    assert one.agrees(0.2)
+    assert one.agrees(0.4)
+    assert not one.agrees(0.3 - 0.1 * (1.0 + 2e-9))
+    assert one.agrees(0.3 - 0.1 * (1.0 + 0.9e-9))
+
+
+def test_verdicts_and_words():
+    held = {
+        v: [claim(v, published=1.0).holds(agrees) for agrees in (True, False)]
+        for v in ("reproduced", "fitted", "corrected", "refuted", "not_checkable")
+    }
+    assert held == {
+        "reproduced": [True, False],
+        "fitted": [True, False],
+        "corrected": [True, False],
+        "refuted": [False, True],
+        "not_checkable": [True, True],
+    }
+    assert [spoken(x) for x in (INF, -INF, 0.1234567, 3.0)] == ["never", "-inf", "0.123457", "3"]
+
+
+@pytest.mark.parametrize(
+    ("edge", "pairs"),
+    [
+        ("", {(0.5, 0.0): -INF, (0.51, 0.0): INF, (1.0, NAN): INF, (0.0, NAN): -INF, (NAN, 1.0): NAN}),
+        ("rising", {(1.0, 0.9): INF, (1.0, 1.0): -INF, (0.9, 1.0): -INF, (1.0, NAN): NAN, (NAN, 1.0): NAN}),
+        ("falling", {(1.0, 0.9): -INF, (1.0, 1.0): -INF, (0.9, 1.0): INF, (0.0, NAN): NAN, (NAN, 1.0): NAN}),
+        ("changed", {(1.0, 0.9): INF, (1.0, 1.0): -INF, (0.9, 1.0): INF, (0.0, NAN): NAN, (NAN, 1.0): NAN}),
+    ],
+)
+def test_conditions_decide_and_are_undefined_where_what_they_ask_of_is_no_number(edge, pairs):
+    found = {pair: float(truth(Condition("x", edge), *pair)) for pair in pairs}
+    assert found == pytest.approx(pairs, nan_ok=True)
+    assert Condition("x", edge).variable == f"_{edge or 'true'}__x"

@@ -1,0 +1,176 @@
+"""Operating points by their rule: Newton's steps in plain loops; who counts as a state; what is told of none."""
+
+import math
+
+import numpy as np
+import pytest
+from softrig_core import Block, NoOperatingPoint, Plant, Rig, RunError, ScenarioError, number, steady
+from softrig_core.analysis.steady import _core, _go, _least_squares
+
+
+class Curve(Plant):
+    """x+ = x + f(x) + u, and what it has gone through; its law only hears it."""
+
+    INPUTS = (number("u", "law/u", "m"),)
+    OUTPUTS = (number("y", "plant/y", "m"), number("way", "plant/way", "m s"))
+
+    def first(self):
+        return 1.0, 0.0
+
+    def outputs(self, x, t):
+        return {"y": (x[0],), "way": (x[1],)}
+
+    def advance(self, x, t, u):
+        return x[0] + self.f(x[0]) + u[0], x[1] + x[0]
+
+    @staticmethod
+    def f(x):
+        return 0.05 * (2.0 - x * x)
+
+
+class Quiet(Block):
+    """Says a tenth of nothing."""
+
+    INPUTS = (number("y", "plant/y", "m"),)
+    OUTPUTS = (number("u", "law/u", "m"),)
+    gain = 0.0
+
+    def update(self, x, t, y):
+        return x, {"u": (self.gain * y[0],)}
+
+
+def rig_of_curve(f, gain=0.0):
+    return Rig.from_blocks(
+        {"plant": type("Curve", (Curve,), {"f": staticmethod(f)})(), "law": type("Quiet", (Quiet,), {"gain": gain})()},
+        duration=0.1,
+    )
+
+
+def by_newton(f, slope, x, size):
+    """Steps until one and the move are within a billionth of the size."""
+    for steps in range(25):
+        step = -f(x) / slope(x)
+        if abs(step) <= 1e-9 * size and abs(f(x)) <= 1e-9 * size:
+            return x, steps
+        x += step
+    return x, 25
+
+
+@pytest.mark.parametrize("at", [0.0, 0.05, None])
+def test_the_point_is_where_newtons_method_ends(at):
+    point = steady(rig_of_curve(Curve.f), at=at)
+    x = 1.0
+    ticks = round((0.1 if at is None else at) / point.period)
+    for _ in range(ticks):
+        x += Curve.f(x)
+    root, steps = by_newton(Curve.f, lambda x: -0.1 * x, x, max(1.0, x))
+    assert root == pytest.approx(math.sqrt(2.0), rel=1e-9)
+    assert (point.at, point.steps) == (pytest.approx(ticks * point.period), steps)
+    assert point.states["plant[0]"] == pytest.approx(root, rel=1e-9)
+    assert point.signals["plant/y/data"] == pytest.approx(root, rel=1e-9)
+    assert point.units == {"plant/y/data": "m", "plant/way/data": "m s", "law/u/data": "m"}
+    assert point.slowest == pytest.approx(1.0 - 0.1 * root, rel=1e-7)
+    assert point.stable
+    assert point.moved <= 1e-9
+    assert point.drifting == {"plant[1]": pytest.approx(root / point.period, rel=1e-9)}  # what adds up goes on
+
+
+def test_an_unstable_point_is_told_as_one():
+    """x+ = 1.2 x - 0.22: rests at 1.1, where nothing stays."""
+    point = steady(rig_of_curve(lambda x: 0.2 * (x - 1.1) if abs(x) < 50.0 else 0.0), at=0.0)
+    assert (point.states["plant[0]"], point.slowest, point.stable) == (pytest.approx(1.1), pytest.approx(1.2), False)
+    held = steady(rig_of_curve(lambda x: 0.2 * (x - 1.1), -0.4), at=0.0)  # the law holds it: x+ = 0.8 x - 0.22
+    assert (held.states["plant[0]"], held.slowest) == (pytest.approx(-1.1), pytest.approx(0.8))
+    assert held.signals["law/u/data"] == pytest.approx(0.44)
+
+
+def test_where_newtons_method_ends_nowhere_it_is_told_with_the_state_that_moves_most():
+    with pytest.raises(NoOperatingPoint) as refused:
+        steady(rig_of_curve(lambda x: 0.05 * (2.0 + x * x) if abs(x) < 1e3 else 0.0), at=0.0)
+    told = str(refused.value)
+    assert "no operating point near t = 0 s: Newton's method ends nowhere; plant[0] = " in told
+    assert told.endswith(" within 2 s")
+
+
+def test_what_cannot_be_asked():
+    rig = rig_of_curve(Curve.f)
+    for at in (-0.1, math.inf, math.nan):
+        with pytest.raises(ScenarioError, match=r"^at = .* s: expected 0 or more$"):
+            steady(rig, at=at)
+    with pytest.raises(ScenarioError, match="no plant says anything at each of its ticks; name outputs"):
+        steady(rig, at=0.0, outputs=[])
+    assert steady(rig, at=0.0, outputs=["plant/y/data"]).states.keys() == {"plant[0]"}
+
+
+def who_moves(A, heard):
+    """Take away one state after the other that nobody hears of, that forgets or adds up, and moves no other."""
+    n, left = len(A), set(range(len(A)))
+    while True:
+        gone = [j for j in left if not heard[j] and A[j, j] in (0.0, 1.0) and not any(A[i, j] for i in left if i != j)]
+        if not gone:
+            return [j in left for j in range(n)]
+        left -= set(gone)
+
+
+def test_states_that_only_tell_of_others_are_none():
+    rng = np.random.default_rng(4)
+    told = 0
+    for _ in range(60):
+        n = int(rng.integers(1, 7))
+        A = rng.uniform(-1.0, 1.0, (n, n)) * (rng.random((n, n)) < 0.25)
+        np.fill_diagonal(A, rng.choice([0.0, 1.0, 0.5], n))
+        heard = rng.random(n) < 0.2
+        expected = who_moves(A, heard)
+        assert _core(A, heard).tolist() == expected
+        told += 0 < sum(expected) < n
+    assert told > 20
+    near = np.array([[1.0 + 0.9e-9, 0.0], [0.0, 1.0 + 2e-9]])
+    assert _core(near, np.array([False, False])).tolist() == [False, True]
+
+
+def test_a_step_is_the_shortest_in_the_sizes_of_the_states_that_comes_nearest():
+    rng = np.random.default_rng(5)
+    for rank in (3, 2, 1):
+        sizes = rng.uniform(0.1, 10.0, 3)
+        half = rng.normal(size=(3, rank))
+        A, move = np.eye(3) - half @ rng.normal(size=(rank, 3)), rng.normal(size=3)
+        scale = np.diag(sizes)
+        expected = scale @ np.linalg.pinv(np.linalg.inv(scale) @ (np.eye(3) - A) @ scale, rcond=1e-11) @ (move / sizes)
+        assert _least_squares(A, move, sizes) == pytest.approx(expected, rel=1e-7)
+
+
+class Fenced:
+    """A map that breaks where its first number is beyond a fence."""
+
+    t, names = 2.5, ["a", "b"]
+
+    class rig:  # noqa: N801
+        class scenario:  # noqa: N801
+            name = "fenced"
+
+    def __init__(self, fence):
+        self.fence, self.start, self.asked = fence, np.array([1.0, 7.0]), []
+
+    def __call__(self, x, given):
+        self.asked.append(x[0])
+        if x[0] > self.fence:
+            raise RunError("beyond")
+        return x, {}
+
+
+@pytest.mark.parametrize(("fence", "halved"), [(2.0, 0), (1.9, 1), (1.25, 2), (1.0 + 2.0**-7, 7)])
+def test_a_step_is_halved_until_the_rig_goes_along(fence, halved):
+    fenced = Fenced(fence)
+    _go(fenced, [0], np.array([1.0]))
+    assert fenced.asked == [1.0 + 0.5**k for k in range(halved + 1)]
+    assert fenced.start.tolist() == [1.0 + 0.5**halved, 7.0]
+
+
+def test_a_step_that_goes_nowhere_is_told():
+    fenced = Fenced(1.0)
+    with pytest.raises(
+        NoOperatingPoint, match=r"^fenced: no operating point near t = 2\.5 s: the way there leaves the l"
+    ):
+        _go(fenced, [0], np.array([1.0]))
+    assert fenced.asked == [1.0 + 0.5**k for k in range(8)]
+    assert fenced.start.tolist() == [1.0, 7.0]
