@@ -413,7 +413,7 @@ def test_an_input_of_many_numbers_is_an_array(size: int, refused: bool) -> None:
             return x, {}
 
     found = lines_of(rig_text, stepped({"many": Many(), "reads": Reads()}), [])
-    assert (found == ["reads: many has 65 numbers, expected at most 64"]) == refused
+    assert ("expected at most 64" in found[0]) == refused
 
 
 def watching(blocks: dict[str, Any], at_once: bool) -> type[Observer[Params]]:
