@@ -357,6 +357,32 @@ def test_the_newest_value_holds_from_the_tick_at_which_it_came_and_is_recorded_t
     assert reader.notes == [("WARN", "lost y", "2 messages of another node are lost")]
 
 
+def test_numbers_tell_what_is_lost_and_what_is_repeated_and_begin_anew_with_a_bag_that_is_played_again():
+    reader = Reader()
+    row = reader.row(array("x", "x", {"q": 1}, "m", held=True))
+    for k, (told, new, lost) in enumerate(
+        [
+            (5, True, 0),
+            (6, True, 0),
+            (6, False, 0),
+            (9, True, 2),
+            (3, False, 2),
+            (0, True, 2),
+            (0, False, 2),
+            (5, True, 6),
+            (-1, True, 6),
+            (2, True, 6),
+            (3, True, 6),
+            (0, True, 6),
+            (1, True, 6),
+            (0, True, 6),
+        ]
+    ):
+        assert row.in_order(told) is new, k
+        assert row.lost == lost
+    assert [text.split(",")[0] for _, text in reader.refusals] == [f"number {n} from another node" for n in (6, 3, 0)]
+
+
 def test_what_comes_from_outside_is_recorded_at_the_tick_that_uses_it():
     reader = Reader(inputs={"x": link()})
     reader.foreign = {"x": 2}
