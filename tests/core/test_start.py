@@ -89,6 +89,10 @@ def test_a_node_begins_when_all_that_it_reads_are_said_and_all_who_read_it_hear_
     gone.x.matched(0)
     gone.x.heard = True  # who has said all it had to say is gone
     assert gone.absent() == []
+    nobody = Meeting([])
+    nobody.x.matched(1)
+    nobody.hand.readers["/y"] = {"tool": JOINT}
+    assert nobody.absent() == []  # nobody is awaited
     local = Meeting(["law", "here"], local=["here"]).whole(law=JOINT, here=JOINT)
     local.y.matched(1)
     assert local.absent() == []
