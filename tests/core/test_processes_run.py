@@ -2,6 +2,8 @@
 
 import os
 import signal
+import struct
+import time
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -194,6 +196,42 @@ def test_room_in_shared_memory_is_enough_to_the_byte(tmp_path, monkeypatch):
         (tmp_path / name).touch()
     assert shared_memory.numbers(tmp_path) == {7411, 12}
     assert shared_memory.numbers(tmp_path / "none") == set()
+
+
+def port_of_fast_dds(at, number=7411, limit=20_000, third=6_666, ago=0.0, size=None):
+    """The bytes of a port in shared memory that is described at a place: when it was judged last, its number, limits."""
+    last = round((time.time() - ago) * 1e3)
+    described = struct.pack("=qIIIIIII", last, 1, 2, 3, number, 5, limit, third)
+    return (bytes(at) + described + bytes(40))[: at + 36 if size is None else size]
+
+
+def test_where_a_port_keeps_the_time_of_its_last_look_is_found_or_nothing_is_written(tmp_path, monkeypatch):
+    path = tmp_path / "fastrtps_port7411"
+    for segment, place in (
+        (port_of_fast_dds(0), 0),
+        (port_of_fast_dds(16), 16),
+        (port_of_fast_dds(12), -1),  # not aligned
+        (port_of_fast_dds(8, number=7412), -1),
+        (port_of_fast_dds(8, third=6_667), -1),
+        (port_of_fast_dds(8, limit=0, third=0), -1),
+        (port_of_fast_dds(8, ago=2e9), -1),  # no time of ours
+        (port_of_fast_dds(8, ago=-2e9), -1),
+        (port_of_fast_dds(8, size=43), -1),  # cut
+        (struct.pack("=I", 7411) + port_of_fast_dds(12), 16),  # the number stands elsewhere, too
+    ):
+        assert shared_memory._judged(segment, path) == place
+        path.write_bytes(segment)
+        ears = shared_memory.Ears()
+        ears._good = {path: path.stat().st_ino}
+        before = path.read_bytes()
+        ears._judge()
+        after = path.read_bytes()
+        changed = [k for k, (a, b) in enumerate(zip(before, after, strict=True)) if a != b]
+        if place >= 0:
+            assert abs(struct.unpack_from("=q", after, place)[0] / 1e3 - time.time()) < 100.0
+            assert all(place <= k < place + 8 for k in changed)
+        else:
+            assert changed == []
 
 
 def test_leftovers_go_in_the_domain_that_nobody_is_in_and_its_locks_are_of_the_user_alone(tmp_path, monkeypatch):

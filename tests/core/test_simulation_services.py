@@ -54,6 +54,7 @@ class Caller:
         response = answer(SimpleNamespace(**request), message() if response is None else response)
         before = len(self.late)
         service.send_response(response, header)
+        assert [said for _, said in self.late[before:]] in ([], [response])
         return response if len(self.late) > before else None
 
     def state(self):
