@@ -719,6 +719,17 @@ def test_a_law_waits_for_what_a_sender_that_may_be_silent_says_of_its_ticks():
     assert answered()[-1] == 50
 
 
+def test_a_message_of_who_may_be_silent_serves_before_its_tick_is_acknowledged_and_until_the_next():
+    links = {"base": "0.01", "inputs": {"a": linked(), "b": linked("0.02", sporadic=True, told=True)}}
+    node = Node(Law(), links, epoch=START).join()
+    node.hear("b", START, 7.0, at=START + MS)
+    for k in range(3):
+        node.hear("a", START + k * 10 * MS, 1.0)
+    assert [(t // MS, b) for t, _, b, *_ in SEEN] == [(0, 7.0), (10, 7.0)]
+    node.hand.heard["/other/tick"](TickWriter()(START + 20 * MS, []))
+    assert SEEN[-1] == (20 * MS, 1.0, 7.0, None, 0)
+
+
 # ---- the clock of a rig that a person holds ----
 
 

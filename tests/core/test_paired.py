@@ -855,6 +855,10 @@ def test_a_sender_that_has_answered_a_tick_and_recorded_nothing_was_silent_at_it
         reader, rows, _, seen, *_ = comes_back(record, answered=answered, inputs=kinds, ports=ports)
         assert [k for k, *_ in seen] == ([] if last is None else [*range(last + 1)])
         assert rows["s"].reached == (-10 * MS if last is None else 0)
+    fresh, rows, *_ = comes_back({}, inputs=kinds, ports=ports)  # nobody has said anything yet
+    rows["x"].receive(said(rows["x"].port, 0, 3.0))
+    rows["s"].receive(said(rows["s"].port, 0, 4.0))
+    assert (fresh.table.missing, fresh.values["x"], fresh.values["s"]) == (0, (3.0,), (4.0,))
     ended = comes_back(
         record, answered={"quiet": math.inf, "sender": math.inf}, inputs=kinds, ports=ports, gone={"quiet"}
     )

@@ -729,6 +729,18 @@ def test_an_answer_of_the_server_is_that_to_the_newest_question_and_who_has_died
     assert server.status(5) == -9
 
 
+def test_a_server_that_cannot_is_replaced_once_and_then_the_executable_starts_by_itself(monkeypatch):
+    asked = []
+    for answers, started in (([5], 5), ([None, 6], 6), ([None, None, 7], None)):
+        given = iter(answers)
+        server = SimpleNamespace(start=lambda *what, given=given: asked.append(what) or next(given))
+        monkeypatch.setattr(fork_server, "prepare", lambda variables, server=server: server)
+        monkeypatch.setattr(fork_server, "_server", "old")
+        assert fork_server.start_node("p", "e", ["c"], {"A": "1"}, 2) == started
+        assert fork_server._server == ("old" if started == 5 else None)
+    assert asked == [("p", "e", ["c"], {"A": "1"}, 2)] * 5
+
+
 def test_a_module_that_is_edited_is_seen_once(tmp_path, monkeypatch):
     file = tmp_path / "edited.py"
     file.write_text("")
