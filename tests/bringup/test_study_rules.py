@@ -121,7 +121,7 @@ PARAMETERS = {"a.x": {"uniform": [0.0, 4.0]}, "a.l": {"log_uniform": [0.1, 10.0]
 @pytest.mark.parametrize("sampler", ["tpe", "random"])
 @pytest.mark.parametrize("aim", ["minimise", "maximise"])
 def test_a_search_asks_and_tells_as_optuna_is_told_by_hand(sampler, aim):
-    """Batches of three, two seeds each, their mean told; a figure that is lacking is the worst, a limit a constraint."""
+    """Batches of three, two seeds each, their mean told; a figure that is lacking is the worst."""
     given = study(
         search={"figure": "f", "count": 14, "batch": 3, "seed": 2, "sampler": sampler, "aim": aim,
                 "parameters": PARAMETERS, "subject_to": {"g": "at most 2"}}, seeds=[4, 6], figures=["h"],
