@@ -10,12 +10,14 @@ import optuna
 import pytest
 from scipy import stats
 from softrig_bringup.cli import make_parser
+from softrig_bringup.page.html import page as make_page
 from softrig_bringup.study import engine, options, page, pictures, table, work
 from softrig_bringup.study.batch import Batch, Log, _row
 from softrig_bringup.study.definition import Distribution, make_study
 from softrig_bringup.study.draw import Case, _values, cases, count, draw, size
 from softrig_core import RunError, ScenarioError
 from softrig_core.judge.expectation import Expectation
+from told import page_lines
 
 X = "lag/state/x/position"
 
@@ -485,6 +487,62 @@ def test_in_parallel_coordinates_the_best_is_drawn_last():
         assert ax.lines[-1].get_ydata() == pytest.approx(last)  # of equals the first
         assert [line.get_alpha() for line in ax.lines] == pytest.approx([0.2, 0.4, 0.6, 0.8])
         assert [t.get_text() for t in ax.get_xticklabels()] == ["x\n0 to 1", "f\n1 to 3"]
+
+
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_bands_are_of_six_groups_at_most_each_of_runs_that_went_as_far(seeds):
+    """One of the seeds broke off before its first sample, another one half the way."""
+    given = study(cases={name: {} for name in "abcdefg"}, signals=["s"], samples=5, seeds=seeds)
+    rows = [row(case=name, seed=k) | {"signals": {"s": {"end": 2.0, "x": [k + 1.0 * j for j in range(5)]}}}
+            for name in "abcdefg" for k in range(seeds)]  # fmt: skip
+    rows += [row(case="a") | {"signals": {"s": kept}} for kept in ({"end": 0.0, "x": []}, {"end": 1.0, "x": [1.0]})]
+    rows.append(row(case="b"))
+    ((title, figure),) = pictures._bands(given, rows, {"s": "V"})
+    (ax,) = figure.axes
+    more = ": median of 3, 10 % to 90 %" if seeds > 1 else ""
+    assert title == "Signal s"
+    assert [line.get_label() for line in ax.lines] == [f"{name}{more}" for name in "abcdef"]
+    assert ax.lines[0].get_xydata().tolist() == [[0.5 * j, (1.0 if seeds > 1 else 0.0) + j] for j in range(5)]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Time, s", "Voltage, V")
+    areas = [part.get_paths()[0].get_extents().extents for part in ax.collections]
+    assert len(areas) == (6 if seeds > 1 else 0)
+    assert all(area == pytest.approx((0.0, 0.2, 2.0, 5.8)) for area in areas)  # a tenth of the way from the least
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """The lines of a page of some rows."""
+    monkeypatch.setattr(page, "load_scenario", lambda name: SimpleNamespace(cites=()))
+
+    def lines(rows, held=(), **keys):
+        body = page._page(study(**keys), rows, [], held, [], {"f": "s"})
+        return [line.strip() for line in page_lines(make_page("t", body))]
+
+    return lines
+
+
+@pytest.mark.parametrize("verdict", ["reproduced", "not_checkable"])
+def test_a_verdict_is_words_or_a_mark_where_it_does_not_hold(told, verdict):
+    about = {"text": "It does.", "where": "Table I", "published": 2.0, "asked": "within 5 %", "measured_text": "2.1",
+             "verdict": verdict, "reason": "so"}  # fmt: skip
+    for holds, word in ((True, verdict.replace("_", " ")), (False, f"✗ {verdict}: not borne out")):
+        lines = told([], [SimpleNamespace(holds=holds, **about)])
+        assert any(word in line for line in lines)
+        assert sum("✗" in line for line in lines) == (not holds)
+
+
+@pytest.mark.parametrize("most", [2, 3])
+def test_a_page_has_the_first_runs_and_says_so(told, monkeypatch, most):
+    monkeypatch.setattr(page, "LONGEST", most)
+    lines = told([row(k, figures={"f": 1.0 * k}) for k in range(3)])
+    assert sum(line.startswith(tuple(f"tr: {k} |" for k in range(3))) for line in lines) == most
+    note = "table.parquet and table.csv have every run with the command that repeats it."
+    assert f"p.note: {'The first 2 of 3 runs. ' if most == 2 else ''}{note}" in lines
+    heads = next(line for line in lines if line.startswith("tr: Run"))
+    assert heads.split(" | ")[-1].endswith("f (s)")
+    broken = told([row(0, figures={"f": 1.0}), row(1, error="gone")])
+    assert next(line for line in broken if line.startswith("tr: Run")).endswith("| Broke")
+    assert any(line.endswith("| gone") for line in broken)
 
 
 # the command line ------------------------------------------------------------------------------------------------
