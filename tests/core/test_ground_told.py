@@ -8,6 +8,7 @@ import importlib.metadata
 import json
 import math
 import os
+import signal
 import struct
 import sys
 from pathlib import Path
@@ -18,6 +19,7 @@ from softrig_core import Block, BlockParams, Plant, Rig, RunError, ScenarioError
 from softrig_core.block.params import declarations
 from softrig_core.command_line import Number, Parser, named, without_ros
 from softrig_core.guard import guarded, naming, plain, quietly, say
+from softrig_core.interrupt import Interrupt
 from softrig_core.rig import code
 from softrig_core.rig.agreement import agreeing, assumptions, require_agreement, spoken
 from softrig_core.rig.members import signal_units
@@ -447,3 +449,34 @@ def test_streams_words_and_silence(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
     assert guard.keep_traceback().startswith("no file: ")
     assert json.dumps(guard.LINE) == "1000"
+
+
+def test_who_asks_three_times_for_the_end_gets_it(monkeypatch):
+    """At once while nothing has been done yet; while something may take long, by what ends it."""
+    asked = []
+
+    def leave(status):
+        raise SystemExit(status)
+
+    monkeypatch.setattr("softrig_core.interrupt.os._exit", leave)
+    handler = Interrupt()
+    with pytest.raises(SystemExit) as ended:
+        handler(2, None)
+    assert ended.value.code == 0
+    handler = Interrupt()
+    handler.early = False
+    with handler.leaving(lambda: asked.append("leave")):
+        handler(2, None)
+    handler(2, None)
+    assert asked == ["leave"]
+    with pytest.raises(SystemExit) as ended, handler.leaving(lambda: asked.append("leave")):
+        handler(15, None)
+    assert (ended.value.code, asked) == (128 + 15, ["leave"])
+    installed = []
+    monkeypatch.setattr("softrig_core.interrupt.signal.signal", lambda number, what: installed.append((number, what)))
+    monkeypatch.delenv("SOFTRIG_PARENT", raising=False)
+    for current, takes in ((signal.default_int_handler, True), (handler, False), (signal.SIG_IGN, False)):
+        monkeypatch.setattr("softrig_core.interrupt.signal.getsignal", lambda number, current=current: current)
+        installed.clear()
+        handler.install()
+        assert installed == [(signal.SIGINT, handler)] * takes
