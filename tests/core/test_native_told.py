@@ -148,7 +148,7 @@ class Owner(Base):
         self.newest(0.5)
         self.view, self.ages = MappingProxyType({"one": 1.0}), {"near": 0, "far": 7_000_000_000}.get
         self.laws = (self.half, self.gainful.own)
-        self.edge, self.beyond = 4096, 4097
+        self.edge, self.beyond, self.low = 4096, 4097, "low"
         self.sixteen, self.seventeen = [0.5] * 16, [0.5] * 16 + [1]
 
     def third(self, k: int) -> float:
@@ -512,6 +512,9 @@ CASES = {
         (p, i)[2]
         (p, i)[-2]
         (p, i)[-3]
+        (p, q, r, i, j)[self.count]
+        e[self.whole[0]]
+        m[self.low]
         e[0] + e[-1]
         e[3]
         e[-3]
