@@ -17,6 +17,7 @@ from softrig_core.kit import dde, draws, history
 from softrig_core.kit.dense import norm, product, solve, times, total, turn
 from softrig_core.kit.draws import KEPT, SIZE, Draws, Stream
 from softrig_core.kit.floats import leaves, numbers, others, put, read, split
+from softrig_core.kit.jit import our_numba
 from softrig_core.kit.newest import Newest
 from softrig_core.kit.resource import prefixes, resource
 from softrig_core.timebase import Pace
@@ -475,3 +476,27 @@ def test_a_pace_at_its_edges():
     pace.change(2.0, 7.0)
     assert (pace.reach(8.0, 0), pace.reach(8.1, 0)) == (None, 200_000_000)
     assert (to_ns(1.5), to_ns(0.1 + 0.2), to_s(1_500_000_000), to_ns(-2.4e-9)) == (1_500_000_000, 300_000_000, 1.5, -2)
+
+
+class Absent:
+    """Finds no numba."""
+
+    def find_spec(self, name, path=None, target=None):
+        """Refuse it."""
+        if name == "numba":
+            raise ImportError(name)
+
+
+def test_numba_is_loaded_without_vectors_that_give_other_bits(monkeypatch):
+    """What is set already stays; where numba is loaded it is too late to say so."""
+    monkeypatch.setattr(sys, "meta_path", [Absent(), *sys.meta_path])
+    said = "NUMBA_DISABLE_INTEL_SVML"
+    for loaded, before, after in ((False, None, "1"), (False, "0", "0"), (True, None, None)):
+        monkeypatch.delitem(sys.modules, "numba", raising=False)
+        if loaded:
+            monkeypatch.setitem(sys.modules, "numba", None)
+        monkeypatch.setenv(said, before or "")
+        if before is None:
+            monkeypatch.delenv(said)
+        assert our_numba.__wrapped__() is None
+        assert os.environ.get(said) == after

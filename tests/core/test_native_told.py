@@ -270,6 +270,7 @@ def in_code(value: Any, writer: Writer) -> str:
     if isinstance(value, Record):
         return f"{{{'; '.join(f'{k}: {in_code(v, writer)}' for k, v in value.items.items())}}}"
     kind = "of unknown type" if value.sample is UNKNOWN else repr(value.sample).replace("\n", "")
+    kind = re.sub(r"\d+\.\d{7,}", lambda found: f"{float(found[0]):.9g}", kind)  # last digits differ between CPUs
     keys = f", by {', '.join(value.keys)}" if value.keys else ""
     inside = f", inside {tuple(p.keys for p in value.parts)}" if value.parts else ""
     return f"{value.code}: {kind}{keys}{inside}{'' if is_sure(value) else ', or else'}"
