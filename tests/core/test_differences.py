@@ -174,8 +174,8 @@ def test_states_are_moved_off_in_turn_of_sign_to_see_whether_they_stay_linear():
 
 
 def test_what_rests_at_zero_gets_the_size_by_which_others_move_it():
-    """The second is moved by 16 times the first, of size 8; the third by a 64th of the second, its own is enough."""
-    A = np.array([[0.5, 0.0, 0.0], [16.0, 0.0, 0.0], [0.0, 1.0 / 64.0, 0.0]])
+    """The second is moved by 16 times the first, of size 8; the third as the second: a 64th of that is just enough."""
+    A = np.array([[0.5, 0.0, 0.0], [16.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     m = Map(lambda s, v, w: A @ s, lambda s, v, w: [s.sum()], [8.0, 0.0, 0.0], [8.0, 0.0, 2.0], [True, False, False])
     found = Differences(m, ["plant/y"], [], "")
     assert found.view().A.tolist() == A.tolist()
@@ -204,6 +204,9 @@ def test_something_that_is_no_float_and_goes_along_is_told():
     m = Map(lambda s, v, w: s * 0.5, lambda s, v, w: [s[0]], [1.0], [1.0], [True])
     m.others = lambda: [("plant.n", len(m.asked))]
     told = r"^made: plant\.n goes along with plant\.x\[0\] at 1\.5 s, however little that is moved, and is no float"
+    with pytest.raises(RunError, match=told):
+        Differences(m, ["plant/y"], [], "").view()
+    m.others = lambda: [("plant.n", 1)] * (1 + len(m.asked))  # of which there are more then
     with pytest.raises(RunError, match=told):
         Differences(m, ["plant/y"], [], "").view()
     m.follows = lambda *_: False  # it does, but nothing follows from it

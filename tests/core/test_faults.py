@@ -66,6 +66,21 @@ def test_each_kind_does_what_it_says(params, expected):
     assert through(RAMP, **params) == expected
 
 
+@pytest.mark.parametrize(
+    "params",
+    [
+        {"kind": "saturate", "value": (2.0,), "lower": (2.0,)},
+        {"kind": "saturate", "value": (0.0,)},
+        {"kind": "noise", "value": (0.0,)},
+        {"start": 1.0, "stop": 1.0 + 1e-9},
+        {"start": 1.0, "stop": 0.0},
+        {"every": 1.0, "lasts": 0.99},
+    ],
+)
+def test_numbers_that_just_make_sense_are_taken(params):
+    assert len(through([1.0], **params)) == 1
+
+
 def test_only_what_it_affects_is_changed():
     two = {"channels": ("a", "b"), "fields": ("position", "velocity"), "kind": "offset"}
     assert through([(1.0, 2.0, 3.0, 4.0)], affects=("b",), value=(10.0,), **two) == [(1.0, 12.0, 3.0, 14.0)]
@@ -124,6 +139,13 @@ def test_when_it_comes_does_not_shift_its_random_numbers():
         ({"affects": ("y",)}, "affects 'y', but the link carries x/position"),
         ({"value": (1.0, 2.0)}, "value has 2 numbers, expected one, or one for each of 1 values"),
         ({"start": 1.0, "stop": 0.5}, "stop = 0.5 s is not after start = 1 s"),
+        ({"start": 1.0, "stop": 1.0}, "stop = 1 s is not after start = 1 s"),
+        ({"every": 1.0, "lasts": 1.0}, "lasts = 1 s: expected more than 0 and less than every = 1 s"),
+        ({"kind": "quantise", "value": (-1.0,)}, "value = -1: expected at least 0 for quantise"),
+        ({"kind": "invalid", "message": "std_msgs/msg/Bool"}, "kind invalid: a std_msgs/msg/Bool is true or false"),
+        ({"message": "std_msgs/msg/Bool", "delayed": True}, "delayed: a std_msgs/msg/Bool has no stamp"),
+        ({"value": ()}, "value has 0 numbers, expected one, or one for each of 1 values"),
+        ({"lower": (0.0, 1.0)}, "lower has 2 numbers, expected one"),
         ({"every": 1.0}, "lasts = 0 s: expected more than 0 and less than every"),
         ({"lasts": 1.0}, "lasts without every"),
         ({"kind": "noise", "value": (-1.0,)}, "expected at least 0 for noise"),
@@ -292,6 +314,12 @@ def test_behind_a_link_of_acquisition_times_the_first_message_is_new_whatever_it
         age[0] = heard
         said.append(fault.update(k * MS, sent=sent, toggle=None).get("arrived"))
     assert said == [None, Sample(0, (5.0,)), None, Sample(4, (6.0,))]
+    about = {"topic_in": "a", "topic_out": "b", "channels": ("x",), "fields": ("position",), "holds": True}
+    for kind, first in (({}, (0.0,)), ({"delayed": True}, Sample(0, (0.0,))), ({"initial": (3.0,)}, (3.0,))):
+        silent = ByHand(Fault(kind="silence", **about, **kind))
+        silent.block.ages = lambda name: 0
+        given = Sample(9, (1.0,)) if "delayed" in kind else (1.0,)
+        assert silent.update(9, sent=given, toggle=None) == {"arrived": first}  # held is what there was before
 
 
 def limits_of(p):
