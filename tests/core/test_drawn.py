@@ -1,4 +1,4 @@
-"""What drawings are made with: rotations by scipy, a camera by its three axes, picked rows, words and arrows by hand."""
+"""What drawings are made with: rotations by scipy, a camera by its axes, picked rows, words and arrows by hand."""
 
 import math
 from itertools import pairwise

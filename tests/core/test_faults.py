@@ -93,6 +93,10 @@ def test_the_switch_turns_it_off_and_on_at_a_press():
     pressed = through([1.0] * 8, kind="offset", value=(1.0,), toggles=(2, 3, 6))
     assert pressed == [2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0]
     assert through([1.0] * 4, kind="offset", active=False, toggles=(2,)) == [1.0, 1.0, 2.0, 2.0]
+    half = ByHand(Fault(topic_in="a", topic_out="b", channels=("x",), fields=("position",)))
+    half.block.ages = lambda name: 0
+    said = [half.update(k, sent=(1.0,), toggle=(x,))["arrived"] for k, x in enumerate((0.5, 0.51, 0.5))]
+    assert said == [(2.0,), (1.0,), (1.0,)]
 
 
 def test_silence_before_it_stays_silence():

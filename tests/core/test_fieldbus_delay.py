@@ -98,7 +98,13 @@ def test_messages_of_several_values_are_the_same_in_one_row():
         line = line.put(*message)
     row = line.native()
     assert row.python() == line
-    for t, since, found in ((5, 0, (0, ())), (10, 0, messages[1][1:]), (25, 0, messages[2][1:]), (25, 3, (3, ()))):
+    for t, since, found in (
+        (5, 0, (0, ())),
+        (10, 0, messages[1][1:]),
+        (25, 0, messages[2][1:]),
+        (25, 3, (3, ())),
+        (30, 3, messages[0][1:]),
+    ):
         left, *said = line.taken(t, since, ())
         native, *same = row.taken(t, since, ())
         assert said == same == [*found]

@@ -344,6 +344,52 @@ def test_a_loop_that_cannot_be_seen_is_told():
         linear_view("dc_motor_smc", at=-1.0)
 
 
+class OneSided(Unstable):
+    """x+ = (x + 1)/2, and less by what comes below -1."""
+
+    def advance(self, x, t, u):
+        return 0.5 * x + 0.5 + min(u[0] + 1.0, 0.0)
+
+
+def test_what_comes_back_one_way_only_is_found_that_way():
+    rig = Rig.from_blocks({"plant": OneSided(), "shift": Shift(), "law": Gain()}, duration=5.0)
+    with pytest.raises(
+        RunError, match=r"^rig: a change of law/u/data by 1 comes back there at 0\.5 s, within 10 periods"
+    ):
+        linear_view(rig, "law/u", at=0.5)
+
+
+class Slow(Block):
+    """Asks for something, which nobody follows at once."""
+
+    OUTPUTS = (number("w", "slow/w", "1"),)
+
+    def update(self, x, t):
+        return x, {"w": (t / 1e9,)}
+
+
+class Heard(Gain):
+    INPUTS = (*Gain.INPUTS, number("w", "slow/w", "1", held=True))
+
+    def update(self, x, t, v, w):
+        return x, {"u": (self.gain * v[0] + (w or (0.0,))[0],)}
+
+
+@pytest.mark.parametrize(("inputs", "periods"), [((), 2), (("slow/w",), 6), (None, 2)])
+def test_the_period_of_the_whole_is_that_of_all_who_count(inputs, periods):
+    """Who is no source, and those sources that something is added to: due again together."""
+    blocks = {
+        "plant": Unstable(period=0.01),
+        "shift": Shift(period=0.02),
+        "law": Heard(period=0.02),
+        "slow": Slow(period=0.03),
+    }
+    view = linear_view(Rig.from_blocks(blocks, duration=1.0), "", at=0.5, inputs=inputs)
+    assert view.period == pytest.approx(0.01 * periods)
+    assert view.inputs == tuple(f"{name}/data" for name in inputs or ())
+    assert view.at == pytest.approx(math.ceil(0.5 / view.period - 1e-9) * view.period)
+
+
 SYSTEMS = {
     "dc_motor_fsfb": "in steps .a quantised sensor",
     "dc_motor_smc": "",
