@@ -8,6 +8,7 @@ from conftest import make_scenario
 from softrig_core import ByHand, RunError, ScenarioError, evaluate, figures_of, rig_of, simulate
 from softrig_core.judge.expectation import Expectation
 from softrig_core.judge.formula import margin_unit, read, variables
+from softrig_core.judge.requirement_entry import Requirement, check_lengths
 from softrig_core.judge.robustness import Record
 from softrig_core.wire.signals import Signal
 
@@ -228,6 +229,29 @@ def test_a_file_whose_requirement_looks_beyond_its_end_is_refused(tmp_path):
     file.write_text(file.read_text().replace("[5, 7]", "[1, 2]").replace("late:", "overshoot:"))
     with pytest.raises(ScenarioError, match="overshoot is the name of a figure, too"):
         load_scenario(str(file))
+
+
+@pytest.mark.parametrize(
+    ("formula", "fits"),
+    [
+        ("always[0, 2] x > 0", True),
+        ("always[0, 2.000001] x > 0", False),
+        ("always[0, 1.5] (eventually[0, 0.5] x > 0)", True),
+        ("always[0, 1.5] (eventually[0, 0.6] x > 0)", False),
+        ("always[2, inf] x > 0", True),
+        ("eventually[2.1, inf] x > 0", False),
+        ("always (x > 0 -> (once[0, 9] x > 0))", True),
+        ("(x > 0) until[0, 2.5] (x < 0)", False),
+        ("always x >", False),
+    ],
+)
+def test_a_requirement_is_as_long_as_its_run_at_most(formula, fits):
+    given = {"it": Requirement(formula=formula)}
+    if fits:
+        check_lengths(2.0, {"x": None}, given)
+        return
+    with pytest.raises(ScenarioError, match=r"^requirement it: "):
+        check_lengths(2.0, {"x": None}, given)
 
 
 def test_edges_and_bare_names_decide_without_being_a_distance():

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from softrig_core import Block, NoOperatingPoint, Plant, Rig, RunError, ScenarioError, number, steady
+from softrig_core import Block, NoOperatingPoint, Plant, Rig, RunError, ScenarioError, linear_view, number, steady
 from softrig_core.analysis.steady import _core, _go, _least_squares
 
 
@@ -82,6 +82,23 @@ def test_an_unstable_point_is_told_as_one():
     held = steady(rig_of_curve(lambda x: 0.2 * (x - 1.1), -0.4), at=0.0)  # the law holds it: x+ = 0.8 x - 0.22
     assert (held.states["plant[0]"], held.slowest) == (pytest.approx(-1.1), pytest.approx(0.8))
     assert held.signals["law/u/data"] == pytest.approx(0.44)
+
+
+class Drawn(Curve):
+    """Rests at twice a number that its seed decides."""
+
+    def advance(self, x, t, u):
+        return 0.5 * x[0] + self.uniform(0), x[1]
+
+
+def test_the_seed_is_that_of_the_rig_or_another():
+    rig = Rig.from_blocks({"plant": Drawn(), "law": Quiet()}, duration=0.1)
+    for seed in (None, 0, 3):
+        block = Drawn(name="plant")
+        block.reset(rig.scenario.seed if seed is None else seed)
+        assert steady(rig, at=0.0, seed=seed).states["plant[0]"] == pytest.approx(2.0 * block.uniform(0), rel=1e-12)
+        view = linear_view(rig, "", at=10.0, seed=seed)
+        assert view.values["plant[0]"] == pytest.approx(2.0 * block.uniform(0), rel=1e-12)
 
 
 def test_where_newtons_method_ends_nowhere_it_is_told_with_the_state_that_moves_most():
