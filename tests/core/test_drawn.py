@@ -2,11 +2,12 @@
 
 import math
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from softrig_core.drawing.base import Quantity, held, readings, tail
+from softrig_core.drawing.base import Drawing, Quantity, held, readings, tail
 from softrig_core.drawing.projection import Camera, plus, times, turned
 from softrig_core.drawing.robot import _limits
 from softrig_core.drawing.scope import _newest, plane, scope
@@ -78,6 +79,46 @@ def test_a_quantity_is_its_value_or_at_rest_and_says_so():
         Quantity("v").said({"v": 0.0}),
     ] == ["1.2 V", "−3.00 V", "0.0 V", "−0.1 V", "−1,234 kV", "– V", "–", "0.0"]
     assert [held(x, 2.0) for x in (-3.0, -2.0, 0.5, 2.0, 9.0)] == [-2.0, -2.0, 0.5, 2.0, 2.0]
+
+
+def test_a_quantity_is_found_at_the_plant_then_at_those_linked_to_it_then_elsewhere():
+    """By the name of the port or the last part of its topic; another plant's are none."""
+
+    def member(name, *outputs, links=(), plant=False):
+        return SimpleNamespace(name=name, outputs=outputs, inputs=(), is_plant=plant, links=dict(enumerate(links)))
+
+    def port(name, topic, *labels):
+        return SimpleNamespace(name=name, topic=topic, labels=labels)
+
+    def link(source):
+        return SimpleNamespace(source=source)
+
+    far = member("far", port("out", "far/speed", "x"), port("far", "far/only", "x"))
+    writes = member("writes", port("out", "writes/speed", "x"))
+    reads = member("reads", port("out", "reads/speed", "x"), port("out", "reads/load", "x"))
+    other = member("other", port("out", "other/speed", "x"), port("out", "other/mass", "x"), plant=True)
+    plant = member("plant", port("state", "plant/state", "x", "y"), links=[link(writes)], plant=True)
+    reads.links = {0: link(plant)}
+    drawing = object.__new__(Drawing)
+    drawing.plant, drawing._found = plant, {}
+    units = ["plant/state/x", "plant/state/y", "far/only/x", *(f"{n}/speed/x" for n in ("far", "writes", "reads"))]
+    drawing._units = dict.fromkeys([*units, "reads/load/x"], "m/s^2")
+
+    def named(members, name, label="x"):
+        drawing.rig = SimpleNamespace(members=members)
+        return drawing.quantity(name, label, 3.0)
+
+    assert named([far, other, plant], "state", "y") == Quantity("plant/state/y", "m/s²", 3.0)
+    assert named([far, other, reads, plant], "speed").name == "reads/speed/x"
+    assert named([far, other, writes, plant], "speed").name == "writes/speed/x"
+    assert named([far, writes, reads, plant], "speed").name == "writes/speed/x"
+    assert named([other, far, plant], "speed").name == "far/speed/x"
+    assert named([far, reads, plant], "out").name == "reads/speed/x"  # by the name of its port
+    assert named([far, reads, plant], "load").name == "reads/load/x"
+    assert named([far, other, plant], "mass") == Quantity("", "", 3.0)
+    assert named([far, plant], "state", "z") == Quantity("", "", 3.0)
+    found = ["plant/state/y", "reads/speed/x", "writes/speed/x", "far/speed/x", "reads/load/x"]
+    assert list(drawing._found) == found
 
 
 def shapes(draw):

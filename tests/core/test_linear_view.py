@@ -28,6 +28,7 @@ from softrig_core import (
     simulate,
     steady,
 )
+from softrig_core.analysis.state_map import StateMap
 from softrig_core.analysis.steady import _move
 from softrig_core.kit.floats import put, read
 from softrig_drives.dc_motor.model import state_space
@@ -388,6 +389,30 @@ def test_the_period_of_the_whole_is_that_of_all_who_count(inputs, periods):
     assert view.period == pytest.approx(0.01 * periods)
     assert view.inputs == tuple(f"{name}/data" for name in inputs or ())
     assert view.at == pytest.approx(math.ceil(0.5 / view.period - 1e-9) * view.period)
+
+
+class Peaks(Unstable):
+    """At 7 after its 51st tick, at -9 after the next; else at 1."""
+
+    def first(self):
+        return 0.0
+
+    def outputs(self, x, t):
+        return {"y": (x,)}
+
+    def advance(self, x, t, u):
+        k = round(t / 1e7) + 1
+        return {51: 7.0, 52: -9.0}.get(k, 1.0)
+
+
+@pytest.mark.parametrize(("at", "size"), [(1.0, 7.0), (0.52, 9.0), (0.51, 7.0), (0.5, 1.0), (0.1, 1.0), (0.0, 0.0)])
+def test_sizes_of_states_are_the_largest_of_twenty_looks_on_the_way(at, size):
+    """Of a hundred ticks the first is looked at, each fifth from there, and the last; of some fifty each second."""
+    rig = Rig.from_blocks({"plant": Peaks(period=0.01), "shift": Shift(period=0.01), "law": Gain(period=0.01)}, 2.0)
+    found = StateMap(rig, at, 0, ["plant/y/data"], [], 5)
+    k = found.names.index("plant")
+    assert (found.t, found.period) == (pytest.approx(at), pytest.approx(0.01))
+    assert (found.sizes[k], found.moved[k]) == (size, True)
 
 
 SYSTEMS = {
