@@ -1,8 +1,10 @@
 """The page beside a run, over its websocket as a browser has it: knobs, pause, step; nothing of it in the numbers."""
 
+import errno
 import json
 import logging
 import math
+import os
 import re
 import signal
 import subprocess
@@ -20,9 +22,10 @@ from conftest import PATIENCE
 from softrig_bags.compare import compare
 from softrig_bags.read import signals
 from softrig_bringup.cli import main
+from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.view.beside import Beside
 from softrig_bringup.view.control import Control, Knob
-from softrig_bringup.view.here import Here
+from softrig_bringup.view.here import Here, here
 from softrig_bringup.view.page import SLOW, Page, reach
 from softrig_bringup.view.pictures import plots_of
 from softrig_bringup.view.serve import OneLine
@@ -246,6 +249,68 @@ def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_r
     ]
 
 
+def test_a_full_disk_takes_nothing_from_a_run_in_the_process_of_its_page(tmp_path, monkeypatch, capsys):
+    """What cannot be left is not left, what is kept for a killed process is given up once, and an end comes again."""
+    (tmp_path / "log").mkdir()
+    for full in ("log/rig.shard", f".left_1.yaml.{os.getpid()}.part"):
+        (tmp_path / full).symlink_to("/dev/full")
+    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, place=lambda: tmp_path)
+    source.control.turn("me", "dc_motor_smc.delta", 0.5)
+    source.session.go(0.05)
+    source.look()
+    source.look()
+    assert capsys.readouterr().err.count("nothing is kept in case that this process is killed: [Errno 28]") == 1
+    source.control.go_back("me", 0.0)
+    assert re.match(r"back to 0 s refused: .*No space left on device", source.control.said[-1].text)
+    assert (source.session.t, source.branched) == (0.05, [])
+    source.control.go_back("me", 0.0)  # the link is gone with the refused file
+    assert (source.session.t, source.branched[0]["left"]) == (0.0, "left_1.yaml")
+
+    written, outcomes = [], []
+
+    def conclude(run, into):
+        written.append((into.path.name, sum(len(topic.times) for topic in run.recording.topics.values())))
+        if len(written) == 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        (into.path / "metrics.json").write_text('{"metrics": [], "nodes": {}}')
+        return 0
+
+    class Pages:
+        url = ""
+
+        def __init__(self, source, control, *_):
+            self.source, self.control = source, control
+
+        def measure(self):
+            if self.source.outcome:
+                outcomes.append(self.source.outcome)
+                self.control.go_back("me", 0.0)
+            elif self.control.held:
+                self.control.hold("me", "resume")
+
+        def left(self):
+            return len(outcomes) == 2
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr("softrig_bringup.view.here.Pages", Pages)
+    folder = ResultsFolder(tmp_path / "run")
+    folder.clear()
+    rig = rig_of(load_scenario("dc_motor_smc").having(duration=0.01))
+    assert here(rig, Placement("inprocess", paused=False, pace=0.0), "127.0.0.1:0", folder, conclude) == 0
+    assert "it is not written: [Errno 28]" in outcomes[0]
+    assert outcomes[1] == "ended"
+    assert [name for name, _ in written] == ["run", "run-2"]
+    assert written[0][1] == written[1][1] > 0
+
+    def broken(run, into):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):  # softrig itself: it ends, and does not wait for ever
+        here(rig, Placement("inprocess", paused=False, pace=0.0), "127.0.0.1:0", folder, broken)
+
+
 def test_a_page_in_the_process_of_its_rig_keeps_the_pace_whatever_people_do_to_it(monkeypatch):
     """A tick takes a second of the wall, or half of one; done ten times in it this must not give a tick each time."""
     clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
@@ -385,6 +450,11 @@ def test_a_slider_turns_the_knob_of_its_number_and_follows_it():
     [
         ((0.0, 1.0), 0.0, (0.0, 1.0)),
         ((0.0, 1e4), 0.0, None),
+        ((0.0, 20.0), 0.0, (0.0, 20.0)),  # twenty times 1, or the value, and no more
+        ((0.0, 20.5), 0.0, None),
+        ((0.0, 20.0), 0.5, (0.0, 20.0)),
+        ((-10.0, 50.0), 3.0, (-10.0, 50.0)),
+        ((-10.0, 50.5), 3.0, (-6.0, 12.0)),
         ((0.0, math.inf), 1.0, None),
         ((-10.0, 10.0), 2, (-10, 10)),
         ((0.0, 1e7), 5.0, (0.0, 20.0)),

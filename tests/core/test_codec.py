@@ -3,6 +3,7 @@
 import math
 import re
 import struct
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from hypothesis import event, given, strategies as st
 from rosbags.typesys import Stores, get_typestore
 from softrig_core import Refused, array, button, command, joint_state, number, reference, scalars, vector3, wrench
 from softrig_core.block.codec import Decoder, selection
-from softrig_core.wire.cdr import Layout, parse
+from softrig_core.wire.cdr import Layout, getter, parse
+from softrig_core.wire.stream import CdrError
+from softrig_core.wire.types import TYPES as MESSAGE_TYPES
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
@@ -237,3 +240,242 @@ def test_a_wrong_frame_is_refused():
 def test_encoding_another_number_of_values_is_an_error():
     with pytest.raises(ValueError, match="2 values, expected 1"):
         command("a", "t", ["u"], "V").layout().encode(0, (1.0, 2.0))
+
+
+# ---- all types, by another writer ----
+
+ROS = {  # the message of rosbags for what a message of ours holds
+    "builtin_interfaces/msg/Time": lambda s, f, n, v, d: TYPES["builtin_interfaces/msg/Time"](*divmod(s, 10**9)),
+    "rosgraph_msgs/msg/Clock": lambda s, f, n, v, d: (TYPES["builtin_interfaces/msg/Time"](*divmod(s, 10**9)),),
+    "std_msgs/msg/Header": lambda s, f, n, v, d: header(s, f),
+    "std_msgs/msg/Float64": lambda s, f, n, v, d: v["data"],
+    "std_msgs/msg/Bool": lambda s, f, n, v, d: (bool(v["data"][0]),),
+    "sensor_msgs/msg/JointState": lambda s, f, n, v, d: (header(s, f), n, *map(np.array, v.values())),
+    "trajectory_msgs/msg/JointTrajectory": lambda s, f, n, v, d: (
+        header(s, f),
+        n,
+        [
+            TYPES["trajectory_msgs/msg/JointTrajectoryPoint"](
+                *map(np.array, v.values()), TYPES["builtin_interfaces/msg/Duration"](0, 0)
+            )
+        ],
+    ),
+    "geometry_msgs/msg/Vector3Stamped": lambda s, f, n, v, d: (
+        header(s, f),
+        TYPES["geometry_msgs/msg/Vector3"](*v["vector"]),
+    ),
+    "geometry_msgs/msg/WrenchStamped": lambda s, f, n, v, d: (
+        header(s, f),
+        TYPES["geometry_msgs/msg/Wrench"](*(TYPES["geometry_msgs/msg/Vector3"](*x) for x in v.values())),
+    ),
+    "geometry_msgs/msg/PoseStamped": lambda s, f, n, v, d: (
+        header(s, f),
+        TYPES["geometry_msgs/msg/Pose"](
+            TYPES["geometry_msgs/msg/Point"](*v["position"]), TYPES["geometry_msgs/msg/Quaternion"](*v["orientation"])
+        ),
+    ),
+    "std_msgs/msg/Float64MultiArray": lambda s, f, n, v, d: (
+        TYPES["std_msgs/msg/MultiArrayLayout"](
+            [
+                TYPES["std_msgs/msg/MultiArrayDimension"](
+                    f"{label}; sequence {s:012d}" if k == 0 and f else label,
+                    size,
+                    math.prod(size for _, size in d[k:]),
+                )
+                for k, (label, size) in enumerate(d)
+            ],
+            0,
+        ),
+        np.array(v["data"]),
+    ),
+}
+COUNTS = {"Vector3Stamped": [3], "WrenchStamped": [3, 3], "PoseStamped": [3, 4], "Float64": [1], "Bool": [1]}
+DIMS = {
+    "std_msgs/msg/Float64MultiArray": [(), (("row", 2), ("column", 3)), (("é", 33),), (("a", 1), ("b", 2), ("c", 5))]
+}
+
+
+def drawn_messages():
+    """Of each type some messages: names, frames and lengths of all kinds, the longest beyond what is named singly."""
+    draw = np.random.default_rng(5)
+    for msgtype, ros in ROS.items():
+        schema = {i.name: i.kind for i in MESSAGE_TYPES[msgtype].schema if i.kind in ("sequence", "numbers", "flag")}
+        for turn, n in enumerate((1, 2, 3, 5, 33, 40)):
+            dims = DIMS[msgtype][turn % 4] if msgtype in DIMS else ()
+            sizes = COUNTS.get(msgtype.rpartition("/")[2], [n if draw.random() < 0.7 else 0 for _ in schema])
+            sizes = [math.prod(size for _, size in dims)] if dims else sizes
+            size, kind = sum(sizes), "flag" if "flag" in schema.values() else "d"
+            flat = draw.choice([0.0, 1.0], size) if kind == "flag" else draw.normal(size=size)
+            parts = np.split(flat, np.cumsum(sizes)[:-1]) if sizes else []
+            values = {name: part.tolist() for name, part in zip(schema, parts, strict=True)}
+            frame, names = ("", "world", "b", "ü" * turn)[turn % 4], [f"joint{'x' * k}" for k in range(n)]
+            framed, named = MESSAGE_TYPES[msgtype].schema[1:2] == (("frame", "", 0),), MESSAGE_TYPES[msgtype].named
+            numbered = bool(dims) and turn < 4
+            stamp = int(draw.integers(0, 10**12 if dims else 2**31 * 10**9))
+            bytes_of = partial(STORE.serialize_cdr, typename=msgtype)
+            made = ros(stamp, numbered if dims else frame, names, values, dims)
+            made = TYPES[msgtype](*made) if isinstance(made, tuple | list) else made
+            layout = Layout(
+                msgtype,
+                frame if framed else "",
+                names if named else (),
+                {name: len(v) for name, v in values.items()},
+                dims,
+                numbered,
+            )
+            mark = stamp if numbered or MESSAGE_TYPES[msgtype].stamped else -1
+            both = [bytes(bytes_of(made, little_endian=little)) for little in (True, False)]
+            yield msgtype, layout, mark, values, both
+
+
+DRAWN = list(drawn_messages())
+
+
+def test_messages_of_every_type_are_those_of_rosbags_and_are_read_in_either_order_of_bytes():
+    assert {msgtype for msgtype, *_ in DRAWN} == set(MESSAGE_TYPES)
+    for msgtype, layout, mark, values, (little, big) in DRAWN:
+        flat = tuple(x for part in values.values() for x in part)
+        assert layout.encode(max(mark, 0), flat) == little, msgtype
+        assert layout.decode(little) == (mark, flat)
+        assert (layout.size, layout.length) == (len(flat), len(little))
+        for data in (little, big):
+            message = parse(msgtype, data)
+            assert {k: list(v) for k, v in message.fields.items()} == values
+            assert message.mark == mark
+            assert message.layout(msgtype).form == layout.form
+        for other in (little[:-1], little + b"\0", big):
+            assert layout.decode(other) is None
+        with pytest.raises(ValueError, match=f"{len(flat) + 1} values, expected {len(flat)}"):
+            layout.encode(0, (*flat, 0.0))
+
+
+def test_a_layout_is_known_by_each_of_its_bytes_but_stamp_number_values_and_padding():
+    """Which are these: what two messages of one layout, all of whose bits differ, have in common is fixed."""
+    for msgtype, layout, _, values, (little, _) in DRAWN:
+        flat = [x for part in values.values() for x in part]
+        flagged = MESSAGE_TYPES[msgtype].schema[0].kind == "flag"
+        ones, twos = ((0.0, 1.0) if flagged else struct.unpack("<2d", b"\x55" * 8 + b"\xaa" * 8) for _ in "ab")
+        first = layout.encode(0 if layout.numbered else 0x11111111 * 10**9 + 0x11111111, [ones[0]] * len(flat))
+        last = 111111111111 if layout.numbered else 0x22222222 * 10**9 + 0x22222222
+        second = layout.encode(last, [twos[1]] * len(flat))
+        free = {k for k, (a, b) in enumerate(zip(first, second, strict=True)) if a != b}
+        block = np.frombuffer(little, np.uint8)[None]
+        for k in range(0, len(little), 1 + len(little) // 99):
+            other = bytearray(little)
+            other[k] ^= 1
+            taken = layout.decode(bytes(other)) is not None
+            same = layout.same_shape(np.frombuffer(bytes(other), np.uint8)[None])
+            if k in free:
+                assert taken
+                assert same
+            elif little[k] or k < 2:
+                assert not taken, (msgtype, k)
+                assert not same
+            else:  # a zero may be padding, of which both think alike
+                assert taken == same
+        assert layout.same_shape(np.repeat(block, 3, 0))
+
+
+def test_many_messages_at_once_are_each_what_they_are_singly():
+    draw = np.random.default_rng(6)
+    for _, layout, _, _, _ in DRAWN:
+        marks = draw.integers(0, 10**12 if layout.numbered else 2**31 * 10**9, 4)
+        values = draw.normal(size=(4, layout.size))
+        if any(code == "1?" for _, code in layout.slots):
+            values = np.array([[0.0], [1.0], [-2.5], [1e-300]])
+        block = layout.encode_block(marks, values)
+        rows = [layout.encode(mark, row) for mark, row in zip(marks.tolist(), values.tolist(), strict=True)]
+        assert [bytes(row) for row in block] == rows
+        said = [layout.decode(row)[1] for row in rows]
+        assert [list(map(float, row)) for row in said] == [
+            [float(c[k]) for c in layout.columns(block)] for k in range(4)
+        ]
+        assert all(c.dtype == np.float64 and c.flags.c_contiguous for c in layout.columns(block))
+
+
+def test_a_number_has_at_most_twelve_digits_and_others_may_leave_zeros_out():
+    layout = Layout("std_msgs/msg/Float64MultiArray", dims=(("row", 1),), counts={"data": 1}, numbered=True)
+    assert parse(layout.msgtype, layout.encode(10**12 - 1, (1.0,))).number == 10**12 - 1
+    for too_many in (-1, 10**12):
+        with pytest.raises(ValueError, match=f"message number {too_many}, expected one of at most 12 digits"):
+            layout.encode(too_many, (1.0,))
+    for label, found in (
+        ("row; sequence 7", ("row", 7)),
+        ("row; sequence " + "9" * 18, ("row", 10**18 - 1)),
+        ("row; sequence " + "9" * 19, ("row; sequence " + "9" * 19, None)),
+        ("row; sequence ", ("row; sequence ", None)),
+        ("row; sequence -1", ("row; sequence -1", None)),
+        ("a\nb; sequence 1; sequence 2", ("a\nb; sequence 1", 2)),
+    ):
+        theirs = Layout(layout.msgtype, dims=((label, 1),), counts={"data": 1}).encode(0, (1.0,))
+        message = parse(layout.msgtype, theirs)
+        assert (message.dims[0][0], message.number) == found
+    second = Layout(layout.msgtype, dims=(("a", 1), ("b; sequence 3", 1)), counts={"data": 1}).encode(0, (1.0,))
+    assert parse(layout.msgtype, second).number is None  # of the first dimension only
+
+
+# Of a JointState with the frame "ab" and the name "q", effort 1 N: where each part stands, and what is wrong with a
+# message that ends there. 4 stamp, 12 length and 16 text of the frame, 20 names, 24 length and 28 text of the first,
+# 32 and 36 no position and no velocity, 40 one effort, 44 the effort (which is aligned from 4 on).
+CUT = [
+    (range(4), 4, None),
+    (range(4, 8), 4, None),
+    (range(8, 12), 8, None),
+    (range(12, 16), 12, None),
+    (range(16, 19), None, "a string of 3 bytes at byte 16 does not fit in {n}"),
+    (range(19, 24), 20, None),
+    (range(24, 28), 24, None),
+    (range(28, 30), None, "a string of 2 bytes at byte 28 does not fit in {n}"),
+    (range(30, 36), 32, None),
+    (range(36, 40), 36, None),
+    (range(40, 44), 40, None),
+    (range(44, 52), 44, None),
+]
+
+
+def test_a_message_that_is_cut_anywhere_says_inside_which_of_its_parts():
+    whole = Layout("sensor_msgs/msg/JointState", "ab", ["q"], {"effort": 1}).encode(5, (1.0,))
+    assert len(whole) == 52
+    for ends, at, text in CUT:
+        for n in ends:
+            said = text.format(n=n) if text else f"{n} bytes end inside a field at byte {at}"
+            with pytest.raises(CdrError) as error:
+                parse("sensor_msgs/msg/JointState", whole[:n])
+            assert str(error.value) == f"sensor_msgs/msg/JointState: {said}"
+    assert parse("sensor_msgs/msg/JointState", whole + b"more").fields["effort"] == (1.0,)
+
+
+@pytest.mark.parametrize(
+    ("msgtype", "at", "count", "said"),
+    [
+        ("sensor_msgs/msg/JointState", 12, 0, "a string of 0 bytes at byte 16 does not fit in 52"),
+        ("sensor_msgs/msg/JointState", 20, 11, "claims 11 names in 52 bytes"),  # each of 5 bytes at least
+        ("sensor_msgs/msg/JointState", 40, 7, "claims 7 values of effort in 52 bytes"),
+        ("sensor_msgs/msg/JointState", 40, 6, "52 bytes end inside a field at byte 44"),
+        ("std_msgs/msg/Float64MultiArray", 4, 4, "claims 4 dimensions in 44 bytes"),
+        ("std_msgs/msg/Float64MultiArray", 28, 6, "claims 6 values of data in 44 bytes"),
+        ("std_msgs/msg/Float64MultiArray", 16, 2, "1 values for the shape {'a': 2}"),
+        ("trajectory_msgs/msg/JointTrajectory", 32, 2, "2 points, expected exactly one"),
+        ("trajectory_msgs/msg/JointTrajectory", 32, 0, "0 points, expected exactly one"),
+    ],
+)
+def test_a_message_that_claims_more_than_it_has_is_refused(msgtype, at, count, said):
+    if "Array" in msgtype:
+        whole = Layout(msgtype, dims=(("a", 1),), counts={"data": 1}).encode(0, (1.0,))
+    else:
+        whole = Layout(msgtype, "ab", ["q"], {"effort": 1}).encode(5, (1.0,))
+    other = whole[:at] + struct.pack("<I", count) + whole[at + 4 :]
+    with pytest.raises(CdrError) as error:
+        parse(msgtype, other)
+    assert str(error.value) == f"{msgtype}: {said}"
+
+
+def test_items_are_taken_as_a_tuple_however_few_there_are():
+    row = ("a", "b", "c", "d")
+    assert [getter(p)(row) for p in ((), (2,), (0,), (3, 1), (1, 1, 2))] == [
+        (),
+        ("c",),
+        ("a",),
+        ("d", "b"),
+        ("b", "b", "c"),
+    ]

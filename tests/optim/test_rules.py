@@ -341,6 +341,7 @@ QUARTERS = st.integers(-1, 12).map(lambda n: n / 4.0)
 @settings(max_examples=40, deadline=None, derandomize=True)
 @example([(0.0, 0.0)] * 40, 2, True)
 @example([(2.0, 1.0), (1.0, 2.0), (3.0, 0.25)] + [(2.0, 1.0)] * 37, 2, True)
+@example([(2.0, 1.0), (1.0, 2.0), (3.0, 0.25)] + [(0.5, 0.5)] * 37, 2, True)  # of equals the first is the best
 def test_searches_along_the_load_line_go_where_their_rule_says(samples, corrections, gap):
     """Of any measurements, also such as no source gives: the commands, what is best, and what is proven when."""
     settings_of = {CertifiedSearch: {"eps": 0.5 if gap else 0.0, "n_iter": 9}, RampScan: {"n_ramp": 7}}

@@ -68,6 +68,7 @@ class Here(Growing):
         super().__init__(session.rig)
         self.session, self._call, self._place = session, call, place
         self._shard: ShardWriter | None = None
+        self._full: OSError | None = None  # why nothing more is written there
         self._written: Counter[str] = Counter()  # messages by topic
         self._pace = Pace(pace)
         self._seen: Counter[str] = Counter()  # messages by topic
@@ -85,7 +86,7 @@ class Here(Growing):
         def do() -> None:
             try:
                 answered(True, self._do(**request))
-            except (ScenarioError, RunError) as error:
+            except (ScenarioError, RunError, OSError) as error:
                 answered(False, str(error))
 
         self._call(do)
@@ -110,16 +111,18 @@ class Here(Growing):
     def _back(self, t: float) -> str:
         """Go back to a time (s) and stay there, the knobs as they are turned."""
         session, before = self.session, self.session.t
-        changes = branched(session.rig, session.recording, self.end, {})
-        turned = session.rewind(t)
+        branch = None if self.outcome or self._place is None else self._keep_branch(self._place())
+        try:
+            turned = session.rewind(t)
+        except (ScenarioError, RunError):
+            if branch:
+                branch.unlink()
+            raise
+        if branch and not turned:  # it is the run of the scenario as it stands
+            branch.unlink()
+            branch = None
         session.set(turned)
-        left = self._folder if self.outcome else ""
-        if turned and not self.outcome and self._place is not None:  # nothing is expected of a run that was tuned
-            left = f"left_{len(self.branched) + 1}.yaml"
-            scenario = session.rig.scenario.having(changes=changes).model_dump(
-                mode="json", exclude_defaults=True, exclude={"name", "expect", "claims", "requirements"}
-            )
-            replace(self._place() / left, yaml.safe_dump(scenario, sort_keys=False, width=110))
+        left = self._folder if self.outcome else branch.name if branch else ""
         self.branched.append({"at_s": session.t, "from_s": before, "left": left})
         self._pace.begin()
         self.outcome, self.results, self.control.held = "", [], True
@@ -133,11 +136,21 @@ class Here(Growing):
             knob.value = turned.get(knob.key, known)
         return f"back to {session.t:.9g} s from {before:.9g} s: what is turned holds from there on"
 
+    def _keep_branch(self, place: Path) -> Path:
+        """Write what a way back leaves as a scenario; OSError where it cannot be, before anything is left."""
+        session, path = self.session, place / f"left_{len(self.branched) + 1}.yaml"
+        changes = branched(session.rig, session.recording, self.end, {})
+        scenario = session.rig.scenario.having(changes=changes).model_dump(
+            mode="json", exclude_defaults=True, exclude={"name", "expect", "claims", "requirements"}
+        )  # nothing is expected of a run that was tuned
+        replace(path, yaml.safe_dump(scenario, sort_keys=False, width=110))
+        return path
+
     def finish(self, outcome: str, folder: Path | None) -> None:
         """Note that the run is over, and what it has brought."""
         super().finish(outcome, folder)
         self._end_log()
-        self._folder = str(folder)
+        self._folder = str(folder or "")
         self.control.say("the run", outcome)
 
     # ticks ---------------------------------------------------------------------------------------------------------
@@ -179,8 +192,15 @@ class Here(Growing):
             }
             for name, step in session.steps.items()
         }
-        if self._place is not None and not (self.branched and session.t <= self.branched[-1]["at_s"]):
-            self._write(self._place)  # not what is gone back to: until it goes on, what was left stays in the file
+        back = self.branched and session.t <= self.branched[-1]["at_s"]
+        if self._place is not None and self._full is None and not back:  # until it goes on, what was left stays there
+            try:
+                self._write(self._place)
+            except OSError as error:
+                self._full = error
+                text = f"from here on nothing is kept in case that this process is killed: {error}"
+                say(text)
+                self.control.say("the run", text, True)
 
     def _write(self, place: Callable[[], Path]) -> None:
         """Write what is new into a file as nodes do: of a process that is killed `bag repair` finds it there."""
@@ -199,8 +219,9 @@ class Here(Growing):
 
     def _end_log(self) -> None:
         if self._shard is not None:
-            self._shard.close()
-        self._shard = None
+            with suppress(OSError):  # which has been said
+                self._shard.close()
+        self._shard = self._full = None
         self._written.clear()
 
 
@@ -235,6 +256,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
     pages = Pages(source, source.control, str(placement), address, new_token(), loop)
     say(f"the page is {pages.url}")
     status, ended = 0, False
+    wrong: Exception | None = None
 
     def end(stopped: int = 0) -> None:
         nonlocal status, ended, place
@@ -245,15 +267,28 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
             run.mode, run.wall_s, run.stopped = str(placement), time.perf_counter() - started, stopped
             run.status, run.branched, source.branched = source.status, source.branched, []
             run.error = run.error or ("" if stopped else gaps(rig, run.recording))
-            status = conclude(run, into)
+            outcome = f"broke: {run.error}" if run.error else run.stopped_at or "ended"
+            written: Path | None = into.path
+            try:
+                status = conclude(run, into)
+            except OSError as error:  # it is all in memory: who makes room and goes back a little has it
+                status, written = 3, None
+                outcome = f"it is not written: {error}; make room, go back a little and let it end again"
+                say(outcome)
             ended, place = True, None
-            source.finish(f"broke: {run.error}" if run.error else run.stopped_at or "ended", into.path)
+            source.finish(outcome, written)
 
     def turn() -> None:
-        rest = source.turn()
-        if session.over and not source.outcome:
-            end()
-        loop.call_later(rest, turn)
+        nonlocal wrong
+        try:
+            rest = source.turn()
+            if session.over and not source.outcome:
+                end()
+        except Exception as error:  # the loop would only log it, and wait for ever
+            wrong = error
+            loop.stop()
+        else:
+            loop.call_later(rest, turn)
 
     def look() -> None:
         if not source.outcome:
@@ -271,6 +306,8 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
             end(signal_of(interrupt))
     finally:
         pages.close()
+    if wrong is not None:
+        raise wrong
     return status
 
 

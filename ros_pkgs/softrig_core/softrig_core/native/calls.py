@@ -28,7 +28,7 @@ from .translate import (
     is_number_slot,
     made,
 )
-from .twins import class_of, is_twinned, twin
+from .twins import class_of, is_twinned, twin, unpacked
 from .value import (
     NONE,
     UNKNOWN,
@@ -226,13 +226,14 @@ class Calls(Expressions):
         ):
             found = self.program.guard(value)
             return lambda row: found
-        value = self.dynamic(value) if isinstance(value, Static) else value
         sample = sample_of(value)
         if not is_sure(value) or isinstance(value, Record):
             raise self.unknown("a report of what may be of several kinds", node)
-        if isinstance(sample, tuple):
+        if isinstance(sample, (tuple, list)):
             kind, parts = type(sample), [self._shown(v, numbers, node) for v in self.parts(value, node)]
-            return lambda row: (kind if hasattr(kind, "_fields") else lambda *v: v)(*(p(row) for p in parts))
+            if hasattr(kind, "_fields"):
+                return lambda row: unpacked(kind(*(p(row) for p in parts)))
+            return lambda row: kind(p(row) for p in parts)
         number = type(sample)
         if number not in (float, int, bool, complex):
             raise self.unknown(f"a report of {kind_of(value)}", node)
@@ -279,7 +280,7 @@ class Calls(Expressions):
             return Group(tuple(self.item(simple, Static(k), node) for k in range(len(sample))))
         if name == "get" and isinstance(base, Record):
             return base.items.get(self.program.guard(self.value(node.args[0])), NONE)  # type: ignore[arg-type]
-        if not self.program.typed and isinstance(base, Dynamic) and hasattr(sample, "native"):
+        if not self.program.typed and isinstance(base, Dynamic) and hasattr(sample, "native") and hasattr(sample, name):
             # an object that is a value, in Python: of arguments of the same types, always the same
             given = [self.dynamic(self.value(a)) for a in node.args]
             samples = [v.sample for v in given]
@@ -416,6 +417,8 @@ class Calls(Expressions):
             if name == "items":
                 return Group(tuple(Group((Static(k), v)) for k, v in zip(keys, values, strict=True)))
             return Group(tuple(values)) if name == "values" else Static(keys)
+        if name != "get":
+            raise self.unknown(f".{name}() of a mapping", node)
         if isinstance(given[0], Static):
             return Static(self.program.guard(table).get(*(self.program.guard(v) for v in given)))  # type: ignore[arg-type]
         return self._looked_up(table, given[0], node)
@@ -438,8 +441,8 @@ class Calls(Expressions):
         home = None if path is None else path[:-1]
         if isinstance(own, Mapping) and called.__name__ == "get":
             return self._looked_up(Static(own, home), given[0], node)
-        if path and path[-1][0] == "attr" and own is not follow(path[:-1], self.program.roots):
-            home = (*path, ("attr", "__self__"))  # a method that another object has lent
+        if path and own is not follow(path[:-1], self.program.roots):
+            home = (*path, ("attr", "__self__"))  # a method that another object has lent, or that stands in a table
         if isinstance(own, type):
             home = None
         return made(self.program, called.__func__, [Static(own, home), *given], words, self.arrays)  # type: ignore[arg-type]

@@ -126,7 +126,9 @@ class Expressions(Ways):
                     return made(self.program, found.fget, [base], {}, self.arrays)
                 if not callable(found):
                     return Static(getattr(own, name))
-            if not self.program.typed and hasattr(base.sample, "native"):  # of an object that is a value, in Python
+            if (
+                not self.program.typed and hasattr(base.sample, "native") and hasattr(base.sample, name)
+            ):  # of an object that is a value, in Python
                 return Dynamic(f"{base.code}.{name}", getattr(base.sample, name))
             if name in ("real", "imag") and isinstance(base.sample, (complex, float)):
                 return Dynamic(f"{self.simple(base).code}.{name}", getattr(base.sample, name))
@@ -181,6 +183,8 @@ class Expressions(Ways):
             return base.items[self.program.guard(index)]
         if isinstance(base, Group) and isinstance(key, int):
             self.program.guard(index)
+            if not -len(base.items) <= key < len(base.items):
+                raise self.unknown(f"no item {key} of {len(base.items)}", node)
             return base.items[key]
         if isinstance(base, Static):
             self.program.guard(index)

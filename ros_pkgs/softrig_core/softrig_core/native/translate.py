@@ -24,7 +24,7 @@ import numpy as np
 from ..kit.compiled import Compiled
 from ..kit.jit import Jit
 from .reports import Reports
-from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, Static, Value
+from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, Static, Value, is_made_text
 
 LONGEST = 64  # parts of a tuple that is written out, or indexed
 TURNS = 16  # of a loop that is written out
@@ -134,6 +134,8 @@ class Program:
 
     def guard(self, value: Static) -> Any:
         """Give a fixed value that chooses the text."""
+        if is_made_text(value):
+            raise NotNative("something that depends on a text that is made in a tick")
         if value.path is not None:
             self.guards[value.path] = signature(value.value)
         return value.value

@@ -340,13 +340,11 @@ class Ways:
             return None if None in items.values() else Record({k: v for k, v in items.items() if v is not None})
         values = []
         for value, lines in ((a, then), (b, orelse)):
-            kept, self.lines = self.lines, lines
+            self.lines = lines
             try:
                 found = self.dynamic(value)
             except NotNative:
                 return None
-            finally:
-                self.lines = kept
             if found.code != name:
                 lines.append(f"{name} = {found.code}")
             values.append(found)

@@ -60,8 +60,8 @@ def conduct(t: float, h: float, x: Array, p: tuple[Circuit, Period]) -> None:
         x[0] = carried(x[0], on_a, s_a, h * (drive_a - rail) / circuit.L)
         x[1] = carried(x[1], on_b, s_b, h * (drive_b - rail) / circuit.L)
         x[2] = carried(x[2], on_c, s_c, h * (drive_c - rail) / circuit.L)
-        left = (x[0] != 0.0) + (x[1] != 0.0) + (x[2] != 0.0)
-        if left > 0:  # what one leg has lost by ending is missing in the others
+        left = (1.0 if x[0] != 0.0 else 0.0) + (1.0 if x[1] != 0.0 else 0.0) + (1.0 if x[2] != 0.0 else 0.0)
+        if left > 0.0:  # what one leg has lost by ending is missing in the others
             rest = (x[0] + x[1] + x[2]) / left
             x[0] = carried(x[0], x[0], s_a, -rest)
             x[1] = carried(x[1], x[1], s_b, -rest)

@@ -90,6 +90,9 @@ class Answering:
                     return
             self._complete = 0
             self._say(pending.popleft())
+            if pending and not self._unarmed:  # the limit that runs was that of the tick before
+                self._deadline.cancel()
+                self._unarmed = True
         if self._unarmed:
             self._unarmed = False
         else:

@@ -1,0 +1,185 @@
+"""What a falsification has found, told: in words, as data, and as scenario files that anybody reruns."""
+
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import make_scenario
+from softrig_bringup.falsify import outcome as outcome_module
+from softrig_bringup.falsify.definition import Falsification
+from softrig_bringup.falsify.engine import Outcome, _requirements
+from softrig_bringup.falsify.outcome import _shown, _standing_alone, content, number, scenario_file, verdict
+from softrig_bringup.falsify.search import Found
+from softrig_bringup.falsify.space import parse, space_of
+from softrig_bringup.study.work import LARGE
+from softrig_core import ScenarioError, load_scenario
+from told import check_told
+
+X = "lag/state/x/position"
+LAG = """
+title: Lag
+system: lag
+source: none
+duration: 0.5
+nodes:
+  plant: {package: faultrig, executable: plant}
+  source: {package: faultrig, executable: source}
+  gain: {package: faultrig, executable: gain}
+shared: {state: lag/state/x/position}
+faults: {noise: {link: lag/state -> gain, kind: noise, value: [0.1]}}
+figures: {last: {function: final_value, arguments: {signal: lag/state/x/position}}}
+expect: {last: at most 0.4}
+requirements: {low: always state <= 0.3}
+plots: [{title: Both, signals: {lag/state/x: state, lag/state/noise/x: seen}}]
+"""
+
+
+@pytest.fixture
+def space(tmp_path, monkeypatch):
+    (tmp_path / "lag.yaml").write_text(LAG)
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    return space_of(load_scenario("lag"), [parse("gain.k", "1..4"), parse("lag/command/u/effort+", "-1..1*3")])
+
+
+CHANGES = {"gain.k": 3.0000000000001, "profile_1.points": [0.1234567, -1.0, 1.0]}
+
+
+def found(space, *, least=-0.25, corners=-0.125, small=True, case=True, broken=()):
+    violated = least < 0.0
+    scenario = space.scenario
+    less = scenario.having(faults={n: f.model_dump() for n, f in scenario.faults.items() if n != "noise"})
+    seen = Found(least, (0.5,) * 4, 7, corners, [1.0, least])
+    return Outcome(
+        space, ("low", "last"), {"low": 0.2, "last": LARGE}, {"low": least, "last": None} if case else {}, seen,
+        (scenario, CHANGES) if case else None, (less, {"gain.k": 2.5}) if violated and small else None,
+        {"low": -0.01, "last": -LARGE} if violated and small else {}, 23 if violated else 0, list(broken),
+    )  # fmt: skip
+
+
+def task(**more):
+    return Falsification(name="demo", scenario="lag", over={"gain.k": "1..4"}, **more)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({}, "violated: low, least margin -0.25 (corners alone: -0.125); made small in 23 more runs"),
+        ({"least": 0.125, "corners": 0.5}, "no violation in 7 runs; least margin 0.125 (corners alone: 0.5), at"),
+        ({"least": 0.0, "corners": math.inf}, "no violation in 7 runs; least margin 0 (no corners asked), at"),
+        ({"case": False, "least": math.inf}, "none of 7 runs could be judged"),
+    ],
+)
+def test_what_was_found_is_said_in_a_line(space, keys, words):
+    assert verdict(found(space, **keys)) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "not judged"), (LARGE, "holds"), (-LARGE, "violated"), (math.inf, "holds"), (0.9 * LARGE, "9e+299"),
+     (-0.123456789, "-0.123457"), (0.0, "0")],
+)  # fmt: skip
+def test_a_margin_is_a_number_or_a_word(value, text):
+    assert number(value) == text
+
+
+def test_changes_are_shown_to_few_digits():
+    assert [_shown(v) for v in (1.00000000001, 2, [0.12345678, 1.0])] == ["1", "2", "[0.123457, 1]"]
+
+
+@pytest.mark.parametrize("name", ["violated", "holds", "none"])
+def test_the_outcome_is_printed_as_told(space, name, capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    keys = {
+        "violated": {"broken": [({"gain.k": 1.0}, "node gain: gone"), ({}, "other")]},
+        "holds": {"least": 0.125},
+        "none": {"case": False, "least": math.inf},
+    }[name]
+    files = {"worst": Path("out/demo_worst.yaml")} if name == "violated" else {}
+    outcome_module._print(task(), found(space, **keys), Path("out"), files)
+    check_told(f"falsified/{name}", [line.rstrip() for line in capsys.readouterr().out.splitlines()])
+
+
+def test_the_outcome_as_data_has_all_that_was_found(space):
+    told = content(task(seed=3, sampler="tpe"), found(space, broken=[({"gain.k": 1.0}, "gone")]))
+    assert told == {
+        "falsification": "demo", "scenario": "lag", "seed": 3, "sampler": "tpe", "over": {"gain.k": "1..4"},
+        "requirements": ["low", "last"], "runs": 7, "least": -0.25, "least_at_corners": -0.125, "violated": ["low"],
+        "nominal": {"low": 0.2, "last": LARGE}, "worst": {"low": -0.25, "last": None},
+        "small": {"low": -0.01, "last": -LARGE}, "changes": CHANGES, "small_changes": {"gain.k": 2.5},
+        "broken": [{"changes": {"gain.k": 1.0}, "error": "gone"}], "trace": [1.0, -0.25],
+    }  # fmt: skip
+    nothing = content(task(), found(space, case=False, least=math.inf))
+    assert (nothing["changes"], nothing["small_changes"], nothing["worst"], nothing["small"]) == ({}, {}, {}, {})
+
+
+def test_a_case_is_a_scenario_file_that_says_what_it_changes(space, tmp_path):
+    """What is found by name is extended: parameters of nodes, faults with their own, and which of them are gone."""
+    outcome = found(space)
+    text = scenario_file(task(seed=3), "worst", outcome.case, outcome)
+    assert text.startswith("# Found by: softrig falsify demo; 2 runs, seed 3.\nextends: lag\n")
+    worst, small = (yaml.safe_load(scenario_file(task(), kind, case, outcome)) for kind, case in (
+        ("worst", outcome.case), ("small", outcome.small)))  # fmt: skip
+    assert worst["title"] == "Lag: low, worst case found"
+    assert (worst["seed"], worst["duration"], worst["nodes"]) == (
+        0, 0.5, {"gain": {"parameters": {"k": 3.0000000000001}}}
+    )  # fmt: skip
+    assert worst["faults"]["profile_1"]["points"] == [0.1234567, -1.0, 1.0]
+    assert worst["faults"]["noise"]["value"] == [0.1]
+    assert "plots" not in worst
+    assert (worst["requirements"], worst["expect"]) == (
+        {"low": {"formula": "always state <= 0.3"}},
+        {"last": {"at_most": 0.4}},
+    )
+    assert small["title"] == "Lag: low, small case found"
+    assert small["faults"]["noise"] is None  # the one that it extends has it
+    assert small["nodes"] == {"gain": {"parameters": {"k": 2.5}}}
+    for kind, case in (("worst", outcome.case), ("small", outcome.small)):
+        loaded = _standing_alone(scenario_file(task(), kind, case, outcome), tmp_path / "x.yaml")
+        wanted = case[0].changed(overrides=case[1])
+        assert (loaded.nodes, loaded.faults, loaded.requirements) == (wanted.nodes, wanted.faults, wanted.requirements)
+    held = found(space, least=0.5)
+    assert yaml.safe_load(scenario_file(task(), "worst", held.case, held))["title"] == (
+        "Lag: least margin, worst case found"
+    )
+
+
+def test_a_case_of_a_file_is_written_out_whole(space, tmp_path):
+    outcome = found(space)
+    whole = task().model_copy(update={"scenario": str(tmp_path / "gone.yaml")})
+    text = scenario_file(whole, "worst", outcome.case, outcome)
+    told = yaml.safe_load(text)
+    assert "extends" not in told
+    assert {"name", "expect", "claims"}.isdisjoint(told)
+    assert told["nodes"]["plant"]["executable"] == "plant"
+    assert (told["title"], list(told["faults"])) == ("Lag: low, worst case found", ["noise", "profile_1"])
+    assert max(map(len, text.splitlines())) <= 112
+    loaded = _standing_alone(text, tmp_path / "x.yaml")
+    assert loaded.faults["profile_1"].model_dump()["points"] == [0.1234567, -1.0, 1.0]
+
+
+def test_what_a_scenario_can_be_asked_for():
+    nodes = {"plant": "plant", "source": "source", "gain": "gain"}
+    figures = {n: {"function": "final_value", "arguments": {"signal": X}} for n in ("most", "least", "both", "none")}
+    given = make_scenario(
+        nodes, figures=figures, expect={"most": "at most 1", "least": "at least 0", "both": "0.5 +- 0.1"},
+        shared={"state": X}, requirements={"low": "always state <= 0.3", "high": "always state <= 3"},
+    )  # fmt: skip
+    bare = make_scenario(nodes, figures=figures, expect={"most": "at most 1"})
+    assert _requirements(given, []) == ("low", "high")
+    assert _requirements(given, ["high", "most", "least"]) == ("high", "most", "least")
+    assert _requirements(bare, ["most"]) == ("most",)
+    unbound = "no bound that a run could violate; it needs an entry expect: "
+    for scenario, wanted, said in (
+        (bare, [], "test has no requirements; it needs an entry requirements: NAME: FORMULA, or --requirement FIGURE "
+                   "of which a bound is expected"),
+        (given, ["both"], f"test: figure both has an expectation on both sides, {unbound}both: at most NUMBER "
+                          "(or at least NUMBER)"),
+        (given, ["none"], f"test: figure none has no expectation, {unbound}none: at most NUMBER (or at least NUMBER)"),
+        (given, ["lo"], "test has no requirement 'lo' (did you mean 'low'?); it has low, high, most, least"),
+        (make_scenario(nodes), ["lo"], "test has no requirement 'lo'; it has none"),
+    ):  # fmt: skip
+        with pytest.raises(ScenarioError) as refused:
+            _requirements(scenario, wanted)
+        assert str(refused.value) == said

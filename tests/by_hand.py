@@ -1,0 +1,75 @@
+"""A middleware that is moved by hand: nothing happens in it but what a test does; what the node does to it is kept."""
+
+from softrig_core.node.seam.middleware import Middleware, Peer
+
+
+class HandTimer:
+    """A timer of which is known what was asked of it last: ns to its first call, period; None: cancelled."""
+
+    def __init__(self, ns, call):
+        self.call, self.asked = call, [(ns, 0)]
+
+    def again(self, ns, period=0):
+        self.asked.append((ns, period))
+
+    def cancel(self):
+        self.asked.append(None)
+
+    @property
+    def now(self):
+        return self.asked[-1]
+
+
+class Hand(Middleware):
+    """One node's: `time` is what its clocks say, ns."""
+
+    def __init__(self, name="node", time=0):
+        self.name, self.full_name, self.time = name, f"/{name}", time
+        self.said, self.heard, self.matched = {}, {}, {}  # by topic
+        self.timers, self.posted, self.logs = [], [], []
+        self.writers, self.readers, self.types, self.reads = {}, {}, {}, {}  # what the graph shows
+
+    def resolve(self, topic):
+        topic = topic.replace("~", self.full_name)
+        return topic if topic.startswith("/") else f"/{topic}"
+
+    def publisher(self, topic, msgtype, matched):
+        self.matched[topic] = matched
+        return self.said.setdefault(topic, []).append
+
+    def subscribe(self, topic, msgtype, receive, matched, numbered=None):
+        self.heard[topic], self.matched[topic] = receive, matched
+
+    def be_prompt(self, place):
+        self.place = place
+
+    def post(self, call):
+        self.posted.append(call)
+
+    def timer(self, ns, callback):
+        self.timers.append(HandTimer(ns, callback))
+        return self.timers[-1]
+
+    def now(self):
+        return self.time
+
+    def steady(self):
+        return self.time / 1e9
+
+    def publishers(self, topic):
+        return [Peer(name, "/", "") for name in self.writers.get(topic, ())]
+
+    def subscribers(self, topic):
+        return [Peer(name, "/", kind) for name, kind in self.readers.get(topic, {}).items()]
+
+    def subscriptions_of(self, peer):
+        return self.reads.get(peer.name, [])
+
+    def topics(self):
+        return self.types
+
+    def deaf(self):
+        return ""
+
+    def log(self, level, text):
+        self.logs.append(f"{level.name} {text}")

@@ -1,0 +1,441 @@
+"""Time, ports, answers and parameters of blocks by another hand's account of them, and in words (`tests/expected`)."""
+
+import itertools
+import math
+import random
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from softrig_core import (
+    Block,
+    Level,
+    ParameterError,
+    Port,
+    Refused,
+    array,
+    button,
+    command,
+    joint_state,
+    number,
+    param,
+    reference,
+    scalars,
+    vector3,
+    wrench,
+)
+from softrig_core.block.answer import Heard, usual
+from softrig_core.block.codec import Decoder, encoder, readable_stamp, selection
+from softrig_core.block.held import ByHand
+from softrig_core.block.params import BlockParams, Params, build, check_steps, declarations, differing, flatten
+from softrig_core.block.port import Sample, pose
+from softrig_core.block.schedule import Schedule, rational
+from told import check_told
+
+
+def said(function, *given, **words):
+    """What a function gives, or the line of what it raises."""
+    try:
+        return repr(function(*given, **words))
+    except (ValueError, TypeError) as error:
+        return f"{type(error).__name__}: {error}"
+
+
+# time -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_schedule_is_a_list_of_stamps(seed):
+    """Ticks k = 0, 1, ... at k periods, rounded to the nearest ns, halves up; all else is looked up in that list."""
+    rng = random.Random(seed)
+    for _ in range(10):
+        clock = Fraction(rng.randint(1, 40), rng.choice([1, 7, 1000, 2880, 10**6, 3 * 10**8, 10**9]))
+        every, at_end, ticks = rng.randint(1, 4), rng.random() < 0.5, rng.randint(1, 24)
+        period = clock * every
+        ns = period * 10**9
+        stamps = [math.floor(k * ns + Fraction(1, 2)) for k in range(-2, 30)]
+        first = stamps[2:]
+        schedule = Schedule(period, clock, ticks * clock - Fraction(1, 2 * 10**9) * rng.randint(0, 1), at_end)
+        assert [schedule.time(k) for k in range(-2, 30)] == stamps
+        assert [schedule.tick(t) for t in first] == list(range(30))
+        assert (schedule.every, schedule.ticks) == (every, ticks)
+        assert schedule.end == math.floor(ticks * clock * 10**9 + Fraction(1, 2))
+        own = [k for k in range(30) if k * every < ticks + at_end]
+        assert (schedule.last, schedule.count()) == (first[own[-1]], len(own))
+        near = {t + d for t in first[1:-1] for d in (-1, 0, 1)} | {rng.randrange(first[-1] + 1) for _ in range(9)}
+        for t in near:
+            if first[0] <= t < first[-1]:
+                held = max(s for s in first if s <= t)
+                assert schedule.held(t) == held
+                assert schedule.next(t) == min(s for s in first if s > t)
+                assert schedule.due(t) == (t in first)
+                assert schedule.awaited(t) == min(held, schedule.last)
+                assert schedule.before(t) == max(s for s in stamps if s < t)
+                assert schedule.tick(t) == math.floor(Fraction(t) / ns + Fraction(1, 2))
+        begin = rng.choice(
+            [0, 5, (1 << 62) // ns.numerator - 3, (1 << 61) // ns.numerator - 3, (1 << 63) // ns.numerator - 9]
+        )
+        begin = max(0, min(begin, math.floor((1 << 63) / ns) - 7))
+        wanted = [math.floor(k * ns + Fraction(1, 2)) for k in range(begin, begin + 6)]
+        found = schedule.times(begin, begin + 6)
+        assert (found.dtype, found.tolist()) == (np.int64, wanted)
+
+
+def test_runs_that_are_too_short_or_have_no_end():
+    half = Fraction(1, 2 * 10**9)
+    assert Schedule("0.01", None, Fraction(1, 100) - half).ticks == 1
+    assert said(Schedule, "0.01", None, 0.009999999).startswith("ValueError: duration 0.01 s is shorter")
+    assert said(Schedule, "0.01", "0.02") == "ValueError: period 0.01 s is not a multiple of the 0.02 s of the clock"
+    assert said(Schedule("0.01").count) == "ValueError: the run has no end"
+    assert (Schedule("0.01").last, Schedule("0.01", None, 0.0).ticks, Schedule("0.01").awaited(10**12)) == (
+        None,
+        None,
+        10**12,
+    )
+
+
+def test_the_simplest_number_between_two_is_the_first_of_all_fractions_in_order():
+    """By their denominators; floats next to them mean them, negative ones as well."""
+    for q in range(1, 20):
+        for p in range(-25, 26):
+            if math.gcd(p, q) == 1 and p:
+                assert rational(p / q) == Fraction(p, q)
+    assert rational(3.0) == 3
+    assert rational(-(2.0**60)) == -(2**60)
+    assert (rational("1/3"), rational(Fraction(2, 7))) == (Fraction(1, 3), Fraction(2, 7))
+
+
+# ports ----------------------------------------------------------------------------------------------------------------
+
+
+def all_ports():
+    """One of each kind."""
+    return {
+        "joint_state": joint_state("a", "t", ["x", "y"], position="m", velocity=["m/s", "1"], effort="N"),
+        "some fields of it": joint_state("a", "t", ["x", "y"], velocity="rad/s", safe=(1, 2)),
+        "command": command("a", "t", ["u", "v"], ["V", "A"], limits=(2.0, 3.0)),
+        "scalars": scalars("a", "t", {"T": "K", "p": "Pa"}, held=True),
+        "reference": reference("a", "t", ["x"], position="m", velocity="m/s", acceleration="m/s^2", partial=True),
+        "vector3": vector3("a", "t", "abc", "A", delayed=True),
+        "vector3 of units": vector3("a", "t", "dq", ("V", "A", "1"), sporadic=True),
+        "wrench": wrench("a", "t", "foot"),
+        "pose": pose("a", "t", "world"),
+        "array": array("a", "t", {"row": 2, "column": 3}, "m", unchecked=True),
+        "array of units": array("a", "t", {"k": 2}, ("m", "rad")),
+        "number": number("a", "t", "V"),
+        "button": button("a", "t"),
+    }
+
+
+def test_ports_are_as_told():
+    lines = []
+    for name, port in all_ports().items():
+        flags = [f for f in ("held", "delayed", "sporadic", "partial", "unchecked", "stamped") if getattr(port, f)]
+        layout = port.layout()
+        lines += [
+            f"{name}: {port.msgtype} on {port.topic}, {' '.join(flags) or 'plain'}",
+            f"  labels {port.labels}, {port.size} values in {port.units}, frame {port.frame!r}, dims {port.dims}",
+            f"  initial {port.initial}, safe {port.safe}, limits {port.limits}, squares to {port.bound:g}",
+            f"  layout {layout.size} numbers, {len(layout.encode(5, (1.0,) * layout.size))} bytes",
+            f"  places {port.places}, renamed {port.renamed('b').topic}, same {port.renamed('t') is port}",
+        ]
+    kinds = {"channels": ("x", "y"), "fields": ("position",), "units": ("m", "m")}
+    for keys in (
+        {"units": ("m",)},
+        {"safe": (1.0,)},
+        {"limits": (1.0,)},
+        {"also": ("p",)},
+        {"channels": (), "units": ()},
+        {"fields": ()},
+        {"units": ("m", "m"), "also": ("p", "q")},
+    ):
+        told = said(Port, "a", "t", "sensor_msgs/msg/JointState", **kinds | keys)
+        lines.append(f"{keys}: {told if 'Error' in told else 'a port'}")
+    lines.append(said(Port, "a", "t", "std_msgs/msg/Float64", fields=("data",), units=("m",), partial=True))
+    lines.append(said(Port, "a", "t", "std_msgs/msg/Float64", fields=("data",), units=("m",), also=("x",)))
+    lines.append(said(Port, "a", "t", "std_msgs/msg/Float64MultiArray", fields=("data",), units=()))
+    check_told("ports", lines)
+
+
+def test_what_a_port_takes_is_finite_and_within_its_limits():
+    port = all_ports()["command"]
+    for value in (2.0, -2.0, 2.0000001, -2.1, math.inf, -math.inf, math.nan):
+        taken = math.isfinite(value) and abs(value) <= 2.0
+        assert (port.beyond((value, 0.0)) == "") == taken
+    assert port.beyond((0.0, 3.5)) == "v/effort is 3.5 A, expected at most 3 in magnitude"
+    assert all_ports()["button"].beyond((2e12,)) == "data is 2e+12 1, expected at most 1e+12 in magnitude"
+    assert port.beyond((math.nan, 0.0)) == "u/effort is nan, expected a finite number"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_one_port_sends_another_reads_by_the_names_of_its_values(seed):
+    """By label; missing channels of a partial one are its safe values, and bytes say what the numbers say."""
+    rng = random.Random(seed)
+    kinds = ("position", "velocity", "effort")
+    for _ in range(25):
+        channels = rng.sample("abcde", rng.randint(1, 4))
+        fields = [f for f in kinds if rng.random() < 0.7] or ["effort"]
+        source = joint_state("s", "t", channels, **dict.fromkeys(fields, "1"))
+        partial = rng.random() < 0.4
+        others = rng.sample(channels, len(channels)) + (["z"] if partial else [])
+        wanted = [f for f in fields if rng.random() < 0.7] or fields
+        safe = tuple(float(k) for k in range(90, 90 + len(others) * len(wanted)))
+        sink = joint_state("r", "t", others, **dict.fromkeys(wanted, "1"), partial=partial, safe=safe)
+        values = tuple(rng.random() for _ in source.labels)
+        by_label = dict(zip(source.labels, values, strict=True))
+        expected = tuple(by_label.get(label, s) for label, s in zip(sink.labels, sink.safe, strict=True))
+        take = selection(source, sink)
+        assert (values if take is None else tuple(take(values))) == expected
+        assert (take is None) == (source.labels == sink.labels)
+        message = source.layout().encode(1_500_000_000, values)
+        decoder = Decoder(sink)
+        assert [decoder(message) for _ in range(2)] == [(1_500_000_000, expected)] * 2
+        assert readable_stamp(message) == 1_500_000_000
+
+
+def test_arrays_are_numbered_in_the_order_of_calls():
+    port = all_ports()["array of units"]
+    decode = Decoder(port)
+    for begin in (0, 5):
+        encode = encoder(port.layout(), begin)
+        assert [decode(encode(7, (float(k), 0.0))) for k in range(3)] == [
+            (begin + k, (float(k), 0.0)) for k in range(3)
+        ]
+    plain = all_ports()["command"].layout()
+    assert encoder(plain)(7, (1.0, 2.0)) == plain.encode(7, (1.0, 2.0))
+    assert decode.number(encoder(port.layout(), 9)(0, (1.0, math.nan))) == 9
+    assert decode.number(b"none") == -1
+    assert [readable_stamp(data) for data in (b"", b"\0\1\0\0" + b"\1" * 7, b"\0\0\0\0" + b"\1" * 8)] == [None] * 3
+    assert readable_stamp(b"\0\1\0\0" + b"\xff" * 4 + b"\5\0\0\0") == -(10**9) + 5
+
+
+def test_what_does_not_fit_is_told():
+    two = joint_state("a", "t", ["x", "y"], position="m")
+    pairs = {
+        "another type": (two, number("a", "t", "m")),
+        "another frame": (vector3("a", "t", "abc", "A"), vector3("a", "t", "dq", "A")),
+        "a frame where none is named": (wrench("a", "t"), wrench("a", "t", "foot")),
+        "another shape": (all_ports()["array"], all_ports()["array of units"]),
+        "other channels": (two, joint_state("a", "t", ["x", "z"], position="m")),
+        "more channels than a partial one has": (two, joint_state("a", "t", ["x"], position="m", partial=True)),
+        "fields that are not filled": (two, joint_state("a", "t", ["x", "y"], effort="N")),
+    }
+    lines = [f"{name}: {said(selection, *pair)}" for name, pair in pairs.items()]
+    lines += [
+        f"bytes, {name}: {said(Decoder(sink), s.layout().encode(3, (1.0,) * s.layout().size))}"
+        for name, (s, sink) in pairs.items()
+        if name != "another type"
+    ]
+    named = joint_state("a", "t", ["x", "y"], position="m", also=("p", "q"))
+    for names in (("p", "q"), ("q", "p"), ("x", "p"), ("x", "x"), ()):
+        message = (
+            joint_state("a", "t", names or ["n"], position="m").layout().encode(3, (1.0, 2.0)[: max(1, len(names))])
+        )
+        lines.append(f"names {names}: {said(Decoder(named), message)}")
+    partial = joint_state("a", "t", ["x", "y"], position="m", partial=True)
+    for names in (("x",), ("y", "x"), ("x", "x"), ("z",)):
+        message = joint_state("a", "t", names, position="m").layout().encode(3, (1.0, 2.0)[: len(names)])
+        lines.append(f"partial {names}: {said(Decoder(partial), message)}")
+    lines.append(f"cut: {said(Decoder(two), two.layout().encode(3, (1.0, 2.0))[:-3])}")
+    lines.append(f"too large: {said(Decoder(two), two.layout().encode(3, (1.0, 2e9)))}")
+    lines.append(f"pick: {said(Decoder(two).pick, joint_state('a', 't', ['y', 'x'], position='m').layout()) != 'None'}")
+    lines.append(f"pick of the same: {said(Decoder(two).pick, two.layout())}")
+    check_told("refused", lines)
+
+
+# answers --------------------------------------------------------------------------------------------------------------
+
+
+def test_what_was_heard_in_one_go_is_a_row_of_messages():
+    stamps, values = np.array([3, 5, 9]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    heard, row = Heard(stamps, values), ((3, (1.0, 2.0)), (5, (3.0, 4.0)), (9, (5.0, 6.0)))
+    assert (tuple(heard), len(heard), repr(heard)) == (row, 3, repr(row))
+    assert heard == row
+    assert heard == Heard(stamps, values)
+    assert heard != row[:2]
+    assert heard != list(row)
+    for k in (*range(-3, 3), slice(1, None), slice(None, None, -2), slice(0, 0)):
+        assert heard[k] == row[k]
+    assert type(heard[0][0]) is int
+    assert all(type(v) is float for _, numbers in heard for v in numbers)
+
+
+@pytest.mark.parametrize(
+    ("values", "yes"),
+    [
+        ((3.0, 4.0), True),
+        ((3.0, 4.1), False),
+        ((), False),
+        ((1, 2), False),
+        ((math.nan,), False),
+        (("x",), False),
+        ((10**400,), False),
+    ],
+)
+def test_usual_are_floats_the_sum_of_whose_squares_is_not_above_a_bound(values, yes):
+    assert usual(values, 25.0) is yes
+
+
+# parameters -----------------------------------------------------------------------------------------------------------
+
+
+class Inner(Params):
+    bits: int = param(12, "word length", ge=2, le=16)
+    word: str = param("up", "a text")
+
+
+class Every(BlockParams):
+    R: float = param(0.4, "resistance", "ohm", gt=0.0, lt=5.0, live=True)
+    free: float = param(1.0, "no bounds", "m")
+    count: int = param(3, "whole")
+    on: bool = param(True, "a switch", live=True)
+    names: tuple[str, ...] = param(("a",), "channels", min_length=1, max_length=3)
+    row: tuple[float, ...] = param((1.0, 2.0), "numbers", "s", each=(0.0, 9.0))
+    wide: tuple[float, ...] = param((), "numbers without bounds")
+    maybe: float | None = param(None, "or nothing", "s", ge=-1.0)
+    rig: Inner = Inner()
+
+
+GIVEN = [
+    {},
+    {"R": 1, "rig.bits": 10, "names": ["x", "y"]},
+    {"rig": {"bits": 3}, "rig.word": "down"},
+    {"rig.word": "down", "rig": {"bits": 3}},
+    {"R": 0.0},
+    {"R": 5.0},
+    {"R": math.nan},
+    {"R": "x"},
+    {"rig.bits": 17},
+    {"rig.bits": 1},
+    {"rr": 1.0},
+    {"coumt": 1},
+    {"rig.bitz": 3},
+    {"names": []},
+    {"names": list("abcd")},
+    {"row": [0.0, 9.0]},
+    {"row": [1.0, 9.1]},
+    {"row": [-0.1]},
+    {"free": 1e12},
+    {"free": -1e12},
+    {"free": 1.1e12},
+    {"free": -1.1e12},
+    {"count": 10**12 + 1},
+    {"count": 10**5000},
+    {"wide": [1e13]},
+    {"wide": [1.0] * 10_000},
+    {"wide": [1.0] * 10_001},
+    {"rig.word": "x" * 98},
+    {"rig.word": "x" * 99},
+    {"rig.word": "x" * 10_000},
+    {"rig.word": "x" * 10_001},
+    {"maybe": -1.0},
+    {"maybe": -1.1},
+    {"on": 1},
+    {"period": "1/2880"},
+    {"period": "1/0"},
+    {"period": 1e-9},
+    {"period": 0.9e-9},
+    {"period": 100.0},
+    {"period": 100.1},
+    {"rig": 5, "rig.bits": 8},
+    {"R": 7.0, "count": 1.5},
+]
+
+
+def test_parameters_are_as_told():
+    lines = [
+        f"{d.name} = {d.default!r}, {d.type.__name__}, {d.doc}, {d.unit!r}, {d.lower} to {d.upper}{', live' * d.live}"
+        for d in declarations(Every)
+    ]
+    for values in GIVEN:
+        short = ", ".join(f"{k} = {v if len(said(lambda v=v: v)) < 40 else 'much'}" for k, v in values.items())
+        try:
+            found = build(Every, values)
+        except ParameterError as error:
+            lines.append(f"{short}: {error}")
+            continue
+        assert build(Every, flatten(found)) == found
+        new = {k: v for k, v in flatten(found).items() if v != flatten(Every())[k] and len(repr(v)) < 100}
+        lines.append(f"{short}: changes {new}")
+        if len(differing(found)) < 300:
+            lines.append(f"  {differing(found)!r}")
+    lines += [f"{steps} steps: {said(check_steps, steps / 1024, 1 / 1024, 'substep')}" for steps in (100_000, 100_001)]
+    check_told("parameters", lines)
+
+
+# a block and what it remembers ----------------------------------------------------------------------------------------
+
+
+class Counting(Block[Every]):
+    """Counts its ticks, and reports each third."""
+
+    INPUTS, OUTPUTS = (), (scalars("out", "out", {"a": ""}),)
+
+    def first(self):
+        return (0, self.p.R)
+
+    def go_on(self, x, before):
+        return (x[0], self.p.R - before.R)
+
+    def update(self, x, t):
+        if x[0] % 3 == 2:
+            self.report(Level.WARN, f"key {x[0] % 2}", f"tick {x[0]}", anew=x[0] > 5)
+        if x[0] == 9:
+            self.withdraw("key 1")
+        return (x[0] + 1, x[1]), {"out": (float(x[0]),)}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_block_that_goes_back_is_as_it_was(seed):
+    """Ticks, changes, ticks that are dropped, going back: against a list of what was, by hand."""
+    rng, held, kept = random.Random(seed), ByHand(Counting()), []
+    count, gain, own, reports = 0, 0.4, 0.4, {}
+    for _ in range(60):
+        what = rng.choice(["tick", "tick", "tick", "drop", "change", "keep", "back"])
+        if what == "tick":
+            assert held.update(0) == {"out": (float(count),)}
+            if count % 3 == 2:
+                key = f"key {count % 2}"
+                reports[key] = (Level.WARN, f"tick {count}", reports.get(key, (0, 0, 0))[2] + 1)
+            if count == 9:
+                reports.pop("key 1", None)
+            count += 1
+        elif what == "drop":
+            held.block.report(Level.ERROR, "lost", "never told")
+            held.drop()
+        elif what == "change":
+            own, gain = round(rng.uniform(0.1, 4.0), 3), own
+            held.change(Every(R=own))
+            gain = own - gain
+        elif what == "keep":
+            kept.append((held.save(), count, gain, own, dict(reports)))
+        elif kept:
+            state, count, gain, own, reports = rng.choice(kept)
+            reports = dict(reports)
+            held.load(state)
+        assert held.x == (count, gain)
+        assert (held.params.R, held.block.p.R, held.reports) == (own, own, reports)
+        assert held.block.events == []
+    held.reset(3)
+    assert (held.x, held.reports, held.block.anew) == ((0, own), {}, set())
+
+
+def test_what_is_reported_anew_is_so_and_outside_of_a_run_all_is_at_once():
+    block = Counting()
+    block.report(Level.WARN, "a", "first")
+    block.report(Level.ERROR, "a", "second", anew=True)
+    assert (block.reports, block.anew) == ({"a": (Level.ERROR, "second", 2)}, {"a"})
+    block.withdraw("a")
+    block.withdraw("none")
+    assert (block.reports, block.age("any"), block.health(), block.latched(), block.markers()) == ({}, 0, {}, {}, ())
+    block.events = []
+    block.report(Level.WARN, "b", "text")
+    block.withdraw("b")
+    assert block.events == [(Level.WARN, "b", "text", False), (None, "b", "", False)]
+    assert block.reports == {}
+
+
+def test_a_sample_before_the_first_message_is_of_time_zero():
+    assert all_ports()["vector3"].initial == Sample(0, (0.0, 0.0, 0.0))
+    assert list(itertools.islice(all_ports()["scalars"].units, 2)) == ["K", "Pa"]
+    assert issubclass(Refused, ValueError)

@@ -1,0 +1,485 @@
+"""Small rigs as native code: the whole text of each, for a person to read, as numba gets it and as Python runs it.
+
+`tests/expected/native_rigs` holds them: members that speak at each tick or not, late, doubted, seldom, whose ticks are
+Python's, that report, in each order; and the same rigs as batches of many instances.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from difflib import unified_diff
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from softrig_core import Block, BlockParams, Level, Observer, Plant, Rig, command, param, scalars
+from softrig_core.block.port import Sample
+from softrig_core.block.runner import Runner
+from softrig_core.kit.draws import Draws
+from softrig_core.native import engine
+from softrig_core.native.batch_text import Form, batch_text, remembered
+from softrig_core.native.compile import plain
+from softrig_core.native.rig_text import rig_text
+from softrig_core.native.value import NotNative
+from softrig_core.run import inprocess
+from test_native import the_same
+from told import check_told
+
+SIGNAL = scalars("signal", "signal", {"x": "m", "y": ""})
+PUSH = command("push", "push", ("u",), "N")
+LATE = replace(SIGNAL, name="late", topic="late", delayed=True)
+SPOKEN = replace(PUSH, sporadic=True)
+WIDE = scalars("wide", "wide", dict.fromkeys("abc", ""))
+
+
+class Params(BlockParams):
+    """Of all."""
+
+    period: float = param(0.001, "period", "s", gt=0.0)
+    rate: float = param(0.25, "a rate", live=True)
+
+
+class State(NamedTuple):
+    """Of the plant."""
+
+    x: float = 1.0
+    k: int = 0
+
+
+class Body(Plant[Params]):
+    """Pushed."""
+
+    INPUTS = (PUSH,)
+    OUTPUTS = (SIGNAL,)
+
+    def first(self) -> State:
+        """Begin."""
+        return State()
+
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Where it is."""
+        return {"signal": (x.x, 0.5)}
+
+    def advance(self, x: State, t: int, *, push: tuple[float, ...]) -> State:
+        """Move."""
+        return State(x.x + self.p.rate * push[0], x.k + 1)
+
+
+class Telling(Body):
+    """Reports."""
+
+    def advance(self, x: State, t: int, *, push: tuple[float, ...]) -> State:
+        """Move."""
+        if x.k == 7:
+            self.report(Level.WARN, "seven", f"{x.x:g}")
+        return State(x.x, x.k + 1)
+
+
+class Law(Block[Params]):
+    """Pushes back."""
+
+    INPUTS = (SIGNAL,)
+    OUTPUTS = (PUSH,)
+
+    def first(self) -> float:
+        """What was said last."""
+        return 0.0
+
+    def update(self, x: float, t: int, *, signal: tuple[float, ...]) -> tuple[float, Mapping[str, Any]]:
+        """Answer."""
+        return -signal[0], {"push": (x - signal[1],)}
+
+
+class Deciding(Law):
+    """At some ticks Python is to answer."""
+
+    def decides(self, x: float, t: int) -> bool:
+        """Where it went far."""
+        return x > 2.0
+
+
+class Sensor(Block[Params]):
+    """Measures what it tells later."""
+
+    INPUTS = (SIGNAL,)
+    OUTPUTS = (LATE,)
+
+    def update(self, x: tuple[()], t: int, *, signal: tuple[float, ...]) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Answer."""
+        return x, {"late": Sample(t - 1_000_000, signal)}
+
+
+class Talker(Block[Params]):
+    """Says something now and then."""
+
+    INPUTS = (LATE,)
+    OUTPUTS = (SPOKEN,)
+
+    def update(self, x: tuple[()], t: int, *, late: Sample) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Answer, or not."""
+        if late.stamp > 3_000_000:
+            return x, {"push": (-late.data[0],)}
+        return x, {}
+
+
+class Both(Block[Params]):
+    """Says one thing or another, and two things late."""
+
+    INPUTS = (SIGNAL,)
+    OUTPUTS = (
+        replace(PUSH, name="one", topic="one", sporadic=True),
+        replace(SIGNAL, name="old", topic="old", delayed=True),
+        replace(PUSH, name="two", topic="two", sporadic=True),
+        replace(SIGNAL, name="older", topic="older", delayed=True),
+    )
+
+    def update(self, x: tuple[()], t: int, *, signal: tuple[float, ...]) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Answer."""
+        old, older = Sample(t - 1, signal), Sample(t - 2, signal)
+        if signal[0] > 0.0:
+            return x, {"one": (1.0,), "old": old, "older": older}
+        return x, {"two": (2.0,), "old": old, "older": older}
+
+
+class Saying(Block[Params]):
+    """Says something at some ticks, what it is at others."""
+
+    INPUTS = (SIGNAL,)
+    OUTPUTS = (SPOKEN.renamed("said"), replace(WIDE, name="often", topic="often"))
+
+    def first(self) -> int:
+        """Counts."""
+        return 0
+
+    def update(self, x: int, t: int, *, signal: tuple[float, ...]) -> tuple[int, Mapping[str, Any]]:
+        """Answer."""
+        often = (signal[0], float(x), 1.0)
+        if x % 3 == 1:
+            return x + 1, {"push": (float(x),), "often": often}
+        return x + 1, {"often": often}
+
+
+class Hearing(Block[Params]):
+    """Hears all of it, and with a stamp what has none."""
+
+    INPUTS = (*Both.OUTPUTS, replace(SIGNAL, name="signal", delayed=True))
+
+    def update(self, x: tuple[()], t: int, **inputs: Any) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Nothing."""
+        if inputs["signal"].stamp + inputs["old"].stamp > inputs["older"].stamp + inputs["one"][0] + inputs["two"][0]:
+            return x, {}
+        return (), {}
+
+
+class Asking(Body):
+    """Asks how old what it hears is."""
+
+    INPUTS = (SPOKEN,)
+
+    def advance(self, x: State, t: int, *, push: tuple[float, ...]) -> State:
+        """Move, once something has come."""
+        if self.age("push") is None:
+            return x
+        return State(x.x + 1e-9 * self.age("push") * push[0], x.k)
+
+
+class Spoiling(Law):
+    """May say what nobody takes."""
+
+    OUTPUTS = (replace(PUSH, unchecked=True),)
+
+
+class Wide(Plant[Params]):
+    """Says more numbers than are squared one by one."""
+
+    OUTPUTS = (WIDE,)
+
+    def first(self) -> tuple[float, ...]:
+        """Begin."""
+        return (1.0, 2.0, 3.0)
+
+    def outputs(self, x: tuple[float, ...], t: int) -> Mapping[str, tuple[float, ...]]:
+        """All of it."""
+        return {"wide": x}
+
+    def advance(self, x: tuple[float, ...], t: int) -> tuple[float, ...]:
+        """Turn."""
+        return (x[1], x[2], x[0] + 1e-9 * t)
+
+
+class Short(Law):
+    """Says too little."""
+
+    def update(self, x: float, t: int, *, signal: tuple[float, ...]) -> tuple[float, Mapping[str, Any]]:
+        """Answer."""
+        return x, {"push": () if x > 9.0 else (1.0,)}
+
+
+class More(Block[Params]):
+    """Reads of two."""
+
+    INPUTS = (SIGNAL, WIDE)
+    OUTPUTS = (replace(PUSH, name="pull", topic="pull"),)
+
+    def first(self) -> tuple[()]:
+        """Remembers nothing."""
+        return ()
+
+    def update(self, x: tuple[()], t: int, *, signal: Any, wide: Any) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Answer."""
+        return x, {"pull": (signal[0] + wide[2],)}
+
+
+def hard(**periods: float) -> dict[str, Any]:
+    kinds = {"body": Asking, "sensor": Sensor, "talker": Talker}
+    return {name: kind(period=periods.get(name, 0.001)) for name, kind in kinds.items()}
+
+
+# blocks; those of them that are native, or all; ticks before the text is made
+class Several(NamedTuple):
+    """All that a state may be made of."""
+
+    a: float = 0.5
+    k: int = 3
+    on: bool = True
+    z: complex = 1.0 - 2.0j
+    pair: tuple[float, int] = (2.0, 4)
+    none: None = None
+
+
+class Shaken(Body):
+    """Moved by chance."""
+
+    def setup(self) -> None:
+        """Draw."""
+        self.draws = Draws(lambda: np.random.default_rng(1), "random")
+
+    def first(self) -> Several:
+        """Begin."""
+        return Several()
+
+    def outputs(self, x: Several, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Where it is."""
+        return {"signal": (x.a, x.pair[0])}
+
+    def advance(self, x: Several, t: int, *, push: tuple[float, ...]) -> Several:
+        """Move."""
+        return x._replace(a=x.a + push[0] + self.draws(x.k), k=x.k + 1)
+
+
+def batch(blocks: dict[str, Any], agent: str, native: str) -> Any:
+    """Give the text of a batch, one of whose members is an agent that says what is in its row."""
+    steps = stepped(blocks, native)
+    found = {s.name: s for s in steps}
+    form = Form(remembered(found[agent], steps, [(s.x, s.numbers) for s in steps]))
+    return batch_text(steps, found[agent], [f"a[{k}]" for k, _ in enumerate(found[agent].numbers)], form)
+
+
+BATCHES: dict[str, tuple[Any, str, str]] = {
+    "an agent in the place of the law": (lambda: {"body": Body(), "law": Law()}, "law", ""),
+    "an agent at each third tick": (lambda: {"body": Shaken(), "law": Law(period=0.003)}, "law", ""),
+    "the quickest is Python's": (
+        lambda: {"body": Body(period=0.002), "law": Law(period=0.004), "wide": Wide()},
+        "law",
+        "body law",
+    ),
+    "an agent beside a law": (
+        lambda: {"body": Body(), "law": Law(period=0.002), "wide": Wide(period=0.002), "more": More(period=0.004)},
+        "more",
+        "",
+    ),
+    "silent": (hard, "sensor", ""),
+}
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_the_text_of_a_batch_is_as_told(name: str) -> None:
+    blocks, agent, native = BATCHES[name]
+    check_told(
+        "native_rigs/batch_" + name.replace(" ", "_").replace("'", ""),
+        (f"  {line}" for line in lines_of(batch, blocks(), agent, native)),
+    )
+
+
+def test_what_is_no_number_has_no_place_in_a_row() -> None:
+    with pytest.raises(NotNative, match="str in a state: an instance is a row of numbers"):
+        Form((1.0, ("up",)))
+
+
+RIGS: dict[str, tuple[Any, str, int]] = {
+    "both at each tick": (lambda: {"body": Body(), "law": Law()}, "", 2),
+    "of which one is Python's": (lambda: {"body": Body(), "law": Law()}, "body", 2),
+    "of which the plant is Python's": (lambda: {"body": Body(), "law": Law()}, "law", 2),
+    "one at each other tick": (lambda: {"body": Body(), "law": Law(period=0.002)}, "", 2),
+    "who is quickest is Python's": (
+        lambda: {"body": Body(period=0.002), "law": Law(period=0.004), "wide": Wide(period=0.001)},
+        "body law",
+        2,
+    ),
+    "ticks that are no whole number of ns": (
+        lambda: {"body": Body(period=1 / 3000), "law": Law(period=1 / 1500)},
+        "",
+        2,
+    ),
+    "one whose ticks are Python's at times": (lambda: {"body": Body(), "law": Deciding(period=0.002)}, "", 2),
+    "one that reports": (lambda: {"body": Telling(), "law": Law()}, "", 2),
+    "late and silent before anything has come": (hard, "", 2),
+    "late and silent": (hard, "", 12),
+    "late and seldom": (lambda: hard(sensor=0.002, talker=0.004), "", 12),
+    "late of which one is Python's": (hard, "body sensor", 12),
+    "several late and silent": (
+        lambda: {
+            "body": Body(period=0.003),
+            "both": Both(period=0.003),
+            "hearing": Hearing(period=0.006),
+            "law": Law(period=0.003),
+            "wide": Wide(),
+        },
+        "body both hearing law",
+        12,
+    ),
+    "doubted": (lambda: {"body": Body(), "law": Spoiling()}, "", 2),
+    "of many numbers": (lambda: {"wide": Wide()}, "", 2),
+    "an answer that is too short": (lambda: {"body": Body(), "law": Short()}, "", 2),
+}
+
+
+def stepped(blocks: dict[str, Any], native: str = "", ticks: int = 2, duration: float = 0.1) -> list[Any]:
+    """Give the steps of a rig after some ticks, those that are native."""
+    made = Rig.from_blocks(blocks, duration)
+    steps = inprocess.wired(made, blocks)
+    going = iter(Runner(list(steps.values())).run())
+    for _ in range(ticks):
+        next(going)
+    return [s for name, s in steps.items() if name in (native.split() or steps)]
+
+
+def lines_of(make: Any, *how: Any) -> list[str]:
+    """Give the text of a rig, or why there is none; without the words of Python that it says otherwise."""
+    try:
+        text = make(*how)
+    except NotNative as reason:
+        return [re.sub(r"line \d+: ", "", str(reason))]
+    known = [t.splitlines() for t in re.split(r"\n\n+", text.text)]
+    lines = [line.partition("  # ")[0] for part in known if re.match(r"def (f\d|rig)", part[0]) for line in part]
+    return [*lines, f"arrays {text.arrays}, stamped {text.stamped}, words {sorted(text.program.words)}"]
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_the_text_of_a_rig_is_as_told(name: str) -> None:
+    """As numba gets it; then the lines that are others without reports, in Python, and where nobody records it."""
+    blocks, native, ticks = RIGS[name]
+    steps = stepped(blocks(), native, ticks)
+    whole = lines_of(lambda: rig_text(steps, steps))
+    told = [f"  {line}" for line in whole]
+    for what, recorded, typed, reports in (
+        ("without reports", steps, True, False),
+        ("in Python", steps, False, True),
+        ("not recorded", [], True, True),
+    ):
+        other = lines_of(lambda *how: rig_text(steps, *how), recorded, typed, reports)
+        changed = [line for line in unified_diff(whole, other, n=0, lineterm="") if line[:2] not in ("--", "++", "@@")]
+        told += [what, *(f"  {line}" for line in changed)] if changed else []
+    check_told("native_rigs/" + name.replace(" ", "_").replace("'", ""), told)
+
+
+@pytest.mark.parametrize(("ticks", "refused"), [(2305, False), (2306, True)])
+def test_times_are_whole_numbers_of_64_bits(ticks: int, refused: bool) -> None:
+    """Ticks of 1000003/10007 s are 1000003 * 10**9 / 10007 ns apart: twice the first number by 2306 is beyond 2**62."""
+    blocks = {"body": Body(period="1000003/10007"), "law": Law(period="1000003/10007")}
+    steps = stepped(blocks, duration=ticks * 1000003 / 10007 + 1.0)
+    form = Form(remembered(steps[1], steps, [(s.x, s.numbers) for s in steps]))
+    said = "times beyond whole numbers of 64 bits"
+    for found in (lines_of(rig_text, steps, []), lines_of(batch_text, steps, steps[1], ["a[0]"], form)):
+        assert (found == [said]) == refused
+
+
+@pytest.mark.parametrize(("size", "refused"), [(64, False), (65, True)])
+def test_an_input_of_many_numbers_is_an_array(size: int, refused: bool) -> None:
+    port = scalars("many", "many", {f"c{k}": "" for k in range(size)})
+
+    class Many(Block[Params]):
+        OUTPUTS = (port,)
+
+        def update(self, x: Any, t: int) -> Any:
+            return x, {"many": (0.5,) * size}
+
+    class Reads(Block[Params]):
+        INPUTS = (port,)
+
+        def update(self, x: Any, t: int, *, many: Any) -> Any:
+            return x, {}
+
+    found = lines_of(rig_text, stepped({"many": Many(), "reads": Reads()}), [])
+    assert ("expected at most 64" in found[0]) == refused
+
+
+def watching(blocks: dict[str, Any], at_once: bool) -> type[Observer[Params]]:
+    """Give a class that hears all that blocks say: of each input how many messages, their stamps and numbers added."""
+    said = [port for block in blocks.values() for port in block.ports(block.p)[1]]
+
+    class Seeing(Observer[Params]):
+        INPUTS = tuple(replace(port, unchecked=False) for port in said)
+
+        def first(self) -> tuple[tuple[int, int, float], ...]:
+            return ((0, 0, 0.0),) * len(said)
+
+        def update(self, x: Any, t: int, **heard: Any) -> Any:
+            ages = [self.age(port.name) for port in said]
+            new = [(age == 0, heard[port.name], port.delayed) for age, port in zip(ages, said, strict=True)]
+            return tuple(taken(old, t, *one) for old, one in zip(x, new, strict=True)), {}
+
+        def status(self, x: Any) -> Any:
+            return {}
+
+    def taken(old: Any, t: int, new: bool, value: Any, late: bool) -> Any:
+        if late:
+            return old[0] + 1, old[1] + value.stamp, old[2] + value.data[0]
+        return (old[0] + 1, old[1] + t, old[2] + value[0]) if new else old
+
+    def all_at_once(self: Any, x: Any, t: int, messages: Mapping[str, Any]) -> Any:
+        x = list(x)
+        for k, port in enumerate(said):
+            for stamp, values in messages.get(port.name, ()):
+                x[k] = taken(x[k], stamp, True, values, False)
+        return tuple(x)
+
+    if at_once:
+        Seeing.at_once = all_at_once  # type: ignore[method-assign]
+    return Seeing
+
+
+class Failing(Law):
+    """Fails when it went far."""
+
+    def update(self, x: float, t: int, *, signal: tuple[float, ...]) -> tuple[float, Mapping[str, Any]]:
+        """Answer, or not."""
+        if t == 31_000_000:
+            raise ValueError("far")
+        return x, {"push": (0.125 if t % 7_000_000 else float(f"{signal[0]:.1f}"),)}
+
+
+RUN = {name: blocks for name, (blocks, _, _) in RIGS.items()} | {
+    "silent at times": lambda: {"body": Body(), "law": Law(), "saying": Saying()},
+    "silent at times and seldom": lambda: {"body": Body(), "law": Law(period=0.002), "saying": Saying(period=0.004)},
+    "one that fails": lambda: {"body": Body(), "law": Failing()},
+    "one that is moved by chance": lambda: {"body": Shaken(), "law": Law(period=0.003)},
+}
+
+
+@pytest.mark.parametrize("name", RUN)
+def test_a_rig_runs_natively_as_in_python(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With those who watch it at each tick or at once, as often as it ticks or half as often; in both kinds of text."""
+    monkeypatch.setattr(engine, "_counts", {})
+    for k, (at_once, every) in enumerate(((True, 1), (True, 2), (False, 1), (False, 2))):
+        quickest = min(block.p.period for block in RUN[name]().values())
+
+        def made(at_once: bool = at_once, every: int = every, quickest: float = quickest) -> Rig:
+            blocks = RUN[name]()
+            seeing = watching(blocks, at_once)(period=every * quickest)
+            return Rig.from_blocks(blocks | {"seeing": seeing}, 40 * quickest)
+
+        native = the_same(made, monkeypatch, plain if k % 3 else lambda text: plain(text))
+        assert native.members or "short" in name, native.reason

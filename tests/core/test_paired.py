@@ -1,0 +1,894 @@
+"""Which message a tick in lockstep uses, and for whom it waits: against lists of what was said, come in any order.
+
+Rows of the table of senders by themselves, fed with bytes by hand; and when a run that stands is ended, and why.
+"""
+
+import math
+import random
+from types import SimpleNamespace
+
+import pytest
+from by_hand import Hand
+from softrig_core import Recording, Sample, array, command, joint_state
+from softrig_core.block.change import Change
+from softrig_core.block.port import CLOCK
+from softrig_core.block.schedule import Schedule
+from softrig_core.node.adapter.files import Files
+from softrig_core.node.lockstep import comeback as comebacks, paired
+from softrig_core.node.lockstep.comeback import Comeback
+from softrig_core.node.lockstep.first import repeat_first
+from softrig_core.node.lockstep.paired import Newest, Paired, PairedSenders
+from softrig_core.node.lockstep.stalls import Stalls
+from softrig_core.node.seam.endpoint import Output
+from softrig_core.node.seam.numbering import numbered
+from softrig_core.node.seam.tick import TICK, TickWriter
+from softrig_core.rig.options import InputLink, Links
+from softrig_core.wire.cdr import Layout
+
+MS = 1_000_000
+
+
+class Reader:
+    """A node of which there is only what its table of senders asks for."""
+
+    def __init__(self, period="0.01", plant=False, duration=0.2, **links):
+        self.middleware, self.links = Hand("reader"), Links(base="0.01", **links)
+        self.schedule = Schedule(period, "0.01", duration, plant)
+        self.options = SimpleNamespace(
+            paired=(), timeout=10.0, start_timeout=30.0, duration=duration, links="x", patience=0.8
+        )
+        self.is_plant, self.state, self.ticks, self.epoch, self.namespace = plant, "running", 0, 0, ""
+        self.foreign, self.kept, self.values, self.paces, self.files = {}, [], {}, [], None
+        self.sink = SimpleNamespace(add=lambda *said: self.kept.append(said))
+        self.step = SimpleNamespace(stamps={}, bad=False)
+        self.refusals, self.failures, self.notes, self.waits_for = [], [], [], []
+        self.block = SimpleNamespace(note=lambda level, key, text: self.notes.append((level.name, key, text)))
+        self.turns, self.inputs = 0, []
+        self.table = PairedSenders(self, self._turn)
+
+    def _turn(self):
+        self.turns += 1
+
+    @property
+    def t(self):
+        return self.schedule.time(self.ticks)
+
+    def peer(self, link):
+        return Schedule(link.period, self.schedule.clock, self.options.duration, link.at_end)
+
+    def refuse(self, row, text):
+        self.refusals.append((row.name, text))
+        row.refused, row.last_refusal = row.refused + 1, text
+
+    def fail(self, text):
+        self.failures.append(text)
+        self.state = "failed"
+
+    def finish(self):
+        self.state = "done"
+
+    def row(self, port):
+        self.values[port.name] = port.safe
+        self.inputs.append(self.table.row(port))
+        return self.inputs[-1]
+
+
+def link(period="0.01", **more):
+    return InputLink(period=period, node="sender", port="out", **more)
+
+
+def state(name="x"):
+    return joint_state(name, f"{name}", ["q"], position="m")
+
+
+def said(port, stamp, value):
+    return port.layout().encode(stamp, (value,))
+
+
+# ---- any senders in any order ----
+
+KINDS = {  # of a sender: its period, whether it speaks at the end, may be silent, is counted
+    "alike": ("0.01", True, False, False),
+    "slower": ("0.03", True, False, False),
+    "twice": ("0.02", False, False, False),
+    "counted": ("0.01", True, False, True),
+    "slow counted": ("0.03", False, False, True),
+    "silent": ("0.01", True, True, False),
+    "slow silent": ("0.02", True, True, False),
+    "silent counted": ("0.02", False, True, True),
+}
+
+
+class Sender:
+    """A sender as a list of what it says, and how much of that has come."""
+
+    def __init__(self, name, kind, draw, bad):
+        self.period, self.at_end, self.silent, self.counted = KINDS[kind]
+        self.name, self.kind = name, kind
+        self.port = array(name, name, {"q": 1}, "m") if self.counted else state(name)
+        self.schedule = Schedule(self.period, "0.01", 0.2, self.at_end)
+        self.ticks = [self.schedule.time(k) for k in range(self.schedule.count())]
+        self.spoken = [t for t in self.ticks if not self.silent or draw.random() < 0.5]
+        self.bad = {t for t in self.spoken if draw.random() < bad}
+        self.told = self.came = 0  # acknowledgements, messages
+
+    def message(self, k):
+        t = self.spoken[k]
+        value = math.nan if t in self.bad else t / 1e9 + 1.0
+        return said(self.port, k if self.counted else t, value)
+
+    def left(self):
+        return ["message"] * (self.came < len(self.spoken)) + ["tick"] * (self.silent and self.told < len(self.ticks))
+
+    def deliver(self, row, what):
+        if what == "message":
+            self.came += 1
+            row.receive(self.message(self.came - 1))
+        else:
+            t = self.ticks[self.told]
+            self.told += 1
+            row.told(t, t in self.spoken)
+
+    def there(self, t):
+        """Whether all that a tick needs has come."""
+        want = self.schedule.awaited(t)
+        known = [s for s in self.ticks if s <= want]
+        told, came = set(self.ticks[: self.told]), set(self.spoken[: self.came])
+        if not self.silent:
+            return want in came
+        both = self.counted
+        return all((s in came and (s in told or not both)) if s in self.spoken else s in told for s in known)
+
+    def used(self, t):
+        """Stamp of what a tick uses, whether it is bad; before the first None."""
+        want = self.schedule.awaited(t)
+        return max((s for s in self.spoken if s <= want), default=None)
+
+
+@pytest.mark.parametrize("bad", [0.0, 0.2], ids=["", "some refused"])
+@pytest.mark.parametrize("period", ["0.01", "0.02"])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_tick_uses_the_newest_that_was_said_up_to_it_and_waits_for_it(seed, period, bad):
+    draw = random.Random(seed)
+    senders = [Sender(f"{kind}{k}", kind, draw, bad) for k, kind in enumerate(draw.sample(sorted(KINDS), 4))]
+    inputs = {s.name: link(s.period, at_end=s.at_end, sporadic=s.silent) for s in senders}
+    reader = Reader(period, inputs=inputs)
+    rows = {s.name: reader.row(s.port) for s in senders}
+    held = {s.name: rows[s.name].port.safe for s in senders}
+    usual = {s.name: None for s in senders}
+    for k in range(reader.schedule.count()):
+        reader.ticks = k
+        t, turns = reader.t, reader.turns
+        reader.table.await_tick(t)
+        assert reader.table.missing == sum(not s.there(t) for s in senders)
+        waited = reader.table.missing > 0
+        while reader.table.missing or draw.random() < 0.4:
+            open_ones = [
+                (s, what) for s in senders for what in s.left() if s.came < 3 + s.schedule.tick(t) + 2 or what == "tick"
+            ]
+            if not open_ones:
+                break
+            sender, what = draw.choice(open_ones)
+            sender.deliver(rows[sender.name], what)
+            assert reader.table.missing == sum(not s.there(t) for s in senders)
+        assert reader.table.missing == 0
+        assert reader.turns - turns == waited
+        spoilt = False
+        for sender in senders:
+            stamp = sender.used(t)
+            if stamp is not None and stamp != usual[sender.name]:
+                usual[sender.name] = stamp
+                if stamp in sender.bad:
+                    spoilt = True
+                else:
+                    held[sender.name] = (stamp / 1e9 + 1.0,)
+                    assert rows[sender.name].stamp == reader.step.stamps[sender.name]() == stamp
+            assert reader.values[sender.name] == held[sender.name], (sender.kind, t)
+        assert reader.step.bad == spoilt
+        reader.step.bad = False
+    assert len(reader.refusals) == sum(
+        min(s.came, len(s.spoken)) > j for s in senders for j, b in enumerate(s.spoken) if b in s.bad
+    )
+    assert not reader.failures
+
+
+def test_of_a_faster_sender_only_what_the_tick_needs_is_used_whatever_came_before():
+    reader = Reader("0.03", inputs={"x": link("0.01")})
+    row = reader.row(state())
+    for stamp in (0, 10, 20):
+        row.receive(said(row.port, stamp * MS, stamp + 0.5))
+    for k, (come, value) in enumerate([((30,), 0.5), ((40, 50, 60), 30.5), ((70, 80, 90), 60.5)]):
+        reader.ticks = k
+        reader.table.await_tick(reader.t)
+        assert (reader.table.missing, reader.values["x"]) == (0, (value,))
+        for stamp in come:
+            row.receive(said(row.port, stamp * MS, stamp + 0.5))
+    assert not reader.refusals
+
+
+# ---- what does not belong to a tick ----
+
+
+def test_what_is_of_no_tick_or_was_there_before_is_refused_with_what_was_expected():
+    reader = Reader(inputs={"x": link("0.02")})
+    row = reader.row(state())
+    reader.table.await_tick(0)
+    for stamp, text in (
+        (10 * MS, "stamp 0.01 s from sender, expected 0 s"),  # between two of its ticks
+        (20 * MS, None),  # ahead of us
+        (20 * MS, "stamp 0.02 s from sender, expected 0 s"),
+        (0, None),
+        (0, "stamp 0 s from sender, expected 0 s (already there)"),
+        (220 * MS, "stamp 0.22 s from sender, expected 0 s (already there)"),  # after the end
+        (200 * MS, None),
+        (-20 * MS, "stamp -0.02 s from sender, expected 0 s (already there)"),
+    ):
+        before = len(reader.refusals)
+        row.receive(said(row.port, stamp, 1.0))
+        assert [said for _, said in reader.refusals[before:]] == ([text] if text else []), stamp
+    for state_of_it in ("done", "failed"):
+        reader.state = state_of_it
+        row.receive(b"")
+    assert len(reader.refusals) == 5
+
+
+def test_what_is_said_again_for_others_or_comes_after_a_refused_one_is_left_out_silently():
+    reader = Reader(inputs={"x": link()}, guests=True)
+    row = reader.row(state())
+    reader.table.await_tick(0)
+    row.receive(said(row.port, 0, 1.0))
+    row.receive(said(row.port, 0, 2.0))
+    assert (reader.values["x"], reader.refusals) == ((1.0,), [])
+    reader.table.await_tick(10 * MS)
+    row.receive(said(row.port, 10 * MS, math.nan))
+    assert reader.step.bad
+    row.receive(said(row.port, 10 * MS, 3.0))  # a better one is too late
+    assert (reader.values["x"], len(reader.refusals)) == ((1.0,), 1)
+    row.receive(b"\0\1\0\0")  # of no tick that could be read
+    assert (len(reader.refusals), row.used) == (2, 10 * MS)
+
+
+def test_a_plant_waits_for_a_good_command():
+    reader = Reader(plant=True, inputs={"u": link(at_end=False)})
+    row = reader.row(command("u", "u", ["a"], "N"))
+    reader.table.await_tick(0)
+    row.receive(said(row.port, 0, math.inf))
+    assert (reader.table.missing, reader.step.bad, reader.turns) == (1, False, 0)
+    row.receive(said(row.port, 0, 2.0))
+    assert (reader.table.missing, reader.turns, reader.values["u"]) == (0, 1, (2.0,))
+
+
+@pytest.mark.parametrize("returns", [False, True])
+@pytest.mark.parametrize("guests", [False, True])
+def test_arrays_are_counted_one_by_one(guests, returns):
+    port = array("x", "x", {"q": 1}, "m")
+    for number, outcome in ((0, "repeated 0"), (1, "repeated 1"), (2, "taken"), (4, "lost")):
+        reader = Reader(inputs={"x": link()}, guests=guests, returns=returns)
+        row = reader.row(port)
+        for k in range(2):
+            reader.table.await_tick(k * 10 * MS)
+            row.receive(said(port, k, float(k)))
+        reader.table.await_tick(20 * MS)
+        row.receive(said(port, number, 7.0))
+        if outcome == "taken":
+            assert (reader.values["x"], row.received) == ((7.0,), 3)
+        elif outcome == "lost":
+            assert reader.failures == ["x: number 4 from sender, expected 2 (2 lost)"]
+        else:
+            assert (reader.values["x"], row.received, reader.table.missing) == ((1.0,), 2, 1)
+            silent = returns or (guests and number == 0)
+            text = f"number {number} from sender, expected 2 (already there)"
+            assert reader.refusals == ([] if silent else [("x", text)])
+            continue
+        assert not reader.refusals
+
+
+def test_delayed_messages_are_counted_and_keep_the_time_at_which_they_were_measured():
+    port = joint_state("x", "x", ["q"], position="m", delayed=True)
+    reader = Reader(inputs={"x": link(delayed=True)})
+    row = reader.row(port)
+    for k, stamp in enumerate((-5, 7, 6)):
+        reader.ticks = k
+        reader.table.await_tick(reader.t)
+        assert reader.table.missing == 1
+        row.receive(said(port, stamp, k + 0.5))
+        assert reader.values["x"] == Sample(stamp, (k + 0.5,))
+        assert reader.step.stamps["x"]() == reader.t  # the tick to which it belongs
+    reader = Reader(inputs={"x": link(delayed=True)}, returns=True)
+    row = reader.row(port)
+    for k, number in enumerate((0, 0, 1, 0)):  # told again: known by the number behind it
+        reader.table.await_tick(10 * MS * min(k, 1))
+        row.receive(numbered(number, said(port, 100 + k, float(k))))
+    assert (reader.values["x"], reader.refusals) == (Sample(102, (2.0,)), [])
+
+
+def test_who_comes_back_does_not_mind_what_it_has_missed():
+    reader = Reader(inputs={"x": link()}, returns=True)
+    reader.files = lambda: None
+    row = reader.row(array("x", "x", {"q": 1}, "m"))
+    reader.table.await_tick(0)
+    row.receive(said(row.port, 3, 1.0))
+    assert (row.received, reader.failures, reader.table.missing) == (0, [], 1)
+    plain = reader.row(state("y"))  # by hand: paired with whoever sends it
+    assert plain.who == "another node"
+
+
+def test_an_input_takes_the_newest_where_nobody_is_said_to_send_it():
+    reader = Reader(free=["free"], inputs={"free": link(), "linked": link()})
+    kinds = {}
+    for port in (
+        joint_state("held", "held", ["q"], position="m", held=True),
+        joint_state("sporadic", "sporadic", ["q"], position="m", sporadic=True),
+        state("needed"),
+        state("free"),
+        joint_state("linked", "linked", ["q"], position="m", held=True),
+        joint_state("wanted", "wanted", ["q"], position="m", held=True),
+    ):
+        reader.options.paired = ("wanted",)
+        kinds[port.name] = type(reader.row(port)).__name__
+    newest = dict.fromkeys(("held", "sporadic", "free"), "Newest")
+    assert kinds == newest | dict.fromkeys(("needed", "linked", "wanted"), "Paired")
+    assert [row.name for row in reader.table.rows] == ["needed", "linked", "wanted"]
+    assert {row.name: row.who for row in reader.table.rows} == {
+        "needed": "another node",
+        "linked": "sender",
+        "wanted": "another node",
+    }
+    reader.table.without({"sender"})
+    assert [row.name for row in reader.table.rows] == ["needed", "wanted"]
+    reader.table.rows[0].local = True
+    reader.table.without(set())
+    assert [row.name for row in reader.table.rows] == ["wanted"]
+
+
+def test_the_newest_value_holds_from_the_tick_at_which_it_came_and_is_recorded_there():
+    reader = Reader()
+    reader.foreign = {"x": 5}
+    row = reader.row(joint_state("x", "x", ["q"], position="m", held=True))
+    assert isinstance(row, Newest)
+    for k, stamp in ((3, 17), (4, 2)):
+        reader.ticks = k
+        row.receive(said(row.port, stamp, float(k)))
+        assert (reader.values["x"], row.stamp) == ((float(k),), reader.t)
+        assert reader.kept[-1] == (5, reader.t, said(row.port, stamp, float(k)))
+    row.receive(b"")
+    assert (reader.step.bad, reader.values["x"]) == (True, (4.0,))
+    counted = reader.row(array("y", "y", {"q": 1}, "m", held=True))
+    for number, value in ((3, 1.0), (3, 2.0), (6, 3.0)):
+        counted.receive(said(counted.port, number, value))
+    assert reader.values["y"] == (3.0,)
+    assert reader.refusals[1:] == [("y", "number 3 from another node, expected 4 (already there)")]
+    assert reader.notes == [("WARN", "lost y", "2 messages of another node are lost")]
+
+
+def test_numbers_tell_what_is_lost_and_what_is_repeated_and_begin_anew_with_a_bag_that_is_played_again():
+    reader = Reader()
+    row = reader.row(array("x", "x", {"q": 1}, "m", held=True))
+    for k, (told, new, lost) in enumerate(
+        [
+            (5, True, 0),
+            (6, True, 0),
+            (6, False, 0),
+            (9, True, 2),
+            (3, False, 2),
+            (0, True, 2),
+            (0, False, 2),
+            (5, True, 6),
+            (-1, True, 6),
+            (2, True, 6),
+            (3, True, 6),
+            (0, True, 6),
+            (1, True, 6),
+            (0, True, 6),
+        ]
+    ):
+        assert row.in_order(told) is new, k
+        assert row.lost == lost
+    assert [text.split(",")[0] for _, text in reader.refusals] == [f"number {n} from another node" for n in (6, 3, 0)]
+
+
+def test_what_comes_from_outside_is_recorded_at_the_tick_that_uses_it():
+    reader = Reader(inputs={"x": link()})
+    reader.foreign = {"x": 2}
+    row = reader.row(state())
+    for stamps in ((0,), (10, 20), (), (30,)):  # one of them ahead of its time
+        reader.table.await_tick(reader.t)
+        for stamp in stamps:
+            row.receive(said(row.port, stamp * MS, 1.0))
+        assert reader.kept[-1] == (2, reader.t, said(row.port, reader.t, 1.0))
+        reader.ticks += 1
+    assert len(reader.kept) == 4
+    reader.sink = None
+    reader.table.await_tick(reader.t)
+    row.receive(said(row.port, reader.t, 1.0))
+    assert row.used == reader.t
+
+
+# ---- the clock, and acknowledgements ----
+
+
+def test_a_node_that_follows_the_clock_waits_for_each_of_its_ticks_once():
+    reader = Reader()
+    reader.table.follow_clock(link())
+    (row,) = reader.table.rows
+    assert (row.port, row.who, reader.paces) == (CLOCK, "sender", [row])
+    hear = reader.middleware.heard["/clock"]
+    clock = Layout("rosgraph_msgs/msg/Clock").encode
+    for k in range(4):
+        reader.table.await_tick(k * 10 * MS)
+        assert reader.table.missing == 1
+        hear(clock(k * 10 * MS + 1, ()))
+        assert reader.table.missing == 1
+        hear(clock(k * 10 * MS, ()))
+        assert (reader.table.missing, row.used, row.reached) == (0, k * 10 * MS, k * 10 * MS)
+        hear(clock(k * 10 * MS, ()))  # again
+        assert reader.turns == k + 1
+    hear(clock(40 * MS, ()))  # the next one ahead of us
+    assert row.reached == 40 * MS
+    hear(clock(60 * MS, ()))
+    assert row.reached == 40 * MS
+    reader.table.await_tick(40 * MS)
+    assert (reader.table.missing, reader.table.heard) == (0, 14)
+    hear(b"")
+    assert not reader.step.bad
+    reader.middleware.matched["/clock"](1)
+    assert row.publishers == 1
+
+
+def acknowledged(reader, who):
+    return lambda t, sent=(): reader.middleware.heard[f"/{who}/tick"](TickWriter()(t, sent))
+
+
+def test_acknowledgements_tell_of_silence_and_are_awaited_of_whom_the_rig_says():
+    """A law that may be silent, which nobody awaits; a plant that is awaited; one that follows some ticks behind."""
+    then = []
+    reader = Reader(
+        plant=True,
+        inputs={"x": link(sporadic=True)},
+        acks={"second": "0.01", "follower": "0.01"},
+        followers=["follower"],
+        owns_clock=False,
+    )
+    row = reader.row(state())
+    reader.table.follow_ticks({"here"}, lambda: then.append(1))
+    table = reader.table
+    assert [r.who for r in table.rows] == ["sender", "second", "follower"]
+    assert [r.who for r in table.unpaced] == ["sender"]
+    assert [type(p).__name__ for p in reader.paces] == ["Ticks", "Behind", "Ticks"]
+    second, follower, sender = (acknowledged(reader, who) for who in ("second", "follower", "sender"))
+    table.await_tick(0)
+    assert [r.who for r in table.rows if not r.have] == ["sender", "second"]
+    sender(0)
+    assert (row.have, table.missing, len(then)) == (True, 1, 1)
+    second(0)
+    assert (table.missing, len(then)) == (0, 2)
+    sender(10 * MS, ["other"])
+    table.await_tick(10 * MS)
+    assert row.have
+    sender(20 * MS, ["out"])
+    second(10 * MS)
+    for k in range(2, 9):
+        second(k * 10 * MS)
+    table.await_tick(20 * MS)
+    assert [r.who for r in table.rows if not r.have] == ["sender"]
+    row.receive(said(row.port, 20 * MS, 4.0))
+    assert reader.values["x"] == (4.0,)
+    for k in range(3, 9):
+        sender(k * 10 * MS)
+    table.await_tick(80 * MS)  # the follower must have answered 30 ms, and says so of that and those before
+    assert [r.who for r in table.rows if not r.have] == ["follower"]
+    follower(20 * MS)
+    assert table.missing == 1
+    follower(30 * MS)
+    assert table.missing == 0
+    reader.middleware.heard["/second/tick"](b"")
+    assert "second" not in [name for name, _ in reader.refusals]
+    assert len(reader.refusals) == 1
+
+
+def test_the_owner_of_the_clock_waits_for_what_was_said_at_the_tick_before():
+    """So the others' ticks run beside its own; with an owner by itself the first one needs nobody."""
+    reader = Reader(acks={"law": "0.01", "slow": "0.02"}, owns_clock=True)
+    reader.table.follow_ticks(set(), lambda: None)
+    law, slow = (acknowledged(reader, who) for who in ("law", "slow"))
+    reader.table.await_tick(0)
+    wants = {row.who: row.want for row in reader.table.rows}
+    assert wants == {"law": 0, "slow": 0}
+    assert [row.earlier for row in reader.table.rows] == [False, False]
+    law(0)
+    slow(0)
+    assert reader.table.missing == 0
+    reader.table.await_tick(10 * MS)
+    assert [row.who for row in reader.table.rows if not row.have] == ["law"]  # the slow one holds
+    other = Reader(acks={"law": "0.01"})
+    other.table.follow_ticks(set(), lambda: None)
+    (row,) = other.table.rows
+    assert (row.earlier, row.have, row.want) == (True, True, -10 * MS)
+    other.table.await_tick(0)
+    assert other.table.missing == 0
+    other.table.await_tick(10 * MS)
+    assert (row.want, other.table.missing) == (0, 1)
+    acknowledged(other, "law")(0)
+    assert other.table.missing == 0
+    plant = Reader(plant=True, acks={"law": "0.01"})
+    plant.table.follow_ticks(set(), lambda: None)
+    plant.table.await_tick(0)
+    assert plant.table.rows[0].want == 0  # before its next tick
+
+
+def test_after_a_restart_a_row_goes_on_behind_what_was_used_and_learns_what_was_said():
+    reader = Reader(inputs={"x": link()})
+    row = reader.row(state())
+    row.resume(20 * MS, 20 * MS)
+    reader.table.await_tick(20 * MS)
+    assert reader.table.missing == 0
+    row.recall(3, said(row.port, 40 * MS, 5.0))
+    reader.table.await_tick(30 * MS)
+    assert reader.table.missing == 1
+    row.recall(2, said(row.port, 30 * MS, 4.0))
+    assert (reader.table.missing, reader.values["x"], reader.turns) == (0, (4.0,), 1)
+    row.resume(10 * MS, 10 * MS)  # never back
+    assert (row.used, row.have) == (30 * MS, False)
+    quiet = Reader(inputs={"x": link(sporadic=True)})
+    row = quiet.row(state())
+    quiet.table.await_tick(0)
+    row.learn(-10 * MS)
+    assert quiet.table.missing == 1
+    row.learn(10 * MS)
+    assert (quiet.table.missing, quiet.turns, row.reached) == (0, 1, 10 * MS)
+    counted = Reader(inputs={"x": link(sporadic=True)})
+    row = counted.row(array("x", "x", {"q": 1}, "m"))
+    row.resume(-1, 10 * MS)
+    row.count(4, [10 * MS])
+    row.told(10 * MS, True)  # known already
+    row.receive(said(row.port, 4, 6.0))
+    counted.table.await_tick(10 * MS)
+    assert (row.received, counted.values["x"], counted.table.missing) == (5, (6.0,), 0)
+
+
+def test_a_row_keeps_no_more_than_a_hundred_thousand_messages_that_are_ahead(monkeypatch):
+    monkeypatch.setattr(paired, "AHEAD", 3)
+    reader = Reader(inputs={"x": link()})
+    row = reader.row(state())
+    reader.table.await_tick(0)
+    for k in range(1, 6):
+        row.receive(said(row.port, k * 10 * MS, 1.0))
+    assert sorted(row.said) == [10 * MS, 20 * MS, 30 * MS]
+    assert [text for _, text in reader.refusals] == [f"stamp 0.0{k} s from sender, expected 0 s" for k in (4, 5)]
+
+
+# ---- the first message, said again ----
+
+
+def test_the_first_message_is_said_again_to_who_comes_late_while_the_node_is_at_its_first_tick():
+    outputs = [Output(state(name), f"/{name}", k) for k, name in enumerate("ab")]
+    sent, first = [], [True]
+    for output in outputs:
+        output.send = lambda mark, values, name=output.name: sent.append((name, mark, values))
+    repeat_first(outputs, lambda: first[0])
+    outputs[0].matched(1)
+    assert not sent
+    outputs[0].send(5, (1.0,))
+    outputs[0].send(6, (2.0,))
+    outputs[0].matched(2)
+    outputs[1].matched(2)
+    assert sent == [("a", 5, (1.0,)), ("a", 6, (2.0,)), ("a", 5, (1.0,))]
+    first[0] = False
+    outputs[0].matched(3)
+    assert len(sent) == 3
+
+
+# ---- a run that stands ----
+
+
+class Shake:
+    def __init__(self, *absent):
+        self.gone, self.missing = list(absent), ["late"]
+
+    def absent(self):
+        return self.gone
+
+
+def stands(rig=None, **options):
+    """A reader at tick 5 that waits for `x`, whose sender is there; at the first look nothing is wrong."""
+    reader = Reader(inputs={"x": link()}, **(rig or {}))
+    vars(reader.options).update(options)
+    row = reader.row(state())
+    row.outside = 1
+    stalls = Stalls(reader.table)
+    stalls.handshake = Shake()
+    reader.ticks, reader.table.heard = 5, 1
+    reader.table.await_tick(reader.t)
+    stalls.look()
+    return reader, row, stalls
+
+
+def after(reader, stalls, seconds):
+    reader.middleware.time += round(seconds * 1e9)
+    stalls.look()
+    return reader.failures[-1] if reader.failures else reader.state
+
+
+def test_a_run_without_progress_ends_after_its_timeout_and_says_for_what_it_waits():
+    reader, row, stalls = stands()
+    assert after(reader, stalls, 10.0) == "running"
+    assert after(reader, stalls, 0.25) == "nothing stamped t = 0.05 s within 10.2 s on x from sender"
+    assert reader.waits_for == ["sender"]
+    for moves in ("tick", "heard"):
+        reader, row, stalls = stands()
+        assert after(reader, stalls, 9.0) == "running"
+        if moves == "tick":
+            reader.ticks += 1
+        else:
+            reader.table.heard += 1
+        assert after(reader, stalls, 9.0) == "running"  # it has moved
+        assert after(reader, stalls, 10.0) == "running"
+        assert after(reader, stalls, 0.1).startswith("nothing stamped")
+    reader, row, stalls = stands()
+    row.have = True  # it waits for nobody: somebody holds it
+    assert after(reader, stalls, 100.0) == "running"
+    reader, row, stalls = stands()
+    row.receive(said(row.port, 130 * MS, 1.0))
+    row.receive(said(row.port, 120 * MS, 1.0))
+    row.receive(b"")
+    reader.table.heard = 1
+    assert after(reader, stalls, 11.0) == (
+        "nothing stamped t = 0.05 s within 11.0 s on x from sender; last refused: sensor_msgs/msg/JointState: 0 bytes"
+        " end inside a field at byte 4; it is ahead, at 0.13 s"
+    )
+
+
+def test_at_the_first_ticks_it_waits_as_long_as_a_start_may_take():
+    for ticks, limit in ((0, 30.0), (1, 30.0), (2, 10.0)):
+        reader, row, stalls = stands()
+        reader.ticks = ticks
+        row.have = False
+        stalls.look()
+        assert after(reader, stalls, limit) == "running"
+        assert after(reader, stalls, 0.1).startswith("nothing stamped")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "options", "end"),
+    [
+        (0.5, {}, "running"),
+        (0.51, {"links": "", "duration": 0.0}, "done"),
+        (1.99, {"links": "", "duration": 0.0}, "done"),
+        (2.0, {"links": "", "duration": 0.0}, "nothing stamped t = 0.05 s within 2.0 s on x from sender (gone)"),
+        (
+            1.0,
+            {"links": "", "duration": 0.0, "timeout": 0.9},
+            "nothing stamped t = 0.05 s within 1.0 s on x from sender (gone)",
+        ),
+        (0.6, {"links": "x", "duration": 0.0}, "nothing stamped t = 0.05 s within 0.6 s on x from sender (gone)"),
+        (0.6, {"links": "", "duration": 1.0}, "nothing stamped t = 0.05 s within 0.6 s on x from sender (gone)"),
+    ],
+)
+def test_a_sender_that_has_gone_ends_the_run_by_hand_in_order_if_it_took_leave(seconds, options, end):
+    reader, row, stalls = stands(**options)
+    row.outside = 0
+    assert after(reader, stalls, seconds) == end
+    if end == "done":
+        assert reader.middleware.logs == ["OK x: the sender has left at t = 0.05 s, and this node with it"]
+
+
+def test_of_several_only_who_has_gone_is_named():
+    reader, row, stalls = stands()
+    other = reader.row(state("y"))
+    other.outside = 0
+    reader.table.await_tick(reader.t)
+    assert after(reader, stalls, 0.6) == "nothing stamped t = 0.05 s within 0.6 s on y from another node (gone)"
+    reader, row, stalls = stands({"returns": True})
+    row.outside = 0
+    assert after(reader, stalls, 1e6) == "running"  # who starts a node again looks whether the rig goes on
+
+
+@pytest.mark.parametrize("starting", [True, False])
+def test_a_start_that_takes_too_long_says_who_is_not_there(starting):
+    def begun():
+        reader, row, stalls = stands()
+        reader.ticks = reader.table.heard = 0
+        reader.state = "starting" if starting else "running"
+        return reader, row, stalls
+
+    reader, _row, stalls = begun()
+    assert after(reader, stalls, 30.0) == reader.state
+    assert after(reader, stalls, 0.1) == "not all peers after 30 s: nothing on x yet"
+    assert reader.waits_for == ["sender"]
+    reader, _row, stalls = begun()
+    stalls.handshake = Shake("no publisher on a", "b is late")
+    assert after(reader, stalls, 30.1) == "not all peers after 30 s: no publisher on a; b is late"
+    assert reader.waits_for == ["late"]
+    reader, _row, stalls = begun()
+    reader.options.start_timeout = 0.0
+    assert after(reader, stalls, 1e6) == reader.state
+    stalls.restart()
+    reader.options.start_timeout = 30.0
+    assert after(reader, stalls, 29.0) == reader.state
+
+
+def test_a_rig_has_begun_when_somebody_has_said_something():
+    """Before that it waits for its start; what a clock or an outside plant says at t = 0 unasked is a beginning."""
+
+    def limit(change, **links):
+        reader, row, stalls = stands(links)
+        reader.ticks = reader.table.heard = 0
+        row.have = False
+        change(reader, row)
+        stalls.look()
+        reader.options.timeout, reader.options.start_timeout = 40.0, 30.0
+        text = after(reader, stalls, 35.0)
+        return "start" if text.startswith("not all peers") else text
+
+    assert limit(lambda reader, row: None) == "start"
+    assert limit(lambda reader, row: None, owns_clock=True) == "running"
+    assert limit(lambda reader, row: setattr(reader.table, "heard", 1)) == "running"
+    assert limit(lambda reader, row: setattr(row, "have", True)) == "running"
+    assert limit(lambda reader, row: setattr(reader, "ticks", 1)) == "running"
+    assert limit(lambda reader, row: setattr(row, "earlier", True)) == "start"
+    assert limit(lambda reader, row: (setattr(row, "earlier", True), setattr(row, "have", True))) == "start"
+    assert limit(lambda reader, row: (setattr(row, "earlier", True), setattr(reader, "ticks", 1))) == "start"
+    assert limit(lambda reader, row: reader.table.rows.clear()) == "running"
+
+
+def test_two_who_publish_one_topic_are_named_when_the_graph_knows_them():
+    reader, row, stalls = stands()
+    stalls.rivals, reader.state = row, "failed"
+    reader.middleware.writers["/x"] = ["one", "_NODE_NAME_UNKNOWN_"]
+    stalls.look()
+    assert not reader.failures
+    assert after(reader, stalls, 10.0) == "failed"
+    assert after(reader, stalls, 0.1) == "2 publishers on x (/_NODE_NAME_UNKNOWN_, /one), expected exactly one"
+    reader.failures.clear()
+    stalls.restart()
+    reader.middleware.writers["/x"] = ["two", "one"]
+    assert after(reader, stalls, 0.0) == "2 publishers on x (/one, /two), expected exactly one"
+    assert isinstance(row, Paired)
+    assert TICK == "std_msgs/msg/Header"
+
+
+# ---- a node that comes back ----
+
+
+class Drive:
+    """What drives a reader that comes back."""
+
+    def __init__(self, reader):
+        self.node, self.senders, self.solving = reader, reader.table, None
+        self.spoken = SimpleNamespace(silent=False)
+
+    def await_tick(self, t):
+        self.senders.await_tick(t)
+
+
+def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=(), **links):
+    """A reader that has died, with what the others have recorded: times (ms) and values by topic, by sender how far."""
+    kinds = {"x": link(), "s": InputLink(period="0.01", node="quiet", port="out", sporadic=True), "c": link()}
+    reader = Reader(inputs=kinds if inputs is None else inputs, returns=True, **links)
+    reader.files = True
+    ports = ports or (state("x"), state("s"), array("c", "c", {"q": 1}, "m"))
+    rows = {port.name: reader.row(port) for port in ports}
+    reader.table.follow_ticks(set(), lambda: None)
+    planned, marked = [], []
+    reader.step.changes, reader.step.plan = [Change(MS, {"k": 1.0})], planned.extend
+    reader.step.lacks, reader.block, reader.write_status = "as ever", None, lambda: None
+
+    def recording(of):
+        made = Recording((name, next(p for p in ports if p.name == name).msgtype) for name in of)
+        for name, said_then in of.items():
+            port = next(p for p in ports if p.name == name)
+            for k, (t, value) in enumerate(said_then):
+                made.topics[name].times.append(t * MS)
+                made.topics[name].data.append(said(port, k if name == "c" else t * MS, value))
+        return made
+
+    files = Files(recording(record), recording(dict(own)), dict(answered), frozenset(gone))
+    back = Comeback(Drive(reader), lambda: files)
+    seen = []
+
+    def ticks():
+        for k in range(reader.schedule.count()):
+            reader.ticks = k
+            assert back._drive.spoken.silent
+            if reader.step.lacks(reader.t):
+                yield None
+                return
+            marked.append({name: row.stamp for name, row in rows.items()})
+            seen.append((k, *(reader.values[name][0] for name in rows), reader.step.bad))
+            reader.step.bad = False
+            yield reader.t
+
+    back.go(ticks())
+    return reader, rows, back, seen, marked, planned, recording
+
+
+RECORD = {
+    "x": [(10 * k, k + 0.5) for k in range(5)],  # up to 40 ms
+    "s": [(10, 7.0), (30, math.nan)],  # spoke twice; the second was refused
+    "c": [(10 * k, k + 0.25) for k in range(6)],
+}
+
+
+def test_who_comes_back_answers_the_ticks_for_which_the_others_have_said_all_and_waits_for_the_rest():
+    reader, rows, back, seen, marked, planned, _ = comes_back(RECORD, answered={"quiet": 60 * MS, "sender": 50 * MS})
+    assert seen == [
+        (0, 0.5, 0.0, 0.25, False),
+        (1, 1.5, 7.0, 1.25, False),
+        (2, 2.5, 7.0, 2.25, False),
+        (3, 3.5, 7.0, 3.25, True),
+        (4, 4.5, 7.0, 4.25, False),
+    ]
+    assert marked[4] == {"x": 40 * MS, "s": 10 * MS, "c": 40 * MS}
+    assert planned == [Change(MS, {"k": 1.0})]
+    assert (reader.step.lacks, back._drive.spoken.silent) == ("as ever", False)
+    assert reader.refusals == [("s", "q/position is nan, expected a finite number")]
+    assert {name: (row.used, row.reached) for name, row in rows.items()} == {
+        "x": (40 * MS, 40 * MS),
+        "s": (50 * MS, 50 * MS),
+        "c": (50 * MS, 50 * MS),
+    }
+    assert [row.who for row in reader.table.rows if not row.have] == ["sender"]
+    assert rows["c"].received == 6
+    assert rows["x"].want == 50 * MS
+    rows["x"].receive(said(rows["x"].port, 50 * MS, 9.5))
+    assert (reader.table.missing, reader.values["x"], reader.values["c"], reader.turns) == (0, (9.5,), (5.25,), 1)
+
+
+def test_who_comes_back_learns_from_the_files_what_was_said_meanwhile_and_who_has_left():
+    reader, rows, back, *_, recording = comes_back(RECORD, answered={"quiet": 60 * MS, "sender": 50 * MS})
+    more = RECORD | {"x": [(10 * k, k + 0.5) for k in range(6)], "s": [*RECORD["s"], (50, 8.0)]}
+    files = Files(recording(more), recording({}), {"quiet": 70 * MS, "sender": math.inf}, frozenset({"sender"}))
+    back._look_up = lambda: files
+    assert back.look()
+    assert back.gone == {"sender"}
+    assert [row.heard for row in rows.values()] == [True, False, True]
+    assert (reader.table.missing, reader.values["x"]) == (0, (5.5,))
+    assert not back.look()  # nobody new
+    assert len(reader.refusals) == 1
+
+
+def test_a_sender_that_has_answered_a_tick_and_recorded_nothing_was_silent_at_it():
+    record = {"x": [(0, 0.5)], "s": []}
+    kinds = {"x": link(), "s": InputLink(period="0.01", node="quiet", port="out", sporadic=True)}
+    for answered, last in (({"quiet": 10 * MS}, 0), ({"quiet": 1}, 0), ({}, None)):
+        ports = state("x"), state("s")
+        reader, rows, _, seen, *_ = comes_back(record, answered=answered, inputs=kinds, ports=ports)
+        assert [k for k, *_ in seen] == ([] if last is None else [*range(last + 1)])
+        assert rows["s"].reached == (-10 * MS if last is None else 0)
+    fresh, rows, *_ = comes_back({}, inputs=kinds, ports=ports)  # nobody has said anything yet
+    rows["x"].receive(said(rows["x"].port, 0, 3.0))
+    rows["s"].receive(said(rows["s"].port, 0, 4.0))
+    assert (fresh.table.missing, fresh.values["x"], fresh.values["s"]) == (0, (3.0,), (4.0,))
+    ended = comes_back(
+        record, answered={"quiet": math.inf, "sender": math.inf}, inputs=kinds, ports=ports, gone={"quiet"}
+    )
+    reader, rows, back, seen, *_ = ended
+    assert len(seen) == reader.schedule.count()  # they had said all
+    assert rows["s"].reached == 200 * MS
+    assert back.gone == {"quiet"}
+    assert [row.heard for row in rows.values()] == [False, True]
+
+
+def test_what_came_from_outside_is_in_its_own_record_and_each_message_counts():
+    free = joint_state("f", "f", ["q"], position="m", held=True)
+    ports = state("x"), free
+    record, own = (
+        {"x": [(10 * k, k + 0.5) for k in range(3)]},
+        {"f": [(0, 1.0), (10, 2.0), (10, 3.0), (20, math.inf), (90, 5.0)]},
+    )
+    reader, rows, _, seen, _, _, recording = comes_back(record, own, inputs={"x": link()}, ports=ports)
+    assert seen == [(0, 0.5, 1.0, False), (1, 1.5, 3.0, False), (2, 2.5, 3.0, True)]
+    assert rows["f"].stamp == 10 * MS
+    reader = Reader(inputs={"x": link()}, returns=True)
+    reader.foreign, row = {"f": 4}, None
+    reader.row(state("x"))
+    row = reader.row(free)
+    heard = comebacks._Heard(row, Files(recording({}), recording(own)), outside=True)
+    reader.ticks = 1
+    heard.bring(10 * MS)
+    assert [(number, t) for number, t, _ in reader.kept] == [(4, 10 * MS)] * 3  # recorded anew
+    assert [number for number, _ in heard.rest()] == [3, 4]
+    paired_ = comebacks._Heard(reader.table.rows[0], Files(recording(record), recording(own)), outside=False)
+    paired_.bring(15 * MS)
+    assert (reader.values["x"], reader.table.rows[0].stamp, len(reader.kept)) == ((1.5,), 10 * MS, 3)
+    assert [number for number, _ in paired_.rest()] == [2]

@@ -1,0 +1,844 @@
+"""The parts of a run as processes, each by itself with no process: ports, profiles, parameters, watching, waiting."""
+
+import functools
+import json
+import operator
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+from conftest import make_scenario
+from faultrig import Gain, Lag, Source
+from rclpy.parameter import Parameter
+from softrig_core import RunError, ScenarioError, rig_of
+from softrig_core.block.params import ParameterError
+from softrig_core.node import main
+from softrig_core.node.ros import profile
+from softrig_core.processes import (
+    children,
+    executables,
+    fork_server,
+    ports,
+    processes,
+    restarting,
+    spawning,
+    supervision,
+)
+from softrig_core.processes.children import last_line, read_status, stop
+from softrig_core.processes.guests import Guests
+from softrig_core.processes.placement import Placement
+from softrig_core.processes.restarting import Restarts, check_restart
+from softrig_core.processes.stopping import Stopped
+from softrig_core.processes.supervision import SystemClock, idle
+from softrig_core.rig.options import RunOptions
+
+BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
+
+# ---- port numbers ----
+
+
+@pytest.mark.parametrize(
+    ("domain", "now", "pid", "taken", "others", "base", "user"),
+    [
+        # the search begins at 6200 for what ROS says of nodes (400 below the base) and at 76 of the domain's numbers
+        (3, 0.0, 7, (), 0, 6607, 76),
+        (3, 0.0, 57, (), 0, 6607, 76),  # fifty places by process
+        (3, 0.0, 49, (), 0, 6649, 76),
+        (3, 18.0, 7, (), 0, 6607, 76),  # round again after 18 s
+        (3, 2.25, 7, (), 0, 6657, 90),  # an eighth later the next fifty, an eighth of 112 further
+        (3, 17.99, 0, (), 0, 6950, 187),
+        (3, 9.0, 7, (6407, 6408), 0, 6809, 132),
+        (3, 0.0, 7, (8226, 8227), 0, 6607, 78),
+        (3, 0.0, 7, (8226,), 1, 6607, 76),  # behind one participant it listens two further: 8228
+        (3, 0.0, 7, (8228,), 1, 6607, 77),
+        (3, 0.0, 7, (8230,), 2, 6607, 77),
+        (3, 17.99, 0, (8337,), 0, 6950, 76),  # round and round
+        (3, 0.0, 7, (*range(6200, 6600), *range(8226, 8338)), 0, 6607, 76),  # no other
+        (0, 0.0, 7, (7476,), 0, 6607, 77),
+        (231, 0.0, 7, (65226,), 0, 6607, 77),
+        (232, 9.0, 7, (), 0, 6807, 11),  # the last domain has no room: as the standard has it
+    ],
+)
+def test_a_participant_has_ports_that_nobody_had_lately(domain, now, pid, taken, others, base, user, monkeypatch):
+    monkeypatch.setattr(os, "getpid", lambda: pid)
+    first = 7400 + 250 * domain
+    monkeypatch.setattr(ports, "udp_ports", lambda: {first + 10 + 2 * k for k in range(others)} | {first + 1})
+    assert ports.chosen(domain, taken, now) == {
+        "portBase": base,
+        "offsetd0": 7400 - base,
+        "offsetd1": 7410 - base,
+        "offsetd2": 7401 - base,
+        "offsetd3": 7400 - base + user,
+    }
+    assert ports.of_domain(domain) == range(first, first + 250)
+
+
+def test_ports_that_are_bound_are_seen():
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
+        socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as two,
+    ):
+        one.bind(("127.0.0.1", 0))
+        two.bind(("::1", 0))
+        bound = {one.getsockname()[1], two.getsockname()[1]}
+        assert bound <= ports.udp_ports()
+    assert not bound & ports.udp_ports()
+    assert set(ports.chosen(5)) == {"portBase", "offsetd0", "offsetd1", "offsetd2", "offsetd3"}
+
+
+# ---- profiles of Fast DDS ----
+
+SPACE = {"d": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
+CHOSEN = {"portBase": 6607, "offsetd0": 793, "offsetd1": 803, "offsetd2": 794, "offsetd3": 869}
+
+
+@pytest.fixture
+def fixed(monkeypatch):
+    """A process that gets certain ports and finds none that is in its way."""
+    asked = []
+    monkeypatch.setattr(profile, "chosen", lambda domain, taken: asked.append((domain, taken)) or CHOSEN)
+    monkeypatch.setattr(profile, "numbers", lambda: {7})
+    monkeypatch.setattr(profile, "clear_ports", lambda domain: asked.append(domain))
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    return asked
+
+
+@pytest.mark.parametrize("exclusive", [False, True])
+@pytest.mark.parametrize("bare", [False, True], ids=["ours", "bare"])
+def test_a_participant_gets_its_ports_and_in_a_container_the_property(exclusive, bare, fixed):
+    given = executables.PROFILE.read_bytes()
+    if bare:
+        given = b"<profiles><participant/></profiles>"
+    root = ElementTree.fromstring(profile.own(given, exclusive=exclusive))
+    space = "" if bare else "d:"
+    (participant,) = root.iter(f"{{{SPACE['d']}}}participant" if not bare else "participant")
+    (rtps,) = participant.findall(f"{space}rtps", SPACE)
+    (found,) = rtps.findall(f"{space}port", SPACE)
+    assert {e.tag.rpartition("}")[2]: e.text for e in found} == {k: str(n) for k, n in CHOSEN.items()}
+    entries = [
+        {e.tag.rpartition("}")[2]: e.text for e in one}
+        for one in rtps.findall(f"{space}propertiesPolicy/{space}properties/{space}property", SPACE)
+    ]
+    assert entries == ([{"name": "fastdds.ignore_local_endpoints", "value": "true"}] if exclusive else [])
+    assert fixed == [(42, {7})]
+    if not bare:
+        assert rtps.find("d:builtin/d:discovery_config/d:leaseDuration/d:sec", SPACE).text == "3"
+
+
+def test_ports_and_properties_of_a_given_profile_stay(fixed):
+    rtps = "<rtps><port><portBase>1</portBase></port><propertiesPolicy><properties><property><name>a</name></property>"
+    given = f"<profiles><participant>{rtps}</properties></propertiesPolicy></rtps></participant></profiles>"
+    root = ElementTree.fromstring(profile.own(given.encode(), exclusive=True))
+    assert [e.text for e in root.iter("portBase")] == ["1"]
+    assert [e.text for e in root.iter("name")] == ["a", "fastdds.ignore_local_endpoints"]
+    assert len([*root.iter("properties")]) == 1
+    for text, said in ((b"<a", "not XML: "), (b"<a/>", "no participant in the profile, expected one")):
+        with pytest.raises(ValueError, match=f"FASTRTPS_DEFAULT_PROFILES_FILE: {said}"):
+            profile.own(text)
+
+
+@pytest.mark.parametrize("given", [None, "ours", "theirs"])
+def test_while_a_participant_begins_its_profile_is_that_of_the_environment(given, fixed, tmp_path, monkeypatch):
+    theirs = tmp_path / "given.xml"
+    theirs.write_bytes(executables.PROFILE.read_bytes())
+    monkeypatch.delenv(profile.VARIABLE, raising=False)
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
+    if given:
+        monkeypatch.setenv(profile.VARIABLE, str(theirs if given == "theirs" else executables.LOOPBACK))
+    before = os.environ.get(profile.VARIABLE)
+    for silence, lease in ((None, "3"), (7.2, "3" if given == "theirs" else "10")):  # a second or more, and two
+        with profile.joining(silence=silence):
+            file = Path(os.environ[profile.VARIABLE])
+            assert (file.name[:8], file.suffix) == ("softrig-", ".xml")
+            root = ElementTree.parse(file).getroot()
+            assert root.find(".//d:leaseDuration/d:sec", SPACE).text == lease
+            assert root.find(".//d:port", SPACE) is not None
+            assert (root.find(".//d:userTransports", SPACE) is None) is (given == "theirs")
+            assert root.find(".//d:property", SPACE) is None
+        assert os.environ.get(profile.VARIABLE) == before
+        assert not file.exists()
+    assert fixed[::2] == [42, 42]  # ports in its way go first
+    with suppress(KeyError), profile.joining(exclusive=True):
+        assert ElementTree.parse(os.environ[profile.VARIABLE]).getroot().find(".//d:property", SPACE) is not None
+        raise KeyError
+    assert os.environ.get(profile.VARIABLE) == before
+
+
+def test_a_node_is_reached_from_other_hosts_only_where_somebody_asks_for_it(monkeypatch, tmp_path):
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", *executables.NETWORK, "FASTRTPS_DEFAULT_PROFILES_FILE"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value, reach in (
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET", True),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SYSTEM_DEFAULT", True),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST", False),
+        ("ROS_STATIC_PEERS", "1.2.3.4", True),
+        ("ROS_DISCOVERY_SERVER", "1.2.3.4:11811", True),
+        ("ROS_STATIC_PEERS", "", False),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setenv(name, value)
+            name = "fastdds_profile.xml" if reach else "fastdds_loopback.xml"
+            assert executables.default_profile().name == executables.given_profile().name == name
+            patch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "/other.xml")
+            assert executables.given_profile() == Path("/other.xml")
+    given = ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_LOG_DIR", "PYTHONUNBUFFERED", "OMP_NUM_THREADS")
+    for name in (*given, "OPENBLAS_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")
+    monkeypatch.setenv("OTHER", "kept")
+    for discovery, file in (("LOCALHOST", executables.LOOPBACK), ("SUBNET", executables.PROFILE)):
+        found = executables.environment(17, tmp_path, discovery=discovery)
+        assert {k: v for k, v in found.items() if os.environ.get(k) != v} == {
+            "ROS_DOMAIN_ID": "17",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": discovery,
+            "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+            "ROS_LOG_DIR": str(tmp_path / "log"),
+            "PYTHONUNBUFFERED": "1",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(file),
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+        assert (found["OTHER"], "ROS_LOCALHOST_ONLY" in found) == ("kept", False)
+    file = Path(executables.environment(17, tmp_path, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"])
+    assert file == tmp_path / "profile.xml"
+    assert "<leaseDuration><sec>12</sec></leaseDuration>" in file.read_text()
+    assert file.read_text().count("<sec>") == executables.LOOPBACK.read_text().count("<sec>")
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "/other.xml")
+    assert executables.environment(17, tmp_path, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"] == "/other.xml"
+
+
+def test_an_executable_that_is_not_there_is_told_with_what_is(tmp_path, monkeypatch):
+    folder = tmp_path / "lib" / "own"
+    folder.mkdir(parents=True)
+    for name, mode in (("plant", 0o755), ("notes", 0o644)):
+        (folder / name).touch(mode)
+    (folder / "sub").mkdir()
+    monkeypatch.setattr(executables, "prefixes", lambda: [Path("/nowhere"), tmp_path])
+    assert executables.find_executable("own", "plant") == folder / "plant"
+    for package, executable, said in (
+        ("own", "plent", "package own has no executable 'plent' (did you mean 'plant'?); it has notes, plant"),
+        ("own", "notes", "package own has no executable 'notes' (did you mean 'notes'?); it has notes, plant"),
+        ("own", "sub", "package own has no executable 'sub'; it has notes, plant"),
+        (
+            "owm",
+            "plant",
+            "package 'owm' has no executables here (did you mean 'own'?); one of your own is in the folder"
+            " that --workspace DIR names before the verb",
+        ),
+    ):
+        with pytest.raises(ScenarioError) as error:
+            executables.find_executable(package, executable)
+        assert str(error.value) == said
+
+
+# ---- what a node is started with ----
+
+
+def test_nodes_share_processes_as_their_containers_say_and_only_those_that_are_asked_for_start():
+    rig = rig_of(make_scenario(BASIC | {"watcher": {"executable": "watcher", "external": True}}))
+
+    def names(*said):
+        return [[m.name for m in group] for group in spawning.groups(rig, *said)]
+
+    assert names(()) == [["plant"], ["source"], ["gain"]]
+    assert names([["gain", "plant"], ["watcher"]]) == [["gain", "plant"], ["source"]]
+    assert names([["gain", "plant"], ["gain", "source"]]) == [["gain", "plant"], ["source"]]
+    assert names([["gain", "plant"]], ("plant", "source")) == [["plant"], ["source"]]
+    for placement, word, shared in (
+        (Placement(), "processes", ()),
+        (Placement("container"), "container", [["plant", "source", "gain", "watcher"]]),
+        (Placement("container", "realtime"), "container, realtime", [["plant", "source", "gain", "watcher"]]),
+        (Placement(clock="realtime"), "realtime", ()),
+        (Placement("inprocess"), "inprocess", ()),
+        (Placement(containers=[["gain"]]), "processes", [["gain"]]),
+        (Placement("container", containers=()), "container", ()),
+    ):
+        assert (str(placement), [*map(list, placement.shared(rig))]) == (word, [*map(list, shared)])
+    two = rig_of(make_scenario(BASIC, containers=[["plant", "gain"]]))
+    assert Placement("container").shared(two) == (("plant", "gain"),)
+    assert Placement().shared(two) == ()
+
+
+def test_a_node_is_told_its_parameters_as_far_as_they_differ_and_how_it_runs(tmp_path):
+    plant = {"executable": "plant", "parameters": {"gain": 2.5}, "remap": {"lag/applied": "other"}}
+    rig = rig_of(make_scenario(BASIC | {"plant": plant}, 0.5, timeout=7.0, start_timeout=31.0))
+    member = rig.members[0]
+    found = spawning.node_parameters(rig, member, 9, "realtime")
+    links = json.loads(found.pop("run.links"))
+    assert found == {
+        "gain": 2.5,
+        "run.mode": "realtime",
+        "run.seed": 9,
+        "run.duration": 0.5,
+        "run.timeout": 7.0,
+        "run.start_timeout": 31.0,
+        "run.changes": "",
+    }
+    assert (links["returns"], links["public"], links["recorders"]) == (False, False, [])
+    again = spawning.node_parameters(rig, member, 9, "lockstep", recorders=("bag",), returns=True)
+    links = json.loads(again["run.links"])
+    assert (links["returns"], links["public"], links["recorders"], links["followers"]) == (True, True, ["bag"], [])
+    given = {m.name: {"k": 1, "text": 'a "b"', "list": [1.0, 2.0]} for m in rig.members}
+    arguments = spawning.container_arguments(rig.members[:2], given, tmp_path, {"/clock": "/c"})
+    file = tmp_path / "plant.params.yaml"
+    assert arguments == [
+        *("faultrig", "plant", "--ros-args", "-r", "__node:=plant", "--params-file", str(file)),
+        *("-r", "lag/applied:=other", "-r", "/clock:=/c", "--"),
+        *("faultrig", "source", "--ros-args", "-r", "__node:=source"),
+        *("--params-file", str(tmp_path / "source.params.yaml"), "-r", "/clock:=/c"),
+    ]
+    assert yaml.safe_load(file.read_text()) == {"/**": {"ros__parameters": given["plant"]}}
+
+
+def test_of_a_node_that_dies_twice_the_longer_record_is_kept(tmp_path):
+    stem, shard, died = tmp_path / "a", tmp_path / "a.shard", tmp_path / "a.shard.died"
+    spawning._keep_record(stem)
+    assert not died.exists()
+    for written, kept in (("12", "12"), ("1", "12"), ("34", "12"), ("123", "123")):
+        shard.write_text(written)
+        spawning._keep_record(stem)
+        assert died.read_text() == kept
+
+
+# ---- watching ----
+
+
+class Process:
+    """A process that is whatever a test says."""
+
+    def __init__(self, pid=1, stubborn=()):
+        self.pid, self.returncode, self.sent, self.stubborn = pid, None, [], stubborn
+
+    def poll(self):
+        return self.returncode
+
+    def send_signal(self, number):
+        self.sent.append(number)
+        if number not in self.stubborn and number != signal.SIGCONT:
+            self.returncode = -number
+
+    def wait(self, timeout):
+        self.sent.append(timeout)
+        if self.returncode is None:
+            raise subprocess.TimeoutExpired("x", timeout)
+
+
+class Child(SimpleNamespace):
+    def __init__(self, name, pid=1, **more):
+        super().__init__(
+            member=SimpleNamespace(name=name),
+            process=Process(pid),
+            end=pid,
+            log=Path("/x"),
+            status=name,
+            held=False,
+            interrupted=False,
+            **more,
+        )
+
+
+def test_who_does_not_end_when_asked_is_asked_again_and_killed(monkeypatch):
+    monkeypatch.setattr(children, "time", SimpleNamespace(monotonic=lambda: 5.0))
+    ended, kind, deaf, twin = (Child(name, pid) for pid, name in enumerate(("ended", "kind", "deaf", "twin"), 1))
+    ended.process.returncode = 3
+    deaf.process.stubborn = (signal.SIGINT, signal.SIGTERM)
+    twin.process = kind.process  # of one container
+    stop([ended, kind, deaf, twin])
+    assert [c.interrupted for c in (ended, kind, deaf, twin)] == [False, True, True, True]
+    assert ended.process.sent == []
+    assert kind.process.sent == [signal.SIGCONT, signal.SIGINT, 3.0]
+    steps = [[signal.SIGCONT, number, 3.0] for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)]
+    assert deaf.process.sent == functools.reduce(operator.iadd, steps, [])
+    stop([ended])
+
+
+def test_what_a_node_says_of_itself_is_read_from_its_files(tmp_path):
+    assert read_status(tmp_path / "none") == {}
+    (tmp_path / "status").write_text('{"t": 1}')
+    assert read_status(tmp_path / "status") == {"t": 1}
+    log = tmp_path / "log"
+    for text, last in (("", ""), ("a\n\nb c\n \n", "b c"), ("a", "a")):
+        log.write_text(text)
+        assert last_line(log) == last
+    log.write_bytes(b"\xff\n")
+    assert last_line(log) == "\ufffd"
+    assert not children.is_held(SimpleNamespace(process=SimpleNamespace(pid=os.getpid())))
+    assert not children.is_held(SimpleNamespace(process=SimpleNamespace(pid=0)))
+
+
+class Watched:
+    """A run of three nodes as its supervisor sees it; at each look a tenth of a second has passed."""
+
+    def __init__(self, monkeypatch, realtime=False, most=0):
+        self.now, self.realtime, self.told, self.script = 100.0, realtime, [], {}
+        self.children = [Child(name, pid) for pid, name in enumerate(("plant", "law", "source"), 1)]
+        self.states = {c.member.name: {"t": 0, "state": "running"} for c in self.children}
+        self.restarts = SimpleNamespace(
+            most=most, counts={}, look=lambda children: self.failed, why=lambda member: "; again"
+        )
+        self.failed, self.looks, self.stopping, self.logs = [], [], SimpleNamespace(number=0, check=lambda: None), {}
+        self.rig = SimpleNamespace(scenario=SimpleNamespace(start_timeout=30.0, timeout=10.0, duration=5.0))
+        clock = SimpleNamespace(monotonic=lambda: self.now, time=lambda: 1000.0 + self.now, sleep=self._pass)
+        monkeypatch.setattr(supervision, "time", clock)
+        monkeypatch.setattr(supervision, "select", SimpleNamespace(select=self._select))
+        monkeypatch.setattr(supervision, "read_status", lambda name: self.states[name])
+        monkeypatch.setattr(supervision, "is_held", lambda child: child.held)
+        monkeypatch.setattr(supervision, "last_line", lambda log: self.logs.get("last", ""))
+        monkeypatch.setattr(supervision, "starter", lambda rig: self.children[0].member)
+
+    def _pass(self, seconds):
+        self.now = round(self.now + seconds, 6)
+
+    def _select(self, ends, *_):
+        assert ends == [c.end for c in self.children if c.process.returncode is None]
+        assert _ == ([], [], 0.1)
+        self._pass(0.1)
+        for at in sorted(self.script):
+            if at <= self.now - 100.0 + 1e-9:
+                self.script.pop(at)()
+        assert self.now < 1000.0, "it would go on for ever"
+
+    def at(self, seconds, change):
+        self.script[seconds] = change
+        return self
+
+    def says(self, name, **what):
+        return lambda: self.states.update({name: self.states[name] | what})
+
+    def ends(self, name, code=0):
+        def end():
+            next(c for c in self.children if c.member.name == name).process.returncode = code
+
+        return end
+
+    def run(self):
+        """What it comes to, and after how many seconds."""
+        said = supervision.supervise(
+            self.rig,
+            self.children,
+            self.told.append,
+            SimpleNamespace(look=self.looks.append),
+            self.realtime,
+            self.stopping,
+            self.restarts,
+            SimpleNamespace(look=lambda: None),
+        )
+        return said, round(self.now - 100.0, 1)
+
+
+LOST = "node {} did not reach the end of the run within 10 s after it"
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    return lambda **options: Watched(monkeypatch, **options)
+
+
+def all_end(run, seconds):
+    return run.at(seconds, lambda: [run.ends(child.member.name)() for child in run.children])
+
+
+def test_a_run_that_ends_in_order_tells_of_each_progress_of_its_plant(watched):
+    run = watched()
+    for at, t in ((0.2, 5), (0.4, 5), (0.7, 9)):
+        run.at(at, run.says("plant", t=t))
+    run.at(0.3, run.says("law", t=100))
+    assert all_end(run, 50.0).run() == ("", 50.0)  # as long as all run and none is held nobody is late
+    assert run.told == [0, 5, 9]
+    assert run.looks[0] == {name: {"t": 0, "state": "running"} for name in ("plant", "law", "source")}
+
+
+def test_in_lockstep_who_is_left_when_another_has_ended_has_the_timeout_from_the_last_progress(watched):
+    run = watched().at(1.0, lambda: None)
+    run.at(2.0, run.ends("law"))
+    assert run.run() == (LOST.format("plant, source"), 12.0)
+    run = watched()
+    run.at(2.0, run.ends("law")).at(8.0, run.says("plant", t=7)).at(9.0, run.says("source", t=7))
+    assert run.run() == (LOST.format("plant, source"), 18.1)
+    run = watched()
+    run.at(2.0, run.ends("law")).at(8.0, run.says("source", busy=True)).at(20.0, run.says("source", busy=False))
+    assert run.run() == (LOST.format("plant, source"), 30.0)
+    run = watched()
+    run.at(2.0, lambda: setattr(run.children[1], "held", True))
+    asleep = "node law: its process is stopped (SIGSTOP); it was waited for until the timeout"
+    assert run.run() == (asleep, 12.0)
+
+
+def test_a_node_that_says_nothing_of_itself_has_the_time_of_the_start(watched):
+    run = watched()
+    run.states["law"] = run.states["source"] = {}
+    run.at(29.0, run.says("source", t=0))
+    assert run.run() == ("node law has said nothing of itself within 30 s of its start", 30.1)
+    run = watched()
+    run.states["law"] = {}
+    run.restarts.look = lambda children: run.now >= 120.0 and run.restarts.counts.update(law=1)  # started anew
+    assert run.run()[1] == 50.1
+
+
+def test_in_real_time_all_have_the_timeout_after_the_end_of_the_run(watched):
+    run = watched(realtime=True)
+    run.at(3.0, run.says("plant", epoch=round((1000.0 + 100.0 + 3.0 + 2.0) * 1e9)))  # t = 0 is 2 s later
+    assert run.run() == (LOST.format("plant, law, source"), 20.1)
+    run = watched(realtime=True)
+    run.at(3.0, run.says("plant", epoch=1)).at(6.0, run.says("plant", held=True)).at(9.0, run.says("plant", held=False))
+    assert run.run() == (LOST.format("plant, law, source"), 24.0)
+    run = watched(realtime=True)
+    run.at(3.0, run.says("plant", epoch=10**30))  # the clock was set: as long as a start may take
+    assert run.run() == (LOST.format("plant, law, source"), 48.1)
+
+
+def test_where_nodes_are_started_again_a_rig_that_stands_is_lost_after_the_time_of_a_start(watched):
+    run = watched(most=1)
+    run.at(4.0, run.says("law", t=5)).at(6.0, run.says("source", state="done")).at(7.0, run.says("law", ticks=9))
+    run.at(8.0, run.says("law", busy=True)).at(9.0, run.says("law", busy=False))
+    said, after = run.run()
+    assert (said, after) == (LOST.format("plant, law, source"), 39.0)
+
+
+def test_a_signal_ends_the_watching(watched):
+    run = watched()
+
+    def check():
+        if run.now > 101.0:
+            raise Stopped(signal.SIGTERM)
+
+    run.stopping.check = check
+    with pytest.raises(Stopped):
+        run.run()
+
+
+def test_who_has_failed_is_named_with_the_reason(watched):
+    def outcome(codes, states, last="", most=0, later=()):
+        run = watched(most=most)
+        run.logs["last"] = last
+        for child, code in zip(run.children, codes, strict=True):
+            child.process.returncode = code
+            run.states[child.member.name] = states.get(child.member.name, {"state": "running"})
+        run.failed = [c for c in run.children if c.process.returncode not in (None, 0)]
+        original = run._pass
+
+        def passing(seconds):
+            original(seconds)
+            for name, at, code in later:
+                if run.now - 100.0 >= at:
+                    run.ends(name, code)()
+
+        supervision.time.sleep = passing
+        return run.run()
+
+    failed = {"state": "failed", "error": "nothing on x"}
+    assert outcome((None, 3, None), {"law": failed}) == ("node law: nothing on x", 1.5)
+    assert outcome((0, 3, 0), {"law": failed}) == ("node law: nothing on x", 0.0)
+    assert outcome((0, 3, 0), {}, last="law: broken") == ("node law: broken", 0.0)
+    assert outcome((0, 3, 0), {}) == ("node law ended with status 3", 0.0)
+    assert outcome((None, -9, None), {"law": {"t": 1_500_000_000}}) == (
+        "node law was killed by SIGKILL after t = 1.5 s; again",
+        0.0,
+    )
+    waits = {"law": failed | {"waits_for": ["plant"]}, "plant": failed | {"error": "broken", "waits_for": []}}
+    assert outcome((3, 3, 0), waits) == ("node plant: broken", 0.0)
+    late = (("plant", 0.5, 3),)
+    assert outcome((None, 3, 0), waits, later=late)[0] == "node plant: broken"
+    assert outcome((None, 3, 0), waits)[0] == "node plant: broken"  # it has said so, and takes its time to end
+    done = {"law": {"state": "done"}, "plant": failed, "source": {"state": "done"}}
+    assert outcome((3, 3, 3), done) == ("node plant: nothing on x", 0.0)
+    assert outcome((3, 0, 3), {"plant": failed, "source": failed | {"error": "b"}})[0] == (
+        "node plant: nothing on x; node source: b"
+    )
+
+
+def test_a_system_clock_that_is_set_back_is_told(monkeypatch):
+    wall = SimpleNamespace(ahead=500.0)
+    monkeypatch.setattr(supervision, "time", SimpleNamespace(time=lambda: 7.0 + wall.ahead, monotonic=lambda: 7.0))
+    clock = SystemClock()
+    assert clock.set_back() == ""
+    for ahead in (600.0, 599.0, 600.0):
+        wall.ahead = ahead
+        assert clock.set_back() == ""  # a second is none
+    wall.ahead = 570.0
+    clock.look()
+    wall.ahead = 640.0
+    assert clock.set_back() == "; the system's clock was set back by 30 s meanwhile, and Fast DDS waits by it"
+    assert idle({"a": {"ticks": 0}, "b": {}}) == "all nodes have ended, and none of them has said a tick"
+    assert idle({"a": {"ticks": 0}, "b": {"ticks": 1}}) == ""
+
+
+# ---- nodes that are started again ----
+
+
+def test_a_node_that_was_killed_is_started_again_when_all_others_stand(tmp_path, monkeypatch):
+    """Two of their status files that tell of the same tick, and of no work under way."""
+    said = []
+    nodes = [Child(name, pid) for pid, name in enumerate(("dead", "one", "two"), 1)]
+    written = {}
+    for node in nodes:
+        node.status = SimpleNamespace(
+            stat=lambda n=node: SimpleNamespace(st_mtime_ns=written[n.member.name][0]), name=node.member.name
+        )
+    monkeypatch.setattr(restarting, "read_status", lambda path: written[path.name][1])
+    started = []
+
+    def again(k):
+        started.append(k)
+        nodes[k].process.returncode = None
+
+    restarts = Restarts(2, again, said.append)
+    nodes[0].process.returncode = -9
+
+    def look(**states):
+        written.update(dead=(0, {}), **states)
+        assert restarts.look(nodes) == []
+        return len(started)
+
+    assert look(one=(1, {"ticks": 5}), two=(1, {"ticks": 4})) == 0
+    assert look(one=(1, {"ticks": 5}), two=(2, {"ticks": 4})) == 0  # one has not written since
+    assert look(one=(2, {"ticks": 6}), two=(3, {"ticks": 4})) == 0  # it has moved
+    assert look(one=(3, {"ticks": 6, "busy": True}), two=(3, {"ticks": 4})) == 0
+    assert look(one=(4, {"ticks": 6}), two=(3, {"ticks": 4})) == 1
+    assert restarts.counts == {"dead": 1}
+    assert said == ["node dead was killed by SIGKILL after t = 0 s; it is started again (1 of 2)"]
+    assert restarts.why(nodes[0].member) == "; it was started again 1 of 2 times"
+    nodes[0].process.returncode = -11
+    nodes[1].process.returncode = 0  # has ended: it need not stand
+    assert look(one=(9, {}), two=(3, {"ticks": 4})) == 1  # looked at anew
+    assert look(one=(9, {}), two=(4, {"ticks": 4})) == 2
+    nodes[0].process.returncode = -9
+    assert restarts.look(nodes) == [nodes[0]]
+    nodes[0].process.returncode = 3
+    assert Restarts(9, again).look(nodes) == [nodes[0]]
+    assert Restarts(0, again).look(nodes) == [nodes[0]]
+    assert Restarts(0, again).why(nodes[0].member) == ""
+    assert Restarts(1, again).why(nodes[0].member) == "; it was started again 0 of 1 times"
+
+
+def test_what_could_not_be_started_again_is_refused():
+    rig = rig_of(make_scenario(BASIC))
+    guest = rig_of(make_scenario(BASIC | {"gain": {"executable": "gain", "external": True}}))
+    check_restart(rig, Placement(restart=1))
+    check_restart(guest, Placement("container", "realtime", record=False))  # nobody wants it
+    whole = "--restart: expected a run in lockstep whose nodes have a process each, all on this host"
+    for made, placement, said in (
+        (rig, Placement(clock="realtime", restart=1), whole),
+        (rig, Placement("container", restart=1), whole),
+        (rig, Placement(containers=[["plant", "gain"]], restart=1), whole),
+        (rig, Placement(only=("plant",), restart=1), whole),
+        (guest, Placement(restart=1), "--restart: gain is outside, and nobody knows what it has said"),
+        (
+            rig,
+            Placement(restart=1, record=False),
+            "--restart: a node comes back from what the others have recorded, expected a record",
+        ),
+    ):
+        with pytest.raises(ScenarioError) as error:
+            check_restart(made, placement)
+        assert str(error.value) == said
+
+
+# ---- external nodes ----
+
+
+def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come():
+    nodes = BASIC | {
+        "gain": {"executable": "gain", "external": True},
+        "watcher": {"executable": "watcher", "external": True},
+    }
+    said = []
+    guests = Guests(rig_of(make_scenario(nodes)), said.append)
+    guests.invite(7)
+    assert said.pop().splitlines() == [
+        "waiting for gain (as long as it takes or --wait says; Ctrl-C ends); in another terminal:",
+        "  export ROS_DOMAIN_ID=7 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
+        "  gain must publish lag/command (sensor_msgs/msg/JointState, u/effort)",
+        "  gain can read lag/state (sensor_msgs/msg/JointState)",
+        "  gain can read lag/reference (trajectory_msgs/msg/JointTrajectory)",
+        "  watcher can read lag/state (sensor_msgs/msg/JointState)",
+        "  watcher can read lag/command (sensor_msgs/msg/JointState)",
+    ]
+
+    def look(**states):
+        before = len(said)
+        guests.look(states)
+        return said[before:]
+
+    lacks = {"lacking": ["lag/command"]}
+    assert look(plant={"refused": {"lag/command": [1, "bad"]}}, source={}) == [
+        "plant refused a message on lag/command: bad"
+    ]
+    assert look(plant={"refused": {"lag/command": [2, "worse"]}}, source=lacks) == []
+    wrong = {"reports": {"type of lag/command": [2, "lag/command exists with type x", 1], "other": [2, "no", 1]}}
+    assert look(plant=lacks | wrong, source=lacks) == ["lag/command exists with type x"]
+    stray = {
+        "/lag/comand": [["sensor_msgs/msg/JointState", "/theirs"]],
+        "/lag/state": [["sensor_msgs/msg/JointState", "/theirs"]],  # of the rig
+        "/tf": [["tf2_msgs/msg/TFMessage", "/theirs"]],
+        "/plant/more": [["sensor_msgs/msg/JointState", "/plant"]],  # ours
+    }
+    text = "/theirs publishes /lag/comand, which nobody in the rig reads; lag/command is awaited from gain"
+    assert look(plant=lacks | {"published": stray}, source=lacks) == [text]
+    assert look(plant=lacks | {"published": stray}, source=lacks) == []
+    assert look(plant={"lacking": []}, source={"lacking": []}) == ["gain is there"]
+    assert look(plant={"lacking": []}, source={"lacking": []}) == []
+    Guests(rig_of(make_scenario(nodes)), None).invite(7)
+    nobody = Guests(rig_of(make_scenario(BASIC)), said.append)
+    nobody.invite(7)
+    nobody.look({"plant": {"refused": {"lag/command": [1, "bad"]}}})
+    assert said[-1] == "gain is there"
+
+
+def test_a_server_serves_what_differs_only_in_what_a_node_reads_when_it_starts():
+    base = {"A": "1", "ROS_DOMAIN_ID": "3", "COLUMNS": "80"}
+    assert fork_server._key(base) == fork_server._key(base | {"ROS_DOMAIN_ID": "4", "LINES": "5", "COLUMNS": "9"})
+    assert fork_server._key(base) != fork_server._key(base | {"A": "2"})
+    assert fork_server._key(base) != fork_server._key(base | {"B": "2"})
+    server = SimpleNamespace(_owner=os.getpid(), _key=fork_server._key(base))
+    serves = fork_server.ForkServer.serves
+    assert serves(server, base | {"ROS_LOG_DIR": "/x"})
+    assert not serves(server, base | {"A": "2"})
+    server._owner = -1
+    assert not serves(server, base)
+
+
+def test_an_answer_of_the_server_is_that_to_the_newest_question_and_who_has_died_was_killed(monkeypatch):
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    server = object.__new__(fork_server.ForkServer)
+    server._lock, server._asked, server._link, server._owner = threading.Lock(), 0, ours, -1
+    for number, status in ((1, 7), (1, 8), (2, 9)):  # an answer to a question that a signal has cut off
+        theirs.send(json.dumps({"number": number, "status": status}).encode())
+    assert [server.status(5), server.status(6)] == [7, 9]
+    asked = [json.loads(theirs.recv(999)) for _ in range(2)]
+    assert asked == [{"status": 5, "number": 1}, {"status": 6, "number": 2}]
+    theirs.send(b'{"number": 3}')
+    assert server.status(5) == -signal.SIGKILL
+    size = len(json.dumps({"status": 5, "number": 4}))
+    monkeypatch.setattr(fork_server, "LARGEST", size - 1)
+    theirs.send(b'{"number": 4, "status": 1}')
+    assert server.status(5) == -9  # too long to be asked
+    monkeypatch.setattr(fork_server, "LARGEST", size)
+    theirs.send(b'{"number": 5, "status": 6}')
+    assert server.status(5) == 6
+    theirs.close()
+    assert server.status(5) == -9
+
+
+def test_a_server_that_cannot_is_replaced_once_and_then_the_executable_starts_by_itself(monkeypatch):
+    asked = []
+    for answers, started in (([5], 5), ([None, 6], 6), ([None, None, 7], None)):
+        given = iter(answers)
+        server = SimpleNamespace(start=lambda *what, given=given: asked.append(what) or next(given))
+        monkeypatch.setattr(fork_server, "prepare", lambda variables, server=server: server)
+        monkeypatch.setattr(fork_server, "_server", "old")
+        assert fork_server.start_node("p", "e", ["c"], {"A": "1"}, 2) == started
+        assert fork_server._server == ("old" if started == 5 else None)
+    assert asked == [("p", "e", ["c"], {"A": "1"}, 2)] * 5
+
+
+def test_a_module_that_is_edited_is_seen_once(tmp_path, monkeypatch):
+    file = tmp_path / "edited.py"
+    file.write_text("")
+    os.utime(file, ns=(1, 10**18))
+    monkeypatch.setitem(sys.modules, "edited", SimpleNamespace(__file__=str(file)))
+    monkeypatch.setattr(fork_server.sys, "modules", {"edited": sys.modules["edited"], "bare": SimpleNamespace()})
+    edited = fork_server._Edited()
+    os.utime(file, ns=(1, 2 * 10**18))
+    assert edited
+    assert not edited
+    file.unlink()
+    assert edited
+    assert not edited
+    monkeypatch.setattr(fork_server, "_LIBRARIES", (str(tmp_path),))
+    file.touch()
+    assert not edited  # of Python's own libraries nobody looks
+
+
+def test_the_folder_of_a_run_is_made_where_there_is_none(tmp_path, monkeypatch, lag_rig):
+    def down():
+        raise RunError("lo is down")
+
+    monkeypatch.setattr(processes, "require_loopback", down)
+    for _ in range(2):
+        with pytest.raises(RunError, match="lo is down"):
+            processes.run_processes(lag_rig, 0, tmp_path / "a" / "b")
+    assert (tmp_path / "a" / "b").is_dir()
+    recording, status = processes.gathered(lag_rig, tmp_path, ["plant"])
+    assert (set(recording.topics), status) == (set(lag_rig.topics), {"plant": {}})
+
+
+# ---- what a node declares and says of itself ----
+
+
+class Declares:
+    """A node that is given parameters and keeps what is declared."""
+
+    def __init__(self, **given):
+        kinds = {k.replace("__", "."): v for k, v in given.items()}
+        self._parameter_overrides = {
+            k: SimpleNamespace(value=v, type_=Parameter.Type.NOT_SET if v is None else None) for k, v in kinds.items()
+        }
+        self._parameters, self.declared = {}, {}
+
+    def declare_parameter(self, name, value, descriptor, ignore_override):
+        assert ignore_override
+        self.declared[name] = value, descriptor.read_only
+
+
+def test_a_node_declares_its_parameters_and_those_of_its_run_that_fit_another_one():
+    node = Declares(k=3.0, run__seed=5, run__shard="x", use_sim_time=True, qos_overrides__x=1, run__paired=None)
+    params, options = main._parameters(node, Gain)
+    assert (params.k, options.seed, options.shard, options.paired) == (3.0, 5, "x", ())
+    own = {"k": (3.0, True), "noise": (0.0, True), "period": (0.01, True)}
+    assert {k: v for k, v in node.declared.items() if not k.startswith("run.")} == own
+    assert {k.removeprefix("run."): v[0] for k, v in node.declared.items() if k.startswith("run.")} == {
+        "mode": "realtime",
+        "seed": 5,
+        "duration": 0.0,
+        "timeout": 10.0,
+        "patience": 0.8,
+        "stamp_window": 1.0,
+        "start_timeout": 30.0,
+        "paired": [],
+        "watchdog": 0.0,
+        "frames": True,
+        "epoch": 0,
+        "paused": False,
+        "pace": 0.0,
+    }
+    assert not node.declared["run.pace"][1]  # it may change
+    assert node._parameters["run.paired"].type_ == Parameter.Type.STRING_ARRAY
+    with pytest.raises(ParameterError):
+        main._parameters(Declares(kk=3.0), Gain)
+
+
+def test_a_node_says_what_it_is_and_how_it_is_started():
+    assert main.introduction(Gain(), RunOptions()) == (
+        "u = k (r - x) + noise; the state is the number of its ticks; realtime, every 0.01 s; "
+        "waits for lag/state, lag/reference; publishes lag/command"
+    )
+    assert main.introduction(Source(), RunOptions(mode="lockstep")) == (
+        "A sine of the tick number; lockstep, every 0.01 s; waits for nobody; publishes lag/reference"
+    )
+    lines = main.usage("gain", Gain).splitlines()
+    assert lines[:9] == [
+        "gain: u = k (r - x) + noise; the state is the number of its ticks.",
+        "",
+        "  reads lag/state (sensor_msgs/msg/JointState: x/position, x/velocity)",
+        "  reads lag/reference (trajectory_msgs/msg/JointTrajectory: x/position)",
+        "  publishes lag/command (sensor_msgs/msg/JointState: u/effort)",
+        "",
+        "At a tick of which an input is refused: What it said last is held.",
+        "",
+        "Parameters, each as `--ros-args -p NAME:=VALUE` (node name, remaps and files as in any ROS 2 node):",
+    ]
+    assert lines[9].startswith("  period = 0.01 s: ")
+    assert "  k = 2.0: gain" in lines
+    assert any(line.startswith("  run.pace = 0.0: ") and line.endswith("; may change while running") for line in lines)
+    assert not any("refused" in line for line in main.usage("source", Source).splitlines()[:6])
+    assert "refused: " not in main.usage("plant", Lag)

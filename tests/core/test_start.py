@@ -1,0 +1,631 @@
+"""How a node begins and ends, by hand: who is not there yet, when t = 0 is, what it says of its ticks and itself."""
+
+import json
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from by_hand import Hand
+from faultrig import COMMAND, REFERENCE, STATE, Burst, Gain, Lag, Spread, Watcher
+from softrig_core import RunError, joint_state
+from softrig_core.block.block import Level
+from softrig_core.node.adapter import adapter as adapters
+from softrig_core.node.adapter.adapter import Adapter
+from softrig_core.node.adapter.departure import READY, START, Departure
+from softrig_core.node.adapter.files import read_files
+from softrig_core.node.adapter.handshake import Handshake
+from softrig_core.node.adapter.spin import conclude, failure
+from softrig_core.node.container import Container, split
+from softrig_core.node.group import Group
+from softrig_core.node.lockstep import comeback as comebacks
+from softrig_core.node.lockstep.comeback import Comeback, Spoken
+from softrig_core.node.seam.endpoint import Input, Output
+from softrig_core.node.seam.exchange import Exchange
+from softrig_core.node.seam.tick import TICK, TickReader, TickWriter
+from softrig_core.rig.options import InputLink, Links, RunOptions
+from softrig_core.wire.cdr import parse
+from softrig_core.wire.recording import ShardWriter
+
+MS, SECOND = 1_000_000, 1_000_000_000
+NOW = 1_700_000_000 * SECOND
+JOINT = "sensor_msgs/msg/JointState"
+
+
+def state(name):
+    return joint_state(name, name, ["q"], position="m")
+
+
+# ---- who is not there yet ----
+
+
+class Meeting:
+    """A node that reads `x` of "sender" and publishes `y`, which `readers` are to read."""
+
+    def __init__(self, readers=("law",), local=(), rig=True, plant=False, **links):
+        self.hand = Hand("node")
+        self.x, self.y = Input(state("x")), Output(state("y"), "/y", 0)
+        node = SimpleNamespace(
+            middleware=self.hand,
+            links=Links(**links),
+            namespace="/rig",
+            is_plant=plant,
+            outputs=[self.y],
+            options=SimpleNamespace(links="x" if rig else ""),
+        )
+        self.shake = Handshake(node, [(self.x, "sender")], [(self.y, list(readers))], set(local))
+
+    def absent(self):
+        return self.shake.absent()
+
+    def whole(self, **readers):
+        """All that is awaited there."""
+        self.x.matched(1)
+        self.hand.readers["/y"] = readers or {"law": JOINT}
+        self.y.matched(len(self.hand.readers["/y"]))
+        return self
+
+
+def test_a_node_begins_when_all_that_it_reads_are_said_and_all_who_read_it_hear_it():
+    meeting = Meeting()
+    assert meeting.absent() == ["no publisher on x (expected from sender)", "law does not subscribe /y"]
+    assert meeting.shake.missing == ["sender", "law"]
+    meeting.hand.types = {"/x": ["std_msgs/msg/Float64"]}
+    assert (
+        meeting.absent()[0]
+        == "no publisher on x (expected from sender; the topic exists with type std_msgs/msg/Float64)"
+    )
+    meeting.x.matched(1)
+    meeting.hand.readers["/y"] = {"law": "other/msg/Type"}
+    assert meeting.absent() == ["law does not subscribe /y"]
+    assert meeting.shake.missing == ["law"]
+    meeting.hand.readers["/y"] = {"law": JOINT, "tool": JOINT}
+    assert meeting.absent() == ["/y has 0 readers of 2"]  # the graph knows a reader before the writer does
+    meeting.y.matched(1)
+    assert meeting.absent() == ["/y has 1 readers of 2"]
+    meeting.y.matched(2)
+    assert (meeting.absent(), meeting.shake.missing, meeting.shake.lacking) == ([], [], [])
+    gone = Meeting().whole()
+    gone.x.matched(0)
+    gone.x.heard = True  # who has said all it had to say is gone
+    assert gone.absent() == []
+    nobody = Meeting([])
+    nobody.x.matched(1)
+    nobody.hand.readers["/y"] = {"tool": JOINT}
+    assert nobody.absent() == []  # nobody is awaited
+    local = Meeting(["law", "here"], local=["here"]).whole(law=JOINT, here=JOINT)
+    local.y.matched(1)
+    assert local.absent() == []
+
+
+def test_readers_that_ask_for_more_than_is_offered_are_named_if_they_are_awaited():
+    meeting = Meeting().whole(law=JOINT, tool=JOINT)
+    meeting.y.matched(1)
+    meeting.hand.unfit = lambda topic, kind: [("tool", "reliability")] if (topic, kind) == ("/y", JOINT) else []
+    assert meeting.absent() == []  # nobody waits for the tool
+    meeting.y.matched(0)
+    assert meeting.absent() == ["/y has 0 readers of 1"]
+    meeting.hand.unfit = lambda topic, kind: [("law", "reliability"), ("tool", "durability")]
+    assert meeting.absent() == ["law can never read /y: reliability"]
+    assert meeting.shake.missing == ["law"]
+
+
+def test_whoever_an_external_node_is_reads_what_it_subscribes():
+    meeting = Meeting([], outside=["cmd", "/abs"])
+    told = ["no publisher on x (expected from sender)"]
+    told += [f"no publisher on {name} (expected from an external node)" for name in ("cmd", "/abs")]
+    assert meeting.absent()[:3] == told
+    assert meeting.shake.lacking == ["cmd", "/abs"]
+    meeting.whole(law=JOINT)
+    meeting.hand.writers = {"/rig/cmd": ["guest", "second"], "/abs": ["other"]}
+    meeting.hand.reads = {"guest": ["/y", "/z"], "other": ["/z"]}
+    meeting.hand.readers["/y"] = {}
+    meeting.y.matched(0)
+    assert meeting.absent() == ["guest does not subscribe /y"]
+    assert meeting.shake.lacking == []
+    meeting.hand.readers["/y"] = {"guest": JOINT}
+    assert meeting.absent() == ["/y has 0 readers of 1"]
+    meeting.y.matched(1)
+    looks = 0
+    while meeting.absent() == ["outside nodes are still announcing themselves"]:
+        looks += 1
+    assert (looks, meeting.absent()) == (
+        25,
+        [],
+    )  # a fiftieth of a second each: when nothing has changed for half of one
+    unmatched = Meeting([], outside=["/x"])
+    unmatched.hand.writers = {"/x": ["guest"]}
+    assert unmatched.absent() == ["no publisher on x (expected from sender)"]
+    assert unmatched.shake.lacking == ["/x"]  # seen, and not yet heard
+
+
+def test_by_hand_what_is_seen_counts_when_it_has_not_changed_for_a_while():
+    meeting = Meeting([], rig=False).whole()
+    meeting.hand.writers["/_softrig/recorder"] = ["bag"]
+    assert meeting.absent() == ["bag does not subscribe /y"]
+    meeting.whole(bag=JOINT)
+    assert {*(tuple(meeting.absent()) for _ in range(20))} == {("outside nodes are still announcing themselves",)}
+    meeting.y.matched(2)  # somebody comes
+    assert {*(tuple(meeting.absent()) for _ in range(25))} == {("outside nodes are still announcing themselves",)}
+    assert meeting.absent() == []
+    for plant in (True, False):
+        lonely = Meeting([], rig=False, plant=plant)
+        lonely.x.matched(1)
+        for _ in range(25):
+            assert lonely.absent() == ["nobody subscribes /y"]
+        assert lonely.absent() == ([] if plant else ["nobody subscribes /y"])  # only a plant may do without
+    public = Meeting([], public=True, recorders=["bag"])
+    public.x.matched(1)
+    assert public.absent() == ["bag does not subscribe /y"]
+    public.whole(bag=JOINT)
+    assert public.absent() == ["outside nodes are still announcing themselves"]
+
+
+# ---- when t = 0 is ----
+
+
+class Leaves:
+    """A node of a rig of three that waits for its common start."""
+
+    def __init__(self, starter="node", local=(), limit=30.0, grid="0.01"):
+        self.hand, self.begun, self.words, self.failures = Hand("node", NOW), [], [], []
+        links = Links(starter=starter, starts=["node", "law", "source"], grid=grid)
+        self.node = SimpleNamespace(
+            middleware=self.hand,
+            links=links,
+            paces=[],
+            options=SimpleNamespace(start_timeout=limit),
+            fail=self.failures.append,
+            refuse=lambda item, text: self.failures.append(text),
+        )
+        self.shake = SimpleNamespace(absent=lambda: [*self.gone], gone=[])
+        self.gone = self.shake.gone
+        self.departure = Departure(
+            self.node,
+            self.shake,
+            set(local),
+            lambda *said: self.begun.append(said),
+            lambda said: self.words.append(said),
+        )
+        (self.timer,) = self.hand.timers
+
+    def look(self, times=1, each=20 * MS):
+        for _ in range(times):
+            self.hand.time += each
+            self.timer.call()
+        return self.departure.absent
+
+
+def test_the_starter_waits_until_all_are_ready_and_hear_it_and_says_when():
+    one = Leaves()
+    ready, said = one.hand.heard[READY], one.hand.said[START]
+    assert one.timer.asked == [(20 * MS, 0)]
+    one.hand.readers[f"/{START}"] = {"law": TICK}
+    one.gone.append("nobody on x")
+    assert one.look() == ["nobody on x", "law is not ready", "source is not ready", f"source does not hear {START} yet"]
+    one.gone.clear()
+    ready(TickWriter()(0, ["law"]))
+    one.hand.matched[START](1)
+    assert one.look() == ["source is not ready", f"source does not hear {START} yet"]
+    ready(TickWriter()(0, ["source"]))
+    one.hand.readers[f"/{START}"] = {"law": TICK, "source": TICK}
+    assert one.look() == [f"one of 3 nodes does not hear {START} yet"]
+    assert not said
+    one.hand.matched[START](2)
+    assert one.look() == []
+    now = one.hand.time
+    ((epoch, ahead),) = one.begun
+    assert (epoch % (10 * MS), ahead) == (0, 0)
+    assert now + 500 * MS < epoch <= now + 510 * MS  # half a second, and to the next point of the grid
+    assert TickReader()(said[0]) == (epoch, frozenset([str(now)]))
+    assert one.timer.now is None
+    one.hand.time += SECOND
+    ready(TickWriter()(0, ["law"]))  # who still asks is told again, with what time it is
+    assert TickReader()(said[1]) == (epoch, frozenset([str(now + SECOND)]))
+    one.departure.say(["ahead=0", "from=5"])
+    assert TickReader()(said[2]) == (epoch, frozenset([str(now + SECOND), "ahead=0", "from=5"]))
+    ready(b"\0\1\0\0")
+    assert one.failures == ["std_msgs/msg/Header: 4 bytes end inside a field at byte 4"]
+    assert not one.words
+
+
+def test_neighbours_of_its_process_are_told_in_memory():
+    one, two = Leaves(local=["law"]), Leaves("other")
+    one.departure.neighbours = two.departure.neighbours = [one.departure, two.departure]
+    for name in ("law", "source"):
+        one.hand.heard[READY](TickWriter()(0, [name]))
+    assert one.look() == [f"law, source does not hear {START} yet"]
+    one.hand.matched[START](1)  # only of other processes
+    one.look()
+    (call,) = one.hand.posted  # to who is no starter
+    call()
+    assert [epoch for epoch, _ in two.begun] == [one.begun[0][0]]
+
+
+@pytest.mark.parametrize(("off", "ahead"), [(0, 0), (SECOND // 2, 0), (SECOND // 2 + 1, 1), (-SECOND, 1)])
+def test_the_others_say_that_they_are_ready_and_follow_a_clock_that_is_half_a_second_off(off, ahead):
+    one = Leaves("law")
+    hear, said = one.hand.heard[START], one.hand.said[READY]
+    one.gone.append("nobody on x")
+    one.look(10)
+    assert not said
+    one.gone.clear()
+    one.look(13)
+    assert [TickReader()(data) for data in said] == [(0, frozenset(["node"]))] * 2  # at each fifth look, 15 and 20
+    hear(TickWriter()(0, []))
+    hear(b"")
+    assert not one.begun
+    epoch = NOW + 3 * SECOND
+    hear(TickWriter()(epoch, [str(one.hand.time + off), "ahead=0"]))
+    assert one.begun == [(epoch, ahead * off)]
+    assert one.timer.now is None
+    assert one.words == [frozenset([str(one.hand.time + off), "ahead=0"])]
+    hear(TickWriter()(epoch, ["until=5"]))
+    assert (len(one.begun), one.words[1]) == (1, frozenset(["until=5"]))
+    other = Leaves("law")
+    other.hand.heard[START](TickWriter()(epoch, ["x"]))  # without a clock
+    assert other.begun == [(epoch, 0)]
+
+
+def test_a_start_that_does_not_come_ends_the_run_and_says_why():
+    for limit, seconds in ((30.0, 30.0), (0.0, 1e6)):
+        one = Leaves("law", limit=limit)
+        one.look(1, round(seconds * 1e9))
+        assert not one.failures
+        one.look(1, MS)
+        assert one.failures == (["not all peers after 30 s: law has not said when to start"] if limit else [])
+    one.failures.clear()
+    one = Leaves(limit=30.0)
+    one.gone.append("nobody on x")
+    one.look(1, 31 * SECOND)
+    assert one.failures[0].startswith("not all peers after 30 s: nobody on x; law is not ready; source is not ready; ")
+    assert one.timer.now is None
+
+
+# ---- what a node says of its ticks ----
+
+
+class Kept:
+    def __init__(self):
+        self.said = []
+
+    def add(self, topic, t, data):
+        self.said.append((topic, t, data))
+
+    def note(self, t, data):
+        self.said.append(("note", t, data))
+
+
+def law_links(**more):
+    inputs = {
+        "state": InputLink(period="0.01", node="plant", port="state"),
+        "reference": InputLink(period="0.01", node="source", port="reference", at_end=False),
+    }
+    return {"base": "0.01", "inputs": inputs, "readers": {"command": ["plant"]}} | more
+
+
+def node(block, links, sink=True, name="node", **options):
+    """A node in lockstep by hand, with all who are awaited there."""
+    hand, kept = Hand(name), Kept()
+    block.reset(0)
+    text = "" if links is None else Links(**links).model_dump_json()
+    adapter = Adapter(hand, block, RunOptions(mode="lockstep", links=text, **options), kept if sink else None)
+    return hand, kept, adapter
+
+
+def begun(adapter, hand, readers):
+    """Have everybody be there; the node begins at its next look."""
+    group = Group([adapter])
+    for item in [*adapter.inputs, *adapter.paces]:
+        hand.matched[item.port.topic](1)
+    for topic, names in readers.items():
+        ends = *adapter.outputs, adapter.clock_output, adapter.tick_output
+        output = next(o for o in ends if o.topic == hand.resolve(topic))
+        hand.readers[hand.resolve(topic)] = dict.fromkeys(names, output.port.msgtype)
+        output.matched(len(names))
+    next(t for t in hand.timers if t.call.__name__ == "_start").call()
+    return group
+
+
+def test_a_law_in_lockstep_answers_each_tick_when_its_inputs_are_there_and_leaves_after_the_last():
+    hand, kept, adapter = node(Gain(), law_links(), duration=0.03)
+    left = []
+    adapter.on_finished = lambda: left.append(adapter.t)
+    begun(adapter, hand, {"lag/command": ["plant"]})
+    assert (adapter.state, adapter.drive.busy(), adapter.drive.counts()) == ("running", False, {})
+    x, r = (STATE.layout(), REFERENCE.layout())
+    for k in range(3):
+        assert (adapter.ticks, adapter.t) == (k, 10 * k * MS)
+        hand.heard["lag/state"](x.encode(10 * k * MS, (1.0, 0.0)))
+        hand.heard["lag/reference"](r.encode(10 * k * MS, (4.0 + k,)))
+    u = COMMAND.layout()
+    assert hand.said["lag/command"] == [u.encode(10 * k * MS, (6.0 + 2 * k,)) for k in range(3)]
+    assert kept.said == [(0, 10 * k * MS, u.encode(10 * k * MS, (6.0 + 2 * k,))) for k in range(3)]
+    assert (adapter.state, left) == ("done", [30 * MS])
+    assert "tick_p50_ms" not in adapter.drive.statistics()  # a plant's
+
+
+def test_a_node_that_cannot_begin_says_after_five_seconds_what_it_lacks():
+    hand, _, adapter = node(Gain(), law_links())
+    Group([adapter])
+    start = next(t for t in hand.timers if t.call.__name__ == "_start")
+    assert start.asked == [(20 * MS, 0)]
+    for k in range(300):
+        start.call()
+        assert len(hand.logs) == (k >= 249)
+    assert hand.logs[0].startswith("WARN cannot begin yet: no publisher on lag/state (expected from plant); no ")
+    assert adapter.absent[0] == "no publisher on lag/state (expected from plant)"
+    assert adapter.state == "starting"
+
+
+def test_a_plant_says_its_ticks_on_the_clock_and_is_told_who_follows():
+    links = {
+        "base": "0.01",
+        "owns_clock": True,
+        "clock_readers": ["source"],
+        "acks": {"watcher": "0.01"},
+        "inputs": {"command": InputLink(period="0.01", node="law", port="command", at_end=False)},
+        "readers": {"state": ["law"], "applied": []},
+        "starts": ["node", "law", "source", "watcher"],
+    }
+    hand, kept, adapter = node(Lag(), links, duration=0.02)
+    begun(adapter, hand, {"lag/state": ["law"], "/clock": ["source"]})
+    command = hand.heard["lag/command"]
+    for k in range(2):
+        assert adapter.ticks == k
+        command(COMMAND.layout().encode(10 * k * MS, (1.0,)))
+        assert adapter.ticks == k
+        hand.heard["/watcher/tick"](TickWriter()(10 * k * MS, []))
+    hand.heard["/watcher/tick"](TickWriter()(20 * MS, []))
+    assert [parse("rosgraph_msgs/msg/Clock", data).stamp for data in hand.said["/clock"]] == [0, 10 * MS, 20 * MS]
+    assert [parse(JOINT, data).fields["position"] for data in hand.said["lag/state"]] == [(0.0,), (0.01,), (0.0199,)]
+    assert [number for number, _, _ in kept.said] == [0, 1, 4] * 3
+    assert adapter.recorded == [
+        ("lag/state", JOINT),
+        ("lag/applied", JOINT),
+        ("lag/offset", "std_msgs/msg/Float64"),
+        ("lag/kick", "std_msgs/msg/Bool"),
+        ("/clock", "rosgraph_msgs/msg/Clock"),
+    ]
+    assert (adapter.foreign, adapter.extra_numbers) == ({"offset": 2, "kick": 3}, 4)
+    assert adapter.state == "done"
+    figures = adapter.drive.statistics()
+    assert figures["running_s"] >= 0.0
+    assert figures["tick_max_ms"] >= figures["tick_p50_ms"] >= 0.0
+    status = adapter.status()
+    assert (status["state"], status["t"], status["ticks"]) == ("done", 20 * MS, 2)
+
+
+def test_two_who_publish_what_is_paired_end_the_run():
+    hand, _, adapter = node(Gain(), law_links())
+    begun(adapter, hand, {"lag/command": ["plant"]})
+    hand.writers["/lag/state"] = ["a", "b"]
+    hand.matched["lag/state"](2)
+    assert adapter.state == "failed"
+    next(t for t in hand.timers if t.call.__name__ == "_watch").call()
+    assert str(adapter.error) == "2 publishers on lag/state (/a, /b), expected exactly one"
+    hand, _, adapter = node(Gain(), law_links(returns=True))
+    begun(adapter, hand, {"lag/command": ["plant"]})
+    hand.matched["lag/state"](2)  # one of them has died
+    assert adapter.state == "running"
+
+
+def test_who_speaks_at_some_ticks_says_so_with_its_acknowledgement():
+    links = {
+        "base": "0.01",
+        "clock": InputLink(period="0.01", node="plant"),
+        "acknowledges": True,
+        "tick_readers": ["law"],
+        "readers": {"burst": ["law"]},
+    }
+    hand, kept, adapter = node(Burst(at=(0.01,)), links, duration=0.03)
+    begun(adapter, hand, {"lag/burst": ["law"], "~/tick": ["law"]})
+    clock = hand.heard["/clock"]
+    for k in range(3):
+        clock(adapters.CLOCK_LAYOUT.encode(10 * k * MS, ()))
+    said = [TickReader()(data) for data in hand.said["~/tick"]]
+    assert said == [(0, frozenset()), (10 * MS, frozenset(["burst"])), (20 * MS, frozenset())]
+    assert [t for _, t, _ in kept.said] == [10 * MS]
+
+
+def test_arrays_are_numbered_and_a_shard_holds_them_as_rows(tmp_path):
+    links = {"base": "0.01", "inputs": {"state": InputLink(period="0.01", node="plant", port="state")}}
+    hand, _, adapter = node(
+        Spread(), links, sink=False, duration=0.03, shard=str(tmp_path / "a.shard"), status=str(tmp_path / "a.status")
+    )
+    (output,) = adapter.outputs
+    begun(adapter, hand, {})
+    for k in range(3):
+        hand.heard["lag/state"](STATE.layout().encode(10 * k * MS, (1.0, 2.0)))
+    numbers = [parse(output.port.msgtype, data).number for data in hand.said[output.port.topic]]
+    assert (numbers, output.said) == ([0, 1, 2], 3)
+    assert conclude(adapter, stopped=False) == 0
+    assert json.loads((tmp_path / "a.status").read_text())["state"] == "done"
+    adapter.keep(np.arange(2), np.zeros((2, 0)))
+    assert output.said == 5
+
+
+def test_a_topic_of_another_type_is_told_once_and_a_watch_writes_the_status(tmp_path):
+    hand, _, adapter = node(Gain(), law_links(), status=str(tmp_path / "a.status"))
+    Group([adapter])
+    watch = next(t for t in hand.timers if t.call.__name__ == "_watch")
+    assert watch.asked == [(250 * MS, 0)]
+    watch.call()
+    assert json.loads((tmp_path / "a.status").read_text())["state"] == "starting"
+    hand.types = {"/lag/state": ["std_msgs/msg/Float64"], "/lag/reference": [REFERENCE.msgtype]}
+    for k in range(1, 9):
+        watch.call()
+        assert len(hand.logs) == (k >= 4)  # it looks at each fourth
+    text = f"lag/state exists with type std_msgs/msg/Float64, expected {JOINT}"
+    assert hand.logs == [f"ERROR {text}"]
+    assert adapter.status()["reports"] == {"type of lag/state": [2, text, 1]}
+    hand.deaf = lambda: "hears nobody"
+    for _ in range(4):
+        watch.call()
+    assert str(adapter.error) == "hears nobody"
+    adapter.block.note(Level.WARN, "late", "it is late")
+    watch.call()
+    watch.call()
+    assert hand.logs[1:] == ["WARN it is late"]
+
+
+@pytest.mark.parametrize(("every", "written"), [(1, [1, 2, 3, 4, 5, 6, 7, 8]), (4, [4, 8])])
+def test_a_status_is_written_at_each_watch_or_against_the_wall_clock_at_each_fourth(every, written, tmp_path):
+    hand, _, adapter = node(Gain(), law_links(), status=str(tmp_path / "a.status"))
+    Group([adapter])
+    watch = next(t for t in hand.timers if t.call.__name__ == "_watch")
+    adapter.state, adapter.drive.status_every = "running", every
+    adapter.drive.progress = lambda: None
+    times = []
+    adapter.write_status = lambda: times.append(adapter._watches)
+    for _ in range(8):
+        watch.call()
+    assert times == written
+    adapter.state = "done"
+    watch.call()
+    assert times[-1] == 9
+
+
+def test_who_comes_back_says_each_quarter_of_a_second_that_it_lives(monkeypatch):
+    clock, written = SimpleNamespace(now=5.0), []
+    monkeypatch.setattr(comebacks, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    back = object.__new__(Comeback)
+    back._told, back._paired, back._free = 5.0, {}, []
+    back._node = SimpleNamespace(write_status=lambda: written.append(clock.now), block=None)
+    back._drive = SimpleNamespace(senders=SimpleNamespace(rows=[]), solving=None)
+    for k in range(1, 11):
+        clock.now = 5.0 + 0.1 * k
+        assert not back._lacks(0)
+    assert written == pytest.approx([5.3, 5.6, 5.9])
+
+
+def test_an_observer_that_is_done_says_what_it_has_measured():
+    hand, _, adapter = node(Watcher(), law_links(), duration=0.03)
+    begun(adapter, hand, {})
+    assert "figures" not in adapter.status()
+    adapter.step.x = 7
+    adapter.finish()
+    assert adapter.status()["figures"] == {"seen": (7.0, "")}
+    adapter.step.x = 8
+    assert adapter.status()["figures"] == {"seen": (7.0, "")}  # worked out once
+
+
+def test_who_comes_back_says_again_what_it_has_said_last():
+    sent = []
+    outputs = [SimpleNamespace(send=lambda *said, k=k: sent.append((k, *said))) for k in range(2)]
+    fake = SimpleNamespace(
+        outputs=outputs[:1],
+        clock_output=outputs[1],
+        links=SimpleNamespace(owns_clock=True),
+        acknowledge=lambda *said: sent.append(("ack", *said)),
+    )
+    spoken = Spoken(fake)
+    for t in range(3):
+        outputs[0].send(t, (1.0,))
+    outputs[1].send(2, ())
+    fake.acknowledge(2, ())
+    before = len(sent)
+    spoken.again()
+    assert sent[before:] == [(0, 1, (1.0,)), (0, 2, (1.0,)), (1, 2, ()), ("ack", 2, ())]
+    spoken.silent = True
+    before = len(sent)
+    outputs[0].send(3, (1.0,))
+    assert len(sent) == before
+    spoken.again()
+    assert sent[before : before + 2] == [(0, 2, (1.0,)), (0, 3, (1.0,))]
+
+
+def test_the_files_of_a_run_tell_how_far_its_nodes_have_come(tmp_path):
+    for name, status in (("a", {"t": 5, "state": "running"}), ("b", {"t": 9, "state": "done"}), ("c", None)):
+        if status:
+            (tmp_path / f"{name}.status").write_text(json.dumps(status))
+    for name, topic in (("a.shard", "x"), ("me.shard.died", "mine"), ("b.shard", "y")):
+        writer = ShardWriter(tmp_path / name, [(topic, "std_msgs/msg/Float64")])
+        writer.add(0, 3, topic.encode())
+        writer.close()
+    files = read_files(tmp_path, "me", ["a", "b", "c"])
+    assert files.answered == {"a": 5.0, "b": float("inf"), "c": 0.0}
+    assert files.gone == frozenset("b")
+    assert {n: t.data for n, t in files.recording.topics.items()} == {"x": [b"x"], "y": [b"y"]}
+    assert {n: t.data for n, t in files.own.topics.items()} == {"mine": [b"mine"]}
+
+
+# ---- how it ends ----
+
+
+def ended(state, error=None, absent=(), shard=None, broken=False):
+    def write():
+        written.append(fake.state)
+        if broken:
+            raise OSError("disk full")
+
+    written = []
+    fake = SimpleNamespace(state=state, error=error, absent=[*absent], shard=shard, write_status=write)
+    fake.middleware, fake.t = SimpleNamespace(name="node"), 1_500_000_000
+    return fake, written
+
+
+@pytest.mark.parametrize(
+    ("state", "stopped", "status", "after"),
+    [
+        ("done", False, 0, "done"),
+        ("done", True, 0, "done"),
+        ("running", True, 0, "done"),
+        ("starting", True, 0, "done"),
+        ("failed", True, 3, "failed"),
+        ("failed", False, 3, "failed"),
+    ],
+)
+def test_a_process_ends_with_three_where_its_node_has_failed(state, stopped, status, after, capsys):
+    fake, written = ended(state, RunError("broken") if state == "failed" else None, ["x is late", "y too"])
+    assert (conclude(fake, stopped), fake.state, written) == (status, after, [after])
+    said = capsys.readouterr().err
+    waits = state == "starting" and stopped
+    assert ("stopped before it could begin: x is late; y too" in said) is waits
+    assert ("broken" in said) is (state == "failed")
+
+
+def test_a_disk_that_is_full_is_a_failure(capsys):
+    fake, _ = ended("done", broken=True)
+    assert (conclude(fake, False), fake.state, str(fake.error)) == (3, "failed", "disk full")
+
+    def close():
+        raise OSError("shard")
+
+    fake, written = ended("done", shard=SimpleNamespace(close=close))
+    assert (conclude(fake, False), written, str(fake.error)) == (3, ["failed"], "shard")
+    fake, _ = ended("failed", RunError("first"), broken=True)
+    assert (conclude(fake, False), str(fake.error)) == (3, "first")
+    fake, _ = ended("running")
+    own = RunError("own")
+    assert failure(fake, own) is own
+    assert re.fullmatch(r"failed at t = 1\.5 s: KeyError: 'x'.*", str(failure(fake, KeyError("x"))))
+    assert "node" in capsys.readouterr().err
+
+
+def test_a_container_is_cut_at_each_two_dashes():
+    for arguments, groups in (
+        ([], []),
+        (["a", "b"], [["a", "b"]]),
+        (["a", "--", "b", "c", "--"], [["a"], ["b", "c"]]),
+        (["--", "--", "a"], [["a"]]),
+    ):
+        assert split(arguments) == groups
+
+
+def test_what_a_node_of_a_container_raises_ends_the_run_in_its_name(capsys):
+    container = Container()
+    fake, _ = ended("running")
+    other, _ = ended("running")
+    other.middleware = SimpleNamespace(name="other")
+    container.adapters = [other, fake]
+    container.exchange = SimpleNamespace(culprit=lambda: "node")
+    container._broke(ValueError("no"))
+    assert (fake.state, other.state) == ("failed", "running")
+    assert str(fake.error).startswith("failed at t = 1.5 s: ValueError: no")
+    assert "ValueError: no" in capsys.readouterr().err
+    container.exchange = Exchange()
+    with pytest.raises(ValueError, match="no"):
+        container._broke(ValueError("no"))
+    assert container._conclude(stopped=False) == 3
+    assert (other.state, str(other.error), other.waits_for) == ("failed", "stopped: node has failed", ["node"])
