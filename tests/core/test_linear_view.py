@@ -507,7 +507,9 @@ class Outside(Shift):
 
 def test_what_cannot_be_put_back_is_told_by_name():
     rig = Rig.from_blocks({"plant": Unstable(), "shift": Outside(), "law": Gain()}, duration=1.0)
-    with pytest.raises(RunError, match=r"cannot be put back"):
+    with pytest.raises(
+        RunError, match=r"^rig: law, plant cannot be put back to where it was at 0\.5 s: "
+    ):  # who hears it
         linear_view(rig, "law/u", at=0.5)
 
 
