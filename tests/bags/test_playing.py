@@ -332,6 +332,7 @@ def test_no_tick_is_sent_before_all_answers_to_the_one_before(monkeypatch):
     }
     assert [stamp(d) for d in found.topics["out"].data] == found.topics["out"].times
     assert (told.sent, world.stopped) == (40, True)
+    assert world.said[-1][1:] == ("/in", Duration(seconds=2))  # until all have the last ones
     order = [(k, topic == "/in") for _, topic, k in world.by_stamp()]
     assert [k for k, asks in order if asks] == ticks
     for tick in answered:  # whatever is said of a tick is said before anything of a later one

@@ -399,6 +399,9 @@ def boxed(names, width, title="", marks=()):
     box = ax.get_legend()
     if box is None:
         return ax.get_title("left") or None
+    corner = ax.transAxes.inverted().transform(box.get_bbox_to_anchor().p0)
+    assert corner == pytest.approx((0.0, 1.0), abs=1e-9)  # above the axes, from the left
+    assert (box._loc, {t.get_fontsize() for t in box.get_texts()}, box._alignment) == (3, {9.0}, "left")
     return [t.get_text() for t in box.get_texts()], box._ncols, box.get_title().get_text()
 
 
@@ -455,6 +458,43 @@ def test_an_overview_has_one_column_up_to_three_panels(monkeypatch, count, colum
     assert shown == [ax in bottom for ax in figure.axes]
     said = "" if figure._supxlabel is None else figure._supxlabel.get_text()
     assert said == ("nothing published on q, r" if count else "")
+
+
+@pytest.mark.parametrize(
+    ("silent", "most", "drawn"),
+    [
+        ([], None, ["Own", "Outside", "Less", "Both", "overview"]),
+        (["o"], None, ["Own", "Both", "overview"]),  # nothing but what an outside node did not publish has no picture
+        (["o", "t"], None, ["Own", "Both", "overview"]),  # one's own silent topics are named in theirs
+        (["t"], None, ["Own", "Outside", "Less", "Both", "overview"]),
+        (["o"], 1, ["Own"]),
+        ([], 3, ["Own", "Outside", "Less"]),
+        (["o"], 3, ["Own", "overview"]),  # fewer than asked for
+    ],
+)
+def test_each_plot_of_a_run_is_drawn_but_of_what_never_came_from_outside(monkeypatch, tmp_path, silent, most, drawn):
+    plots = [PlotEntry(title=title, signals=dict.fromkeys(names, "")) for title, names in (
+        ("Own", ["t/x"]), ("Outside", ["o/x"]), ("Less", ["o/x - o/y"]), ("Both", ["o/x - t/x"]))]  # fmt: skip
+    members = [SimpleNamespace(external=outside, outputs=[SimpleNamespace(topic=t)]) for t, outside in
+               (("t", False), ("o", True))]  # fmt: skip
+    rig = SimpleNamespace(scenario=SimpleNamespace(name="run", plots=plots), members=members)
+    source = SimpleNamespace(silent=silent, topic=lambda name: name[0])
+    saved = []
+    for name, what in {
+        "check_plots": lambda rig: None, "marks_of": lambda rig, signals: {}, "Source": lambda signals, rig: source,
+        "_time_figure": lambda source, entry, marks: entry.title, "_overview": lambda source: "overview",
+        "save_figure": lambda figure, path, title, run, also: saved.append((figure, path.name, title, run, also)),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(pictures, name, what)
+    paths = pictures.plot_run(None, rig, tmp_path, "svg", most)
+    assert [figure for figure, *_ in saved] == drawn
+    assert [path.name for path in paths] == [name for _, name, *_ in saved]
+    numbers = {"Own": 1, "Outside": 2, "Less": 3, "Both": 4}
+    assert saved == [
+        (t, plot_name(numbers[t], t), t, "run", "svg") if t in numbers
+        else ("overview", "overview.png", "Every recorded signal", "run", "svg")
+        for t in drawn
+    ]  # fmt: skip
 
 
 def test_panels_say_what_they_show_once(monkeypatch):
