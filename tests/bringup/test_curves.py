@@ -315,6 +315,11 @@ MARKS = {
     "four names": [Mark("time", n, -INF, 2.0 * k + 1.0) for k, n in enumerate("abcd")],
     "five times without names": [Mark("time", n, -INF, 2.0 * k + 1.0) for k, n in enumerate("abcde")],
     "violated": [Mark("violated", "a", start=2.0, end=3.0), Mark("violated", "a", start=9.0, end=12.0)],
+    "a name at the edge": [Mark("time", "a", -INF, 0.0), Mark("time", "b", -INF, -0.1)],
+    "violated up to the edges": [
+        Mark("violated", "a", start=-2.0, end=0.0),
+        Mark("violated", "a", start=10.0, end=12.0),
+    ],
     "violated outside": [Mark("violated", "a", start=-2.0, end=-0.5), Mark("violated", "a", start=10.5, end=12.0)],
 }
 
