@@ -407,6 +407,16 @@ def test_what_just_reaches_the_floor_is_no_signal(value, phase):
     assert answer["state"][0] == phase
 
 
+@pytest.mark.parametrize(("value", "restarts"), [(0.5, 0), (0.5000001, 1)])
+def test_a_signal_that_just_reaches_the_floor_is_not_back(value, restarts):
+    block = ByHand(built(floor=0.5, measure_window=0.01))
+    block.reset(0)
+    for k in range(40):
+        answer = block.update(k * PERIOD, measurement=(0.0 if k < 20 else value,), start=None, stop=None, restart=None)
+    assert answer["state"][3] == restarts
+    assert block.x.waiting == (not restarts)
+
+
 def test_buttons_are_held_and_the_state_names_its_channels():
     (measured, *buttons), (command, state) = Optimiser.ports(built(channels=("a", "b"), lower=(0.1, 0.2),
                                                                     upper=(1.0, 1.0), algorithm="pso").p)  # fmt: skip
