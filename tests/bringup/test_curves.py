@@ -519,6 +519,36 @@ def test_panels_say_what_they_show_once(monkeypatch):
     assert [ax.get_ylabel() for ax in (same, other)] == ["V", "V"]
 
 
+def test_a_legend_of_a_run_has_room_for_a_hundred_and_ten_letters(monkeypatch):
+    widths = []
+    monkeypatch.setattr(pictures, "legend", lambda ax, curves, title, width, marks: widths.append(width))
+    source = SimpleNamespace(shown=lambda entry, name: curve([0.0, 0.5, 3.0], label=name))
+    pictures._time_figure(source, PlotEntry(title="It", signals={"a": "", "b": ""}), {})
+    pictures._time_figure(source, PlotEntry(title="It", signals={"a": ""}), {})  # one needs none
+    assert widths == [110]
+
+
+def test_a_scale_factor_holds_for_all_ticks():
+    """The numbers at the axis are those that the title multiplies, also when the layout gives other ticks."""
+    with rc_context(look.style()):
+        ax = Figure().subplots()
+        ax.plot([0.0, 1.0], [0.0, 3e7])
+        fold_exponents(ax.figure)
+        numbers = ax.yaxis.get_major_formatter()
+        for largest in (3e7, 9e3):
+            numbers.set_locs([0.0, largest])
+            assert numbers.orderOfMagnitude == 7
+
+
+@pytest.mark.parametrize(
+    ("name", "title"),
+    [("speed", "Speed"), ("ab", "Ab"), ("abCd", "AbCd"), ("aBcd", "aBcd"), ("q", "q"), ("a_b", "a_b"), ("a.b", "a.b"),
+     ("ab/c", "ab/c"), ("", "")],
+)  # fmt: skip
+def test_a_word_begins_large_in_a_title_and_a_name_does_not(name, title):
+    assert look.axis_title(name, "") == title
+
+
 @pytest.mark.parametrize(
     ("labels", "unit", "given", "title"),
     [(["a", "b"], "V", "", "Voltage, V"), (["a", "b"], "V", "Own", "Own, V"), (["speed"], "x", "", "Speed, x"),
