@@ -963,6 +963,27 @@ def test_a_file_knows_how_large_it_is_and_what_it_holds(tmp_path, storage):
     file.close("")
 
 
+@pytest.mark.parametrize(("storage", "each"), [("mcap", 131), ("sqlite3", 124)])
+def test_a_file_is_full_when_it_has_just_so_much(tmp_path, storage, each):
+    for more in (0, 1):
+        writer = BagWriter(tmp_path / str(more), storage=storage, split_bytes=3 * each + more)
+        number = writer.add_topic(BagTopic.known("/x", STATE))
+        for k in range(8):
+            writer.write(number, k, bytes(100))
+        writer.close()
+        assert [sum(f.counts.values()) for f in writer._files] == [[3, 3, 2], [4, 4]][more]
+
+
+def test_metadata_may_be_just_as_long_as_the_limit(tmp_path, monkeypatch):
+    write_bag(tmp_path / "bag", recording())
+    size = (tmp_path / "bag/metadata.yaml").stat().st_size
+    monkeypatch.setattr("softrig_bags.reader.METADATA_LIMIT", size)
+    assert read_bag(tmp_path / "bag").topics
+    monkeypatch.setattr("softrig_bags.reader.METADATA_LIMIT", size - 1)
+    with pytest.raises(BagError, match=f"metadata.yaml is longer than {size - 1} bytes"):
+        read_bag(tmp_path / "bag")
+
+
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_file_that_cannot_be_made_says_why(tmp_path, monkeypatch, storage):
     """Nothing is there that could be taken away again."""

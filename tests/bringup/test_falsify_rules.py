@@ -152,6 +152,11 @@ def test_each_coordinate_is_tried_alone_where_a_tenth_of_the_budget_is_enough_fo
     assert ([p for p in asked[2:12:2] if p in first] == first[:5]) == alone
 
 
+@pytest.mark.parametrize(("margin", "runs"), [(0.0, 30), (-1e-300, 4)])
+def test_a_margin_that_is_just_enough_is_not_below_it(margin, runs):
+    assert search([3], lambda points: [margin] * len(points), 30, enough=0.0).runs == runs
+
+
 def test_at_random_it_asks_for_four_points_at_a_time_and_nothing_else():
     asked = []
     found = search([2, 1], lambda points: asked.append(points) or [p[0] for p in points], 10, seed=5, sampler="random")

@@ -337,7 +337,7 @@ def test_each_tick_is_answered_as_the_page_says(kind, seed):
     draw = random.Random(f"{kind} {seed}")
     hold, window = draw.choice([(4, 1), (8, 3), (5, 5)])
     settle, floor = draw.choice([1, 12, 20]), draw.choice([None, 0.5])
-    threshold, rescan = draw.choice([0.05, 0.05, 0.2, 0.0]), draw.choice([0, 150])
+    threshold, rescan = (0.05, 0.05, 0.2, 0.05, 0.2, 0.0)[seed], draw.choice([0, 150])
     slew, autostart = draw.choice([0.0, 20.0]), seed != 3
     block = ByHand(
         block_class(
@@ -369,7 +369,7 @@ def test_each_tick_is_answered_as_the_page_says(kind, seed):
         )
         met.add((account.phase, account.looking is None, account.waits, account.broken))
     assert set(block.reports) == account.said
-    assert len(met) > 1
+    assert len(met) > autostart  # who waits for its button may wait for ever
 
 
 def built(**changes):
