@@ -246,6 +246,35 @@ def test_leftovers_go_in_the_domain_that_nobody_is_in_and_its_locks_are_of_the_u
         assert asked[1:] == [None]  # others may be there
 
 
+def test_the_search_for_a_domain_begins_at_the_number_of_the_process_and_goes_round(monkeypatch):
+    """So that two runs in a row seldom share one; then those beyond, of which the highest come first."""
+    tried = []
+
+    def taken(number):
+        tried.append(number)
+        raise KeyError
+
+    monkeypatch.setattr(domain, "_open", taken)
+    monkeypatch.setattr(os, "getpid", lambda: 298)  # the 98th of a hundred, from 1 on
+    for busy, first in (
+        ({}, 99),
+        ({99}, 100),
+        ({99, 100}, 1),
+        ({*range(1, 101)}, 215),
+        ({*range(1, 101), *range(215, 232)}, 101),
+    ):
+        monkeypatch.setattr(domain, "inhabited", lambda busy=busy: busy)
+        with pytest.raises(KeyError), domain.free_domain():
+            pass
+        assert tried.pop() == first
+    with pytest.raises(KeyError), domain.free_domain(17):
+        pass
+    assert tried == [17]
+    monkeypatch.undo()
+    monkeypatch.setattr(domain, "udp_ports", lambda: {7399, 7400, 7649, 7650, 65_399})
+    assert domain.inhabited() == {-1, 0, 1, 231}
+
+
 # ---- who knows whom ----
 
 
