@@ -10,6 +10,7 @@ from by_hand import Hand
 from faultrig import COMMAND, REFERENCE, STATE, Burst, Gain, Lag, Spread, Watcher
 from softrig_core import RunError, joint_state
 from softrig_core.block.block import Level
+from softrig_core.node import group as group_module
 from softrig_core.node.adapter import adapter as adapters
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.adapter.departure import READY, START, Departure
@@ -548,6 +549,54 @@ def test_the_files_of_a_run_tell_how_far_its_nodes_have_come(tmp_path):
     assert files.gone == frozenset("b")
     assert {n: t.data for n, t in files.recording.topics.items()} == {"x": [b"x"], "y": [b"y"]}
     assert {n: t.data for n, t in files.own.topics.items()} == {"mine": [b"mine"]}
+
+
+def test_ticks_of_a_process_keep_a_timer_waiting_for_five_ms_and_stop_where_one_is_missing(monkeypatch):
+    clock = SimpleNamespace(now=0)
+
+    def monotonic_ns():
+        clock.now += MS
+        return clock.now
+
+    monkeypatch.setattr(group_module, "time", SimpleNamespace(monotonic_ns=monotonic_ns))
+    hand, taken = Hand(), []
+
+    def ticks():
+        for k in range(20):
+            taken.append(k)
+            yield None if k == 15 else k
+
+    group = object.__new__(Group)
+    group.nodes, group._ticks = [SimpleNamespace(state="running", middleware=hand)], ticks()
+    group.turn()
+    assert (len(taken), hand.posted) == (7, [group.turn])  # the limit is set with the first of them
+    hand.posted.pop()()
+    assert (len(taken), hand.posted) == (14, [group.turn])
+    hand.posted.pop()()
+    assert (taken[-1], hand.posted) == (15, [])
+    for state, more in (("starting", 0), ("failed", 0), ("done", 4)):
+        before, group.nodes[0].state = len(taken), state
+        group.turn()
+        assert len(taken) == before + more
+
+
+def test_a_block_that_fails_ends_the_run_in_the_name_of_its_node():
+    broken = []
+
+    def ticks():
+        yield 0
+        error = RunError("law: failed")
+        error.node = "law"
+        raise error
+
+    nodes = [
+        SimpleNamespace(state="running", step=SimpleNamespace(name=n), broke=broken.append) for n in ("plant", "law")
+    ]
+    nodes[0].broke = None
+    group = object.__new__(Group)
+    group.nodes, group._ticks = nodes, ticks()
+    group.turn()
+    assert [str(e) for e in broken] == ["law: failed"]
 
 
 # ---- how it ends ----
