@@ -150,8 +150,12 @@ def test_what_people_should_know_of_a_run_is_announced(stage):
     assert given.said == []
 
 
-def test_how_a_run_ends_is_said_once_and_a_refused_parameter_is_the_scenarios(stage):
+def test_how_a_run_ends_is_said_once_and_a_refused_parameter_is_the_scenarios(stage, monkeypatch):
     assert stage(error="node law: broken").run().error == "node law: broken"
+    monkeypatch.setattr(processes.SystemClock, "set_back", lambda clock: "; the clock was set back")
+    assert stage(error="node law: broken").run().error == "node law: broken; the clock was set back"
+    assert stage().run().error == ""
+    monkeypatch.setattr(processes.SystemClock, "set_back", lambda clock: "")
     idle_one = stage()
     idle_one.status = {"ticks": 0}
     outcome = idle_one.run()
