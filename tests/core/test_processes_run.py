@@ -202,7 +202,7 @@ def test_room_in_shared_memory_is_enough_to_the_byte(tmp_path, monkeypatch):
     assert shared_memory.numbers(tmp_path / "none") == set()
 
 
-def port_of_fast_dds(at, number=7411, limit=20_000, third=6_666, ago=0.0, size=None):
+def port_of_fast_dds(at, number=7411, limit=20_000, third=6_666, ago=1e3, size=None):
     """The bytes of a port in shared memory, described at a place: when it was judged last, its number, its limits."""
     last = round((time.time() - ago) * 1e3)
     described = struct.pack("=qIIIIIII", last, 1, 2, 3, number, 5, limit, third)
