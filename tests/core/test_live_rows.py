@@ -731,6 +731,21 @@ def test_a_message_of_who_may_be_silent_serves_before_its_tick_is_acknowledged_a
     assert SEEN[-1] == (20 * MS, 1.0, 7.0, None, 0)
 
 
+def test_a_rig_begins_when_who_tells_of_silence_is_there_too():
+    links = {
+        "base": "0.01",
+        "inputs": {"a": linked(), "b": linked(sporadic=True, told=True)},
+        "starter": "node",
+        "starts": ["node", "other"],
+        "grid": "0.01",
+    }
+    node = Node(Law(), links).join()
+    assert node.drive.departure.handshake.absent() == [
+        f"no publisher on {topic} (expected from other)" for topic in ("a", "b", "/other/tick")
+    ]
+    assert Node(Law(), links).join(["other"]).drive.departure.handshake.absent()[2:] == []
+
+
 # ---- what has no stamp, and what a neighbour in the same process says ----
 
 

@@ -131,6 +131,14 @@ def test_who_waits_for_steps_is_told_how_many_have_been_taken_of_those_of_his_ow
     assert call.simulation._steps == []
 
 
+def test_of_a_run_without_an_end_any_number_of_steps_may_be_taken(monkeypatch):
+    call = Caller(monkeypatch, "dc_motor_smc_b2", paused=True)
+    call.until(lambda: call.adapter.state == "running")
+    call.adapter.schedule = SimpleNamespace(last=None, count=lambda: 0)
+    assert call.simulation._take(10**9, lambda n: None, lambda text: None) == ""
+    assert call.adapter.hold.steps == 10**9
+
+
 def test_quitting_ends_the_run_by_its_reason(monkeypatch):
     call = Caller(monkeypatch, "dc_motor_smc_b2")
     call.until(lambda: call.adapter.ticks == 3)
