@@ -11,11 +11,14 @@ from faultrig import COMMAND, STATE, Gain, Lag, Source
 from softrig_core import Block, BlockParams, Plant, RunError, Sample, array, command, joint_state, param
 from softrig_core.block.block import Level
 from softrig_core.block.schedule import Schedule
+from softrig_core.node import group as group_module
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.group import Group
 from softrig_core.node.realtime.beat import Beat
+from softrig_core.node.realtime.live import Live
 from softrig_core.node.realtime.realtime import Realtime, newest
 from softrig_core.node.realtime.rivals import Rivals
+from softrig_core.node.realtime.sporadic import Sporadic
 from softrig_core.node.realtime.stand import LEAD, NEVER, Stand
 from softrig_core.node.seam.hold import Hold
 from softrig_core.node.seam.tick import TickWriter
@@ -1038,3 +1041,30 @@ def test_nodes_that_are_all_slower_than_the_clock_beat_at_their_common_period():
     assert beats.at(20) == []
     assert beats.at(40) == [(0, 1, 40, 40)]
     assert beats.at(60) == [(1, 1, 60, 60)]
+
+
+def test_nodes_beat_together_only_where_all_that_they_wait_for_is_their_own_and_checked():
+    """Who reads of others, by order of arrival, of who may be silent or unchecked, or has no common start, waits."""
+
+    def row(kind=Live, **about):
+        made = object.__new__(kind)
+        made.local, made.paired, made.awaited, made.schedule = True, True, True, Schedule("0.01")
+        vars(made).update(about)
+        return made
+
+    def whole(*rows, unchecked=False, starter="node", epoch=0):
+        node = SimpleNamespace(links=SimpleNamespace(starter=starter), options=SimpleNamespace(epoch=epoch))
+        drive = SimpleNamespace(senders=SimpleNamespace(rows=[*rows]), node=node)
+        link = SimpleNamespace(output=SimpleNamespace(port=SimpleNamespace(unchecked=unchecked)))
+        return group_module._whole([drive], [link])
+
+    free = row(local=False, paired=False, awaited=False, schedule=None)
+    assert whole(row(), row(), free)
+    assert whole(row(), starter="", epoch=5)
+    assert not whole(row(), starter="")
+    assert not whole(row(), unchecked=True)
+    assert not whole(row(), row(paired=False))
+    assert not whole(row(), row(Sporadic))
+    assert not whole(row(), row(local=False, schedule=None))
+    assert not whole(row(), row(local=False, awaited=False))
+    assert not whole(free)

@@ -266,6 +266,15 @@ def test_room_in_shared_memory_is_enough_to_the_byte(tmp_path, monkeypatch):
     assert shared_memory.numbers(tmp_path / "none") == set()
 
 
+def test_a_link_in_the_place_of_a_lock_is_not_followed(tmp_path):
+    for name in ("target", "fastrtps_00aa", "fastrtps_00bb", "fastrtps_00bb_el"):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (0, 0))
+    (tmp_path / "fastrtps_00aa_el").symlink_to(tmp_path / "target")
+    assert shared_memory.remove_leftovers(folder=tmp_path) == 2
+    assert {p.name for p in tmp_path.iterdir()} == {"target", "fastrtps_00aa", "fastrtps_00aa_el"}
+
+
 def port_of_fast_dds(at, number=7411, limit=20_000, third=6_666, ago=1e3, size=None):
     """The bytes of a port in shared memory, described at a place: when it was judged last, its number, its limits."""
     last = round((time.time() - ago) * 1e3)

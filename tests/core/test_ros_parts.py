@@ -377,6 +377,8 @@ def test_what_is_set_together_is_taken_together_or_each_by_itself():
         assert [{k: plain(Parameter(k, value=v)) if v != [] else [] for k, v in f.items()} for f in found] == [
             {name: meant}
         ]
+    node.remark = "of a set before"
+    assert node.ask(k=7.0)[1] == [""]
     assert node.ask(k="many")[2] == [{"k": "many"}]  # the range refuses it
     assert node.ask(words=["a"])[2] == []
     node._credit.left = -1.0
