@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 import os
+import re
 import signal
 from collections import namedtuple
 from pathlib import Path
@@ -14,7 +15,9 @@ import pytest
 from softrig_bringup import cli
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.run import part, run as runs
+from softrig_bringup.report import redraw
+from softrig_bringup.run import notebook, part, run as runs
+from softrig_bringup.terminal import completion, progress
 from softrig_bringup.verbs import (
     animate,
     golden,
@@ -24,6 +27,7 @@ from softrig_bringup.verbs import (
     results,
     results_page,
     run_verb,
+    set_verb,
     view_verb,
     viewer,
 )
@@ -899,3 +903,234 @@ def test_the_command_line_hands_on_what_is_not_its_own(monkeypatch, capsys):
     verbs = next(a for a in make_parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
     assert sorted(listed) == sorted(verbs)
     assert isinstance(Run, type)
+
+
+# completion -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "point", "words", "first"),
+    [
+        ("softrig bag inf", None, ["bag"], "2"),
+        ("softrig bag play ", None, ["bag", "play"], "3"),
+        ("softrig bag play", None, ["bag"], "2"),  # the word that is typed may become another
+        ("softrig bag", None, [], None),
+        ("softrig bag ", None, ["bag"], "2"),
+        ("softrig run x", None, [], None),
+        ("softrig bag inf", 11, [], None),  # the cursor is within the verb
+        ("softrig export 'x", None, [], None),
+        ("", None, [], None),
+    ],
+)
+def test_the_verb_of_another_parser_is_known_by_the_words_before_the_last(monkeypatch, line, point, words, first):
+    monkeypatch.setenv("COMP_LINE", line)
+    monkeypatch.setenv("COMP_POINT", str(len(line) if point is None else point))
+    monkeypatch.delenv("_ARGCOMPLETE", raising=False)
+    monkeypatch.setenv("_ARGCOMPLETE", "")
+    assert completion.asked({"bag", "bag play", "export"}) == words
+    assert os.environ["_ARGCOMPLETE"] == (first or "")
+
+
+def test_words_become_scenarios_settings_nodes_packages_and_executables(lag, monkeypatch):
+    of = SimpleNamespace
+    assert completion._COMPLETERS["scenario"]() == completion._COMPLETERS["names"]()
+    assert "lag" in completion._scenarios()
+    scenario = {"title": "t", "system": "s", "source": "n", "extends": "lag", "shared": {"v": 1.0}}
+    (lag / "more.yaml").write_text(json.dumps(scenario))
+    for given in ({"scenario": "more"}, {"study": "more", "scenario": ""}, {"what": "more"}):
+        found = completion._settings(of(**given))
+        assert found[0] == "v="
+        assert {"gain.k=", "plant.period=", "gain.noise="} <= {*found}
+        assert list(completion._nodes(of(**given))) == ["plant", "source", "gain"]
+    assert completion._settings(of(scenario="none")) == []
+    for prefix, package, manifest in (
+        (lag / "a", "rig", "softrig_core"),
+        (lag / "b", "other", "rclpy"),
+        (lag / "c", "bare", None),
+    ):
+        (prefix / "lib" / package).mkdir(parents=True)
+        (prefix / "lib" / package / "run").write_text("")
+        (prefix / "lib" / package / "folder").mkdir()
+        if manifest:
+            (prefix / "share" / package).mkdir(parents=True)
+            (prefix / "share" / package / "package.xml").write_text(manifest)
+    monkeypatch.setattr("softrig_core.kit.resource.prefixes", lambda: [lag / n for n in "abc"])
+    assert completion._packages() == {"rig": ["run"]}
+    assert completion._executables(of(package="rig")) == ["run"]
+    assert completion._executables(of(package="none")) == ()
+    completion.complete(whole := make_parser())
+    verbs = next(a for a in whole._actions if isinstance(a, argparse._SubParsersAction)).choices
+    completed = {f"{n} {a.dest}": a.completer for n, v in verbs.items() for a in v._actions if hasattr(a, "completer")}
+    assert completed["run set"] is completed["study grid"] is completed["falsify over"] is completion._settings
+    assert completed["run external"] is completed["view only"] is completion._nodes
+    assert "run out" not in completed
+
+
+# other ways -----------------------------------------------------------------------------------------------------------
+
+
+def test_live_parameters_are_set_in_a_domain_and_refusals_said(monkeypatch, capsys):
+    asked, refusals = [], []
+    monkeypatch.setenv("ROS_DOMAIN_ID", "1")
+    monkeypatch.setattr(
+        set_verb,
+        "set_parameters",
+        lambda wanted, wait: asked.append((wanted, wait, os.environ["ROS_DOMAIN_ID"])) or refusals,
+    )
+    assert main(["set", "a.k", "2"]) == 0
+    refusals.append("a refuses k: no")
+    assert main(["set", "a.k", "2", "b.j", "x", "--domain", "7", "--wait", "3"]) == 1
+    assert asked == [({"a": {"k": 2}}, 10.0, "1"), ({"a": {"k": 2}, "b": {"j": "x"}}, 3.0, "7")]
+    assert capsys.readouterr().err == "softrig: set: a refuses k: no\n"
+
+
+def test_a_bar_on_a_terminal_is_of_the_runs_seconds(monkeypatch):
+    seen = []
+
+    class Bar:
+        def __init__(self, *columns, console, transient):
+            seen.append((len(columns), columns[2].text_format, columns[0].markup, transient))
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            seen.append("gone")
+
+        def add_task(self, title, total):
+            seen.append((title, total))
+            return 5
+
+        def update(self, task, completed):
+            seen.append((task, completed))
+
+    monkeypatch.setattr("rich.progress.Progress", Bar)
+    monkeypatch.setattr(
+        progress.sys, "stderr", SimpleNamespace(isatty=lambda: True, write=lambda text: None, flush=lambda: None)
+    )
+    with progress.progress("mine", 2.0) as tell:
+        tell(1_500_000_000)
+    assert seen == [(5, "{task.completed:.3g} of {task.total:.3g} s", False, True), ("mine", 2.0), (5, 1.5), "gone"]
+
+
+def test_a_film_of_a_run_ends_with_what_is_drawn(lag, monkeypatch):
+    asked = []
+    t = np.array([0.0, 1.0, 1.5])
+    signals = {"a": SimpleNamespace(t=t), "b": SimpleNamespace(t=t[:2]), "c": SimpleNamespace(t=t[:0])}
+    drawing = SimpleNamespace(signals=("a", "b", "c", "d"))
+    monkeypatch.setattr(animate, "rig_of_run", lambda path: (None, signals))
+    monkeypatch.setattr(animate, "drawing_for", lambda rig: drawing)
+    monkeypatch.setattr(animate, "film", lambda *what: asked.append(what))
+    animate.film_of(str(lag), 0.25, None, 2.0)
+    assert asked == [(drawing, signals, 0.25, 1.5, 2.0)]
+    for out in ("f.mp4", "svg"):
+        assert main(["draw", "animate", str(lag), "-o", out]) == 2
+    monkeypatch.setattr(animate, "drawing_for", lambda rig: None)
+    with pytest.raises(ScenarioError, match=r"^lag: no drawing of plant \(faultrig/plant\)$"):
+        animate._drawing(rig_of("lag"))
+
+
+def test_a_run_in_a_cell_has_four_pictures_at_most(lag, monkeypatch):
+    run, asked = simulate("lag"), []
+    head = bytes(16) + (64).to_bytes(4, "big") + (48).to_bytes(4, "big")
+
+    def plot_run(signals, rig, folder, most):
+        asked.append(most)
+        for k in range(6):
+            (folder / f"p{k}.png").write_bytes(head)
+        return sorted(folder.iterdir())
+
+    monkeypatch.setattr(notebook, "plot_run", plot_run)
+    cell = notebook.html(run)
+    assert (asked, cell.count("<img"), 'alt="p3"' in cell, 'alt="p4"' in cell) == ([4], 4, True, False)
+    assert cell.startswith("<div><p><b>First-order lag</b> · Run of lag (inprocess, seed 0)")
+    saved = []
+    figure = SimpleNamespace(savefig=lambda buffer, format: saved.append(format) or buffer.write(b"png"))
+    monkeypatch.setattr(
+        notebook,
+        "plot_entry",
+        lambda signals, rig, entry: asked.append((entry.title, [*entry.signals], entry.window)) or figure,
+    )
+    assert notebook.plot(run, ["lag/state/x/position"], (0.0, 0.5))._repr_png_() == b"png"
+    assert asked[1:] == [("First-order lag", ["lag/state/x/position"], (0.0, 0.5))]
+    assert saved == ["png"]
+
+
+def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys):
+    run, asked, name = simulate("lag"), [], "lag/state/x/position"
+    plotted = rig_of(run.rig.scenario.having(plots=[{"title": "Position", "signals": {name: "x"}}]))
+
+    def drawn(found, rig, entry, **how):
+        asked.append((entry.title, [*entry.signals], entry.window, how))
+        return SimpleNamespace(savefig=lambda path, dpi, metadata: Path(path).write_text(f"{dpi} {metadata}"))
+
+    monkeypatch.setattr(redraw, "rig_of_run", lambda path: (plotted, run.signals))
+    monkeypatch.setattr(redraw, "plot_entry", drawn)
+    more = ["--width", "50.8", "--font", "8", "--format", "svg", "--csv", "--window", "0", "0.02", "--out", "p"]
+    for words in ([name], [name, *more], [], ["--no-title"]):
+        assert main(["draw", "plot", ".", *words]) == 0
+    plain = {"font": None, "inches": None}
+    assert asked == [
+        ("lag state x position", [name], None, {"title": False} | plain),
+        ("lag state x position", [name], (0.0, 0.02), {"title": False, "font": 8.0, "inches": 2.0}),
+        ("Position", [name], None, {"title": True} | plain),
+        ("Position", [name], None, {"title": False} | plain),
+    ]
+    assert capsys.readouterr().out.splitlines() == [
+        "pictures/plot_01_lag_state_x_position.pdf",
+        "p/plot_01_lag_state_x_position.svg",
+        "p/plot_01_lag_state_x_position.csv",
+        *["pictures/plot_01_position.pdf"] * 2,
+    ]
+    assert (lag / "pictures/plot_01_position.pdf").read_text().startswith("300 {")
+    rows = (lag / "p/plot_01_lag_state_x_position.csv").read_text().splitlines()
+    assert (rows[0], len(rows)) == ("t (s),lag/state/x/position (m)", 4)
+
+    def latex(path, dpi, metadata):
+        raise RuntimeError("no xelatex\nmore")
+
+    monkeypatch.setattr(redraw, "plot_entry", lambda *what, **how: SimpleNamespace(savefig=latex))
+    assert main(["draw", "plot", ".", name, "--format", "pgf"]) == 2
+    assert "pgf: no xelatex; it needs LaTeX (xelatex), pdf does not" in capsys.readouterr().err
+
+
+def test_a_golden_bag_lives_as_told(tmp_path, monkeypatch, capsys):
+    """Made, made again, another length, checked here and as if elsewhere, and the file that says how."""
+    words = ["golden", "dc_motor_smc_b2", "--bags", str(tmp_path)]
+    told = []
+
+    def go(*more):
+        status = main([*words, *more])
+        said = capsys.readouterr()
+        told.append(f"{' '.join(more) or 'plain'}: status {status}")
+        told.extend(
+            f"  {re.sub(r'[0-9]+ kB', 'N kB', line)}" for line in said.out.splitlines() if "CPython" not in line
+        )
+        told.extend(f"  {line}" for line in said.err.splitlines())
+
+    go("--duration", "0.02", "--seed", "3")
+    go("--check")
+    file = tmp_path / "dc_motor_smc_b2/golden.yaml"
+    monkeypatch.setattr(golden, "DECIDE", ("numpy",))
+    file.write_text(re.sub(r"numpy: .*", "numpy: old", file.read_text().replace("why: ''", f"why: {'by hand ' * 20}")))
+    monkeypatch.setattr(golden, "versions", lambda: runs.versions() | {"numpy": "new"})
+    go("--check")
+    go("--duration", "0.01")
+    bag = tmp_path / "dc_motor_smc_b2/bag"
+    golden._ours(bag)
+    for name in ("bag_x.mcap", "notes"):
+        (bag / name).write_text("")
+        with pytest.raises(ScenarioError, match=rf"bag/{name} was not made by `softrig golden`; move it away"):
+            golden._ours(bag)
+        (bag / name).unlink()
+    made = golden.load(tmp_path / "dc_motor_smc_b2", seed=4)
+    assert (made.recipe.seed, made.recipe.duration, made.bag) == (4, 0.01, bag)
+    text = file.read_text().replace(made.recipe.made_with["softrig_core"], "V").splitlines()
+    told += ["golden.yaml", *(f"  {line}" for line in text[: text.index("made_with:")])]
+    check_told("verbs/golden", told)
+    assert max(map(len, text)) <= 110
+    assert all(
+        golden.load(tmp_path / "dc_motor_smc_b2").open_loop(m.name).equal
+        for m in made.rig.members
+        if m.name == "dc_motor_smc"
+    )
