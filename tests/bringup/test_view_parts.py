@@ -283,6 +283,7 @@ def test_what_is_done_to_a_rig_in_the_process_of_its_page_is_said(tmp_path, cloc
     source = Here(Session("dc_motor_smc", duration=0.01), False, 1.0)
     control = source.control
     assert (control.goes_back, control.buttons, control.held, control.pace) == (True, [], False, 1.0)
+    assert Here(Session("dc_motor_smc_faults", duration=0.01), True, 0.0).control.buttons == []  # messages from outside
     said = []
     for act in (
         lambda: control.hold("me", "step"),
@@ -533,7 +534,7 @@ class NoServer:
 def pages(run, monkeypatch):
     monkeypatch.setattr(serve, "Server", NoServer)
     source = Recorded(run.rig, run.signals, {})
-    found = Pages(source, None, "inprocess", "127.0.0.1:0", "word", Loop())
+    found = Pages(source, "control", "inprocess", "127.0.0.1:0", "word", Loop())
     yield found
     found.close()
     assert not found.server.started
@@ -628,10 +629,11 @@ def test_a_page_that_cannot_be_made_is_said_and_something_is_left_of_it(pages, m
 
     left = []
     monkeypatch.setattr(serve, "Page", fails)
-    monkeypatch.setattr(serve, "bare", lambda document, control, who, error: left.append((who, str(error))))
+    monkeypatch.setattr(serve, "bare", lambda document, *of: left.append((document.name, of[0], of[1], str(of[2]))))
     cleared = []
-    pages._page(SimpleNamespace(session_context=None, clear=lambda: cleared.append(True)))
-    assert (left, cleared) == ([("browser 1", "no such plot")], [True])
+    document = SimpleNamespace(name="page", session_context=None, clear=lambda: cleared.append(True))
+    pages._page(document)
+    assert (left, cleared) == ([("page", pages._control, "browser 1", "no such plot")], [True])
     assert capsys.readouterr().err == "softrig: a page cannot be shown: ValueError: no such plot\n"
 
 
