@@ -311,6 +311,8 @@ def test_a_digest_is_that_of_ticks_stamps_and_numbers_without_the_sign_of_zero(r
                 struct.pack("<qq", t, round(stamp * 1e9)) + b"".join(struct.pack("<d", v + 0.0) for v in values)
             )
         assert (digest.messages, digest.sha256) == (len(table.t), hashed.hexdigest()[:32])
+    zeros = [like.digests(Run(run.rig, 0, changed(run, "motor/command", 10, (zero,)))) for zero in (0.0, -0.0)]
+    assert zeros[0] == zeros[1] != found
 
 
 def test_what_a_node_has_counted_in_real_time_is_said():
@@ -703,6 +705,7 @@ def test_packages_that_a_file_brings_are_importable_here_and_in_what_is_started(
         library = Path(command[2]) / "lib/python3/site-packages"
         library.mkdir(parents=True, exist_ok=True)
         assert command[3] == unpacked / "packages"
+        assert how == {"capture_output": True, "text": True}
         return made
 
     monkeypatch.setattr(packed.subprocess, "run", run)

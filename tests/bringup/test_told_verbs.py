@@ -1,12 +1,14 @@
 """What the verbs do with what they are asked, in words: launches, linear views, golden bags, results, packages."""
 
 import argparse
+import importlib.util
 import json
 import math
 import os
 import re
 import signal
 from collections import namedtuple
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,11 +17,16 @@ import pytest
 from softrig_bringup import cli
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import ResultsFolder
+from softrig_bringup.options import packed
+from softrig_bringup.page.citations import Citation
+from softrig_bringup.page.wiring import Node, Wire, Wiring
 from softrig_bringup.report import redraw
+from softrig_bringup.report.record import RunRecord
 from softrig_bringup.run import notebook, part, run as runs
 from softrig_bringup.terminal import completion, progress
 from softrig_bringup.verbs import (
     animate,
+    check,
     golden,
     launched,
     linear,
@@ -241,6 +248,7 @@ def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
             {"n": 9, "stable": False, "margins": Margins(math.inf, 0.25, math.inf, math.inf, 1.0, 0.0)},
             [],
         ),
+        "eight modes": ({"n": 8, "link": ""}, []),
         "not opened, not the rig": ({"n": 0, "link": "", "variation": 0.51}, []),
         "written": (
             {},
@@ -272,7 +280,7 @@ def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
         ]
     check_told("verbs/linear", told)
     assert asked[0] == (("x", None), {"at": None, "inputs": None, "outputs": None, "overrides": {}})
-    assert asked[3] == (("x", "u"), {"at": 2.0, "inputs": ["i"], "outputs": ["o"], "overrides": {"a.k": 1}})
+    assert asked[4] == (("x", "u"), {"at": 2.0, "inputs": ["i"], "outputs": ["o"], "overrides": {"a.k": 1}})
     assert (tmp_path / "lin/linear.png").read_text() == "120"
     found = json.loads((tmp_path / "lin/linear.json").read_text())
     assert found["margins"] == {
@@ -796,6 +804,9 @@ def test_a_run_broken_stopped_or_with_gaps_says_so(lag, monkeypatch, tmp_path):
         "realtime",
     )  # no ticks to miss
     assert asked[0][:3] == (rig, 0, tmp_path)
+    assert runs._plant_ticks(found) == 0  # which has said nothing
+    found.status = {"plant": {"ticks": 5}}
+    assert runs._plant_ticks(found) == 5
     assert "first gap" in runs.execute(rig, Placement("processes"), tmp_path).error
     outcome.stopped = 15
     assert (
@@ -895,6 +906,9 @@ def test_the_command_line_hands_on_what_is_not_its_own(monkeypatch, capsys):
     ):
         assert main(words) == 2
         assert said in capsys.readouterr().err
+    for shell, text in (("zsh", "#compdef softrig"), ("fish", "complete --command softrig"), ("bash", "complete ")):
+        assert main(["env", "--completion", shell]) == 0
+        assert text in capsys.readouterr().out
     asked = []
     monkeypatch.setattr("softrig_core.processes.executables.node_main", lambda *what: asked.append(what) or 6)
     assert main(["node", "p", "e", "--ros-args", "-p", "a:=1"]) == 6
@@ -1134,3 +1148,259 @@ def test_a_golden_bag_lives_as_told(tmp_path, monkeypatch, capsys):
         for m in made.rig.members
         if m.name == "dc_motor_smc"
     )
+
+
+# a run from its words to its end --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def flow(lag, monkeypatch):
+    """What a run does, step by step; nothing is run."""
+    steps, listeners = [], []
+    done = simulate("lag")
+
+    def execute(rig, placement, log, listener):
+        listeners.append(listener)
+        steps.append(("execute", str(placement), log))
+        return done
+
+    shown = SimpleNamespace(
+        open=lambda domain: steps.append(("open", domain)), over=lambda run, folder: steps.append(("over", folder.name))
+    )
+
+    @contextmanager
+    def page(scenario, log, placement, address):
+        steps.append(("page", address))
+        yield shown
+
+    monkeypatch.setattr(run_verb, "prepare", lambda variables: steps.append(("prepare",)))
+    monkeypatch.setattr(run_verb, "environment", lambda domain, directory: {})
+    monkeypatch.setattr(run_verb, "execute", execute)
+    monkeypatch.setattr(run_verb, "page", page)
+    monkeypatch.setattr(run_verb, "need", lambda *what: steps.append(("need", *what)))
+    monkeypatch.setattr("softrig_bringup.view.serve.free_address", lambda address: steps.append(("free", address)))
+    monkeypatch.setattr(
+        "softrig_bringup.view.here.here",
+        lambda rig, placement, address, folder, conclude: steps.append(("here", address, folder.path.name)) or 9,
+    )
+    monkeypatch.setattr(
+        "softrig_bringup.run.part.run_part", lambda rig, options: steps.append(("part", options.only)) or 8
+    )
+    monkeypatch.setattr(
+        run_verb,
+        "conclude",
+        lambda options, run, folder: steps.append(("conclude", run is done, folder and folder.path.name)) or 7,
+    )
+    monkeypatch.setattr(run_verb, "_how_to_connect", lambda domain, log: f"connect {domain}")
+    return steps, listeners
+
+
+def test_the_steps_of_a_run_are_in_order(flow, lag, capsys):
+    steps, listeners = flow
+    assert main(["run", "lag", "--mode", "inprocess"]) == 7
+    log = lag / "runs/lag/log"
+    assert steps == [("page", ""), ("execute", "inprocess", log), ("conclude", True, "lag"), ("over", "lag")]
+    steps.clear()
+    assert main(["run", "lag", "--mode", "container", "--connect", "--out", "o"]) == 7
+    listeners[-1].opened(5)
+    assert steps == [
+        ("prepare",),
+        ("page", ""),
+        ("execute", "container", lag / "o/log"),
+        ("conclude", True, "o"),
+        ("over", "o"),
+    ]
+    assert "softrig: connect 5\n" in capsys.readouterr().err
+    steps.clear()
+    assert main(["view", "lag", "--address", ":1"]) == 7
+    listeners[-1].opened(6)
+    assert steps[:3] == [("need", "bokeh", "view"), ("free", ":1"), ("prepare",)]
+    assert steps[-1] == ("open", 6)
+    steps.clear()
+    assert main(["view", "lag", "--mode", "inprocess"]) == 9
+    assert steps == [
+        ("need", "bokeh", "view"),
+        ("free", "127.0.0.1:0"),
+        ("here", "127.0.0.1:0", "lag-2" if (lag / "runs/lag-2").exists() else "lag"),
+    ]
+    steps.clear()
+    assert main(["run", "lag", "--only", "gain", "--domain", "5"]) == 8
+    assert steps == [("prepare",), ("part", ["gain"])]
+    for words, said in (
+        (["run", "lag", "--realtime", "--mode", "inprocess"], "blocks in process know no wall clock"),
+        (["view", "lag", "--only", "gain"], "view shows a whole rig, which --only is not"),
+    ):
+        steps.clear()
+        assert main(words) == 2
+        assert (said in capsys.readouterr().err, steps) == (True, [])
+
+
+def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch, capsys):
+    """A plain one, a changed and labelled one one with a node outside, one of nothing kept."""
+    done, drawn = simulate("lag"), []
+    done.wall_s = 0.5
+    monkeypatch.setattr(run_verb, "illustrate", lambda run, folder, form: drawn.append((folder.path.name, form)))
+    told = []
+
+    def go(name, *words, **more):
+        options = make_parser().parse_args(["run", "lag", *words])
+        for key, value in more.items():
+            setattr(done, key, value)
+        folder = None if name is None else ResultsFolder(lag / name)
+        if folder:
+            folder.clear()
+        kept = run_verb._keep(options, done, folder)
+        content = kept.content
+        told.append(f"{' '.join(words) or 'plain'}: changed {kept.changed}, same {kept.same}, told {list(kept.told)}")
+        told.append(f"  {content['title']}, label {content['label']!r}, {content['command']}")
+        if folder:
+            told.append(f"  {sorted(p.name for p in (lag / name).iterdir())}")
+
+    go("a", "--mode", "inprocess")
+    go("b", "--set", "gain.k=2", "--label", "soft", "--junit", "unit.xml", "--no-record", "--format", "svg")
+    told += [f"    {line.strip()}" for line in (lag / "unit.xml").read_text().splitlines() if "suite" in line]
+    go("c", "--external", "gain", "--no-plots")
+    go(None, "--seed", "3")
+    go("d", branched=[{"at_s": 0.02, "from_s": 0.03, "left": ""}])
+    told.append(f"drawn {drawn}")
+    check_told("verbs/kept", (line.replace(str(lag), "HERE") for line in told))
+    assert run_verb.conclude(make_parser().parse_args(["run", "lag", "--no-plots"]), simulate("lag"), None) == 0
+
+
+def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
+    good = {"scenario": "lag", "wall_s": 1.0, "error": "", "metrics": [], "claims": []}
+    claim = {"key": "a", "false": "", "measured_text": "1", "holds": True}
+    outcomes = []
+    asked = []
+    monkeypatch.setattr(
+        check, "sweep", lambda do, names, title, workers: asked.append((names, title, workers)) or outcomes
+    )
+    for found, status, said in (
+        ([good | {"claims": [claim]}], 0, ["lag: 1 hold, 0 do not"]),
+        (
+            [good | {"claims": [claim, claim | {"key": "b", "false": "no"}]}],
+            1,
+            ["lag: 1 hold, 1 do not", "  claim b: no"],
+        ),
+        ([good, good | {"error": "gone"}], 3, ["lag: 0 hold, 0 do not", "lag: broke: gone"]),
+    ):
+        outcomes[:] = found
+        assert main(["check", "lag", "--workers", "2"]) == status
+        assert capsys.readouterr().out.splitlines() == said
+    assert asked == [(["lag"], "check", 2)] * 3
+    assert main(["check", "lag", "--json", "nowhere/x.json"]) == 2
+    assert "nowhere/x.json: there is no folder" in capsys.readouterr().err
+
+    def broken(name):
+        raise RunError("gone")
+
+    assert check.judge("lag")["metrics"][0]["name"] == "last"
+    monkeypatch.setattr(check, "simulate", broken)
+    assert {k: v for k, v in check.judge("lag").items() if k != "wall_s"} == {
+        "scenario": "lag",
+        "metrics": [],
+        "claims": [],
+        "error": "gone",
+    }
+    assert check.judge("lag")["wall_s"] >= 0.0
+
+
+def test_claims_are_of_the_systems_that_are_asked_for(lag, monkeypatch, capsys):
+    def one(name, system, claims):
+        return SimpleNamespace(
+            name=name,
+            system=system,
+            claims=claims,
+            scenario=name,
+            source=f"of {name}",
+            model_copy=lambda update: SimpleNamespace(**update, system=system),
+        )
+
+    known = {n: one(n, s, c) for n, s, c in (("a_1", "a", {"x": 1, "y": 2}), ("a_2", "a", {}), ("b_1", "b", {"z": 1}))}
+    monkeypatch.setattr(results, "list_scenarios", lambda: list(known))
+    monkeypatch.setattr(results, "load_scenario", known.__getitem__)
+    assert [[s.name for s in results.claiming(of)] for of in ((), ("a",), ("b_1", "a"), ("a_2",))] == [
+        ["a_1", "b_1"],
+        ["a_1"],
+        ["a_1", "b_1"],
+        [],
+    ]
+    with pytest.raises(ScenarioError, match=r"^no system .c.; there are a, b$"):
+        results.claiming(["a", "c"])
+    monkeypatch.setattr(results, "list_studies", lambda: list(known))
+    monkeypatch.setattr(results, "load_study", known.__getitem__)
+    assert results.left_out([]) == "3 more claims are of studies (a_1, b_1): hundreds of runs, with --studies"
+    assert results.left_out(["a"]) == "2 more claims are of studies (a_1): hundreds of runs, with --studies"
+    assert results.left_out(["a_2"]) == ""
+    ran, cleared = [], []
+
+    def run_study(study, out, workers):
+        ran.append((study.name, out, workers))
+        if study.name == "b_1" and len(ran) == 2:
+            raise results.OtherContentError("other")
+        return SimpleNamespace(rows=lambda: ["row"])
+
+    monkeypatch.setattr(results, "run_study", run_study)
+    monkeypatch.setattr(
+        results, "ResultsFolder", lambda path, ours: SimpleNamespace(clear=lambda: cleared.append((path, ours)))
+    )
+    monkeypatch.setattr(results, "without_signals", list)
+    monkeypatch.setattr(results, "results", lambda study, done: (study.name, done))
+    monkeypatch.setattr(results, "claims", lambda study, found: [found])
+    scenarios, rows = results.study_findings([], Path("o"), 2)
+    assert ran == [("a_1", Path("o/a_1"), 2), ("b_1", Path("o/b_1"), 2), ("b_1", Path("o/b_1"), 2)]
+    assert (cleared, rows) == ([(Path("o/b_1"), results.STUDY)], [("a_1", ["row"]), ("b_1", ["row"])])
+    assert [(s.name, s.source) for s in scenarios] == [("a_1", "of a_1"), ("b_1", "of b_1")]
+    assert results.study_findings(["a_2"], Path("o"))[1] == [("a_1", ["row"])][:0]
+
+
+# what is written down once --------------------------------------------------------------------------------------------
+
+
+def test_a_checkout_is_told_by_its_commit_and_its_lock_file(tmp_path, monkeypatch):
+    (tmp_path / "locks").mkdir()
+    monkeypatch.setenv("SOFTRIG_COMMAND", str(tmp_path / "softrig"))
+    said = {"rev-parse": "abc\n", "status": " M x\n"}
+    asked = []
+
+    def git(command, **how):
+        asked.append((command[:3], how))
+        return SimpleNamespace(stdout=said[command[6] if command[6] in said else command[7]])
+
+    monkeypatch.setattr(runs.subprocess, "run", git)
+    look = runs.checkout.__wrapped__
+    assert look() == {}
+    (tmp_path / "locks/run.lock").write_text("x")
+    lock = {"run.lock": "sha256:2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881"}
+    assert look() == {"commit": "abc+"} | lock
+    said["status"] = ""
+    assert look() == {"commit": "abc"} | lock
+    assert asked[0] == (
+        ["git", "-C", str(tmp_path)],
+        {"capture_output": True, "text": True, "timeout": 10, "check": True},
+    )
+
+    def none(command, **how):
+        raise FileNotFoundError
+
+    monkeypatch.setattr(runs.subprocess, "run", none)
+    assert look() == lock
+
+
+def test_records_do_not_change_and_libraries_take_one_core():
+    models = (packed.Digest, packed.About, Citation, Node, Wire, Wiring, RunRecord)
+    assert [m.model_config.get("frozen") for m in models] == [True] * len(models)
+    process = viewer.Process("p", "e")
+    assert (process.arguments, process.parameters, process.remappings, process.variables, process.kind) == (
+        [],
+        [],
+        [],
+        {},
+        "rig",
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+            patch.delenv(name, raising=False)
+        spec = importlib.util.spec_from_file_location("softrig_bringup.once_more", cli.__file__)
+        spec.loader.exec_module(importlib.util.module_from_spec(spec))
+        assert (os.environ["OMP_NUM_THREADS"], os.environ["OPENBLAS_NUM_THREADS"]) == ("1", "1")

@@ -146,7 +146,11 @@ PLOTS = [
             "tank/command/inlet/effort": "inflow",
         },
     },
-    {"title": "Level, enlarged", "signals": {"tank/state/level/position": "level"}, "window": [0.0, 0.1]},
+    {
+        "title": "Level, enlarged",
+        "signals": {f"tank/{topic}/level/position": topic for topic in ("state", "wanted", "asked")},
+        "window": [0.0, 0.1],
+    },
     {"title": "Surface", "signals": {"tank/wave/y": "surface"}, "x": "x"},
 ]
 
@@ -793,6 +797,7 @@ def test_a_page_takes_its_session_up_again_by_loading_itself(drawn):
     assert calls == {"document_ready": ["echo.text = beat.text"], "connection_lost": [look.COME_BACK]}
     sheets = {name: [s.css for s in named(document, name).stylesheets] for name in ("state", "law.k")}
     assert sheets == {"state": [look.WIDGETS], "law.k": [look.WIDGETS, look.BESIDE]}
+    assert document.theme._json == look.theme("light")
     assert (document.config.reconnect_session, document.config.notify_connection_status) == (False, False)
 
 
