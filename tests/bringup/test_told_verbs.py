@@ -241,6 +241,7 @@ def view(n=2, **more):
 
 
 def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("COLUMNS", "400")  # the folder's name may be long
     told, asked = [], []
     cases = {
         "a loop": ({}, []),

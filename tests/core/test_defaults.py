@@ -25,8 +25,9 @@ PACKAGES = (
     "softrig_power",
     "softrig_robots",
     "softrig_systems",
+    "softrig_bringup",
 )
-LAZY = (  # of an extra; numba's; the command line itself
+LAZY = (  # of an extra; numba's; runs where it is imported
     "softrig_control.fmu.child",
     "softrig_control.fmu.slave",
     "softrig_core.kit._borrowed",
