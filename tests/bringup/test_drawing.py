@@ -85,6 +85,31 @@ def points(shape):
         assert found["radius"] >= 0.0
 
 
+FAR = (
+    "dc_motor_smc",
+    "dc_motor_smc_b2",
+    "dc_motor_fsfb",
+    "induction_dtc",
+    "lsrm_fuzzy",
+    "optimal_control_mvim",
+    "optimal_control_mvim_s1",
+    "optimal_control_mvim_s3",
+    "pwa_delay_p2",
+    "pwa_delay_p3",
+    "tcp_aqm_smc",
+)
+
+
+@pytest.mark.parametrize("name", FAR)
+def test_what_is_far_beyond_a_drawing_stays_at_its_edge_as_told(name):
+    """What differs from the drawing of a plant at rest when all is ten thousand times too much, and too little."""
+    drawing = drawing_for(name)
+    rest, above, below = (
+        drawing.frame(row, [row]) for row in (dict.fromkeys(drawing.signals, far) for far in (0.0, 1e4, -1e4))
+    )
+    check_told(f"drawings/far/{name}", ["above", *drawing_lines(above, rest), "below", *drawing_lines(below, rest)])
+
+
 def test_a_frame_that_differs_otherwise_is_named():
     drawing = drawing_for("induction_dtc")
     frame = drawing.frame({})
