@@ -622,6 +622,16 @@ def test_systems_by_name_and_by_their_numbers():
         p = SystemParams(system=name)
         system = p.build()
         assert (system.n, system.cells, p.states) == (n, cells, n)
+    tank, smooth = SystemParams(system="tank").build(), SystemParams(system="continuous_tank").build()
+    drains = [(8.6928e-4, 2.1732e-4), (5.0188e-4, 3.7641e-4)]  # of two slopes, about a level of 0.5
+    assert [m.item() for m in tank.A] == [-slope_ for slope_, _ in drains]
+    assert [m.item() for m in tank.Ad] == [0.2, -0.1]
+    assert [a.item() for a in tank.a] == near(
+        [0.5 * k - (0.5 * r + c) for k, (r, c) in zip((0.2, -0.1), drains, strict=True)]
+    )
+    assert [(A.item(), Ad.item()) for A, Ad in zip(smooth.A, smooth.Ad, strict=True)] == [
+        (-r, -k) for r, _ in drains for k in (0.2, 0.1)
+    ]
     own = SystemParams(
         system="user", n=2, A=tuple(range(8)), Ad=tuple(range(8, 16)), lines=(1.0, 2.0), offsets=(1.0, 2.0, 3.0, 4.0)
     )
