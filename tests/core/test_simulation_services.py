@@ -54,6 +54,7 @@ class Caller:
         response = answer(SimpleNamespace(**request), message() if response is None else response)
         before = len(self.late)
         service.send_response(response, header)
+        assert [said for _, said in self.late[before:]] in ([], [response])
         return response if len(self.late) > before else None
 
     def state(self):
@@ -114,6 +115,20 @@ def test_a_package_whose_libraries_are_not_found_is_told_in_one_line(fault, monk
     node = SimulatedNode(World(), "plant", {})
     faces._offer_simulation(SimpleNamespace(), SimpleNamespace(middleware=node))
     assert node.logs == [(Level.WARN, f"the services of simulation_interfaces are not offered: {fault}")]
+
+
+def test_who_waits_for_steps_is_told_how_many_have_been_taken_of_those_of_his_own(monkeypatch):
+    call, told = Caller(monkeypatch, "dc_motor_smc_b2", paused=True), []
+    call.until(lambda: call.adapter.state == "running")
+    for name, count in (("a", 3), ("b", 2)):
+        said = call.simulation._take(count, lambda n, name=name: told.append((name, n)), lambda text: told.append(text))
+        assert said == ""
+    for ticks in (1, 3, 4, 5):
+        call.adapter.ticks = ticks
+        call.simulation._look()
+    first = [("a", 1), ("b", 0), ("a", 3), "", ("b", 0)]
+    assert told == [*first, ("b", 1), ("b", 2), ""]
+    assert call.simulation._steps == []
 
 
 def test_quitting_ends_the_run_by_its_reason(monkeypatch):

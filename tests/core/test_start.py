@@ -18,7 +18,8 @@ from softrig_core.node.adapter.handshake import Handshake
 from softrig_core.node.adapter.spin import conclude, failure
 from softrig_core.node.container import Container, split
 from softrig_core.node.group import Group
-from softrig_core.node.lockstep.comeback import Spoken
+from softrig_core.node.lockstep import comeback as comebacks
+from softrig_core.node.lockstep.comeback import Comeback, Spoken
 from softrig_core.node.seam.endpoint import Input, Output
 from softrig_core.node.seam.exchange import Exchange
 from softrig_core.node.seam.tick import TICK, TickReader, TickWriter
@@ -88,6 +89,10 @@ def test_a_node_begins_when_all_that_it_reads_are_said_and_all_who_read_it_hear_
     gone.x.matched(0)
     gone.x.heard = True  # who has said all it had to say is gone
     assert gone.absent() == []
+    nobody = Meeting([])
+    nobody.x.matched(1)
+    nobody.hand.readers["/y"] = {"tool": JOINT}
+    assert nobody.absent() == []  # nobody is awaited
     local = Meeting(["law", "here"], local=["here"]).whole(law=JOINT, here=JOINT)
     local.y.matched(1)
     assert local.absent() == []
@@ -462,6 +467,36 @@ def test_a_topic_of_another_type_is_told_once_and_a_watch_writes_the_status(tmp_
     watch.call()
     watch.call()
     assert hand.logs[1:] == ["WARN it is late"]
+
+
+@pytest.mark.parametrize(("every", "written"), [(1, [1, 2, 3, 4, 5, 6, 7, 8]), (4, [4, 8])])
+def test_a_status_is_written_at_each_watch_or_against_the_wall_clock_at_each_fourth(every, written, tmp_path):
+    hand, _, adapter = node(Gain(), law_links(), status=str(tmp_path / "a.status"))
+    Group([adapter])
+    watch = next(t for t in hand.timers if t.call.__name__ == "_watch")
+    adapter.state, adapter.drive.status_every = "running", every
+    adapter.drive.progress = lambda: None
+    times = []
+    adapter.write_status = lambda: times.append(adapter._watches)
+    for _ in range(8):
+        watch.call()
+    assert times == written
+    adapter.state = "done"
+    watch.call()
+    assert times[-1] == 9
+
+
+def test_who_comes_back_says_each_quarter_of_a_second_that_it_lives(monkeypatch):
+    clock, written = SimpleNamespace(now=5.0), []
+    monkeypatch.setattr(comebacks, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    back = object.__new__(Comeback)
+    back._told, back._paired, back._free = 5.0, {}, []
+    back._node = SimpleNamespace(write_status=lambda: written.append(clock.now), block=None)
+    back._drive = SimpleNamespace(senders=SimpleNamespace(rows=[]), solving=None)
+    for k in range(1, 11):
+        clock.now = 5.0 + 0.1 * k
+        assert not back._lacks(0)
+    assert written == pytest.approx([5.3, 5.6, 5.9])
 
 
 def test_an_observer_that_is_done_says_what_it_has_measured():
