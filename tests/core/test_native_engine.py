@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import pytest
 from softrig_core import Block, Rig
-from softrig_core.native import choice, engine
+from softrig_core.kit.compiled import Compiled
+from softrig_core.kit.jit import jit
+from softrig_core.native import choice, compile as compile_, engine, twins
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine
+from softrig_core.native.rig_text import RigText
+from softrig_core.native.translate import Program
 from softrig_core.native.value import NotNative
+from softrig_core.native.writer import Writer
 from softrig_core.run import inprocess
 from test_native_rigs import PUSH, SIGNAL, Body, Law, Params, Wide, watching
 
@@ -274,3 +280,149 @@ def test_a_run_without_an_end_is_pythons() -> None:
         step.schedule.ticks = None
     choice.ticks_of(steps)
     assert steps[0].native == (0, "a run without an end")
+
+
+TEXT = """
+def f0_twice(c, n, x):
+    return twice(x)
+
+def rig(first, last, n, c, s):
+    call0_there(0, 0, 0, 0, 0)
+    return f0_twice(c, n, s)
+"""
+
+
+def test_compiled_texts_are_kept_by_all_that_decides_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The text, the names in it, the functions that they mean and the options; none of it is compiled here."""
+
+    def outside(x: float) -> float:
+        return 3.0
+
+    def made(text: str = TEXT, symbol: str = "one", twice: Any = None, name: str = "twice") -> Any:
+        code = object.__new__(Compiled)
+        code.symbol = symbol
+        monkeypatch.setattr(compile_, "_external", lambda numba, thing: outside)
+        names = {name: twice or jit(lambda x: 2.0 * x), "call0_there": code}
+        return compile_.compiled(RigText(text, Program([], Writer, names=names), (), ()))
+
+    def key(function: Any) -> str:
+        return function.py_func.__qualname__
+
+    double = jit(lambda x: x + x)
+    keys = [
+        key(made()),
+        key(made(TEXT.replace("return twice", "return -twice"))),
+        key(made(symbol="two")),
+        key(made(twice=double)),
+        key(made(name="thrice")),
+    ]
+    assert len(set(keys)) == len(keys)
+    assert [key(made()), key(made(twice=double))] == [keys[0], keys[3]]
+    function = made()
+    assert keys[0].startswith("rig_")
+    assert len(keys[0]) == 36
+    inner = function.py_func.__globals__["f0_twice"]
+    assert inner.py_func.__qualname__ == f"f0_twice_{keys[0][4:]}"
+    assert function.py_func.__globals__["call0_there"] is outside
+    options = {"error_model": "python", "boundscheck": True, "nogil": True}
+    assert {k: v for k, v in function.targetoptions.items() if k in options} == options
+    assert {k: v for k, v in inner.targetoptions.items() if k in options} == options
+    alone = ("forceinline", "no_cpython_wrapper", "no_cfunc_wrapper")
+    assert [bool(inner.targetoptions.get(name)) for name in alone] == [True] * 3
+    assert [bool(function.targetoptions.get(name)) for name in alone] == [False] * 3
+
+
+def test_a_state_keeps_its_type() -> None:
+    assert compile_.same((1.0, 2), (3.0, 4)) == (3.0, 4)
+    for other in ((1.0, 2.0), (1.0,), [1.0, 2], None):
+        with pytest.raises(TypeError, match="a state that changes its type"):
+            compile_.same((1.0, 2), other)
+
+
+class Point(NamedTuple):
+    a: float
+    b: Any
+
+
+@dataclass(frozen=True)
+class Frozen:
+    a: float
+    b: Any = 2.0
+
+
+@dataclass
+class Loose:
+    a: float
+
+
+class Whole:
+    """Says how it is taken."""
+
+    def __init__(self, a: float) -> None:
+        self.a = a
+
+    def native(self) -> Taken:
+        """Give it."""
+        return Taken(self.a)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Whole) and other.a == self.a
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class Taken(NamedTuple):
+    a: float
+
+    def python(self) -> Whole:
+        """Give it back."""
+        return Whole(self.a)
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        1.0,
+        3,
+        True,
+        None,
+        "word",
+        (),
+        (1.0, 2),
+        Point(1.0, 2),
+        Point(1.0, (2, Frozen(3.0))),
+        Frozen(1.0, Frozen(2.0, (3,))),
+        (Frozen(1.0), 5.0),
+        Whole(2.0),
+        (Whole(2.0), 1.0),
+        Point(Whole(1.0), None),
+        ((1.0, 2.0), (3, True)),
+    ],
+)
+def test_a_state_comes_back_from_native_code_as_it_went(state: Any) -> None:
+    """Frozen dataclasses as named tuples of the same fields, objects as they say; what needs no change is itself."""
+    there = twins.packed(state)
+    assert twins.unpacked(there) == state
+    assert type(twins.unpacked(there)) is type(state)
+    assert "Frozen(" not in repr(there).replace("__Frozen(", "")
+    assert "Whole" not in repr(there)
+    if "Frozen" not in repr(state) and "Whole" not in repr(state):
+        assert there is state
+        assert twins.unpacked(there) is state
+    python = twins.packed(state, False)
+    assert ("Whole" in repr(python)) == ("Whole" in repr(state))
+    assert twins.form(there) == twins.form(twins.packed(state))
+
+
+def test_forms_and_twins() -> None:
+    assert twins.form((1.0, (2, None), True)) == (tuple, (float, (tuple, (int, type(None))), bool))
+    assert twins.form(Point(1.0, 2)) == (Point, (float, int)) != twins.form((1.0, 2))
+    assert [twins.is_twinned(kind) for kind in (Frozen, Loose, Point, 5, Frozen(1.0), int)] == [True] + [False] * 5
+    kind = twins.twin(Frozen)
+    assert (kind._fields, kind._field_defaults, kind.__name__) == (("a", "b"), {"b": 2.0}, f"{__name__}__Frozen")
+    assert twins.class_of(kind(1.0, 2.0)) is Frozen
+    assert (twins.class_of(Point(1.0, 2)), twins.class_of((1.0,)), twins.class_of(5)) == (Point, None, None)
+    assert getattr(twins, f"{__name__}__Frozen") is kind
+    for name in ("none", "__none", "a__"):
+        with pytest.raises((AttributeError, ImportError)):
+            getattr(twins, name)
