@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfilt
-from softrig_core import ParameterError
+from softrig_core import Level, ParameterError
 from softrig_core.block.params import build
 from softrig_power.fault_location import (
     confidence as trust,
@@ -20,6 +20,8 @@ from softrig_power.fault_location import (
     location,
     measurement,
     resample,
+    simulation,
+    study,
     study_tool,
     transient,
 )
@@ -27,14 +29,17 @@ from softrig_power.fault_location.comtrade_file import ComtradeFileError, _bound
 from softrig_power.fault_location.confidence import Confidence, ErrorBudget
 from softrig_power.fault_location.inception import inception, windowed
 from softrig_power.fault_location.location import Location, Locator
+from softrig_power.fault_location.locator import FaultLocator
 from softrig_power.fault_location.marker import LocationMarker
 from softrig_power.fault_location.network import LEAST_RESISTANCE, network, steady
 from softrig_power.fault_location.objective import LocatorParams, Objective, check_travel
 from softrig_power.fault_location.parameters import RATES, RigParams, grounded, phases
+from softrig_power.fault_location.plant import LinePlant, LinePlantParams
 from softrig_power.fault_location.record import CHANNELS, Record, RecordError, Status
 from softrig_power.fault_location.rows import Rows
 from softrig_power.fault_location.search import brent, integer_grid
 from softrig_power.fault_location.simulation import FaultedLine
+from softrig_power.lines import bergeron
 from softrig_power.lines.modal import CLARKE
 from softrig_power.lines.section import Section
 
@@ -1147,6 +1152,127 @@ def test_the_numbers_of_the_stepped_network():
     assert network(least).closed.tolist() == network(tiny).closed.tolist()
 
 
+def plain_steps(monkeypatch):
+    """The compiled step as a plain one."""
+    for name in ("histories", "store", "filter_step", "_fault"):
+        monkeypatch.setattr(simulation, name, getattr(simulation, name).py_func)
+    return simulation.advance.py_func
+
+
+@pytest.mark.parametrize("phase", [(0, 0, 0), (1, 2, 2), (1, 1, 2), (1, 1, 1)])
+def test_a_step_of_the_network_is_one_system_of_linear_equations(monkeypatch, phase):
+    """In phases: sources behind R and L by trapezia, what arrives at the ends, currents that add up to nothing."""
+    p = build(
+        RigParams, {"fault.type": "ABCG", "fault.rf_ohm": 7.0, "fault.x_km": 30.0, "measurement.profile": "raw1m"}
+    )
+    line = FaultedLine(p)
+    net, chance, n = line.net, np.random.default_rng(11), 25_000  # between closing and opening
+    net = net._replace(on=n if any(phase) else n + 1)
+    state = line.state._replace(phase=np.array(phase))
+    state.ring[:] = chance.normal(0.0, 300.0, state.ring.shape)
+    state.source_current[:], state.source_voltage[:] = chance.normal(0.0, 9.0, (2, 2, 3))
+    state.fault_current[:], state.peak[:] = float(any(phase)), [0.0, 1e9, 0.0]
+    ring, i0, u0 = state.ring.copy(), state.source_current.copy(), state.source_voltage.copy()
+    h = np.empty((6, 2))
+    bergeron.histories.py_func(net.lines, ring, n, h)
+    plain_steps(monkeypatch)(net, line.chain, CLARKE, state, n - 1, 1)
+    g, C = net.lines.conductance, CLARKE
+    closed = [k for k in range(3) if phase[k] == 1]
+    m = len(closed)
+    A, b = np.zeros((16 + m, 16 + m)), np.zeros(16 + m)  # modes at S, F, R; sources; star point; fault currents
+    angles = 100.0 * math.pi * n * 1e-6 + np.array([0.0, math.radians(-10.0)])
+    for end, node in ((0, 0), (1, 6)):
+        emf = 400e3 * np.array([0.0, math.cos(angles[end]), math.sin(angles[end])])
+        for mode in range(3):
+            r, x = (2.33, 26.6) if mode == 0 else (1.31, 15.0)
+            lh = x / (100.0 * math.pi) / 1e-6  # L/h
+            row = 9 + 3 * end + mode
+            A[row, row], A[row, node + mode] = lh + 0.5 * r, 0.5  # L (i - i0)/h + R (i + i0)/2 = (e - u + before)/2
+            b[row] = (lh - 0.5 * r) * i0[end, mode] + 0.5 * (emf[mode] + u0[end, mode])
+            A[node + mode, row] = -1.0
+            A[node + mode, node + mode] = g[3 * end + mode]
+            b[node + mode] = -h[3 * end + mode, end]
+    for mode in range(3):
+        A[3 + mode, 3 + mode] = g[mode] + g[3 + mode]
+        b[3 + mode] = -h[mode, 1] - h[3 + mode, 0]
+        for k, ph in enumerate(closed):
+            A[3 + mode, 16 + k] = C[mode, ph]
+    A[15, 15] = 1e3  # the star point to ground
+    for k, ph in enumerate(closed):
+        A[15, 16 + k] = -1.0
+        A[16 + k, 3:6], A[16 + k, 15], A[16 + k, 16 + k] = C[:, ph], -1.0, -7.0
+    x = np.linalg.solve(A, b)
+    current = np.zeros(3)
+    current[closed] = x[16:]
+    np.testing.assert_allclose(state.fault_current, current, atol=1e-6)
+    np.testing.assert_allclose(state.source_current.ravel(), x[9:15], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        state.peak, np.maximum([0.0, 1e9, 0.0], np.abs(current)) if any(phase) else [0.0, 1e9, 0.0]
+    )
+    for end, node in ((0, 0), (1, 6)):
+        u = x[node : node + 3]
+        i = g[3 * end : 3 * end + 3] * u + h[3 * end : 3 * end + 3, end]
+        np.testing.assert_allclose(
+            state.measured[6 * end : 6 * end + 6], [*(C.T @ u), *(C.T @ i)], rtol=1e-8, atol=1e-6
+        )
+    voltage = np.array(
+        [[x[k % 3 + 6 * 0] if k < 3 else x[3 + k % 3], x[3 + k % 3] if k < 3 else x[6 + k % 3]] for k in range(6)]
+    )
+    bergeron.store.py_func(net.lines, ring, n, voltage, h, np.empty((6, 2)))
+    np.testing.assert_allclose(state.ring, ring, rtol=1e-8, atol=1e-8)
+
+
+def test_when_phases_close_and_open(monkeypatch):
+    """All close at once; each opens with the first current after the end that has changed its sign."""
+    p = build(RigParams, {"fault.type": "ABG", "fault.rf_ohm": 2.0, "fault.x_km": 30.0})
+    line = FaultedLine(p)
+    net = line.net._replace(on=100, off=200)
+    state = line.state
+
+    def step(n, volts):
+        simulation._fault.py_func(net, state, np.array(volts), n)
+        return state.phase.tolist(), state.fault_current.tolist()
+
+    before = step(99, [1e4, 2e4, 3e4])
+    assert before == ([0, 0, 2], [0.0, 0.0, 0.0])
+    phase, current = step(100, [1e4, 2e4, 3e4])
+    assert phase == [1, 1, 2]
+    np.testing.assert_allclose(current, net.closed[0b011] @ [1e4, 2e4, 3e4])
+    assert current[2] == 0.0
+    largest = [abs(c) for c in current]
+    phase, current = step(199, [-1e3, 2e3, 0.0])  # signs change too early
+    assert phase == [1, 1, 2]
+    np.testing.assert_allclose(current, net.closed[0b011] @ [-1e3, 2e3, 0.0])
+    phase, current = step(200, [-1e3, 2e3, 0.0])
+    assert phase == [1, 1, 2]
+    phase, current = step(201, [3e3, 2e3, 0.0])  # the first phase has turned: the second one goes on alone
+    assert phase == [2, 1, 2]
+    np.testing.assert_allclose(current, net.closed[0b010] @ [3e3, 2e3, 0.0])
+    assert state.opened.tolist() == pytest.approx([201e-6, 0.0, 0.0])
+    phase, current = step(202, [3e3, 0.0, 0.0])  # no current is a change, too
+    assert (phase, current) == ([2, 2, 2], [0.0, 0.0, 0.0])
+    assert state.opened.tolist() == pytest.approx([201e-6, 202e-6, 0.0])
+    assert state.peak.tolist() == pytest.approx(largest)
+    assert step(203, [9e9, 9e9, 9e9])[1] == [0.0, 0.0, 0.0]
+
+
+def test_a_record_has_a_row_every_so_many_steps(monkeypatch):
+    moved = []
+
+    def advance(net, chain, transform, state, k, steps):
+        moved.append((k, steps))
+        state.measured[:] += 1.0
+        state.fault_current[:] += 10.0
+
+    monkeypatch.setattr(simulation, "advance", advance)
+    state = types.SimpleNamespace(measured=np.zeros(12), fault_current=np.zeros(3))
+    out = np.empty((4, 15))
+    simulation.record.py_func(None, None, None, state, 50, out)
+    assert moved == [(0, 50), (50, 50), (100, 50)]
+    assert out[:, 0].tolist() == out[:, 11].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert out[:, 12].tolist() == out[:, 14].tolist() == [0.0, 10.0, 20.0, 30.0]
+
+
 @pytest.mark.parametrize("shift", [0.0, 30.0, -45.0])
 def test_the_first_sample_is_that_of_the_steady_state_at_each_clock(shift):
     p = build(
@@ -1303,3 +1429,106 @@ def test_figures_of_a_run_are_those_of_its_last_answer():
     assert [figures.fault_peak(signals, phase=p) for p in "ac"] == [7.0, 3.0]
     with pytest.raises(ValueError, match=r"^nothing came on location$"):
         figures.location_error({"location/0": (np.empty(0), np.empty(0))}, truth=1.0)
+
+
+# The nodes -----------------------------------------------------------------------------------------------------
+
+
+def test_what_the_locator_tells_of_an_answer():
+    node = FaultLocator(truth_km=50.0)
+    node._tell(Location(Status.OK, 50.012, text="fault at 50.0120 km"), None, 0.25)
+    text = "fault at 50.0120 km; 0.2500 s of CPU time; error 0.0100 % of the line (12.0 m)"
+    assert node.reports == {"ok": (Level.OK, text, 1)}
+    node = FaultLocator()
+    node._tell(Location(Status.NO_FAULT, text="none"), types.SimpleNamespace(warning="slow"), 0.25)
+    assert node.reports == {"no_fault": (Level.OK, "none; 0.2500 s of CPU time", 1), "rate": (Level.WARN, "slow", 1)}
+    node = FaultLocator(truth_km=50.0)
+    node._tell(Location(Status.AT_TERMINAL, 0.0, text="at the end"), types.SimpleNamespace(warning=""), 1.0)
+    text = "at the end; 1.0000 s of CPU time; error -41.6667 % of the line (-50000.0 m)"
+    assert node.reports == {"at_terminal": (Level.WARN, text, 1)}
+    with pytest.raises(
+        ParameterError, match=r"waves pass the line of 13 km in 0\.939 samples of 50 us, expected 1 or more"
+    ):
+        FaultLocator(line={"length": 13.0})
+
+
+def test_the_locator_answers_a_press_with_what_has_come():
+    node = FaultLocator(samples=3)
+    x, given = node.first(), dict.fromkeys(("u_s", "i_s", "u_r", "i_r"), (1.0, 2.0, 3.0))
+    asked = []
+    node._answer = lambda x: (asked.append(len(x.rows.newest())) or x, {"verdict": (len(asked),)})
+    for t, locate in enumerate([None, (1.0,), (1.0,), (0.0,), (2.0,), None]):
+        x, said = node.update(x, t * 10**9, locate=locate, **given)
+        assert bool(said) == (t in (1, 4))
+    assert asked == [2, 3]
+    assert x.rows.newest()[0] == (3.0, *(1.0, 2.0, 3.0) * 4)
+    assert node.finish(x, 6 * 10**9, locate=None, **given)[1] == {"verdict": (3,)}
+    whole = FaultLocator(form="record", samples=3)
+    x, ages = whole.first(), iter((None, 0, 1))
+    whole.age = lambda name: next(ages)
+    for wanted in ((), (1.0,), (1.0,)):
+        x, _ = whole.update(x, 0, locate=None, record=(float(len(wanted)),))
+        assert x.record == wanted
+
+
+def test_a_verdict_and_what_it_stands_on():
+    node = FaultLocator(n_grid=5)
+    empty, said = node._answer(node.first())
+    assert said == {"verdict": (float(Status.TOO_SHORT), 0.0, 0.0)}
+    assert (empty.answers, empty.result.text) == (1, "a record of 0 samples")
+    record = study.simulate(build(RigParams, {"fault.x_km": 30.0}))
+    x = node.first()._replace(record=tuple(record.table().ravel()))
+    whole = FaultLocator(form="record", samples=1200, n_grid=5)
+    _, said = whole._answer(x)
+    work = Locator(record, whole.p)
+    found = work.locate()
+    assert said["verdict"] == (0.0, float(found.mode), found.f_max)
+    scatter = trust._scatter(Locator(record, whole.p.model_copy(update={"mode": str(found.mode)})), found)
+    assert said["location"] == (
+        found.x_km,
+        found.f_min,
+        found.f_max,
+        found.mode,
+        found.evaluations,
+        pytest.approx(scatter),
+    )
+    assert said["objective"] == (0.0, 30.0, 60.0, 90.0, 120.0, *work.curves.ravel())
+
+
+def test_the_period_of_a_plant_follows_from_its_profile():
+    assert build(LinePlantParams, {"measurement.profile": "m4k"}).period == 1.0 / 4000.0
+    assert build(LinePlantParams, {"measurement.profile": "m4k", "period": 2.5e-4}).period == 2.5e-4
+    with pytest.raises(ParameterError) as refused:
+        build(LinePlantParams, {"measurement.profile": "m4k", "period": 1e-3})
+    assert "period = 0.001 s, but m4k samples every 0.00025 s" in str(refused.value)
+
+
+def test_a_record_of_the_plant_with_its_noise_and_a_new_one_at_a_press():
+    plant = LinePlant(
+        measurement={"profile": "m4k", "noise_snr_db": 40.0},
+        duration=0.001,
+        step=1e-6,
+        fault={"t_on": 0.0003, "t_off": 0.0008},
+    )
+    x, rows = plant.first(), []
+    line = FaultedLine(plant.p)
+    clean = line.run(4)
+    for k in range(4):
+        noise = np.random.default_rng([0, x.seed]).standard_normal(48)[12 * k : 12 * k + 12] * line.noise_level()
+        said = plant.outputs(x, 0)
+        row = [v for name in ("u_s", "i_s", "u_r", "i_r") for v in said[name]]
+        assert row == pytest.approx((clean[k, :12] + noise).tolist())
+        assert said["fault_current"] == pytest.approx(tuple(clean[k, 12:]))
+        rows += [k / 4000.0, *row]
+        assert ("record" in said) == (k == 3)
+        x = plant.advance(x, 0, run=(0.0,))
+    assert said["record"] == pytest.approx(tuple(rows))
+    assert (x.k, x.number, x.pressed) == (4, 0, False)
+    assert len(x.rows.newest()) == 3
+    again = plant.advance(x, 0, run=(1.0,))
+    assert (again.k, again.number, again.pressed, again.rows.newest()) == (0, 1, True, [])
+    assert plant.reports["run"][:2] == (Level.OK, "a new record begins")
+    assert again.seed != x.seed
+    held = plant.advance(again, 0, run=(1.0,))
+    assert (held.k, held.number, held.pressed) == (1, 1, True)
+    assert plant.advance(held, 0, run=None).pressed is False
