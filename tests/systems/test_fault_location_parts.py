@@ -25,6 +25,7 @@ from softrig_power.fault_location import (
     study_tool,
     transient,
 )
+from softrig_power.fault_location.cases import Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, _bounded, _text, read_comtrade, write_comtrade
 from softrig_power.fault_location.confidence import Confidence, ErrorBudget
 from softrig_power.fault_location.inception import inception, windowed
@@ -1370,6 +1371,31 @@ def test_what_the_simulated_line_cannot_be(given, text):
     with pytest.raises(ParameterError) as refused:
         build(RigParams, given)
     assert text in str(refused.value)
+
+
+def test_a_row_of_the_study(monkeypatch):
+    seen = []
+    answers = iter([Location(Status.OK, 49.0, 2.0, 30.0, 3, 7), Location(Status.NO_FAULT, None, 4.0, 5.0, 1, 9)])
+    monkeypatch.setattr(study, "_simulated", lambda settings: seen.append(dict(settings)) or "record")
+    monkeypatch.setattr(study, "locate", lambda record, p: seen.append((record, p)) or next(answers))
+    case = Case("AB", 50.0, 5.0)
+    row = study.run_case(case, {"measurement.profile": "m4k"}, {"algorithm": "phasor", "line.length": 200.0})
+    fault = {"fault.type": "AB", "fault.x_km": 50.0, "fault.rf_ohm": 5.0}
+    assert seen[0] == fault | {"measurement.profile": "m4k"}
+    assert seen[1] == ("record", build(LocatorParams, {"algorithm": "phasor", "line.length": 200.0}))
+    told = ("AB", 50.0, 5.0, "phasor", "m4k", "ok", 49.0, -0.5, 2.0, 30.0, 3, 7)
+    assert tuple(vars(row).values())[:-1] == told
+    assert row.error_m == pytest.approx(-1000.0)
+    lost = study.run_case(case, {}, {})
+    assert (lost.profile, lost.status, lost.located_km, lost.error_percent) == ("m20k", "no_fault", None, None)
+    assert math.isnan(lost.error_m)
+    assert 0.0 <= lost.cpu_s < 1.0
+    lines = study.as_csv([row, lost]).split("\n")
+    assert (
+        lines[0] == "type,x_km,rf_ohm,method,profile,status,located_km,error_percent,f_min,f_max,mode,evaluations,cpu_s"
+    )
+    assert lines[2].startswith("AB,50.0,5.0,brent,m20k,no_fault,,,4.0,5.0,1,9,")
+    assert lines[3:] == [""]
 
 
 @pytest.mark.parametrize("given", [["--profile", "raw1m"], ["--methods", "guess"], ["--processes", "two"]])
