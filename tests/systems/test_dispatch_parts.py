@@ -496,6 +496,8 @@ def stretches(n=60):
         s = np.sort(chance.uniform(0.0, 1.0, 2))
         s[0], s[1] = (0.0 if k % 5 == 0 else s[0]), (1.0 if k % 2 == 0 else s[1])
         yield row, *(arch + s * PI / f)
+    for e in (1.9, 2.0, 2.1, 2.3):  # about as strong as the parabola
+        yield (0.0, 9.0, 1.0, 0.0, 0.0, e, 1.0), 0.0, PI
 
 
 def test_a_chord_is_lowered_by_what_its_rule_says_and_is_then_below_the_cost(plain):

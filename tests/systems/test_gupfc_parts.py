@@ -244,6 +244,11 @@ def test_the_far_side_with_a_share_of_its_coupling(share):
     found = _newton(a, b, share, k, s1, s2, v2 + 0.05, v4 - 0.04j)
     assert found[:2] == (pytest.approx(v2), pytest.approx(v4))
     assert found[2] <= 1e-11
+    for far in ((-0.24 + 0.81j, 0.32 + 0.53j), (0.4 - 0.47j, 2.19 + 2.94j), (-1.9 + 2.3j, 2.0 + 1.2j)):
+        again = _newton(a, b, share, k, s1, s2, v2 + far[0], v4 + far[1])  # not by whole steps
+        assert again[2] <= 1e-11
+        assert again[0] * (own * again[0] + other * again[1] + k).conjugate() == pytest.approx(s1)
+        assert again[1] * (own * again[1] + other * again[0] + k).conjugate() == pytest.approx(s2)
     stuck = _newton(a, b, share, k, 50.0 + 0j, 50.0 + 0j, v2, v4)  # no such power
     assert stuck[2] > 1e-3
 
