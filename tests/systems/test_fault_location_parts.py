@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfilt
-from softrig_core import Level, ParameterError
+from softrig_bags.write import write_bag
+from softrig_core import Level, ParameterError, Recording, RunError, ScenarioError
 from softrig_core.block.params import build
 from softrig_power.fault_location import (
     confidence as trust,
     ends,
     equations,
     figures,
+    locate_tool,
     location,
     measurement,
+    pictures,
     resample,
     simulation,
     study,
@@ -29,6 +32,7 @@ from softrig_power.fault_location.cases import Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, _bounded, _text, read_comtrade, write_comtrade
 from softrig_power.fault_location.confidence import Confidence, ErrorBudget
 from softrig_power.fault_location.inception import inception, windowed
+from softrig_power.fault_location.line_file import line_data
 from softrig_power.fault_location.location import Location, Locator
 from softrig_power.fault_location.locator import FaultLocator
 from softrig_power.fault_location.marker import LocationMarker
@@ -36,6 +40,7 @@ from softrig_power.fault_location.network import LEAST_RESISTANCE, network, stea
 from softrig_power.fault_location.objective import LocatorParams, Objective, check_travel
 from softrig_power.fault_location.parameters import RATES, RigParams, grounded, phases
 from softrig_power.fault_location.plant import LinePlant, LinePlantParams
+from softrig_power.fault_location.ports import record_port
 from softrig_power.fault_location.record import CHANNELS, Record, RecordError, Status
 from softrig_power.fault_location.rows import Rows
 from softrig_power.fault_location.search import brent, integer_grid
@@ -1560,3 +1565,175 @@ def test_a_record_of_the_plant_with_its_noise_and_a_new_one_at_a_press():
     held = plant.advance(again, 0, run=(1.0,))
     assert (held.k, held.number, held.pressed) == (1, 1, True)
     assert plant.advance(held, 0, run=None).pressed is False
+
+
+# `softrig locate` -----------------------------------------------------------------------------------------------
+
+
+LINE_GIVEN = ["--line", "paper"]
+
+
+def asked(monkeypatch, *arguments, found=None, error=None):
+    """What the tool does with a command line: its status, and what it has called with what."""
+    called, record = {}, long_record(1200)
+    found = found or Location(Status.OK, 30.0, 1.0, 9.0, 1, 5, "fault at 30.0000 km")
+
+    def read(sources, channels, late):
+        called["read"] = ([str(s) for s in sources], channels, late)
+        if error:
+            raise error
+        return record
+
+    monkeypatch.setattr(locate_tool, "read", read)
+    monkeypatch.setattr(locate_tool, "to_bag", lambda record, path: called.update(bag=str(path)))
+    monkeypatch.setattr(locate_tool, "inception", lambda record, frequency: called.update(frequency=frequency) or 0.02)
+    window = {"window_start": 0.021, "window_end": 0.03}
+    monkeypatch.setattr(locate_tool, "windowed", lambda record, p: p.model_copy(update=window))
+    monkeypatch.setattr(locate_tool, "locate", lambda record, p: called.update(p=p) or found)
+    told = Confidence(0.001, {}, 9.0)
+    monkeypatch.setattr(locate_tool, "confidence", lambda record, p, of, budget: called.update(budget=budget) or told)
+    return locate_tool.main(list(arguments)), called
+
+
+def test_what_a_command_line_asks_for(monkeypatch, capsys):
+    status, called = asked(monkeypatch, "a.cfg", *LINE_GIVEN)
+    assert (status, called["read"], called["frequency"]) == (0, (["a.cfg"], [], (0.0, 0.0)), 50.0)
+    assert called["p"] == LocatorParams(window_start=0.021, window_end=0.03)
+    assert called["budget"] == ErrorBudget()
+    assert "bag" not in called
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == "fault at 30.000 km from S (90.000 km from R), standard uncertainty 1.0 m"
+    assert said[-1] == "  window 0.021 to 0.03 s, from the change at 0.02 s"
+    more = [
+        "s.cfg",
+        "r.cfg",
+        *LINE_GIVEN,
+        "--window",
+        "0.022",
+        "0.035",
+        "--late",
+        "3",
+        "-5",
+        "--channels",
+        "a,b,,c",
+        "--bag",
+        "there",
+        "--set",
+        "algorithm=phasor",
+        "--set",
+        "frequency=60",
+        "--set",
+        "line.length=100",
+        "--error",
+        "ratio=0.02",
+        "--error",
+        "sync_us=7",
+    ]
+    status, called = asked(monkeypatch, *more)
+    assert called["read"] == (["s.cfg", "r.cfg"], ["a", "b", "c"], (pytest.approx(3e-6), pytest.approx(-5e-6)))
+    assert called["bag"] == "there"
+    given = {"algorithm": "phasor", "frequency": 60.0, "line.length": 100.0, "window_start": 0.022, "window_end": 0.035}
+    assert called["p"] == build(LocatorParams, given)
+    assert called["budget"] == ErrorBudget(ratio=0.02, sync_us=7.0)
+    assert "frequency" not in called
+    assert capsys.readouterr().out.splitlines()[-1] == "  window 0.022 to 0.035 s, as told"
+
+
+def test_how_the_tool_ends(monkeypatch, capsys):
+    lost = Location(Status.NO_FAULT, text="no_fault: nothing")
+    status, called = asked(monkeypatch, "a.cfg", *LINE_GIVEN, found=lost)
+    assert (status, "budget" in called) == (1, False)
+    assert capsys.readouterr().out.splitlines()[0] == "no_fault: nothing"
+    status, _ = asked(monkeypatch, "a.cfg", *LINE_GIVEN, error=RecordError(Status.GAP, "gap at 2 s"))
+    assert (status, capsys.readouterr().err) == (1, "gap at 2 s\n")
+    for error, kind in ((ComtradeFileError("a.cfg: no"), ScenarioError), (KeyError("no topic"), RunError)):
+        with pytest.raises(kind, match=f"^{error.args[0]}$"):
+            asked(monkeypatch, "a.cfg", *LINE_GIVEN, error=error)
+    with pytest.raises(ScenarioError, match="n_grid"):
+        asked(monkeypatch, "a.cfg", *LINE_GIVEN, "--set", "n_grid=2")
+    with pytest.raises(ScenarioError, match="ratio"):
+        asked(monkeypatch, "a.cfg", *LINE_GIVEN, "--error", "ratio=2")
+    with pytest.raises(ScenarioError, match=r"^'mode=2': mode is 1 already$"):
+        asked(monkeypatch, "a.cfg", *LINE_GIVEN, "--set", "mode=1", "--set", "mode=2")
+    for wrong in (["--window", "1"], ["--late", "x", "1"], []):
+        with pytest.raises(SystemExit):
+            asked(monkeypatch, *(["a.cfg"] if wrong else []), *LINE_GIVEN, *wrong)
+
+
+def test_pictures_are_drawn_where_they_are_asked_for(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(pictures, "waveforms", lambda record, p, path: drawn.append(path.name))
+    monkeypatch.setattr(
+        pictures, "objective", lambda record, p, found, path, truth: drawn.append((path.name, found.x_km, truth))
+    )
+    asked(monkeypatch, "a.cfg", *LINE_GIVEN, "--pictures", str(tmp_path / "new" / "there"), "--truth", "31.5")
+    assert drawn == ["waveforms.png", ("objective.png", 30.0, 31.5)]
+    assert (tmp_path / "new" / "there").is_dir()
+    asked(monkeypatch, "a.cfg", *LINE_GIVEN)
+    assert len(drawn) == 2
+
+
+def test_a_record_in_a_bag_as_streams_or_whole(tmp_path):
+    record = long_record(40)
+    locate_tool.to_bag(record, tmp_path / "bag")
+    again = locate_tool.read([tmp_path / "bag"])
+    assert (again.start, again.rate, again.samples.tolist()) == (0.0, 20_000.0, record.samples.tolist())
+    late = locate_tool.read([tmp_path / "bag"], (), (0.0, 50e-6))
+    assert late.samples.tolist() == np.hstack([record.samples[:39, :6], record.samples[1:, 6:]]).tolist()
+    port = record_port(40)
+    recording = Recording([(port.topic, port.msgtype)])
+    recording.add(0, 10**9, port.layout().encode(10**9, tuple(record.table().ravel())))
+    write_bag(tmp_path / "whole", recording)
+    for given in ((0.0, 0.0), (50e-6, 50e-6)):
+        assert locate_tool.read([tmp_path / "whole"], (), given).samples.tolist() == record.samples.tolist()
+    assert locate_tool.read([tmp_path / "whole"], (), (0.0, 50e-6)).samples.tolist() == late.samples.tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "wanted"),
+    [
+        (
+            "length: 90\nr1: 0.03\nl1: 1e-3\nc1: 1e-8\n",
+            {},
+            {"line.length": 90, "line.r1": 0.03, "line.l1": 1e-3, "line.c1": 1e-8},
+        ),
+        (
+            "r1: 0.03\nl1: 1e-3\nc1: 1e-8\n",
+            {"line.length": 7.0, "mode": "1"},
+            {"line.length": 7.0, "line.r1": 0.03, "line.l1": 1e-3, "line.c1": 1e-8},
+        ),
+        (
+            "length: 90\nr1: 0.03\nl1: 1e-3\nc1: 1e-8\n",
+            {"line.r1": 0.5},
+            {"line.length": 90, "line.r1": 0.5, "line.l1": 1e-3, "line.c1": 1e-8},
+        ),
+    ],
+)
+def test_the_data_of_a_line_of_a_file_and_of_options(tmp_path, text, given, wanted):
+    (tmp_path / "line.yaml").write_text(text)
+    assert line_data(str(tmp_path / "line.yaml"), given) == wanted
+    paper = {"line.length": 120.0, "line.r1": 0.0275, "line.l1": 1.00268e-3, "line.c1": 1.3e-8}
+    assert line_data("paper", {}) == paper
+    assert line_data(None, wanted) == wanted
+
+
+def test_what_is_missing_of_a_line_is_told(tmp_path):
+    with pytest.raises(ScenarioError) as refused:
+        line_data(None, {"line.r1": 1.0, "line.c1": 1.0})
+    text = (
+        "the line's length, l1 are not told: expected --line FILE (YAML: length in km, r1 in ohm/km, l1 in H/km, "
+        "c1 in F/km), --line paper for that of the paper, or --set line.length=... line.l1=..."
+    )
+    assert str(refused.value) == text
+    (tmp_path / "l.yaml").write_text("- 1\n")
+    for name, words in (
+        (str(tmp_path / "l.yaml"), "expected length, r1, l1, c1, got [1]"),
+        (str(tmp_path / "no.yaml"), "No such file"),
+    ):
+        with pytest.raises(ScenarioError) as refused:
+            line_data(name, {})
+        assert str(refused.value).startswith(f"--line {name}: ")
+        assert words in str(refused.value)
+    (tmp_path / "l.yaml").write_text("length: -1\n")
+    with pytest.raises(ParameterError, match="length"):
+        line_data(str(tmp_path / "l.yaml"), {})
