@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+import functools
 import itertools
 import math
 
@@ -608,13 +609,20 @@ def test_the_limits_of_the_shunt_law_in_words(sign):
 # The plant -------------------------------------------------------------------------------------------------
 
 
+@functools.cache
+def steady_plant():
+    """One plant for many questions."""
+    return GupfcPlant()
+
+
 def taken(command, age=0, k=1, bad=0):
     """What a plant makes of a command, and what it says."""
-    plant = GupfcPlant()
+    plant = steady_plant()
+    plant.reports.clear()
     x = plant.first()
     last = Command(1.0, 0.5, 400.0, bad)
     x = x._replace(commands=tuple(last if n == k else c for n, c in enumerate(x.commands)))
-    return plant._taken(x, k, command, age), plant.reports, float(x.network.v_dc[0])
+    return plant._taken(x, k, command, age), dict(plant.reports), float(x.network.v_dc[0])
 
 
 W = NETWORK.omega
@@ -652,7 +660,7 @@ def test_which_commands_can_be_meant(k, command, good):
     text = f"{name}: command {command} cannot be meant, twice in a row: converter blocked"
     assert reports == {f"{name}_blocked": (Level.ERROR, text, 1)}
     if k == 0:
-        plant = GupfcPlant()
+        plant = steady_plant()
         u1 = complex(*plant.outputs(plant.first(), 0)["u1"][:2])
         assert found == Command(1.0, pytest.approx(cmath.phase(u1)), W, 2)
     else:
