@@ -6,6 +6,7 @@ import itertools
 import math
 import types
 
+import casadi
 import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize_scalar
@@ -459,6 +460,39 @@ def test_the_nlp_is_the_best_of_its_arches(P):
     assert found.sum() == pytest.approx(demand, abs=1e-9)
     assert (low <= found).all()
     assert (found <= high).all()
+
+
+@pytest.mark.parametrize(
+    ("success", "answer", "raises", "taken"),
+    [
+        (True, (200.0, 100.0), False, True),
+        (False, (200.0, 100.0), False, False),
+        (True, (math.nan, 100.0), False, False),
+        (True, (200.0, 100.0), True, False),
+        (True, (250.0, 50.0), False, None),  # dearer than what was given
+        (True, (200.0 + 0.9e-5, 100.0 - 0.9e-5), False, True),  # ends a tolerance inside its bounds
+    ],
+)
+def test_what_counts_of_the_answer_of_ipopt(monkeypatch, success, answer, raises, taken):
+    given, asked = np.array([220.0, 80.0]), []
+
+    class Solver:
+        def __call__(self, **bounds):
+            asked.append(bounds)
+            if raises:
+                raise RuntimeError
+            return {"x": np.array(answer)}
+
+        def stats(self):
+            return {"success": success}
+
+    monkeypatch.setattr(casadi, "nlpsol", lambda *_: Solver())
+    P, succeeded = nlp(PAIR, 300.0, given)
+    assert succeeded == (taken is not False)
+    assert P.tolist() == ([200.0, 100.0] if taken else given.tolist())
+    assert asked[0]["lbx"].tolist() == [200.0, 60.0]
+    assert asked[0]["ubx"].tolist() == [300.0, 100.0]
+    assert (asked[0]["x0"].tolist(), asked[0]["lbg"], asked[0]["ubg"]) == (given.tolist(), 300.0, 300.0)
 
 
 # The proof ----------------------------------------------------------------------------------------------
