@@ -780,6 +780,18 @@ def test_a_proof_with_conditions_is_below_all_and_reaches_the_best_in_so_many_bo
     assert found.price == (max(left), min(right))
 
 
+@pytest.mark.parametrize("reserve", [0.0, 45.0])
+def test_what_a_proof_begins_with_counts_if_it_meets_the_conditions(reserve):
+    given = Conditions(THREE.p_min, THREE.p_max, Losses.none(3), reserve, np.array([30.0, 10.0, 20.0]))
+    for P, good in (((200.0, 70.0, 130.0), True), ((200.0, 70.0, 131.0), False), ((130.0, 120.0, 150.0), not reserve)):
+        proof = branch.branch_and_bound(THREE, 400.0, np.array(P), 1e-3, 0, given)
+        assert (proof.cost, proof.nodes) == (pytest.approx(THREE.total(P)) if good else np.inf, 0)
+        assert proof.P.tolist() == list(P)
+        assert proof.bound == -np.inf
+    plain = branch.branch_and_bound(THREE, 400.0, np.array([200.0, 70.0, 131.0]), 1e-3, 0)
+    assert plain.cost == pytest.approx(THREE.total([200.0, 70.0, 131.0]))  # nobody asks whether it balances
+
+
 # The answer ---------------------------------------------------------------------------------------------
 
 
