@@ -937,6 +937,20 @@ def test_a_disk_full_at_a_split_leaves_the_files_before(tmp_path, monkeypatch, f
             assert len(list(make_reader(file).iter_metadata())) == 2
 
 
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_file_that_cannot_be_made_says_why(tmp_path, monkeypatch, storage):
+    """Nothing is there that could be taken away again."""
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr("softrig_bags.bag.STORAGES", {storage: full})
+    full.SUFFIX = STORAGES[storage].SUFFIX
+    with pytest.raises(OSError, match="full"):
+        BagWriter(tmp_path / "bag", storage=storage, reserve=10)
+    assert list(tmp_path.iterdir()) == []
+
+
 def chunk(content: bytes, compression: str, claimed: int, data: bytes) -> bytes:
     """An MCAP chunk record, with any claim about its size."""
     body = struct.pack("<QQQI", 0, 0, claimed, zlib.crc32(content)) + struct.pack("<I", len(compression))

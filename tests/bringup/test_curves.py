@@ -241,6 +241,7 @@ BETWEEN, MOST, LEAST = {"expected": 2.0, "tolerance": 0.5}, {"at_most": 2.0}, {"
         (measures.settling_time, BETWEEN, 1.0, {}, [("time", 1.5, 2.5, 1.0, -INF, INF)]),
         (measures.settling_time, BETWEEN, 1.0, {"start": 1.0}, [("time", 2.5, 3.5, 2.0, 1.0, INF)]),
         (measures.rise_time, BETWEEN, None, {"final": 5.0}, [("time", 2.5, 3.5, math.nan, -INF, INF)]),  # 1 V at 1 s
+        (measures.rise_time, BETWEEN, None, {"final": 10.0}, [("time", 2.5, 3.5, math.nan, -INF, INF)]),  # just so much
         (measures.rise_time, BETWEEN, None, {"low": 0.5}, [("time", 3.5, 4.5, math.nan, -INF, INF)]),
         (measures.rise_time, BETWEEN, None, {"final": 99.0, "low": 0.2}, []),  # it never begins
         (measures.overshoot, {"expected": 25.0, "tolerance": 5.0}, 10.0, {}, [("value", 4.8, 5.2, 4.4, -INF, INF)]),
@@ -310,7 +311,7 @@ MARKS = {
     "a bound of time outside": [Mark("time", "rise_time", -INF, 10.5, published=-0.1)],
     "times at the edges": [Mark("time", "a", 0.0, 10.0, published=10.0)],
     "an instant": [Mark("time", "a", 4.0, 4.0)],
-    "names together": [Mark("time", "a", -INF, 4.0), Mark("time", "b_c", 4.1, INF), Mark("time", "d", 4.3, INF)],
+    "names together": [Mark("time", "a", -INF, 4.0), Mark("time", "b_c", 4.1, INF), Mark("time", "d", 4.25, INF)],
     "four names": [Mark("time", n, -INF, 2.0 * k + 1.0) for k, n in enumerate("abcd")],
     "five times without names": [Mark("time", n, -INF, 2.0 * k + 1.0) for k, n in enumerate("abcde")],
     "violated": [Mark("violated", "a", start=2.0, end=3.0), Mark("violated", "a", start=9.0, end=12.0)],
@@ -335,6 +336,7 @@ def test_each_kind_of_mark_is_drawn_as_told(scale, name):
         entries = draw_marks(ax, marks, scale)
         ax.set_title(f"{about}: {', '.join(name for _, name in entries) or 'nothing'}", loc="left")
     check_told(f"pictures/{name}", (line for line in figure_lines(figure) if not line.strip().startswith("linear")))
+    assert not any(t.get_in_layout() for ax in figure.axes for t in ax.texts)  # a name does not press the axes flat
 
 
 # axes ------------------------------------------------------------------------------------------------------------

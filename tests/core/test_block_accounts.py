@@ -84,9 +84,7 @@ def test_a_schedule_is_a_list_of_stamps(seed):
 def test_runs_that_are_too_short_or_have_no_end():
     half = Fraction(1, 2 * 10**9)
     assert Schedule("0.01", None, Fraction(1, 100) - half).ticks == 1
-    assert said(Schedule, "0.01", None, Fraction(1, 100) - 2 * half).startswith(
-        "ValueError: duration 0.01 s is shorter"
-    )
+    assert said(Schedule, "0.01", None, 0.009999999).startswith("ValueError: duration 0.01 s is shorter")
     assert said(Schedule, "0.01", "0.02") == "ValueError: period 0.01 s is not a multiple of the 0.02 s of the clock"
     assert said(Schedule("0.01").count) == "ValueError: the run has no end"
     assert (Schedule("0.01").last, Schedule("0.01", None, 0.0).ticks, Schedule("0.01").awaited(10**12)) == (
@@ -109,26 +107,29 @@ def test_the_simplest_number_between_two_is_the_first_of_all_fractions_in_order(
 
 # ports ----------------------------------------------------------------------------------------------------------------
 
-PORTS = {
-    "joint_state": joint_state("a", "t", ["x", "y"], position="m", velocity=["m/s", "1"], effort="N"),
-    "some fields of it": joint_state("a", "t", ["x", "y"], velocity="rad/s", safe=(1, 2)),
-    "command": command("a", "t", ["u", "v"], ["V", "A"], limits=(2.0, 3.0)),
-    "scalars": scalars("a", "t", {"T": "K", "p": "Pa"}, held=True),
-    "reference": reference("a", "t", ["x"], position="m", velocity="m/s", acceleration="m/s^2", partial=True),
-    "vector3": vector3("a", "t", "abc", "A", delayed=True),
-    "vector3 of units": vector3("a", "t", "dq", ("V", "A", "1"), sporadic=True),
-    "wrench": wrench("a", "t", "foot"),
-    "pose": pose("a", "t", "world"),
-    "array": array("a", "t", {"row": 2, "column": 3}, "m", unchecked=True),
-    "array of units": array("a", "t", {"k": 2}, ("m", "rad")),
-    "number": number("a", "t", "V"),
-    "button": button("a", "t"),
-}
+
+def all_ports():
+    """One of each kind."""
+    return {
+        "joint_state": joint_state("a", "t", ["x", "y"], position="m", velocity=["m/s", "1"], effort="N"),
+        "some fields of it": joint_state("a", "t", ["x", "y"], velocity="rad/s", safe=(1, 2)),
+        "command": command("a", "t", ["u", "v"], ["V", "A"], limits=(2.0, 3.0)),
+        "scalars": scalars("a", "t", {"T": "K", "p": "Pa"}, held=True),
+        "reference": reference("a", "t", ["x"], position="m", velocity="m/s", acceleration="m/s^2", partial=True),
+        "vector3": vector3("a", "t", "abc", "A", delayed=True),
+        "vector3 of units": vector3("a", "t", "dq", ("V", "A", "1"), sporadic=True),
+        "wrench": wrench("a", "t", "foot"),
+        "pose": pose("a", "t", "world"),
+        "array": array("a", "t", {"row": 2, "column": 3}, "m", unchecked=True),
+        "array of units": array("a", "t", {"k": 2}, ("m", "rad")),
+        "number": number("a", "t", "V"),
+        "button": button("a", "t"),
+    }
 
 
 def test_ports_are_as_told():
     lines = []
-    for name, port in PORTS.items():
+    for name, port in all_ports().items():
         flags = [f for f in ("held", "delayed", "sporadic", "partial", "unchecked", "stamped") if getattr(port, f)]
         layout = port.layout()
         lines += [
@@ -157,12 +158,12 @@ def test_ports_are_as_told():
 
 
 def test_what_a_port_takes_is_finite_and_within_its_limits():
-    port = PORTS["command"]
+    port = all_ports()["command"]
     for value in (2.0, -2.0, 2.0000001, -2.1, math.inf, -math.inf, math.nan):
         taken = math.isfinite(value) and abs(value) <= 2.0
         assert (port.beyond((value, 0.0)) == "") == taken
     assert port.beyond((0.0, 3.5)) == "v/effort is 3.5 A, expected at most 3 in magnitude"
-    assert PORTS["button"].beyond((2e12,)) == "data is 2e+12 1, expected at most 1e+12 in magnitude"
+    assert all_ports()["button"].beyond((2e12,)) == "data is 2e+12 1, expected at most 1e+12 in magnitude"
     assert port.beyond((math.nan, 0.0)) == "u/effort is nan, expected a finite number"
 
 
@@ -193,14 +194,14 @@ def test_what_one_port_sends_another_reads_by_the_names_of_its_values(seed):
 
 
 def test_arrays_are_numbered_in_the_order_of_calls():
-    port = PORTS["array of units"]
+    port = all_ports()["array of units"]
     decode = Decoder(port)
     for begin in (0, 5):
         encode = encoder(port.layout(), begin)
         assert [decode(encode(7, (float(k), 0.0))) for k in range(3)] == [
             (begin + k, (float(k), 0.0)) for k in range(3)
         ]
-    plain = PORTS["command"].layout()
+    plain = all_ports()["command"].layout()
     assert encoder(plain)(7, (1.0, 2.0)) == plain.encode(7, (1.0, 2.0))
     assert decode.number(encoder(port.layout(), 9)(0, (1.0, math.nan))) == 9
     assert decode.number(b"none") == -1
@@ -214,7 +215,7 @@ def test_what_does_not_fit_is_told():
         "another type": (two, number("a", "t", "m")),
         "another frame": (vector3("a", "t", "abc", "A"), vector3("a", "t", "dq", "A")),
         "a frame where none is named": (wrench("a", "t"), wrench("a", "t", "foot")),
-        "another shape": (PORTS["array"], PORTS["array of units"]),
+        "another shape": (all_ports()["array"], all_ports()["array of units"]),
         "other channels": (two, joint_state("a", "t", ["x", "z"], position="m")),
         "more channels than a partial one has": (two, joint_state("a", "t", ["x"], position="m", partial=True)),
         "fields that are not filled": (two, joint_state("a", "t", ["x", "y"], effort="N")),
@@ -323,6 +324,8 @@ GIVEN = [
     {"wide": [1e13]},
     {"wide": [1.0] * 10_000},
     {"wide": [1.0] * 10_001},
+    {"rig.word": "x" * 98},
+    {"rig.word": "x" * 99},
     {"rig.word": "x" * 10_000},
     {"rig.word": "x" * 10_001},
     {"maybe": -1.0},
@@ -354,7 +357,7 @@ def test_parameters_are_as_told():
         assert build(Every, flatten(found)) == found
         new = {k: v for k, v in flatten(found).items() if v != flatten(Every())[k] and len(repr(v)) < 100}
         lines.append(f"{short}: changes {new}")
-        if len(differing(found)) < 200:
+        if len(differing(found)) < 300:
             lines.append(f"  {differing(found)!r}")
     lines += [f"{steps} steps: {said(check_steps, steps / 1024, 1 / 1024, 'substep')}" for steps in (100_000, 100_001)]
     check_told("parameters", lines)
@@ -433,6 +436,6 @@ def test_what_is_reported_anew_is_so_and_outside_of_a_run_all_is_at_once():
 
 
 def test_a_sample_before_the_first_message_is_of_time_zero():
-    assert PORTS["vector3"].initial == Sample(0, (0.0, 0.0, 0.0))
-    assert list(itertools.islice(PORTS["scalars"].units, 2)) == ["K", "Pa"]
+    assert all_ports()["vector3"].initial == Sample(0, (0.0, 0.0, 0.0))
+    assert list(itertools.islice(all_ports()["scalars"].units, 2)) == ["K", "Pa"]
     assert issubclass(Refused, ValueError)

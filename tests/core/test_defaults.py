@@ -25,8 +25,14 @@ PACKAGES = (
     "softrig_power",
     "softrig_robots",
     "softrig_systems",
+    "softrig_bringup",
 )
-LAZY = ("softrig_control.fmu.child", "softrig_control.fmu.slave", "softrig_core.kit._borrowed")  # of an extra; numba's
+LAZY = (  # of an extra; numba's; runs where it is imported
+    "softrig_control.fmu.child",
+    "softrig_control.fmu.slave",
+    "softrig_core.kit._borrowed",
+    "softrig_bringup.__main__",
+)
 BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length")
 SET = re.compile(r"^_?[A-Z]\w*(?:, _?[A-Z]\w*)*(?=: .* = | = )", re.M)  # names of a module, at the line's begin
 LONG = 300  # characters; tables longer than this have tests of their own

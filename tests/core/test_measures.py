@@ -234,6 +234,20 @@ def test_figures_of_steps(signals, cuts, initial, final, levels, bands):
         )
 
 
+def test_a_step_over_uneven_samples():
+    """Crossings lie on the lines between two samples, wherever these are."""
+    t, y = np.array([0.0, 0.1, 0.4, 0.5, 1.0, 1.8, 2.0]), np.array([0.0, 0.05, 0.6, 0.8, 1.2, 0.9, 1.0])
+    signals = {"y": (t + 3.0, 2.0 * y - 7.0)}  # a step by 2 from -7
+    about = {"final": -5.0, "initial": -7.0}
+    low, high = 0.1 + 0.3 * 0.05 / 0.55, 0.5 + 0.5 * 0.1 / 0.4
+    assert measures.rise_time(signals, "y", **about) == pytest.approx(high - low)
+    assert measures.rise_time(signals, "y", **about, low=0.0) == pytest.approx(high)
+    assert measures.settling_time(signals, "y", **about, band=0.15) == pytest.approx(1.0 + 0.8 * 0.05 / 0.3)
+    assert measures.settling_time(signals, "y", **about, band=0.15, at="sample") == pytest.approx(1.8)
+    assert measures.settling_time(signals, "y", **about, band=0.05) == pytest.approx(1.8 + 0.2 * 0.05 / 0.1)
+    assert measures.settling_time(signals, "y", **about, band=0.25) == pytest.approx(0.4 + 0.1 * 0.15 / 0.2)
+
+
 @given(st.lists(st.integers(0, 60), min_size=1, max_size=60), st.lists(st.integers(0, 60), max_size=60))
 @settings(max_examples=30, deadline=None, derandomize=True)
 def test_the_newest_of_many_instants(times, at):

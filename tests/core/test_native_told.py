@@ -1305,6 +1305,7 @@ ALL = {
     "reports": REPORTS.strip().split("\n\n"),
 }
 EACH = [case for cases in ALL.values() for case in cases]
+UNTYPED = [*ALL["numbers"], *ALL["parts"], *ALL["reports"]]  # of which some may be other texts where Python runs them
 LINES = sum(len(ALL[name]) for name in CASES)
 
 
@@ -1315,7 +1316,7 @@ def test_the_text_is_as_told(name: str) -> None:
 
 def test_what_python_runs_is_another_text_in_few_cases() -> None:
     """Objects that are values are themselves there, whole numbers have no end."""
-    others = ((case, told(case, False)) for case in EACH)
+    others = ((case, told(case, False)) for case in UNTYPED)
     check_told("native/in_python", (line for case, lines in others if lines != told(case) for line in lines))
 
 
@@ -1381,8 +1382,8 @@ def calling(case: str, typed: bool) -> Any:
 def test_the_text_gives_what_python_gives(typed: bool) -> None:
     """With what it was made of, and with other values; or it gives the tick up."""
     equal = 0
-    for case in EACH:
-        if (found := calling(case, typed)) is None:
+    for case in EACH if typed else UNTYPED:
+        if "doubled" in case or (found := calling(case, typed)) is None:  # numba, which others load
             continue
         names, call, python, reported = found
         for pick in itertools.product(*([0, 1] for _ in names)):
@@ -1399,7 +1400,7 @@ def test_the_text_gives_what_python_gives(typed: bool) -> None:
             equal += 1
         natively, wanted = reported()
         assert natively == wanted, case
-    assert equal > 500
+    assert equal > (1000 if typed else 250)
 
 
 def native_or_why(body: str, **given: Any) -> str:

@@ -9,10 +9,13 @@ from types import SimpleNamespace
 
 import pytest
 from by_hand import Hand
-from softrig_core import Sample, array, command, joint_state
+from softrig_core import Recording, Sample, array, command, joint_state
+from softrig_core.block.change import Change
 from softrig_core.block.port import CLOCK
 from softrig_core.block.schedule import Schedule
-from softrig_core.node.lockstep import paired
+from softrig_core.node.adapter.files import Files
+from softrig_core.node.lockstep import comeback as comebacks, paired
+from softrig_core.node.lockstep.comeback import Comeback
 from softrig_core.node.lockstep.first import repeat_first
 from softrig_core.node.lockstep.paired import Newest, Paired, PairedSenders
 from softrig_core.node.lockstep.stalls import Stalls
@@ -40,7 +43,7 @@ class Reader:
         self.step = SimpleNamespace(stamps={}, bad=False)
         self.refusals, self.failures, self.notes, self.waits_for = [], [], [], []
         self.block = SimpleNamespace(note=lambda level, key, text: self.notes.append((level.name, key, text)))
-        self.turns = 0
+        self.turns, self.inputs = 0, []
         self.table = PairedSenders(self, self._turn)
 
     def _turn(self):
@@ -66,7 +69,8 @@ class Reader:
 
     def row(self, port):
         self.values[port.name] = port.safe
-        return self.table.row(port)
+        self.inputs.append(self.table.row(port))
+        return self.inputs[-1]
 
 
 def link(period="0.01", **more):
@@ -355,6 +359,32 @@ def test_the_newest_value_holds_from_the_tick_at_which_it_came_and_is_recorded_t
     assert reader.values["y"] == (3.0,)
     assert reader.refusals[1:] == [("y", "number 3 from another node, expected 4 (already there)")]
     assert reader.notes == [("WARN", "lost y", "2 messages of another node are lost")]
+
+
+def test_numbers_tell_what_is_lost_and_what_is_repeated_and_begin_anew_with_a_bag_that_is_played_again():
+    reader = Reader()
+    row = reader.row(array("x", "x", {"q": 1}, "m", held=True))
+    for k, (told, new, lost) in enumerate(
+        [
+            (5, True, 0),
+            (6, True, 0),
+            (6, False, 0),
+            (9, True, 2),
+            (3, False, 2),
+            (0, True, 2),
+            (0, False, 2),
+            (5, True, 6),
+            (-1, True, 6),
+            (2, True, 6),
+            (3, True, 6),
+            (0, True, 6),
+            (1, True, 6),
+            (0, True, 6),
+        ]
+    ):
+        assert row.in_order(told) is new, k
+        assert row.lost == lost
+    assert [text.split(",")[0] for _, text in reader.refusals] == [f"number {n} from another node" for n in (6, 3, 0)]
 
 
 def test_what_comes_from_outside_is_recorded_at_the_tick_that_uses_it():
@@ -715,3 +745,165 @@ def test_two_who_publish_one_topic_are_named_when_the_graph_knows_them():
     assert after(reader, stalls, 0.0) == "2 publishers on x (/one, /two), expected exactly one"
     assert isinstance(row, Paired)
     assert TICK == "std_msgs/msg/Header"
+
+
+# ---- a node that comes back ----
+
+
+class Drive:
+    """What drives a reader that comes back."""
+
+    def __init__(self, reader):
+        self.node, self.senders, self.solving = reader, reader.table, None
+        self.spoken = SimpleNamespace(silent=False)
+
+    def await_tick(self, t):
+        self.senders.await_tick(t)
+
+
+def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=None, clock=False, **links):
+    """A reader that has died, with what the others have recorded: times (ms) and values by topic, by sender how far."""
+    kinds = {"x": link(), "s": InputLink(period="0.01", node="quiet", port="out", sporadic=True), "c": link()}
+    reader = Reader(inputs=kinds if inputs is None else inputs, returns=True, **links)
+    reader.files = True
+    ports = (state("x"), state("s"), array("c", "c", {"q": 1}, "m")) if ports is None else ports
+    rows = {port.name: reader.row(port) for port in ports}
+    if clock:
+        reader.table.follow_clock(link())
+    reader.table.follow_ticks(set(), lambda: None)
+    planned, marked = [], []
+    reader.step.changes, reader.step.plan = [Change(MS, {"k": 1.0})], planned.extend
+    reader.step.lacks, reader.block, reader.write_status = "as ever", None, lambda: None
+
+    def recording(of):
+        known = {port.name: port for port in ports} | {"/clock": CLOCK}
+        made = Recording((name, known[name].msgtype) for name in of)
+        for name, said_then in of.items():
+            port = known[name]
+            for k, (t, value) in enumerate(said_then):
+                made.topics[name].times.append(t * MS)
+                made.topics[name].data.append(
+                    port.layout().encode(k if name == "c" else t * MS, value if name == "/clock" else (value,))
+                )
+        return made
+
+    files = Files(recording(record), recording(dict(own)), dict(answered), frozenset(gone))
+    back = Comeback(Drive(reader), lambda: files)
+    seen = []
+
+    def ticks():
+        for k in range(reader.schedule.count()):
+            reader.ticks = k
+            assert back._drive.spoken.silent
+            if reader.step.lacks(reader.t):
+                yield None
+                return
+            marked.append({name: row.stamp for name, row in rows.items()})
+            seen.append((k, *(reader.values[name][0] for name in rows), reader.step.bad))
+            reader.step.bad = False
+            yield reader.t
+
+    back.go(ticks())
+    return reader, rows, back, seen, marked, planned, recording
+
+
+RECORD = {
+    "x": [(10 * k, k + 0.5) for k in range(5)],  # up to 40 ms
+    "s": [(10, 7.0), (30, math.nan)],  # spoke twice; the second was refused
+    "c": [(10 * k, k + 0.25) for k in range(6)],
+}
+
+
+def test_who_comes_back_answers_the_ticks_for_which_the_others_have_said_all_and_waits_for_the_rest():
+    reader, rows, back, seen, marked, planned, _ = comes_back(RECORD, answered={"quiet": 60 * MS, "sender": 50 * MS})
+    assert seen == [
+        (0, 0.5, 0.0, 0.25, False),
+        (1, 1.5, 7.0, 1.25, False),
+        (2, 2.5, 7.0, 2.25, False),
+        (3, 3.5, 7.0, 3.25, True),
+        (4, 4.5, 7.0, 4.25, False),
+    ]
+    assert marked[4] == {"x": 40 * MS, "s": 10 * MS, "c": 40 * MS}
+    assert planned == [Change(MS, {"k": 1.0})]
+    assert (reader.step.lacks, back._drive.spoken.silent) == ("as ever", False)
+    assert reader.refusals == [("s", "q/position is nan, expected a finite number")]
+    assert {name: (row.used, row.reached) for name, row in rows.items()} == {
+        "x": (40 * MS, 40 * MS),
+        "s": (50 * MS, 50 * MS),
+        "c": (50 * MS, 50 * MS),
+    }
+    assert [row.who for row in reader.table.rows if not row.have] == ["sender"]
+    assert rows["c"].received == 6
+    assert rows["x"].want == 50 * MS
+    rows["x"].receive(said(rows["x"].port, 50 * MS, 9.5))
+    assert (reader.table.missing, reader.values["x"], reader.values["c"], reader.turns) == (0, (9.5,), (5.25,), 1)
+
+
+def test_who_comes_back_learns_from_the_files_what_was_said_meanwhile_and_who_has_left():
+    reader, rows, back, *_, recording = comes_back(RECORD, answered={"quiet": 60 * MS, "sender": 50 * MS})
+    more = RECORD | {"x": [(10 * k, k + 0.5) for k in range(6)], "s": [*RECORD["s"], (50, 8.0)]}
+    files = Files(recording(more), recording({}), {"quiet": 70 * MS, "sender": math.inf}, frozenset({"sender"}))
+    back._look_up = lambda: files
+    assert back.look()
+    assert back.gone == {"sender"}
+    assert [row.heard for row in rows.values()] == [True, False, True]
+    assert (reader.table.missing, reader.values["x"]) == (0, (5.5,))
+    assert not back.look()  # nobody new
+    assert len(reader.refusals) == 1
+
+
+def test_a_sender_that_has_answered_a_tick_and_recorded_nothing_was_silent_at_it():
+    record = {"x": [(0, 0.5)], "s": []}
+    kinds = {"x": link(), "s": InputLink(period="0.01", node="quiet", port="out", sporadic=True)}
+    for answered, last in (({"quiet": 10 * MS}, 0), ({"quiet": 1}, 0), ({}, None)):
+        ports = state("x"), state("s")
+        reader, rows, _, seen, *_ = comes_back(record, answered=answered, inputs=kinds, ports=ports)
+        assert [k for k, *_ in seen] == ([] if last is None else [*range(last + 1)])
+        assert rows["s"].reached == (-10 * MS if last is None else 0)
+    fresh, rows, *_ = comes_back({}, inputs=kinds, ports=ports)  # nobody has said anything yet
+    rows["x"].receive(said(rows["x"].port, 0, 3.0))
+    rows["s"].receive(said(rows["s"].port, 0, 4.0))
+    assert (fresh.table.missing, fresh.values["x"], fresh.values["s"]) == (0, (3.0,), (4.0,))
+    ended = comes_back(
+        record, answered={"quiet": math.inf, "sender": math.inf}, inputs=kinds, ports=ports, gone={"quiet"}
+    )
+    reader, rows, back, seen, *_ = ended
+    assert len(seen) == reader.schedule.count()  # they had said all
+    assert rows["s"].reached == 200 * MS
+    assert back.gone == {"quiet"}
+    assert [row.heard for row in rows.values()] == [False, True]
+
+
+def test_what_came_from_outside_is_in_its_own_record_and_each_message_counts():
+    free = joint_state("f", "f", ["q"], position="m", held=True)
+    ports = state("x"), free
+    record, own = (
+        {"x": [(10 * k, k + 0.5) for k in range(3)]},
+        {"f": [(0, 1.0), (10, 2.0), (10, 3.0), (20, math.inf), (90, 5.0)]},
+    )
+    reader, rows, _, seen, _, _, recording = comes_back(record, own, inputs={"x": link()}, ports=ports)
+    assert seen == [(0, 0.5, 1.0, False), (1, 1.5, 3.0, False), (2, 2.5, 3.0, True)]
+    assert rows["f"].stamp == 10 * MS
+    reader = Reader(inputs={"x": link()}, returns=True)
+    reader.foreign, row = {"f": 4}, None
+    reader.row(state("x"))
+    row = reader.row(free)
+    heard = comebacks._Heard(row, Files(recording({}), recording(own)), outside=True)
+    reader.ticks = 1
+    heard.bring(10 * MS)
+    assert [(number, t) for number, t, _ in reader.kept] == [(4, 10 * MS)] * 3  # recorded anew
+    assert [number for number, _ in heard.rest()] == [3, 4]
+    paired_ = comebacks._Heard(reader.table.rows[0], Files(recording(record), recording(own)), outside=False)
+    paired_.bring(15 * MS)
+    assert (reader.values["x"], reader.table.rows[0].stamp, len(reader.kept)) == ((1.5,), 10 * MS, 3)
+    assert [number for number, _ in paired_.rest()] == [2]
+
+
+def test_who_paces_itself_by_the_clock_comes_back_to_its_newest_tick():
+    times = [(10 * k, ()) for k in range(4)]
+    for record, ticks, used in ((times, 4, 30 * MS), ([], 0, -1)):
+        reader, _, _, seen, *_ = comes_back({"/clock": record}, inputs={}, ports=(), clock=True)
+        (row,) = reader.table.rows
+        assert (len(seen), row.used, row.reached, reader.table.missing) == (ticks, used, used, 1)
+        row.receive(CLOCK.layout().encode(10 * ticks * MS, ()))
+        assert (reader.table.missing, reader.turns) == (0, 1)

@@ -7,6 +7,8 @@ import os
 import signal
 import socket
 import subprocess
+import sys
+import threading
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,15 +17,29 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from conftest import make_scenario
-from softrig_core import ScenarioError, rig_of
+from faultrig import Gain, Lag, Source
+from rclpy.parameter import Parameter
+from softrig_core import RunError, ScenarioError, rig_of
+from softrig_core.block.params import ParameterError
+from softrig_core.node import main
 from softrig_core.node.ros import profile
-from softrig_core.processes import children, executables, fork_server, ports, restarting, spawning, supervision
+from softrig_core.processes import (
+    children,
+    executables,
+    fork_server,
+    ports,
+    processes,
+    restarting,
+    spawning,
+    supervision,
+)
 from softrig_core.processes.children import last_line, read_status, stop
 from softrig_core.processes.guests import Guests
 from softrig_core.processes.placement import Placement
 from softrig_core.processes.restarting import Restarts, check_restart
 from softrig_core.processes.stopping import Stopped
 from softrig_core.processes.supervision import SystemClock, idle
+from softrig_core.rig.options import RunOptions
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 
@@ -689,3 +705,140 @@ def test_a_server_serves_what_differs_only_in_what_a_node_reads_when_it_starts()
     assert not serves(server, base | {"A": "2"})
     server._owner = -1
     assert not serves(server, base)
+
+
+def test_an_answer_of_the_server_is_that_to_the_newest_question_and_who_has_died_was_killed(monkeypatch):
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    server = object.__new__(fork_server.ForkServer)
+    server._lock, server._asked, server._link, server._owner = threading.Lock(), 0, ours, -1
+    for number, status in ((1, 7), (1, 8), (2, 9)):  # an answer to a question that a signal has cut off
+        theirs.send(json.dumps({"number": number, "status": status}).encode())
+    assert [server.status(5), server.status(6)] == [7, 9]
+    asked = [json.loads(theirs.recv(999)) for _ in range(2)]
+    assert asked == [{"status": 5, "number": 1}, {"status": 6, "number": 2}]
+    theirs.send(b'{"number": 3}')
+    assert server.status(5) == -signal.SIGKILL
+    size = len(json.dumps({"status": 5, "number": 4}))
+    monkeypatch.setattr(fork_server, "LARGEST", size - 1)
+    theirs.send(b'{"number": 4, "status": 1}')
+    assert server.status(5) == -9  # too long to be asked
+    monkeypatch.setattr(fork_server, "LARGEST", size)
+    theirs.send(b'{"number": 5, "status": 6}')
+    assert server.status(5) == 6
+    theirs.close()
+    assert server.status(5) == -9
+
+
+def test_a_server_that_cannot_is_replaced_once_and_then_the_executable_starts_by_itself(monkeypatch):
+    asked = []
+    for answers, started in (([5], 5), ([None, 6], 6), ([None, None, 7], None)):
+        given = iter(answers)
+        server = SimpleNamespace(start=lambda *what, given=given: asked.append(what) or next(given))
+        monkeypatch.setattr(fork_server, "prepare", lambda variables, server=server: server)
+        monkeypatch.setattr(fork_server, "_server", "old")
+        assert fork_server.start_node("p", "e", ["c"], {"A": "1"}, 2) == started
+        assert fork_server._server == ("old" if started == 5 else None)
+    assert asked == [("p", "e", ["c"], {"A": "1"}, 2)] * 5
+
+
+def test_a_module_that_is_edited_is_seen_once(tmp_path, monkeypatch):
+    file = tmp_path / "edited.py"
+    file.write_text("")
+    os.utime(file, ns=(1, 10**18))
+    monkeypatch.setitem(sys.modules, "edited", SimpleNamespace(__file__=str(file)))
+    monkeypatch.setattr(fork_server.sys, "modules", {"edited": sys.modules["edited"], "bare": SimpleNamespace()})
+    edited = fork_server._Edited()
+    os.utime(file, ns=(1, 2 * 10**18))
+    assert edited
+    assert not edited
+    file.unlink()
+    assert edited
+    assert not edited
+    monkeypatch.setattr(fork_server, "_LIBRARIES", (str(tmp_path),))
+    file.touch()
+    assert not edited  # of Python's own libraries nobody looks
+
+
+def test_the_folder_of_a_run_is_made_where_there_is_none(tmp_path, monkeypatch, lag_rig):
+    def down():
+        raise RunError("lo is down")
+
+    monkeypatch.setattr(processes, "require_loopback", down)
+    for _ in range(2):
+        with pytest.raises(RunError, match="lo is down"):
+            processes.run_processes(lag_rig, 0, tmp_path / "a" / "b")
+    assert (tmp_path / "a" / "b").is_dir()
+    recording, status = processes.gathered(lag_rig, tmp_path, ["plant"])
+    assert (set(recording.topics), status) == (set(lag_rig.topics), {"plant": {}})
+
+
+# ---- what a node declares and says of itself ----
+
+
+class Declares:
+    """A node that is given parameters and keeps what is declared."""
+
+    def __init__(self, **given):
+        kinds = {k.replace("__", "."): v for k, v in given.items()}
+        self._parameter_overrides = {
+            k: SimpleNamespace(value=v, type_=Parameter.Type.NOT_SET if v is None else None) for k, v in kinds.items()
+        }
+        self._parameters, self.declared = {}, {}
+
+    def declare_parameter(self, name, value, descriptor, ignore_override):
+        assert ignore_override
+        self.declared[name] = value, descriptor.read_only
+
+
+def test_a_node_declares_its_parameters_and_those_of_its_run_that_fit_another_one():
+    node = Declares(k=3.0, run__seed=5, run__shard="x", use_sim_time=True, qos_overrides__x=1, run__paired=None)
+    params, options = main._parameters(node, Gain)
+    assert (params.k, options.seed, options.shard, options.paired) == (3.0, 5, "x", ())
+    own = {"k": (3.0, True), "noise": (0.0, True), "period": (0.01, True)}
+    assert {k: v for k, v in node.declared.items() if not k.startswith("run.")} == own
+    assert {k.removeprefix("run."): v[0] for k, v in node.declared.items() if k.startswith("run.")} == {
+        "mode": "realtime",
+        "seed": 5,
+        "duration": 0.0,
+        "timeout": 10.0,
+        "patience": 0.8,
+        "stamp_window": 1.0,
+        "start_timeout": 30.0,
+        "paired": [],
+        "watchdog": 0.0,
+        "frames": True,
+        "epoch": 0,
+        "paused": False,
+        "pace": 0.0,
+    }
+    assert not node.declared["run.pace"][1]  # it may change
+    assert node._parameters["run.paired"].type_ == Parameter.Type.STRING_ARRAY
+    with pytest.raises(ParameterError):
+        main._parameters(Declares(kk=3.0), Gain)
+
+
+def test_a_node_says_what_it_is_and_how_it_is_started():
+    assert main.introduction(Gain(), RunOptions()) == (
+        "u = k (r - x) + noise; the state is the number of its ticks; realtime, every 0.01 s; "
+        "waits for lag/state, lag/reference; publishes lag/command"
+    )
+    assert main.introduction(Source(), RunOptions(mode="lockstep")) == (
+        "A sine of the tick number; lockstep, every 0.01 s; waits for nobody; publishes lag/reference"
+    )
+    lines = main.usage("gain", Gain).splitlines()
+    assert lines[:9] == [
+        "gain: u = k (r - x) + noise; the state is the number of its ticks.",
+        "",
+        "  reads lag/state (sensor_msgs/msg/JointState: x/position, x/velocity)",
+        "  reads lag/reference (trajectory_msgs/msg/JointTrajectory: x/position)",
+        "  publishes lag/command (sensor_msgs/msg/JointState: u/effort)",
+        "",
+        "At a tick of which an input is refused: What it said last is held.",
+        "",
+        "Parameters, each as `--ros-args -p NAME:=VALUE` (node name, remaps and files as in any ROS 2 node):",
+    ]
+    assert lines[9].startswith("  period = 0.01 s: ")
+    assert "  k = 2.0: gain" in lines
+    assert any(line.startswith("  run.pace = 0.0: ") and line.endswith("; may change while running") for line in lines)
+    assert not any("refused" in line for line in main.usage("source", Source).splitlines()[:6])
+    assert "refused: " not in main.usage("plant", Lag)

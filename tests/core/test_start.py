@@ -2,6 +2,7 @@
 
 import json
 import re
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from by_hand import Hand
 from faultrig import COMMAND, REFERENCE, STATE, Burst, Gain, Lag, Spread, Watcher
 from softrig_core import RunError, joint_state
 from softrig_core.block.block import Level
+from softrig_core.node import container as containers, group as group_module
 from softrig_core.node.adapter import adapter as adapters
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.adapter.departure import READY, START, Departure
@@ -18,7 +20,8 @@ from softrig_core.node.adapter.handshake import Handshake
 from softrig_core.node.adapter.spin import conclude, failure
 from softrig_core.node.container import Container, split
 from softrig_core.node.group import Group
-from softrig_core.node.lockstep.comeback import Spoken
+from softrig_core.node.lockstep import comeback as comebacks
+from softrig_core.node.lockstep.comeback import Comeback, Spoken
 from softrig_core.node.seam.endpoint import Input, Output
 from softrig_core.node.seam.exchange import Exchange
 from softrig_core.node.seam.tick import TICK, TickReader, TickWriter
@@ -88,6 +91,10 @@ def test_a_node_begins_when_all_that_it_reads_are_said_and_all_who_read_it_hear_
     gone.x.matched(0)
     gone.x.heard = True  # who has said all it had to say is gone
     assert gone.absent() == []
+    nobody = Meeting([])
+    nobody.x.matched(1)
+    nobody.hand.readers["/y"] = {"tool": JOINT}
+    assert nobody.absent() == []  # nobody is awaited
     local = Meeting(["law", "here"], local=["here"]).whole(law=JOINT, here=JOINT)
     local.y.matched(1)
     assert local.absent() == []
@@ -464,6 +471,36 @@ def test_a_topic_of_another_type_is_told_once_and_a_watch_writes_the_status(tmp_
     assert hand.logs[1:] == ["WARN it is late"]
 
 
+@pytest.mark.parametrize(("every", "written"), [(1, [1, 2, 3, 4, 5, 6, 7, 8]), (4, [4, 8])])
+def test_a_status_is_written_at_each_watch_or_against_the_wall_clock_at_each_fourth(every, written, tmp_path):
+    hand, _, adapter = node(Gain(), law_links(), status=str(tmp_path / "a.status"))
+    Group([adapter])
+    watch = next(t for t in hand.timers if t.call.__name__ == "_watch")
+    adapter.state, adapter.drive.status_every = "running", every
+    adapter.drive.progress = lambda: None
+    times = []
+    adapter.write_status = lambda: times.append(adapter._watches)
+    for _ in range(8):
+        watch.call()
+    assert times == written
+    adapter.state = "done"
+    watch.call()
+    assert times[-1] == 9
+
+
+def test_who_comes_back_says_each_quarter_of_a_second_that_it_lives(monkeypatch):
+    clock, written = SimpleNamespace(now=5.0), []
+    monkeypatch.setattr(comebacks, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    back = object.__new__(Comeback)
+    back._told, back._paired, back._free = 5.0, {}, []
+    back._node = SimpleNamespace(write_status=lambda: written.append(clock.now), block=None)
+    back._drive = SimpleNamespace(senders=SimpleNamespace(rows=[]), solving=None)
+    for k in range(1, 11):
+        clock.now = 5.0 + 0.1 * k
+        assert not back._lacks(0)
+    assert written == pytest.approx([5.3, 5.6, 5.9])
+
+
 def test_an_observer_that_is_done_says_what_it_has_measured():
     hand, _, adapter = node(Watcher(), law_links(), duration=0.03)
     begun(adapter, hand, {})
@@ -513,6 +550,54 @@ def test_the_files_of_a_run_tell_how_far_its_nodes_have_come(tmp_path):
     assert files.gone == frozenset("b")
     assert {n: t.data for n, t in files.recording.topics.items()} == {"x": [b"x"], "y": [b"y"]}
     assert {n: t.data for n, t in files.own.topics.items()} == {"mine": [b"mine"]}
+
+
+def test_ticks_of_a_process_keep_a_timer_waiting_for_five_ms_and_stop_where_one_is_missing(monkeypatch):
+    clock = SimpleNamespace(now=0)
+
+    def monotonic_ns():
+        clock.now += MS
+        return clock.now
+
+    monkeypatch.setattr(group_module, "time", SimpleNamespace(monotonic_ns=monotonic_ns))
+    hand, taken = Hand(), []
+
+    def ticks():
+        for k in range(20):
+            taken.append(k)
+            yield None if k == 15 else k
+
+    group = object.__new__(Group)
+    group.nodes, group._ticks = [SimpleNamespace(state="running", middleware=hand)], ticks()
+    group.turn()
+    assert (len(taken), hand.posted) == (7, [group.turn])  # the limit is set with the first of them
+    hand.posted.pop()()
+    assert (len(taken), hand.posted) == (14, [group.turn])
+    hand.posted.pop()()
+    assert (taken[-1], hand.posted) == (15, [])
+    for state, more in (("starting", 0), ("failed", 0), ("done", 4)):
+        before, group.nodes[0].state = len(taken), state
+        group.turn()
+        assert len(taken) == before + more
+
+
+def test_a_block_that_fails_ends_the_run_in_the_name_of_its_node():
+    broken = []
+
+    def ticks():
+        yield 0
+        error = RunError("law: failed")
+        error.node = "law"
+        raise error
+
+    nodes = [
+        SimpleNamespace(state="running", step=SimpleNamespace(name=n), broke=broken.append) for n in ("plant", "law")
+    ]
+    nodes[0].broke = None
+    group = object.__new__(Group)
+    group.nodes, group._ticks = nodes, ticks()
+    group.turn()
+    assert [str(e) for e in broken] == ["law: failed"]
 
 
 # ---- how it ends ----
@@ -594,3 +679,64 @@ def test_what_a_node_of_a_container_raises_ends_the_run_in_its_name(capsys):
         container._broke(ValueError("no"))
     assert container._conclude(stopped=False) == 3
     assert (other.state, str(other.error), other.waits_for) == ("failed", "stopped: node has failed", ["node"])
+
+
+class Left(Exception):
+    """A process has ended, with this status."""
+
+
+def test_a_container_starts_what_its_command_line_names_and_says_what_is_wrong_with_it(monkeypatch, capsys):
+    def leave(nodes, status):
+        raise Left(status)
+
+    added, broken = [], []
+
+    class Started(Container):
+        def add(self, group):
+            added.append(group)
+            if broken:
+                raise broken[0]
+
+        def connect(self):
+            added.append("connected")
+
+        def run(self):
+            return 7
+
+    monkeypatch.setattr(containers, "leave", leave)
+    monkeypatch.setattr(containers, "Container", Started)
+    monkeypatch.setattr(containers, "interrupt", SimpleNamespace(install=lambda: None, early=True))
+    monkeypatch.setattr(containers, "secure_streams", lambda: None)
+    joined = []
+    monkeypatch.setattr(containers, "joining", lambda **how: joined.append(how) or nullcontext())
+    rmw = ["rmw_fastrtps_cpp"]
+    ros = SimpleNamespace(init=lambda args: None, ok=lambda: True, get_rmw_implementation_identifier=lambda: rmw[0])
+    monkeypatch.setattr(containers, "rclpy", ros)
+
+    def status(*arguments):
+        added.clear()
+        with pytest.raises(Left) as left:
+            containers.main(arguments)
+        return left.value.args[0], capsys.readouterr()
+
+    assert status("a", "b", "--", "c", "d", "--ros-args")[0] == 7
+    assert added == [["a", "b"], ["c", "d", "--ros-args"], "connected"]
+    assert joined == [{"exclusive": True, "silence": 10.0}]
+    code, said = status("a")
+    assert (code, "a: expected PACKAGE EXECUTABLE [--ros-args ...]" in said.err.replace("\n", " ")) == (2, True)
+    for arguments, expected in (((), 2), (("--ros-args",), 2), (("-h",), 0), (("a", "b", "--help"), 0)):
+        code, said = status(*arguments)
+        assert (code, "PACKAGE EXECUTABLE" in said.out, added) == (expected, True, [])
+    broken.append(KeyboardInterrupt())
+    assert status("a", "b")[0] == 0
+    broken[:] = [RunError("no such thing")]
+    code, said = status("a", "b")
+    assert (code, "a b: no such thing" in said.err) == (2, True)
+    ros.ok = lambda: False  # a signal has shut the context down under it
+    assert status("a", "b")[0] == 0
+    ros.ok, rmw[0] = (lambda: True), "rmw_cyclonedds_cpp"
+    code, said = status("a", "b")
+    assert (code, "needs Fast DDS (RMW_IMPLEMENTATION=rmw_fastrtps_cpp), got rmw_cyclonedds_cpp" in said.err) == (
+        2,
+        True,
+    )

@@ -1,4 +1,7 @@
-"""Parameters that are within their bounds, and do not fit: each is refused by a message that says what and why."""
+"""Parameters that are within their bounds, and do not fit: each is refused by a message that says what and why.
+
+And parameters that just fit, on the edge of what is refused: each is taken.
+"""
 
 import re
 import sys
@@ -14,6 +17,7 @@ from parameters import blocks
 
 BLOCKS = {f"{package.removeprefix('softrig_')}.{name}": block for package, name, block in blocks()}
 ROWS = (Path(__file__).parent / "bad_parameters.txt").read_text().splitlines()
+FITTING = (Path(__file__).parent / "fitting_parameters.txt").read_text().splitlines()
 
 
 @pytest.mark.parametrize("row", ROWS)
@@ -22,3 +26,10 @@ def test_what_does_not_fit_is_named(row):
     block = BLOCKS[executable]
     with pytest.raises((ParameterError, ValueError), match=re.escape(said)):
         block.ports(block(build(block.Params, yaml.safe_load(values))).p)
+
+
+@pytest.mark.parametrize("row", FITTING)
+def test_what_just_fits_is_taken(row):
+    executable, values = re.fullmatch(r"([\w.]+) (\{.*\})", row).groups()
+    block = BLOCKS[executable]
+    block.ports(block(build(block.Params, yaml.safe_load(values))).p)

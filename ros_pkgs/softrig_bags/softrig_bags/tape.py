@@ -48,7 +48,7 @@ class TapeParams(BlockParams):
         for text in self.inputs:
             try:
                 port_of(text)
-            except (ValueError, TypeError, KeyError) as error:
+            except (ValueError, TypeError, KeyError, AttributeError) as error:
                 raise ValueError(f"inputs: {text[:80]!r} is no port: {error}") from None
         return self
 

@@ -95,7 +95,7 @@ def _draws(run: RunRecord) -> str:
 
 def _machine(run: RunRecord) -> dict[str, str]:
     """Versions, without the commit: the code says which files count."""
-    return {k: v for k, v in run.versions.items() if k not in ("commit", "requirements.lock") or not run.code}
+    return {k: v for k, v in run.versions.items() if k not in ("commit", "run.lock") or not run.code}
 
 
 def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:

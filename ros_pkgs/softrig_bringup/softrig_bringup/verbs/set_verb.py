@@ -33,9 +33,10 @@ def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:
         value = read_yaml(text, f"set {key}")
         if not node or not parameter:
             raise ScenarioError(f"set: {key!r}: expected NODE.PARAM")
-        if not isinstance(value, bool | int | float | str | list) or isinstance(value, dict):
+        kinds = {type(x) for x in value} if isinstance(value, list) else {type(value)}
+        if kinds == {int, float}:
+            value, kinds = [float(x) for x in value], {float}
+        if len(kinds) > 1 or not kinds <= {bool, int, float, str}:  # ROS has lists of one kind
             raise ScenarioError(f"set {key}: {text!r} is no value of a parameter")
-        if isinstance(value, list) and any(isinstance(x, float) for x in value):
-            value = [float(x) if isinstance(x, int) else x for x in value]
         found.setdefault(node, {})[parameter] = value
     return found

@@ -65,7 +65,6 @@ def ticks_of(
         reason = unwanted(steps, left, runs)
         if reason and not writes(steps, left):
             _spent[_classes(steps)] = _spent.get(_classes(steps), 0.0) + left
-            _say_why(steps, reason)
             yield from runner.run(first)
             return
         engines.append(Engine(steps, plain if reason else compiled, alone))

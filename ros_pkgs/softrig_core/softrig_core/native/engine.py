@@ -161,6 +161,8 @@ class Engine:
     def _run(self, k: int) -> Iterator[int | None]:
         assert self.runner.ticks is not None
         last = self.runner.ticks
+        # from here on a plant that is due would be moved beyond the end, which Python does not do
+        end = min((last - last % self._every[id(s)] for s in self.steps if s.plant), default=last)
         failures = 0
         fits, fresh = False, True  # whether there is a text, and it is to be looked at again
         while k <= last:
@@ -181,7 +183,7 @@ class Engine:
             go = self._kept.go if self._kept else SHORTEST
             decided = fits and k < last and self._decided(k)
             self.native.decided += decided
-            until = min(last, k + go, self._next_stop(k)) if fits and not decided else 0
+            until = min(end, k + go, self._next_stop(k)) if fits and not decided else 0
             if until > k:
                 started = time.perf_counter()
                 try:

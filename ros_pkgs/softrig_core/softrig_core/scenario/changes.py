@@ -70,9 +70,8 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
         for key, value in entry.set.items():
             node, _, parameter = key.partition(".")
             if node not in known or not parameter:
-                raise ScenarioError(
-                    f"{at}: {key!r}{closest(node, known)}: expected node.parameter with node one of {', '.join(known)}"
-                )
+                near = "" if node in known else closest(node, known)
+                raise ScenarioError(f"{at}: {key!r}{near}: expected node.parameter with node one of {', '.join(known)}")
             if (known[node].package, known[node].executable) == (PACKAGE, EXECUTABLE):
                 parameter = WORDS.get(parameter, parameter)
             by_node.setdefault(node, {})[parameter] = fill_parameters(value, at_start)

@@ -1,0 +1,220 @@
+"""What came from outside, said once more; and how much was missed before a recorder joined: both by hand."""
+
+import itertools
+import json
+import random
+
+import pytest
+from softrig_bags import tape
+from softrig_bags.holds import Holds, _seconds
+from softrig_bags.join import INTERVALS, SIMULATED, Join
+from softrig_bags.selection import Selection
+from softrig_bags.stamps import is_stamped, stamp
+from softrig_bags.tape import Tape, port_of, written
+from softrig_bags.topics import BagTopic
+from softrig_bags.write import write_bag
+from softrig_core import ByHand, Recording, Sample
+from softrig_core.block.port import Port, button, scalars
+from softrig_core.wire.cdr import Layout
+
+MS, EPOCH = 1_000_000, 1_700_000_000 * 10**9
+STATE, HEADER = "sensor_msgs/msg/JointState", "std_msgs/msg/Header"
+PORTS = {
+    "both": scalars("both", "outside/both", {"a": "V", "b": "A"}, partial=True, safe=(7.0, 8.0)),
+    "late": scalars("late", "outside/late", {"a": "V"}, delayed=True),
+    "push": button("push", "outside/push", held=True),
+}
+
+
+@pytest.fixture(scope="module", params=[0, EPOCH])
+def recorded(request, tmp_path_factory):
+    """A bag of three inputs, some messages of which name one channel, the other, both or none that there is."""
+    epoch, rng = request.param, random.Random(3)
+    found = Recording([(p.topic, p.msgtype) for p in PORTS.values()])
+    said = {name: [] for name in PORTS}
+    for k in range(60):
+        t = rng.randrange(k * 5, k * 5 + 5) * MS
+        kind = rng.choice(["a", "b", "ab", "late", "push", "bad"])
+        if kind in ("late", "push"):
+            layout = PORTS[kind].layout()
+            mark = epoch + t - 2 * MS
+            found.add(list(PORTS).index(kind), epoch + t, layout.encode(mark, (float(k % 2),)))
+            value = (float(k % 2),)
+            said[kind].append((t, Sample(t - 2 * MS, value) if kind == "late" else value))
+        else:
+            names = list(kind) if kind != "bad" else ["x"]
+            values = tuple(k + 0.5 * j for j in range(len(names)))
+            found.add(0, epoch + t, Layout(STATE, "", names, {"position": len(names)}).encode(epoch + t, values))
+            if kind != "bad":
+                last = dict(zip("ab", said["both"][-1][1] if said["both"] else (7.0, 8.0), strict=True))
+                said["both"].append((t, tuple((last | dict(zip(names, values, strict=True))).values())))
+    folder = tmp_path_factory.mktemp("tape") / "bag"
+    write_bag(folder, found, custom_data={"epoch": str(epoch)} if epoch else {})
+    return folder, said
+
+
+@pytest.mark.parametrize("until", [0.0, 0.1])
+def test_at_each_tick_the_newest_message_that_was_not_said_is_said(recorded, until):
+    folder, said = recorded
+    tape._loaded.cache_clear()
+    block = ByHand(Tape(bag=str(folder), until=until, inputs=tuple(map(written, PORTS.values()))))
+    block.reset(0)
+    before = -1
+    for k in range(110):
+        t = 3 * k * MS
+        answer = block.update(t)
+        wanted = {}
+        for name, rows in said.items():
+            due = [value for at, value in rows if before < at <= t and not (until and at >= round(until * 1e9))]
+            if due:
+                wanted[name] = due[-1]
+        assert answer == wanted, t
+        before = t
+
+
+@pytest.mark.parametrize("at", [99, 100])
+def test_what_came_just_at_the_end_is_left_out(tmp_path, at):
+    found = Recording([("outside/push", PORTS["push"].msgtype)])
+    found.add(0, at * MS, PORTS["push"].layout().encode(0, (1.0,)))
+    write_bag(tmp_path / "bag", found)
+    block = ByHand(Tape(bag=str(tmp_path / "bag"), until=0.1, inputs=(written(PORTS["push"]),)))
+    block.reset(0)
+    assert block.update(200 * MS) == ({"push": (1.0,)} if at < 100 else {})
+
+
+def test_a_port_is_written_without_what_is_plain_and_becomes_an_output():
+    port = PORTS["both"]
+    assert json.loads(written(port)) == {
+        "name": "both", "topic": "outside/both", "msgtype": STATE, "channels": ["a", "b"], "fields": ["position"],
+        "units": ["V", "A"], "partial": True, "safe": [7.0, 8.0], "limits": [1e7, 1e7],
+    }  # fmt: skip
+    made = port_of(written(port))
+    assert (made.partial, made.held, made.sporadic, made.channels, made.safe) == (
+        False,
+        False,
+        True,
+        ("a", "b"),
+        (7.0, 8.0),
+    )
+    assert port_of(written(PORTS["push"])).held is False
+    assert isinstance(made, Port)
+    for text in ("no json", "[1]", '{"name": 1, "more": 2}'):
+        with pytest.raises(ValueError, match="is no port"):
+            Tape(bag="x", inputs=(text,))
+
+
+# joined late -----------------------------------------------------------------------------------------------------
+
+
+def missed(marks):
+    """By the first eight intervals: what speaks with one period, to the nanosecond, was there from t = 0 on."""
+    marks = marks[: INTERVALS + 1]
+    for k in range(1, len(marks)):
+        if marks[k] < marks[0]:  # who goes back tells nothing more
+            marks = marks[: k + 1]
+            break
+    steps = [b - a for a, b in itertools.pairwise(marks)]
+    if len(steps) < 2 or not 0 < marks[0] < SIMULATED:
+        return 0
+    mean = sum(steps) / len(steps)
+    return round(marks[0] / mean) if mean > 0 and all(abs(s - mean) <= 1 for s in steps) else 0
+
+
+STREAMS = {
+    "from the start": range(0, 100, 10),
+    "three late": range(30, 130, 10),
+    "two messages": [30, 40],
+    "three messages": [30, 40, 50],
+    "after eight it may do as it likes": [*range(30, 120, 10), 1000],
+    "the eighth interval is another": [*range(30, 110, 10), 111],
+    "a nanosecond off is rounding": [300, 400, 501, 600],
+    "more is not": [300, 400, 502, 600],
+    "backwards": [300, 200, 100],
+    "always the same": [30, 30, 30],
+    "on the wall clock": [SIMULATED, SIMULATED + 10, SIMULATED + 20],
+    "just not": [SIMULATED - 10, SIMULATED, SIMULATED + 10],
+    "before the start": [-10, 0, 10],
+}
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_a_late_listener_counts_what_it_missed(name):
+    marks = list(STREAMS[name])
+    join = Join(BagTopic("/x", HEADER, "std_msgs/Header h"))
+    looked = 0
+    for mark in marks:
+        if join.open:
+            join.look(Layout(HEADER).encode(mark, ()))
+            looked += 1
+    assert join.missed == missed(marks)
+    assert looked <= INTERVALS + 1
+    assert looked == (1 if not 0 < marks[0] < SIMULATED else 2 if name == "backwards" else min(len(marks), 9))
+
+
+def test_what_has_no_stamp_and_no_number_tells_nothing():
+    assert not Join(BagTopic("/x", "std_msgs/msg/String", "string data")).open
+    array = Join(BagTopic("/x", "std_msgs/msg/Float64MultiArray"))
+    assert array.open
+    array.look(b"\0\0\0\1 of another byte order")
+    assert (array.open, array.missed) == (False, 0)
+
+
+# the rest of a recorder's rules ----------------------------------------------------------------------------------
+
+
+def test_a_gap_is_a_hold_when_it_is_longer_than_the_limit():
+    now, count = [10.0], iter((5, 9))
+    holds = Holds(2.5, lambda: now[0])
+    held = []
+    for pause in (2.5, 2.625, 0.0, 100.0):
+        now[0] += pause
+        held.append(holds.wake(lambda: next(count)))
+    assert held == [False, True, False, True]
+    assert str(holds) == "2.6 s after message 5, 100.0 s after message 9"
+    assert holds.found == [(2.625, 5), (100.0, 9)]
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("<d><sec>3</sec></d>", 3.0), ("<d><sec> 1 </sec><nanosec>500000000</nanosec></d>", 1.5),
+     ("<d><nanosec>250000000</nanosec></d>", 0.25), ("<d><sec>DURATION_INFINITY</sec></d>", float("inf")),
+     ("<d>DURATION_INFINITE_SEC</d>", float("inf")), ("<other/>", 20.0), ("<d><sec/></d>", 0.0)],
+)  # fmt: skip
+def test_a_duration_of_a_profile_is_read_in_each_of_its_forms(text, seconds):
+    from xml.etree import ElementTree
+
+    root = ElementTree.fromstring(f'<p xmlns="http://www.eprosima.com">{text}</p>')
+    assert _seconds(root, "d", 20.0) == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize(
+    ("names", "regex", "exclude", "inside", "outside"),
+    [
+        ((), "", "", ["/a", "/a/b"], ["/_hidden", "/a/_hidden"]),
+        (("a", "/b"), "", "", ["/a", "/b"], ["/c", "/a/b"]),
+        (("/_h",), "", "h", ["/_h"], ["/x"]),  # who is named is meant
+        ((), "b$", "", ["/a/b", "/_b"], ["/b/a"]),
+        ((), "", "b", ["/a"], ["/b", "/a/b"]),
+        (("/c",), "a", "b", ["/a", "/c"], ["/ab", "/d"]),
+    ],
+)
+def test_topics_are_chosen_by_name_by_what_is_found_in_it_or_all_that_are_seen(names, regex, exclude, inside, outside):
+    chosen = Selection.of(names, regex, exclude)
+    assert [topic in chosen for topic in (*inside, *outside)] == [True] * len(inside) + [False] * len(outside)
+
+
+@pytest.mark.parametrize(
+    ("definition", "stamped"),
+    [("std_msgs/Header header", True), ("# a\n\nstd_msgs/msg/Header h\nint8 x", True), ("Header h", True),
+     ("builtin_interfaces/Time t", True), ("int8 A=1\nbyte B = 2\nHeader h", True), ("int8 x\nHeader h", False),
+     ("string text # Header", False), ("", False), ("int8 A=1", False)],
+)  # fmt: skip
+def test_a_message_is_stamped_when_its_first_field_is_a_header_or_a_time(definition, stamped):
+    assert is_stamped(BagTopic("/x", "x_msgs/msg/X", definition)) == stamped
+
+
+def test_a_stamp_is_read_in_both_byte_orders_and_anywhere():
+    assert stamp(b"\0\1\0\0" + bytes([2, 0, 0, 0, 3, 0, 0, 0])) == 2_000_000_003
+    assert stamp(b"\0\0\0\0" + bytes([0, 0, 0, 2, 0, 0, 0, 3])) == 2_000_000_003
+    assert stamp(b"\0\1\0\0" + bytes([255, 255, 255, 255, 3, 0, 0, 0])) == -999_999_997
+    assert stamp(b"\0\1\0\0" + bytes(4) + bytes([1, 0, 0, 0, 5, 0, 0, 0]), 8) == 1_000_000_005

@@ -1,0 +1,400 @@
+"""The model kit and what stands on the ground of the core, against naive accounts: lists, loops, a watch."""
+
+import math
+import os
+import random
+import sys
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from softrig_core import History, ScenarioError, to_ns, to_s
+from softrig_core.errors import RunError, closest, describe
+from softrig_core.extras import EXTRAS, need
+from softrig_core.kit import draws, history
+from softrig_core.kit.dense import norm, product, solve, times, total, turn
+from softrig_core.kit.draws import KEPT, SIZE, Draws, Stream
+from softrig_core.kit.floats import leaves, numbers, others, put, read, split
+from softrig_core.kit.newest import Newest
+from softrig_core.kit.resource import prefixes, resource
+from softrig_core.timebase import Pace
+
+# delay lines ----------------------------------------------------------------------------------------------------------
+
+
+def at_age(rows, size, age):
+    """Read a list of samples, of which the newest `size` are kept, at an age in samples: on a line between two."""
+    age = min(age, size - 1)
+    newer, older = rows[-1 - math.floor(age)], rows[-1 - math.ceil(age)]
+    part = Fraction(age) - math.floor(age)
+    return tuple(float(Fraction(a) + part * (Fraction(b) - Fraction(a))) for a, b in zip(newer, older, strict=True))
+
+
+@pytest.mark.parametrize("native", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_delay_line_is_a_list_of_samples(seed, native, monkeypatch):
+    """As Python has it and as native code does: what is put behind an older one leaves the newer ones as they are."""
+    monkeypatch.setattr(history, "_write", history._write.py_func)
+    rng = random.Random(seed)
+    step, longest, width = 0.25, rng.choice([0.0, 0.2, 1.0, 1.1]), rng.randint(1, 3)
+    size = math.ceil(longest / step) + 3
+    past = tuple(rng.random() for _ in range(width))
+    first = History(step, longest, past)
+    kept = [(first.native() if native else first, [past] * size)]
+    for _ in range(25):
+        line, rows = kept[-1] if native else rng.choice(kept[-4:])  # native code has but the newest
+        if rng.random() < 0.2:
+            line, rows = line.again(), [*rows, rows[-1]]
+        else:
+            new = tuple(rng.random() for _ in range(width))
+            line, rows = line.put(new), [*rows, new]
+        kept.append((line, rows))
+        for line, rows in (kept[-1], rng.choice(kept))[: 2 - native]:
+            for age in (0.0, 0.5, 1.0, 1.75, size - 2.0, size - 1.5, size - 1.0, size + 3.0):
+                assert line.aged(age) == pytest.approx(at_age(rows, size, age), rel=1e-12)
+            for delay in (0.0, longest, 0.37 * longest, longest * (1 + 0.95e-9)):
+                assert line.at(delay) == pytest.approx(at_age(rows, size, delay / step), rel=1e-9)
+            for delay in (-1e-9, longest * (1.0 + 1.05e-9) + 1e-12 * (not longest), math.nan):
+                with pytest.raises(ValueError, match=f"delay = {delay} s: expected 0 to {longest} s"):
+                    line.at(delay)
+            assert [line.back(k) for k in range(size)] == rows[: -size - 1 : -1]
+            python = line.python() if native else line
+            assert python.numbers().tolist() == [v for row in rows[-size:] for v in row]
+            assert python == History.of(step, longest, rows[-size:])
+            assert (python == History.of(step, longest, [*rows[-size:-1], (9.0,) * width])) is False
+            assert python.with_numbers(2.0 * python.numbers()).back(1) == tuple(2.0 * v for v in rows[-2])
+    with pytest.raises(ValueError, match=f"{width + 1} values, expected {width}"):
+        kept[-1][0].put((0.0,) * (width + 1))
+    assert (first != History(step, longest + step, past), first == 1, first != History(2 * step, longest, past)) == (
+        True,
+        False,
+        True,
+    )
+
+
+def test_the_ring_of_native_code_is_twice_as_long_as_what_counts():
+    ring = History(0.5, 1.0, (3.0, 4.0)).native()
+    assert (ring.step, ring.longest, ring.size, ring.written, ring.newest) == (0.5, 1.0, 5, 5, (3.0, 4.0))
+    assert ring.ring.tolist() == [3.0, 4.0] * 5 + [0.0, 0.0] * 5
+
+
+@pytest.mark.parametrize(
+    ("step", "longest", "size"), [(0.1, 0.3, 6), (0.1, 0.31, 7), (1.0, 0.0, 3), (1.0, 1e-10, 3), (1.0, 1e-8, 4)]
+)
+def test_as_many_samples_are_kept_as_the_longest_delay_reaches(step, longest, size):
+    assert len(History(step, longest).numbers()) == size
+
+
+@pytest.mark.parametrize("step", [0.0, -1.0, math.inf, math.nan])
+def test_a_step_is_a_positive_time(step):
+    with pytest.raises(ValueError, match=f"step = {step} s: expected a positive time"):
+        History(step, 1.0)
+
+
+@pytest.mark.parametrize("longest", [-1.0, math.inf, math.nan])
+def test_a_longest_delay_is_a_finite_time(longest):
+    with pytest.raises(ValueError, match=f"longest delay = {longest} s: expected a finite time of at least 0"):
+        History(1.0, longest)
+
+
+# random numbers and answers that are kept -----------------------------------------------------------------------------
+
+
+class Counted:
+    """A generator that counts how often a row is drawn."""
+
+    def __init__(self):
+        self.own, self.rows = np.random.default_rng(5), 0
+        self.bit_generator = self.own.bit_generator
+
+    def random(self, count):
+        self.rows += 1
+        return self.own.random(count)
+
+
+def test_draws_are_the_stream_and_the_newest_rows_are_at_hand():
+    wanted = np.random.default_rng(5).random(7 * SIZE)
+    counted = []
+    stream = Draws(lambda: counted.append(Counted()) or counted[-1], "random")
+    for row, drawn in ((0, 1), (1, 2), (2, 3), (3, 4), (0, 4), (4, 5), (1, 5), (2, 5), (0, 6), (6, 8), (4, 8), (5, 9)):
+        for k in (row * SIZE, row * SIZE + 17, (row + 1) * SIZE - 1):
+            assert stream(k) == wanted[k]
+        assert counted[0].rows == drawn, row
+    assert stream.first(10).tolist() == wanted[:10].tolist()
+    assert (SIZE, KEPT, len(counted)) == (4096, 4, 2)
+
+
+def test_a_stream_goes_on_where_it_was_told_that_it_is():
+    wanted = np.random.default_rng(7).random(40)
+    stream = Stream(np.random.default_rng(7))
+    for begin, count in ((0, 3), (3, 2), (20, 5), (4, 6), (4, 1), (30, 0), (30, 2)):
+        assert stream.at(begin).random(count).tolist() == wanted[begin : begin + count].tolist()
+        assert stream.drawn(begin + count) == begin + count
+    assert stream == Stream(np.random.default_rng(7)) != Stream(np.random.default_rng(8))
+    assert (stream == 1) is False
+    assert draws.SIZE == SIZE
+
+
+def test_the_newest_answers_are_kept():
+    asked: list[int] = []
+    newest = Newest(lambda k: asked.append(k) or (k, len(asked)))
+    assert (newest.key, newest.answer) == (None, None)
+    for k in (1, 1, 2, 3, 4, 1, 5, 1, 3, 2):
+        assert newest(k)[0] == k
+        assert (newest.key, newest.answer) == (k, newest(k))
+    assert asked == [1, 2, 3, 4, 5, 2]  # four are at hand: 2 was the one that had not been asked for longest
+    assert Newest(lambda k: asked.append(k), 1)(9) is None
+
+
+# numbers of a state ---------------------------------------------------------------------------------------------------
+
+
+class Inner(NamedTuple):
+    a: float = 0.5
+    k: int = 3
+
+
+class Aside(NamedTuple):
+    told: float = 1.0
+    aside = True
+
+
+class State(NamedTuple):
+    x: float
+    z: complex
+    row: tuple[float, ...]
+    inner: Inner
+    pair: tuple[Any, ...]
+    table: Any
+    single: Any
+    planes: Any
+    whole: Any
+    none: None
+    word: str
+    on: bool
+    aside_of: Aside
+    line: History
+
+
+def a_state():
+    return State(
+        1.5,
+        2.0 - 1.0j,
+        (3.0, 4.0),
+        Inner(),
+        (7, (Inner(8.0, 9), -1.0), ()),
+        np.array([[1.0, 2.0], [3.0, 4.0]]),
+        np.array([1.5, 2.5], np.float32),
+        np.array([1.0 + 2.0j]),
+        np.array([1, 2]),
+        None,
+        "up",
+        True,
+        Aside(),
+        History(1.0, 0.0, (5.0, 6.0)),
+    )
+
+
+def test_the_numbers_of_a_state_by_their_names():
+    found = {name: row.tolist() for name, row in read(a_state())}
+    assert found == {
+        "x": [1.5],
+        "z": [2.0, -1.0],
+        "row": [3.0, 4.0],
+        "inner.a": [0.5],
+        "pair[1][0].a": [8.0],
+        "pair[1][1]": [-1.0],
+        "table": [1.0, 2.0, 3.0, 4.0],
+        "single": [1.5, 2.5],
+        "planes": [1.0, 2.0],
+        "line": [5.0, 6.0] * 3,
+    }
+    assert dict(others(a_state())) == {
+        "inner.k": 3,
+        "pair[0]": 7,
+        "pair[1][0].k": 9,
+        "whole": [1, 2],
+        "none": None,
+        "word": "up",
+        "on": True,
+    }
+    assert numbers(a_state()).tolist() == [v for row in found.values() for v in row]
+    assert [name for name, _ in leaves((1.0, 2))] == ["[0]", "[1]"]
+    assert [name for name, _ in leaves(Inner(), "law")] == ["law.a", "law.k"]
+    assert (numbers(3).tolist(), split(3, np.empty(0)), put(3, [])) == ([], [], 3)
+
+
+def test_other_numbers_go_where_they_come_from():
+    state = a_state()
+    row = numbers(state)
+    plain = state._replace(z=None, table=None, single=None, planes=None)
+    assert put(plain, split(plain, numbers(plain))) is plain
+    new = put(state, split(state, row + 1.0))
+    assert numbers(new).tolist() == (row + 1.0).tolist()
+    assert dict(others(new)) == dict(others(state))
+    assert [type(v) for v in new] == [type(v) for v in state]
+    assert (new.table.shape, new.single.dtype, new.planes.dtype) == ((2, 2), np.float32, complex)
+    assert new.aside_of is state.aside_of
+    assert new.whole is state.whole
+    for length in (len(row) - 1, len(row) + 1, 0):
+        with pytest.raises(ValueError, match=f"{length} numbers, expected the {len(row)} of the state"):
+            split(state, np.zeros(length))
+    only = put(state, split(state, np.concatenate([[9.0], row[1:]])))
+    assert (only.x, only.inner, only.line is state.line, only.row is state.row) == (9.0, state.inner, True, True)
+
+
+# linear algebra -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_products_and_solutions_are_those_of_exact_fractions(seed):
+    rng = random.Random(seed)
+    n, m, k = (rng.randint(1, 5) for _ in range(3))
+    a, b = ([[rng.randint(-9, 9) for _ in range(w)] for _ in range(h)] for h, w in ((n, m), (m, k)))
+    exact = [[sum(x * row[j] for x, row in zip(left, b, strict=True)) for j in range(k)] for left in a]
+    assert product(a, b).tolist() == exact
+    assert product(a[0], b).tolist() == exact[0]
+    assert product(a, [row[0] for row in b]).tolist() == [row[0] for row in exact]
+    square = [[rng.randint(-9, 9) + (40 if i == j else 0) for j in range(n)] for i in range(n)]
+    rng.shuffle(square)  # rows that have to be exchanged
+    x = [[float(rng.randint(-9, 9)) for _ in range(k)] for _ in range(n)]
+    right = product(square, x)
+    assert np.allclose(solve(square, right), x, rtol=0, atol=1e-12)
+    assert np.allclose(solve(square, right[:, 0]), [row[0] for row in x], rtol=0, atol=1e-12)
+    assert norm([3.0, -4.0, 12.0]) == 13.0
+    assert total([0.1] * 3) == 0.1 + 0.1 + 0.1
+    z = [complex(rng.randint(-9, 9), rng.randint(-9, 9)) for _ in range(4)]
+    assert times(z, z[::-1]).tolist() == [p * q for p, q in zip(z, z[::-1], strict=True)]
+    assert np.allclose(turn([0.3, -2.0]), np.exp(1j * np.array([0.3, -2.0])), rtol=0, atol=1e-15)
+
+
+# files, packages, errors ----------------------------------------------------------------------------------------------
+
+
+def test_files_of_packages_are_found_overlays_first(tmp_path, monkeypatch):
+    for prefix in ("one", "two"):
+        (tmp_path / prefix / "share" / "some" / "data").mkdir(parents=True)
+    (tmp_path / "two/share/some/data/table.csv").write_text("2")
+    (tmp_path / "python" / "kitten" / "data").mkdir(parents=True)
+    (tmp_path / "python/kitten/__init__.py").write_text("")
+    (tmp_path / "python/kitten/data/here.csv").write_text("3")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path}/one{os.pathsep}{os.pathsep}{tmp_path}/two")
+    monkeypatch.syspath_prepend(str(tmp_path / "python"))
+    assert prefixes() == [tmp_path / "one", tmp_path / "two"]
+    assert resource("package://some/data/table.csv") == tmp_path / "two/share/some/data/table.csv"
+    assert resource("package://kitten/data/here.csv") == tmp_path / "python/kitten/data/here.csv"
+    (tmp_path / "one/share/some/data/table.csv").write_text("1")
+    assert resource("package://some/data/table.csv") == tmp_path / "one/share/some/data/table.csv"
+    assert resource(str(tmp_path / "one/share/some/data/table.csv")).read_text() == "1"
+    with pytest.raises(ValueError, match=r"no table 'none\.csv'; looked for none\.csv$"):
+        resource("none.csv", "table")
+    looked = ", ".join(f"{tmp_path}/{prefix}/share/some/none.csv" for prefix in ("one", "two"))
+    with pytest.raises(ValueError, match=f"^no file 'package://some/none.csv'; looked for {looked}$"):
+        resource("package://some/none.csv")
+    with pytest.raises(ValueError, match=r"no file 'package://no-name/none\.csv'; looked for .*no-name/none\.csv$"):
+        resource("package://no-name/none.csv")
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    assert prefixes() == []
+
+
+def test_errors_say_where_in_the_code_of_their_author(tmp_path):
+    (tmp_path / "own.py").write_text("def fails(x):\n    return 1 / x\n")
+    scope: dict[str, Any] = {}
+    exec(compile((tmp_path / "own.py").read_text(), str(tmp_path / "own.py"), "exec"), scope)
+
+    def told(call):
+        try:
+            call()
+        except Exception as error:
+            return describe(error)
+
+    assert told(lambda: scope["fails"](0)).endswith(f" ({tmp_path / 'own.py'}, line 2)")
+    assert told(lambda: scope["fails"](0)).startswith("ZeroDivisionError: ")
+    assert told(lambda: exec(compile("x = = 1", "bad.py", "exec"))) == "SyntaxError: invalid syntax (bad.py, line 1)"
+    assert describe(ValueError("no trace")) == "ValueError: no trace"
+    assert describe(KeyError()) == "KeyError"
+    assert (closest("gian", ["gain", "loss"]), closest("x", ["gain"])) == (" (did you mean 'gain'?)", "")
+    assert (RunError("x").node, issubclass(ScenarioError, ValueError)) == ("", True)
+
+
+def test_what_an_extra_brings_is_named(monkeypatch):
+    monkeypatch.setitem(EXTRAS, "no_such_package", "some")
+    monkeypatch.setitem(EXTRAS, "json", "some")
+    monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
+    assert need("json", "a thing") is None
+    with pytest.raises(ScenarioError) as error:
+        need("no_such_package", "a thing")
+    assert (
+        str(error.value)
+        == "a thing needs the package 'no_such_package': pip install 'softrig[some]', or no_such_package by itself"
+    )
+    asked: list[Any] = []
+    monkeypatch.setenv("SOFTRIG_COMMAND", "softrig-here")
+    monkeypatch.setattr("softrig_core.extras.subprocess.run", lambda *a, **k: asked.append((a, k)))
+    with pytest.raises(ScenarioError) as error:
+        need("no_such_package", "a thing")
+    assert (
+        str(error.value)
+        == "a thing needs the package 'no_such_package': softrig-here setup some (see above why it failed)"
+    )
+    assert asked == [((["softrig-here", "setup", "some"],), {"stdin": -3, "check": False})]
+    assert "no_such_package" not in sys.modules
+
+
+# time -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_pace_lets_a_run_go_as_far_as_the_wall_clock_has_gone(seed):
+    """Against a watch: what has been waited for counts, stops do not, and more than 0.25 s late is not caught up."""
+    rng = random.Random(seed)
+    rate, now, t = 1.0, 100.0, 0
+    pace, gone, seen, stopped = Pace(rate), None, None, False
+    for _ in range(200):
+        what = rng.choice(["look"] * 6 + ["change", "stop", "go on", "begin"])
+        passed = rng.choice([0.0, 0.01, 0.05, 0.125, 0.5])
+        now += passed
+        if gone is not None and not stopped:
+            gone += passed * rate  # s of the run that may have gone
+        if what == "change":
+            pace.change(new := rng.choice([0.5, 1.0, 2.0]), now)
+            rate = new
+        elif what == "stop":
+            pace.stop(now)
+            stopped = True
+        elif what == "go on":
+            pace.go_on(now)
+            stopped = False
+        elif what == "begin":
+            pace.begin()
+            gone = None
+        elif not stopped:
+            gone = t / 1e9 if gone is None else gone
+            found, ahead = pace.reach(now, t), gone - t / 1e9
+            if abs(ahead) < 1e-6 or abs(ahead - 0.25 * rate) < 1e-6:
+                continue
+            if ahead < 0:
+                assert found is None
+            elif ahead > 0.25 * rate:
+                assert found == t
+                gone = t / 1e9
+            else:
+                assert found == pytest.approx(gone * 1e9, abs=10)
+                t = rng.randint(t, found)
+                t = found if rng.random() < 0.5 else t
+    assert seen is None
+
+
+def test_a_pace_at_its_edges():
+    pace = Pace(1.0)
+    assert pace.reach(5.0, 1000) is None
+    assert pace.reach(5.0 + 1e-9, 1000) == 1001
+    assert pace.reach(5.25, 1000) == 250_001_000  # just what is caught up
+    assert pace.reach(5.2500001, 1000) == 1000
+    assert pace.reach(5.2500001, 1000) is None
+    pace.change(0.0, 6.0)
+    assert pace.pace == 0.0
+    pace.change(2.0, 7.0)
+    assert (pace.reach(8.0, 0), pace.reach(8.1, 0)) == (None, 200_000_000)
+    assert (to_ns(1.5), to_ns(0.1 + 0.2), to_s(1_500_000_000), to_ns(-2.4e-9)) == (1_500_000_000, 300_000_000, 1.5, -2)

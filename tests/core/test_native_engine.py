@@ -1,0 +1,428 @@
+"""When native code is tried, how far it goes at a time, and when it is given up: by a clock and counts of the test."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import pytest
+from softrig_core import Block, Rig
+from softrig_core.kit.compiled import Compiled
+from softrig_core.kit.jit import jit
+from softrig_core.native import choice, compile as compile_, engine, twins
+from softrig_core.native.compile import plain
+from softrig_core.native.engine import Engine
+from softrig_core.native.rig_text import RigText
+from softrig_core.native.translate import Program
+from softrig_core.native.value import NotNative
+from softrig_core.native.writer import Writer
+from softrig_core.run import inprocess
+from test_native_rigs import PUSH, SIGNAL, Body, Law, Params, Wide, watching
+
+
+@pytest.fixture(autouse=True)
+def _no_text_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, empty in (("_texts", []), ("_refused", {}), ("_counts", {})):
+        monkeypatch.setattr(engine, name, empty)
+
+
+def going(blocks: dict[str, Any], seconds: float, **options: Any) -> Engine:
+    """Give an engine for a rig of blocks."""
+    made = Rig.from_blocks(blocks, seconds)
+    return Engine(list(inprocess.wired(made, blocks).values()), **{"make": plain} | options)
+
+
+def ended(run: Engine, first: int = 0) -> Engine:
+    """Have it run to its end."""
+    for _ in run.run(first):
+        pass
+    return run
+
+
+def test_how_far_a_go_reaches_follows_the_time_that_goes_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice as far while one takes less than 25 ms, half as far after one of more than 50 ms, at least 1024 ticks."""
+    took = iter([0.02, 0.024999, 0.025, 0.05, 0.050001, 0.06, 0.07, 0.07, 0.0])
+    now = itertools.accumulate(
+        itertools.chain.from_iterable((0.0, t) for t in itertools.chain(took, itertools.repeat(0.03)))
+    )
+    monkeypatch.setattr(engine.time, "perf_counter", lambda: next(now))
+    run, gos, before = going({"body": Body(), "law": Law()}, 22.0), [], 1
+    for t in run.run():
+        if t is not None and t // 1_000_000 + 1 > before:
+            gos.append(t // 1_000_000 + 1 - before)
+        before = t // 1_000_000 + 1
+    assert gos[:9] == [1024, 2048, 4096, 4096, 4096, 2048, 1024, 1024, 1024]
+    assert engine._texts[0].go == 2048
+
+
+def test_with_others_to_be_served_a_go_takes_a_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
+    for alone, go in ((None, 4096), (lambda: True, 1024)):
+        now = itertools.accumulate(itertools.cycle([0.0, 0.0051]))
+        monkeypatch.setattr(engine.time, "perf_counter", lambda now=now: next(now))
+        engine._texts.clear()
+        engine._counts.clear()
+        ended(going({"body": Body(), "law": Law()}, 4.0, alone=alone))
+        assert engine._texts[0].go == go
+
+
+def test_the_longest_go_has_a_million_ticks() -> None:
+    assert (engine.SHORTEST, engine.LONGEST, engine.GO, engine.SHORT_GO) == (1024, 1 << 20, 0.05, 0.005)
+
+
+@pytest.mark.parametrize(("given_up", "ticks", "often"), [(64, 0, False), (65, 1039, True), (65, 1040, False)])
+def test_many_ticks_given_up_are_one_in_sixteen_of_more_than_a_thousand(given_up: int, ticks: int, often: bool) -> None:
+    run = going({"wide": Wide()}, 0.1)
+    run.native.given_up, run.native.ticks = given_up, ticks
+    assert run._often() is often
+
+
+def test_what_is_varied_gets_another_text_once_in_twenty_runs() -> None:
+    assert [k for k in range(70) if engine._worth_another("a kind")] == [0, 20, 40, 60]
+    assert engine._worth_another("another")
+
+
+def test_eight_texts_are_kept_the_newest_first() -> None:
+    for k in range(10):
+        ended(going({f"wide{k}": Wide()}, 0.01))
+    assert [kept.kinds[0][1] for kept in engine._texts] == [f"wide{k}" for k in range(9, 1, -1)]
+    ended(going({"wide5": Wide()}, 0.01))
+    assert len(engine._texts) == 8
+
+
+class Odd(Block[Params]):
+    """No native code: makes a text."""
+
+    INPUTS = (SIGNAL,)
+    OUTPUTS = (PUSH,)
+
+    def update(self, x: tuple[()], t: int, *, signal: tuple[float, ...]) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Answer."""
+        return x, {"push": (float(str(signal[1])),)}
+
+
+@pytest.mark.parametrize(("period", "members"), [(0.007, ()), (0.008, ("body",))])
+def test_who_is_due_at_each_eighth_tick_may_stay_in_python(period: float, members: tuple[str, ...]) -> None:
+    run = ended(going({"body": Body(), "odd": Odd(period=period)}, 0.1))
+    assert run.native.members == members
+    assert [s.native for s in run.steps] == [(0, "")] * 2  # of text that Python runs nothing is said
+    assert ("str()" in run.native.reason) == (members == ())
+    assert run.native.ticks == (0 if not members else 100 - 1 - 12)  # one to begin with, and those of the other
+
+
+class Turning(Block[Params]):
+    """Remembers another kind of thing at some ticks."""
+
+    INPUTS = (SIGNAL,)
+    OUTPUTS = (PUSH,)
+    AT: tuple[int, ...] = ()
+
+    def first(self) -> Any:
+        """A number."""
+        return 0.0
+
+    def update(self, x: Any, t: int, *, signal: tuple[float, ...]) -> tuple[Any, Mapping[str, Any]]:
+        """Answer."""
+        return (int(x) if type(x) is float else float(x)) if t // 1_000_000 in self.AT else x, {"push": (0.5,)}
+
+
+@pytest.mark.parametrize(
+    ("turns", "tried"),
+    [
+        ((), [1]),
+        ((3, 5), [1, 4, 6]),
+        (range(1, 20), [1, 2, 3, 4]),  # three times, and once more
+        ((200, 256), [1, 201, 257]),
+        ((200, 257), [1, 201]),  # later nothing is looked for any more
+    ],
+)
+def test_a_rig_without_native_code_is_looked_at_again_when_its_states_change(turns, tried, monkeypatch) -> None:
+    at: list[int] = []
+    run = going({"body": Body(), "turning": Turning()}, 0.4)
+
+    def none(steps: Any, *how: Any, reports: bool = True) -> Any:
+        at.append(run.steps[0].t // 1_000_000 + 1)
+        raise NotNative("a test")
+
+    monkeypatch.setattr(Turning, "AT", turns)
+    monkeypatch.setattr(engine, "rig_text", none)
+    monkeypatch.setattr(engine, "_worth_another", lambda kinds: True)
+    ended(run)
+    assert at == [k for k in tried for _ in range(2)]  # with reports, and without
+    assert (run.native.reason, run.native.ticks, run.steps[0].t) == ("a test", 0, 400_000_000)
+
+
+def test_while_others_have_a_part_ticks_are_pythons_and_each_64th_asks_again() -> None:
+    asked: list[int] = []
+    run = going(
+        {"body": Body(), "law": Law()}, 0.4, alone=lambda: asked.append(run.steps[0].t // 1_000_000) or len(asked) > 3
+    )
+    began = [run.native.reason for _ in zip(run.run(), range(3), strict=False)][-1]
+    assert began == "somebody outside of this process, or a person, has a part in its ticks"
+    run = going(
+        {"body": Body(), "law": Law()}, 0.4, alone=lambda: asked.append(run.steps[0].t // 1_000_000) or len(asked) > 3
+    )
+    asked.clear()
+    ended(run)
+    assert asked[:4] == [0, 64, 128, 192]
+    assert run.native.ticks == 400 - 193
+    assert run.native.reason == ""
+
+
+class Thread:
+    """Of a test: what it does is done when it has started."""
+
+    def __init__(self, target: Any, daemon: bool) -> None:
+        self.start = target
+
+    def is_alive(self) -> bool:
+        """It has ended."""
+        return False
+
+
+def test_a_text_is_compiled_beside_while_others_are_served(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine.threading, "Thread", Thread)
+    called: list[tuple[int, int]] = []
+
+    def make(text: Any) -> Any:
+        function = plain(text)
+        return lambda first, last, *more: called.append((first, last)) or function(first, last, *more)
+
+    run = ended(going({"body": Body(), "law": Law()}, 0.4, make=make, alone=lambda: True))
+    assert called == [(1, 1), (1, 400)]
+    assert run.native.ticks == 399
+    ended(going({"body": Body(), "law": Law()}, 0.4, make=make, alone=lambda: True))
+    assert called[2:] == [(1, 400)]  # it is there
+    called.clear()
+    engine._texts.clear()
+    engine._counts.clear()
+    ended(going({"body": Body(), "law": Law()}, 0.4, make=make))
+    assert called == [(1, 400)]  # alone: at its first call
+
+
+def test_a_run_that_goes_on_begins_with_its_tick() -> None:
+    whole = ended(going({"body": Body(), "law": Law()}, 0.1))
+    run = going({"body": Body(), "law": Law()}, 0.1)
+    for t in run.runner.run():
+        if t == 39_000_000:
+            break
+    ended(run, 40)
+    assert [s.x for s in run.steps] == [s.x for s in whole.steps]
+    assert (run.native.ticks, whole.native.ticks) == (60, 99)
+
+
+def test_what_numba_refuses_is_said_and_the_text_is_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Refused(Exception):
+        __module__ = "numba.core.errors"
+
+    def make(text: Any) -> Any:
+        def function(*handed: Any) -> Any:
+            raise Refused("no\n  such   type " + "x" * 400)
+
+        return function
+
+    run = ended(going({"body": Body(), "law": Law()}, 0.05, make=make))
+    assert run.native.reason == "numba: no such type " + "x" * (300 - 13)
+    assert (run.native.ticks, engine._texts) == (0, [])
+
+    def broken(text: Any) -> Any:
+        def function(*handed: Any) -> Any:
+            raise OSError("else")
+
+        return function
+
+    with pytest.raises(OSError, match="else"):
+        ended(going({"body": Body(), "law": Law()}, 0.05, make=broken))
+
+
+def test_whether_there_is_a_text_for_classes_of_blocks() -> None:
+    """Of those that do not only watch, in their order, made so."""
+    ended(going({"body": Body(), "law": Law(), "seeing": watching({"body": Body()}, True)()}, 0.05))
+    ended(going({"wide": Wide()}, 0.05, make=engine.plain))
+    assert engine.known((Body, Law), plain)
+    assert engine.known((Wide,), plain)
+    assert not any(engine.known(kinds, plain) for kinds in ((Law, Body), (Body,), (), (Body, Law, Wide)))
+    assert not engine.known((Body, Law), engine.compiled)
+
+
+@pytest.mark.parametrize(("ticks", "known"), [(64, False), (65, True)])
+def test_what_a_tick_costs_is_known_after_65_of_them(ticks, known, monkeypatch) -> None:
+    monkeypatch.setattr(choice, "_costs", {})
+    monkeypatch.setattr(choice, "_spent", {})
+    blocks = {"body": Body(), "law": Law()}
+    made = Rig.from_blocks(blocks, ticks / 1000)
+    steps = list(inprocess.wired(made, blocks).values())
+    going, _ = choice.ticks_of(steps)
+    assert {s.native for s in steps} == {(0, choice.SHORT)}
+    assert list(going)[-1] == ticks * 1_000_000
+    assert (choice.cost(steps) is not None) == known
+    assert {s.native for s in steps} == {(0, choice.SHORT)}
+    assert (choice._spent[Body, Law] > 0.0) == known
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    choice.ticks_of(steps)
+    assert {s.native for s in steps} == {(0, "SOFTRIG_JIT=0")}
+
+
+def test_what_is_just_worth_it_is_not() -> None:
+    steps = going({"wide": Wide()}, 0.1).steps
+    assert [choice.unwanted(steps, left, 2) for left in (3.0, 3.000001)] == [choice.SHORT, ""]
+    assert [choice.writes(steps, left) for left in (0.15, 0.150001)] == [False, True]
+    engine._texts.clear()
+    ended(going({"wide": Wide()}, 0.1))
+    assert [choice.writes(steps, left) for left in (0.01, 0.010001)] == [False, True]
+
+
+def test_a_run_without_an_end_is_pythons() -> None:
+    blocks = {"wide": Wide()}
+    steps = list(inprocess.wired(Rig.from_blocks(blocks, 0.1), blocks).values())
+    for step in steps:
+        step.schedule.ticks = None
+    choice.ticks_of(steps)
+    assert steps[0].native == (0, "a run without an end")
+
+
+TEXT = """
+def f0_twice(c, n, x):
+    return twice(x)
+
+def rig(first, last, n, c, s):
+    call0_there(0, 0, 0, 0, 0)
+    return f0_twice(c, n, s)
+"""
+
+
+def test_compiled_texts_are_kept_by_all_that_decides_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The text, the names in it, the functions that they mean and the options; none of it is compiled here."""
+
+    def outside(x: float) -> float:
+        return 3.0
+
+    def made(text: str = TEXT, symbol: str = "one", twice: Any = None, name: str = "twice") -> Any:
+        code = object.__new__(Compiled)
+        code.symbol = symbol
+        monkeypatch.setattr(compile_, "_external", lambda numba, thing: outside)
+        names = {name: twice or jit(lambda x: 2.0 * x), "call0_there": code}
+        return compile_.compiled(RigText(text, Program([], Writer, names=names), (), ()))
+
+    def key(function: Any) -> str:
+        return function.py_func.__qualname__
+
+    double = jit(lambda x: x + x)
+    keys = [
+        key(made()),
+        key(made(TEXT.replace("return twice", "return -twice"))),
+        key(made(symbol="two")),
+        key(made(twice=double)),
+        key(made(name="thrice")),
+    ]
+    assert len(set(keys)) == len(keys)
+    assert [key(made()), key(made(twice=double))] == [keys[0], keys[3]]
+    function = made()
+    assert keys[0].startswith("rig_")
+    assert len(keys[0]) == 36
+    inner = function.py_func.__globals__["f0_twice"]
+    assert inner.py_func.__qualname__ == f"f0_twice_{keys[0][4:]}"
+    assert function.py_func.__globals__["call0_there"] is outside
+    options = {"error_model": "python", "boundscheck": True, "nogil": True}
+    assert {k: v for k, v in function.targetoptions.items() if k in options} == options
+    assert {k: v for k, v in inner.targetoptions.items() if k in options} == options
+    alone = ("forceinline", "no_cpython_wrapper", "no_cfunc_wrapper")
+    assert [bool(inner.targetoptions.get(name)) for name in alone] == [True] * 3
+    assert [bool(function.targetoptions.get(name)) for name in alone] == [False] * 3
+
+
+def test_a_state_keeps_its_type() -> None:
+    assert compile_.same((1.0, 2), (3.0, 4)) == (3.0, 4)
+    for other in ((1.0, 2.0), (1.0,), [1.0, 2], None):
+        with pytest.raises(TypeError, match="a state that changes its type"):
+            compile_.same((1.0, 2), other)
+
+
+class Point(NamedTuple):
+    a: float
+    b: Any
+
+
+@dataclass(frozen=True)
+class Frozen:
+    a: float
+    b: Any = 2.0
+
+
+@dataclass
+class Loose:
+    a: float
+
+
+class Whole:
+    """Says how it is taken."""
+
+    def __init__(self, a: float) -> None:
+        self.a = a
+
+    def native(self) -> Taken:
+        """Give it."""
+        return Taken(self.a)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Whole) and other.a == self.a
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class Taken(NamedTuple):
+    a: float
+
+    def python(self) -> Whole:
+        """Give it back."""
+        return Whole(self.a)
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        1.0,
+        3,
+        True,
+        None,
+        "word",
+        (),
+        (1.0, 2),
+        Point(1.0, 2),
+        Point(1.0, (2, Frozen(3.0))),
+        Frozen(1.0, Frozen(2.0, (3,))),
+        (Frozen(1.0), 5.0),
+        Whole(2.0),
+        (Whole(2.0), 1.0),
+        Point(Whole(1.0), None),
+        ((1.0, 2.0), (3, True)),
+    ],
+)
+def test_a_state_comes_back_from_native_code_as_it_went(state: Any) -> None:
+    """Frozen dataclasses as named tuples of the same fields, objects as they say; what needs no change is itself."""
+    there = twins.packed(state)
+    assert twins.unpacked(there) == state
+    assert type(twins.unpacked(there)) is type(state)
+    assert "Frozen(" not in repr(there).replace("__Frozen(", "")
+    assert "Whole" not in repr(there)
+    if "Frozen" not in repr(state) and "Whole" not in repr(state):
+        assert there is state
+        assert twins.unpacked(there) is state
+    python = twins.packed(state, False)
+    assert ("Whole" in repr(python)) == ("Whole" in repr(state))
+    assert twins.form(there) == twins.form(twins.packed(state))
+
+
+def test_forms_and_twins() -> None:
+    assert twins.form((1.0, (2, None), True)) == (tuple, (float, (tuple, (int, type(None))), bool))
+    assert twins.form(Point(1.0, 2)) == (Point, (float, int)) != twins.form((1.0, 2))
+    assert [twins.is_twinned(kind) for kind in (Frozen, Loose, Point, 5, Frozen(1.0), int)] == [True] + [False] * 5
+    kind = twins.twin(Frozen)
+    assert (kind._fields, kind._field_defaults, kind.__name__) == (("a", "b"), {"b": 2.0}, f"{__name__}__Frozen")
+    assert twins.class_of(kind(1.0, 2.0)) is Frozen
+    assert (twins.class_of(Point(1.0, 2)), twins.class_of((1.0,)), twins.class_of(5)) == (Point, None, None)
+    assert getattr(twins, f"{__name__}__Frozen") is kind
+    for name in ("none", "__none", "a__"):
+        with pytest.raises((AttributeError, ImportError)):
+            getattr(twins, name)

@@ -1,0 +1,407 @@
+"""A whole run as processes, each of its parts stood for; and what its nodes are told of each other."""
+
+import os
+import signal
+import struct
+import subprocess
+import time
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+import pytest
+from conftest import make_scenario
+from softrig_core import Recording, ScenarioError, rig_of
+from softrig_core.processes import domain, peers, processes, shared_memory, spawning
+from softrig_core.processes.placement import Listener, Placement
+from softrig_core.processes.stopping import Stopped
+from test_processes_parts import BASIC, Child
+from told import check_told
+
+
+class Stage:
+    """A run through processes whose parts say what they were asked."""
+
+    def __init__(self, monkeypatch, folder, nodes=BASIC, error="", failing=None, late=(), **keys):
+        self.asked, self.said, self.error, self.failing, self.late = [], [], error, failing, [*late]
+        self.rig = rig_of(make_scenario(nodes, 0.5, timeout=7.0, start_timeout=31.0, **keys))
+        self.folder, self.children = folder, []
+        stand_ins = {
+            "need_ros": lambda: None,
+            "require_loopback": lambda: self.asked.append("loopback"),
+            "free_domain": self._free,
+            "remove_leftovers": lambda domain=None: self.asked.append(("leftovers", domain)),
+            "lacking": lambda n: self.asked.append(("memory for", n)) or self.short,
+            "environment": lambda *given, **named: self.asked.append((given, named)) or {},
+            "start": self._start,
+            "supervise": self._supervise,
+            "stop": lambda children: self.asked.append("stop"),
+            "holders": lambda domains: " (by x)",
+            "gathered": lambda rig, folder, names: (Recording([]), {n: dict(self.status) for n in names}),
+            "last_line": lambda log: "law: k is no number",
+        }
+        for name, stand_in in stand_ins.items():
+            monkeypatch.setattr(processes, name, stand_in)
+        self.domain, self.short, self.status, self.codes = 17, "", {"ticks": 5, "epoch": 9}, {}
+
+    @contextmanager
+    def _free(self):
+        self.asked.append("reserved")
+        yield self.domain
+        self.asked.append("let go")
+
+    def _start(self, run, group, again=False):
+        self.started = run
+        self.asked.append(("start", [m.name for m in group], again))
+        made = []
+        for member in group:
+            child = Child(member.name)
+            child.member, child.end, child.process.returncode = (
+                member,
+                os.open(os.devnull, 0),
+                self.codes.get(member.name),
+            )
+            made.append(child)
+        return made
+
+    def _supervise(self, rig, children, progress, guests, realtime, stopping, restarts, clock):
+        self.asked.append(("watch", [c.member.name for c in children], realtime, restarts.most))
+        if self.failing:
+            raise self.failing
+        for k in self.late:
+            restarts._again(k)
+            restarts.counts[children[k].member.name] = 1
+        return self.error
+
+    def run(self, **placement):
+        return processes.run_processes(
+            self.rig,
+            3,
+            self.folder,
+            Placement(**placement),
+            Listener(announce=self.said.append, opened=self.asked.append),
+        )
+
+
+@pytest.fixture
+def stage(monkeypatch, tmp_path):
+    return lambda *given, **keys: Stage(monkeypatch, tmp_path, *given, **keys)
+
+
+def test_a_run_goes_through_its_stages_in_order(stage, tmp_path):
+    one = stage()
+    outcome = one.run(pace=2.0, paused=True)
+    started = [("start", [name], False) for name in BASIC]
+    assert one.asked == [
+        "loopback",
+        "reserved",
+        ("memory for", 3),
+        ((17, tmp_path), {"discovery": "LOCALHOST", "silence": 7.0}),
+        17,
+        *started,
+        ("watch", [*BASIC], False, 0),
+        "stop",
+        ("leftovers", 17),
+        "let go",
+    ]
+    assert (one.started.seed, one.started.record, one.started.recorders, one.started.returns) == (3, True, None, False)
+    assert one.started.options == {
+        "run.mode": "lockstep",
+        "run.start_timeout": 31.0,
+        "run.paused": True,
+        "run.pace": 2.0,
+    }
+    assert (outcome.domain, outcome.epoch, outcome.error, outcome.stopped) == (17, 9, "", 0)
+    assert one.said == []
+    assert set(outcome.status) == set(BASIC)
+
+
+def test_a_run_in_a_given_domain_leaves_the_ports_of_others_alone(stage, tmp_path):
+    one = stage()
+    one.run(domain=4, wait=5.0, record=False, clock="realtime")
+    assert one.asked[:2] == ["loopback", ("leftovers", None)]
+    assert one.asked[-1] == ("leftovers", None)
+    assert one.started.recorders == ()  # others may be there
+    assert (one.started.options["run.start_timeout"], one.started.record) == (5.0, False)
+    assert ("watch", [*BASIC], True, 0) in one.asked
+    part = stage()
+    part.run(only=("gain",))
+    assert "loopback" not in part.asked  # over the network
+    assert ((17, tmp_path), {"discovery": "SUBNET", "silence": 7.0}) in part.asked
+    assert [a for a in part.asked if isinstance(a, tuple) and a[0] == "start"] == [("start", ["gain"], False)]
+    guest = stage(BASIC | {"gain": {"executable": "gain", "external": True}})
+    guest.run()
+    assert guest.started.options["run.start_timeout"] == 0.0  # as long as it takes
+    assert ("leftovers", None) in guest.asked
+    assert guest.said[0].startswith("waiting for gain")
+    together = stage()
+    together.run(mode="container")
+    assert [a for a in together.asked if isinstance(a, tuple) and a[0] == "start"] == [("start", [*BASIC], False)]
+
+
+def test_what_people_should_know_of_a_run_is_announced(stage):
+    one = stage()
+    one.domain, one.short = 120, "/dev/shm has 1 MB left"
+    one.run()
+    assert one.said == [
+        "domain 120: 1 to 100 are taken (by x)",
+        "/dev/shm has 1 MB left: what does not fit goes by UDP, which takes longer",
+    ]
+    given = stage()
+    given.run(domain=120)
+    assert given.said == []
+
+
+def test_how_a_run_ends_is_said_once_and_a_refused_parameter_is_the_scenarios(stage, monkeypatch):
+    assert stage(error="node law: broken").run().error == "node law: broken"
+    monkeypatch.setattr(processes.SystemClock, "set_back", lambda clock: "; the clock was set back")
+    assert stage(error="node law: broken").run().error == "node law: broken; the clock was set back"
+    assert stage().run().error == ""
+    monkeypatch.setattr(processes.SystemClock, "set_back", lambda clock: "")
+    idle_one = stage()
+    idle_one.status = {"ticks": 0}
+    outcome = idle_one.run()
+    assert (outcome.error, outcome.epoch) == ("all nodes have ended, and none of them has said a tick", 0)
+    stopped = stage(failing=Stopped(signal.SIGTERM))
+    stopped.status = {"ticks": 0}
+    outcome = stopped.run()
+    assert (outcome.stopped, outcome.error) == (signal.SIGTERM, "")
+    assert "stop" in stopped.asked
+    refused = stage()
+    refused.codes = {"gain": 2}
+    with pytest.raises(ScenarioError, match=r"^law: k is no number$"):
+        refused.run()
+    other = stage()
+    other.codes = {"gain": 3}
+    assert other.run().error == ""
+    again = stage(late=[2])
+    outcome = again.run(restart=1)
+    assert ("start", ["gain"], True) in again.asked
+    assert again.started.returns
+    assert {name: s.get("restarts") for name, s in outcome.status.items()} == {"plant": None, "source": None, "gain": 1}
+    broken = stage(failing=ValueError("no"))
+    with pytest.raises(ValueError, match="no"):
+        broken.run()
+    assert broken.asked[-1] == "stop"
+
+
+def test_nodes_are_started_with_files_of_their_own_by_the_server_or_else_by_themselves(tmp_path, monkeypatch):
+    forked, started, opened = [], [], []
+
+    def fork(package, executable, command, variables, output):
+        forked.append((package, executable, command, variables))
+        os.write(output, b"x")
+        return by_server
+
+    def popen(command, **how):
+        started.append((command, how.pop("stdout").name, how))
+        return SimpleNamespace(pid=8)
+
+    monkeypatch.setattr(spawning, "start_node", fork)
+    monkeypatch.setattr(spawning.subprocess, "Popen", popen)
+    monkeypatch.setattr(spawning, "find_executable", lambda package, executable: tmp_path / package / executable)
+    monkeypatch.setattr(os, "pidfd_open", lambda pid: opened.append(pid) or 9)
+    rig = rig_of(make_scenario(BASIC, 0.5))
+    members = {m.name: m for m in rig.members}
+    options = {"run.mode": "lockstep", "run.paused": True}
+    run = spawning.Started(rig, 3, tmp_path, options, True, {"A": "1"}, None, False)
+    for end in ("status", "shard"):
+        (tmp_path / f"gain.{end}").write_text("of a run before")
+    by_server = SimpleNamespace(pid=5)
+    (child,) = spawning.start(run, [members["gain"]])
+    gain = [str(tmp_path / "faultrig" / "gain"), "--ros-args", "-r", "__node:=gain"]
+    gain += ["--params-file", str(tmp_path / "gain.params.yaml")]
+    assert forked == [("faultrig", "gain", gain, {"A": "1"})]
+    assert (child.process, child.end, opened) == (by_server, 9, [5])
+    assert (child.log, child.status, child.shard) == tuple(
+        tmp_path / f"gain.{end}" for end in ("log", "status", "shard")
+    )
+    assert not child.status.exists()
+    assert not child.shard.exists()
+    given = (tmp_path / "gain.params.yaml").read_text()
+    for line in (f'run.shard: "{child.shard}"', f'run.status: "{child.status}"', "run.paused: true", "run.seed: 3"):
+        assert line in given
+    assert "run.again" not in given
+    by_server = None
+    spawning.start(run, [members["gain"]])
+    assert child.log.read_text() == "x"  # of this one only
+    ((command, log, how),) = started
+    assert (command, log) == (gain, str(child.log))
+    assert how == {
+        "stdin": subprocess.DEVNULL,
+        "stderr": subprocess.STDOUT,
+        "env": {"A": "1"},
+        "process_group": 0,
+        "preexec_fn": spawning._die_with_parent,
+    }
+    child.shard.write_text("what it said")
+    spawning.start(run._replace(record=False), [members["gain"]], again=True)
+    assert child.log.read_text() == "xx"  # behind what it had said
+    assert (tmp_path / "gain.shard.died").read_text() == "what it said"
+    given = (tmp_path / "gain.params.yaml").read_text()
+    for line in ('run.shard: ""', f'run.again: "{tmp_path}"', "run.paused: false"):
+        assert line in given
+    both = spawning.start(run, [members["plant"], members["source"]])
+    assert [c.log.name for c in both] == ["plant+source.log"] * 2
+    assert [c.status.name for c in both] == ["plant.status", "source.status"]
+    assert forked[-1][:2] == ("softrig_core", "container")
+    assert forked[-1][2][1:3] == ["faultrig", "plant"]
+
+
+def test_room_in_shared_memory_is_enough_to_the_byte(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "statvfs", lambda folder: SimpleNamespace(f_bavail=10, f_frsize=375_000))
+    assert shared_memory.lacking(3, tmp_path) == ""  # 1.25 MB each
+    assert shared_memory.lacking(4, tmp_path) == f"{tmp_path} has 3.8 MB left, 4 nodes take 5.0"
+    for text, number in (("7", 7), ("", 0), ("x", 0), ("-1", 0)):
+        monkeypatch.setenv("ROS_DOMAIN_ID", text)
+        assert shared_memory.domain_id() == number
+    for name in (
+        "fastrtps_port7411",
+        "fastrtps_port7411_el",
+        "sem.fastrtps_port9_mutex",
+        "fastrtps_port12",
+        "fastrtps_1",
+    ):
+        (tmp_path / name).touch()
+    assert shared_memory.numbers(tmp_path) == {7411, 12}
+    assert shared_memory.numbers(tmp_path / "none") == set()
+
+
+def test_a_link_in_the_place_of_a_lock_is_not_followed(tmp_path):
+    for name in ("target", "fastrtps_00aa", "fastrtps_00bb", "fastrtps_00bb_el"):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (0, 0))
+    (tmp_path / "fastrtps_00aa_el").symlink_to(tmp_path / "target")
+    assert shared_memory.remove_leftovers(folder=tmp_path) == 2
+    assert {p.name for p in tmp_path.iterdir()} == {"target", "fastrtps_00aa", "fastrtps_00aa_el"}
+
+
+def port_of_fast_dds(at, number=7411, limit=20_000, third=6_666, ago=1e3, size=None):
+    """The bytes of a port in shared memory, described at a place: when it was judged last, its number, its limits."""
+    last = round((time.time() - ago) * 1e3)
+    described = struct.pack("=qIIIIIII", last, 1, 2, 3, number, 5, limit, third)
+    return (bytes(at) + described + bytes(40))[: at + 36 if size is None else size]
+
+
+def test_where_a_port_keeps_the_time_of_its_last_look_is_found_or_nothing_is_written(tmp_path, monkeypatch):
+    path = tmp_path / "fastrtps_port7411"
+    for segment, place in (
+        (port_of_fast_dds(0), 0),
+        (port_of_fast_dds(16), 16),
+        (port_of_fast_dds(12), -1),  # not aligned
+        (port_of_fast_dds(8, number=7412), -1),
+        (port_of_fast_dds(8, third=6_667), -1),
+        (port_of_fast_dds(8, limit=0, third=0), -1),
+        (port_of_fast_dds(8, ago=2e9), -1),  # no time of ours
+        (port_of_fast_dds(8, ago=-2e9), -1),
+        (port_of_fast_dds(8, size=43), -1),  # cut
+        (struct.pack("=I", 7411) + port_of_fast_dds(12), 16),  # the number stands elsewhere, too
+    ):
+        assert shared_memory._judged(segment, path) == place
+        path.write_bytes(segment)
+        ears = shared_memory.Ears()
+        ears._good = {path: path.stat().st_ino}
+        before = path.read_bytes()
+        ears._judge()
+        after = path.read_bytes()
+        changed = [k for k, (a, b) in enumerate(zip(before, after, strict=True)) if a != b]
+        if place >= 0:
+            assert abs(struct.unpack_from("=q", after, place)[0] / 1e3 - time.time()) < 100.0
+            assert all(place <= k < place + 8 for k in changed)
+        else:
+            assert changed == []
+
+
+def test_leftovers_go_in_the_domain_that_nobody_is_in_and_its_locks_are_of_the_user_alone(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(domain, "remove_leftovers", asked.append)
+    with domain.free_domain() as number:
+        assert asked == [number]
+        lock = tmp_path / "softrig" / "domains" / f"{number}.lock"
+        assert (lock.stat().st_mode & 0o777, lock.parent.stat().st_mode & 0o777) == (0o600, 0o700)
+    with domain.free_domain(number):
+        assert asked[1:] == [None]  # others may be there
+
+
+def test_the_search_for_a_domain_begins_at_the_number_of_the_process_and_goes_round(monkeypatch):
+    """So that two runs in a row seldom share one; then those beyond, of which the highest come first."""
+    tried = []
+
+    def taken(number):
+        tried.append(number)
+        raise KeyError
+
+    monkeypatch.setattr(domain, "_open", taken)
+    monkeypatch.setattr(os, "getpid", lambda: 298)  # the 98th of a hundred, from 1 on
+    for busy, first in (
+        ({}, 99),
+        ({99}, 100),
+        ({99, 100}, 1),
+        ({*range(1, 101)}, 215),
+        ({*range(1, 101), *range(215, 232)}, 101),
+    ):
+        monkeypatch.setattr(domain, "inhabited", lambda busy=busy: busy)
+        with pytest.raises(KeyError), domain.free_domain():
+            pass
+        assert tried.pop() == first
+    with pytest.raises(KeyError), domain.free_domain(17):
+        pass
+    assert tried == [17]
+    monkeypatch.undo()
+    monkeypatch.setattr(domain, "udp_ports", lambda: {7399, 7400, 7649, 7650, 65_399})
+    assert domain.inhabited() == {-1, 0, 1, 231}
+
+
+# ---- who knows whom ----
+
+
+LINKED = {
+    "a plant, a source, a law": BASIC,
+    "a second plant": BASIC
+    | {
+        "second": {
+            "executable": "plant",
+            "parameters": {"period": 0.02},
+            "remap": {"lag/state": "second/state", "lag/applied": "second/applied"},
+        }
+    },
+    "who speaks at times": {"plant": "plant", "burst": "burst", "gain": "burst_gain"},
+    "a watcher": BASIC | {"watcher": "watcher"},
+    "a plant that is outside": BASIC | {"plant": {"executable": "plant", "external": True}},
+    "a law that is outside": BASIC | {"gain": {"executable": "gain", "external": True}},
+    "a plant that is outside and commanded by nobody of ours": {
+        "plant": {"executable": "plant", "external": True},
+        "gain": {"executable": "gain", "external": True},
+        "source": "source",
+    },
+    "a source that is outside and silent at times": {
+        "plant": "plant",
+        "burst": {"executable": "burst", "external": True},
+        "gain": "burst_gain",
+    },
+    "a late link": {"plant": "plant", "source": "source", "link": "link", "law": "late_gain"},
+    "no plant": {"source": "source"},
+    "who works for long": BASIC | {"planner": "planner", "watcher": "watcher"},
+}
+
+
+def knows():
+    """What nodes are told, where it is not the usual: of a rig what all are told, then of each what it alone is."""
+    for kind, nodes in LINKED.items():
+        rig = rig_of(make_scenario(nodes, 0.2))
+        told = {m.name: peers.links(rig, m).model_dump(exclude_defaults=True) for m in rig.members if not m.external}
+        first = next(iter(told.values()))
+        alike = {k: v for k, v in first.items() if all(t.get(k) == v for t in told.values())} if len(told) > 1 else {}
+        yield f"{kind}: {', '.join(f'{k} {v}' for k, v in alike.items() if v not in ([], {}))}"
+        for who, about in told.items():
+            yield f"  {who}"
+            for name, value in about.items():
+                if name == "inputs":
+                    for port, way in value.items():
+                        yield f"    reads {port}: {', '.join(f'{k} {v}' for k, v in way.items())}"
+                elif value not in ([], {}) and name not in alike:
+                    yield f"    {name} {value}"
+
+
+def test_what_nodes_know_of_their_peers_is_told():
+    check_told("peers", knows())
