@@ -30,6 +30,30 @@ SCALES = {"V": 60.0, "A": 6.0, "rad/s": 40.0, "rad": 1.0, "m": 0.08, "N.m": 2.0,
           "W": 40.0, "MW": 80.0, "packet": 100.0, "deg": 30.0, "m/s": 0.3}  # fmt: skip
 
 
+# whose readings are shown far beyond their scales, too
+FAR = (
+    "dc_motor_smc",
+    "dc_motor_smc_b2",
+    "dc_motor_fsfb",
+    "induction_dtc",
+    "lsrm_fuzzy",
+    "optimal_control_mvim",
+    "optimal_control_mvim_s1",
+    "optimal_control_mvim_s3",
+    "pwa_delay_p2",
+    "pwa_delay_p3",
+    "tcp_aqm_smc",
+)
+
+
+def check_far(name, drawing):
+    """What differs from the drawing of a plant at rest when all is ten thousand times too much, and too little."""
+    rest, above, below = (
+        drawing.frame(row, [row]) for row in (dict.fromkeys(drawing.signals, far) for far in (0.0, 1e4, -1e4))
+    )
+    check_told(f"drawings/far/{name}", ["above", *drawing_lines(above, rest), "below", *drawing_lines(below, rest)])
+
+
 def check_alike(frames):
     """What a drawing promises: frames of the same shapes, with different places, radii and texts alone."""
     kinds = None
@@ -76,6 +100,8 @@ def test_frames_differ_in_places_radii_and_texts_alone_and_are_as_told(name):
     told = [line for k in range(2) for line in (f"frame {k}", *drawing_lines(shown[k + 1], shown[k]))]
     if name not in ALIKE:
         check_told(f"drawings/{name}", told)
+    if name in FAR:
+        check_far(name, drawing)
 
 
 def points(shape):

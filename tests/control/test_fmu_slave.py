@@ -83,7 +83,6 @@ def made(tmp_path, monkeypatch):
     def make(block, start=None, **parameters):
         monkeypatch.setattr(slave, "load_block", lambda *given: {("here", "made"): block}[given])
         what = {
-            "model": "the_model",
             "node": "it",
             "package": "here",
             "executable": "made",
@@ -244,10 +243,9 @@ def test_names_and_contents():
     member = SimpleNamespace(
         name="it", package="p", executable="e", params=CartParams(period=PERIOD), remap={"a": "b"}.items()
     )
-    found = content(member, 7, "m", {"push": [1.0]})
+    found = content(member, 7, {"push": [1.0]})
     assert found.pop("parameters")["gain"] == 2.0
     assert found == {
-        "model": "m",
         "node": "it",
         "package": "p",
         "executable": "e",

@@ -14,11 +14,15 @@ LINK = "law/u"
 
 
 class Map:
-    """x+ = f(x, v, w), said = g(x, v, w): v is what the readers of the link get, w what the sources say."""
+    """x+ = f(x, v, w), said = g(x, v, w): v is what the readers of the link get, w what the sources say.
+
+    `direct` is how much of it the link says at once; what `g` says of the link is the rest.
+    """
 
     t, period = 1.5, 0.25
 
-    def __init__(self, f, g, start, sizes, moved, inputs=(), outputs=("plant/y",), link=""):
+    def __init__(self, f, g, start, sizes, moved, inputs=(), outputs=("plant/y",), link="", direct=0.0):
+        self.direct = direct
         self.f, self.g, self.start, self.sizes = f, g, np.array(start, float), np.array(sizes, float)
         self.moved = np.array(moved, bool)
         self.names = [f"plant.x[{k}]" for k in range(len(start))]
@@ -30,9 +34,10 @@ class Map:
     def __call__(self, x, added, fixed=None):
         self.asked.append(np.array(x))
         w = np.array([0.5 + added.get(name, 0.0) for name in self.inputs])
-        given = dict(fixed or {})
-        said = dict(zip((*self.outputs, *([self.link] if self.link else [])), self.g(x, 0.0, w), strict=True))
-        v = given.get(self.link, said.get(self.link, 0.0)) + added.get(self.link, 0.0)
+        more, rest = added.get(self.link, 0.0), self.g(x, 0.0, w)[-1] if self.link else 0.0
+        # held: what is put in its place; else what it says of itself, too
+        v = fixed[self.link] + more if fixed else (rest + more) / (1.0 - self.direct)
+        said = {self.link: rest + self.direct * v} if self.link else {}
         own = dict(zip(self.outputs, self.g(x, v, w), strict=False))
         return self.f(x, v, w), said | own | dict(zip(self.inputs, [0.5] * len(self.inputs), strict=True))
 
@@ -72,7 +77,7 @@ def test_of_a_linear_map_it_is_the_map_itself_in_the_states_that_count(seed, ope
     n = 6
     while True:
         A0, B0, C0, D0, d0 = sparse(n, n), sparse(n, 2), sparse(3, n), sparse(3, 2), sparse(3)
-        b0, c0 = sparse(n, share=0.5), sparse(n, share=0.5)
+        b0, c0, e0, direct = sparse(n, share=0.5), sparse(n, share=0.5), sparse(2), float(rng.choice([0.0, 0.5, -1.0]))
         if not opened:
             b0, c0, d0 = np.zeros(n), np.zeros(n), np.zeros(3)
         moved = rng.random(n) < 0.3
@@ -90,10 +95,10 @@ def test_of_a_linear_map_it_is_the_map_itself_in_the_states_that_count(seed, ope
 
     def g(x, v, w):
         y = C0 @ x + d0 * v + D0 @ w
-        return [*y, c0 @ x] if opened else y
+        return [*y, c0 @ x + e0 @ w] if opened else y
 
     inputs, outputs = ("one/w", "two/w"), ("plant/y[0]", "plant/y[1]", "plant/y[2]")
-    m = Map(f, g, rng.integers(1, 9, n) / 4.0, [1.0] * n, moved, inputs, outputs, LINK if opened else "")
+    m = Map(f, g, rng.integers(1, 9, n) / 4.0, [1.0] * n, moved, inputs, outputs, LINK if opened else "", direct)
     start = m.start.copy()
     view = Differences(m, outputs, inputs, LINK if opened else "").view()
 
@@ -106,17 +111,21 @@ def test_of_a_linear_map_it_is_the_map_itself_in_the_states_that_count(seed, ope
     k = sorted(counts)
     assert view.states == tuple(f"plant.x[{i}]" for i in k)
     a, b, c = A0[np.ix_(k, k)], b0[k], c0[k]
-    assert (view.a.tolist(), view.b.tolist(), view.c.tolist(), view.d) == (a.tolist(), b.tolist(), c.tolist(), 0.0)
-    assert view.A.tolist() == (a + np.outer(b, c)).tolist()
-    assert view.B.tolist() == B0[k].tolist()
-    assert view.C.tolist() == (C0[:, k] + np.outer(d0, c)).tolist()
-    assert view.D.tolist() == D0.tolist()
+    if not opened:
+        e0, direct = np.zeros(2), 0.0
+    assert (view.a.tolist(), view.b.tolist(), view.c.tolist(), view.d) == (a.tolist(), b.tolist(), c.tolist(), direct)
+    back = 1.0 / (1.0 - direct)  # of the loop that is closed over what the link says of itself at once
+    assert view.A.tolist() == (a + back * np.outer(b, c)).tolist()
+    assert view.B.tolist() == (B0[k] + back * np.outer(b, e0)).tolist()
+    assert view.C.tolist() == (C0[:, k] + back * np.outer(d0, c)).tolist()
+    assert view.D.tolist() == (D0 + back * np.outer(d0, e0)).tolist()
     assert view.error == 0.0
     assert view.variation < 1e-9
     assert (view.rig, view.at, view.period, view.link) == ("made", 1.5, 0.25, LINK if opened else "")
     assert (view.inputs, view.outputs) == (inputs, outputs)
     assert {view.values[f"plant.x[{i}]"] for i in k} == {start[i] for i in k}
-    assert view.values["plant/y[1]"] == pytest.approx(g(start, c0 @ start, np.full(2, 0.5))[1])
+    half = np.full(2, 0.5)
+    assert view.values["plant/y[1]"] == pytest.approx(g(start, back * (c0 @ start + e0 @ half), half)[1])
     assert view.units["plant/y[0]"] == "m"
     assert set(view.units) == {*inputs, *outputs, *([LINK] if opened else [])}
 
@@ -174,8 +183,8 @@ def test_states_are_moved_off_in_turn_of_sign_to_see_whether_they_stay_linear():
 
 
 def test_what_rests_at_zero_gets_the_size_by_which_others_move_it():
-    """The second is moved by 16 times the first, of size 8; the third by a 64th of the second, its own is enough."""
-    A = np.array([[0.5, 0.0, 0.0], [16.0, 0.0, 0.0], [0.0, 1.0 / 64.0, 0.0]])
+    """The second is moved by 16 times the first, of size 8; the third as the second: a 64th of that is just enough."""
+    A = np.array([[0.5, 0.0, 0.0], [16.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     m = Map(lambda s, v, w: A @ s, lambda s, v, w: [s.sum()], [8.0, 0.0, 0.0], [8.0, 0.0, 2.0], [True, False, False])
     found = Differences(m, ["plant/y"], [], "")
     assert found.view().A.tolist() == A.tolist()
@@ -204,6 +213,9 @@ def test_something_that_is_no_float_and_goes_along_is_told():
     m = Map(lambda s, v, w: s * 0.5, lambda s, v, w: [s[0]], [1.0], [1.0], [True])
     m.others = lambda: [("plant.n", len(m.asked))]
     told = r"^made: plant\.n goes along with plant\.x\[0\] at 1\.5 s, however little that is moved, and is no float"
+    with pytest.raises(RunError, match=told):
+        Differences(m, ["plant/y"], [], "").view()
+    m.others = lambda: [("plant.n", 1)] * (1 + len(m.asked))  # of which there are more then
     with pytest.raises(RunError, match=told):
         Differences(m, ["plant/y"], [], "").view()
     m.follows = lambda *_: False  # it does, but nothing follows from it

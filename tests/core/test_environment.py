@@ -33,6 +33,7 @@ from softrig_core.native.batch_text import Form
 
 gymnasium = pytest.importorskip("gymnasium")
 check_env = pytest.importorskip("gymnasium.utils.env_checker").check_env
+RigVectorEnv = pytest.importorskip("softrig_core.analysis.environments").RigVectorEnv
 
 PAGE = Path(__file__).parents[2] / "ros_pkgs" / "softrig_core" / "doc" / "learning.md"
 MOTOR = {"what": "dc_motor_smc", "replace": "dc_motor_smc", "duration": 0.3, "overrides": {"period": 0.01}}
@@ -157,6 +158,22 @@ def test_many_that_native_code_moves_are_what_each_is_alone(keys, size, least):
         assert infos[0] == infos[1]
     assert many.unwrapped.native >= least
     assert bool(many.unwrapped.reason) == (least == 0)
+
+
+def test_all_begin_anew_where_they_are_reset_at_their_end():
+    keys = MOTOR | {"observe": ["speed"], "act": ["voltage"], "reward": lambda now: now["speed"], "duration": 0.03}
+    many, fresh = (RigVectorEnv(**keys, num_envs=2) for _ in range(2))
+    many.reason = fresh.reason = "in Python: each is as quick"
+    many.reset(seed=1)
+    volts = np.array([[3.0], [5.0]])
+    while not many.step(volts)[3].all():
+        pass
+    for seed in (5, [8, 2]):
+        for found, wanted in zip(many.reset(seed=seed), fresh.reset(seed=seed), strict=True):
+            assert str(found) == str(wanted)
+        assert str(many.step(volts)) == str(fresh.step(volts))
+    with pytest.raises(ValueError, match=r"^3 seeds, expected 2$"):
+        many.reset(seed=[1, 2, 3])
 
 
 class Part(NamedTuple):

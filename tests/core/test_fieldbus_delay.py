@@ -68,15 +68,16 @@ def test_jitter_is_uniform_over_whole_periods_and_keeps_the_newest():
 
 @pytest.mark.parametrize("spread", [0, 3, 300])
 def test_a_long_line_is_a_sorted_list(spread):
-    """Held against one list: in order, nearly so, and at random; over many blocks; and as native code has it."""
+    """Held against one list: in order, nearly so (stamps, too), at random; over many blocks; as native code has it."""
     rng, line, plain = random.Random(spread), Line(1), []
     row = line.native()
     for t in range(3000):
         due = t + 400 + rng.randint(0, spread)
         if row.end == len(row.dues):  # full: native code leaves such a tick to Python
             row = row.python().native()
-        line, row = line.put(due, t, (float(t),)), row.put(due, t, (float(t),))
-        insort(plain, (due, t, (float(t),)))
+        stamp, message = t ^ (spread > 0), (float(t),)
+        line, row = line.put(due, stamp, message), row.put(due, stamp, message)
+        insort(plain, (due, stamp, message))
         line, *found = line.taken(t, t - 500, ())
         row, *same = row.taken(t, t - 500, ())
         there = [x for x in plain if x[0] <= t]
@@ -89,6 +90,32 @@ def test_a_long_line_is_a_sorted_list(spread):
     assert len(plain) > 4 * BLOCK
     assert line.numbers().tolist() == [message[0] for _, _, message in plain]
     assert line.with_numbers(line.numbers()) == line != line.with_numbers(line.numbers() + 1.0)
+
+
+def test_messages_of_several_values_are_the_same_in_one_row():
+    line, messages = Line(3), [(30, 3, (1.0, 2.0, 3.0)), (10, 1, (4.0, 5.0, 6.0)), (20, 2, (7.0, 8.0, 9.0))]
+    for message in messages:
+        line = line.put(*message)
+    row = line.native()
+    assert row.python() == line
+    for t, since, found in (
+        (5, 0, (0, ())),
+        (10, 0, messages[1][1:]),
+        (25, 0, messages[2][1:]),
+        (25, 3, (3, ())),
+        (30, 3, messages[0][1:]),
+    ):
+        left, *said = line.taken(t, since, ())
+        native, *same = row.taken(t, since, ())
+        assert said == same == [*found]
+        assert native.python() == left
+    assert line.numbers().tolist() == [4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 1.0, 2.0, 3.0]
+    for nothing in (Line(3), Line(3).native(), line.taken(30, 0, ())[0].native()):
+        left, *said = nothing.taken(99, 0, ())
+        assert said == [0, ()]
+        assert (left.python() if not isinstance(nothing, Line) else left) == Line(3)
+        if not isinstance(nothing, Line):
+            assert left.begin == left.end
 
 
 def test_stamps_never_go_back():

@@ -246,7 +246,9 @@ def drawn(seed):
     missing = rng.choice([0.0, 0.0, 0.0, 0.15])
 
     def value():
-        return math.nan if rng.random() < missing else rng.choice([rng.uniform(-1.5, 1.5), rng.uniform(0.3, 2), 0.0])
+        return (
+            math.nan if rng.random() < missing else rng.choice([rng.uniform(-1.5, 1.5), rng.uniform(0.3, 2), 0.0, 0.5])
+        )
 
     samples = [
         {"x": value(), "y": value(), "fault": math.nan if rng.random() < missing else rng.choice([0.0, 1.0])}

@@ -28,6 +28,7 @@ from softrig_core import (
     simulate,
     steady,
 )
+from softrig_core.analysis.state_map import StateMap
 from softrig_core.analysis.steady import _move
 from softrig_core.kit.floats import put, read
 from softrig_drives.dc_motor.model import state_space
@@ -256,6 +257,37 @@ def test_whole_numbers_that_go_along_are_refused_when_something_follows_from_the
             view(at=0.5)
 
 
+class Kept(NamedTuple):
+    """What has been counted, and what was made of it a tick later."""
+
+    counts: int = 0
+    made: float = 0.0
+
+
+class Keeper(Encoder):
+    """Counts, makes a float of it, and tells nobody."""
+
+    used = True
+
+    def first(self):
+        return Kept()
+
+    def update(self, x, t, u):
+        made = x.counts / 2.0**60 if self.used else 0.0
+        return Kept(round(u[0] * 2.0**60), made), {"v": (u[0],)}
+
+
+@pytest.mark.parametrize("used", [True, False])
+def test_what_follows_need_not_be_said(used):
+    keeper = type("Keeper", (Keeper,), {"used": used})
+    rig = Rig.from_blocks({"plant": Unstable(), "shift": keeper(), "law": Gain()}, duration=5.0)
+    if not used:
+        assert linear_view(rig, "law/u", at=0.5).states == ("plant",)
+        return
+    with pytest.raises(RunError, match=r"^rig: shift\.counts goes along with "):
+        linear_view(rig, "law/u", at=0.5)
+
+
 @pytest.mark.long
 def test_the_delay_margin_of_the_axis_over_its_fieldbus_is_the_true_one():
     """What is left of one and the same margin at two delays of the fieldbus, and where runs begin to swing."""
@@ -337,10 +369,81 @@ def test_a_loop_that_cannot_be_seen_is_told():
         r"loop where it is slow: .*force_cmd",
     ):
         linear_view("lsrm_fuzzy_pi_fast", "phase_voltage/a", at=0.1, overrides={"current_period": 1e-4})
-    with pytest.raises(ScenarioError, match=r"due together every .* choose periods that divide each other with --set"):
+    periods = "dc_motor_smc 0.0123457 s, dc_motor_plant 1e-07 s"  # the slowest first
+    with pytest.raises(ScenarioError, match=rf"due together every .* divide each other with --set \({periods}\)$"):
         linear_view("dc_motor_smc", overrides={"dc_motor_smc.period": 0.0123457, "dc_motor_plant.period": 1e-7}, at=0.0)
     with pytest.raises(ScenarioError, match="at = -1 s: expected 0 or more"):
         linear_view("dc_motor_smc", at=-1.0)
+
+
+class OneSided(Unstable):
+    """x+ = (x + 1)/2, and less by what comes below -1."""
+
+    def advance(self, x, t, u):
+        return 0.5 * x + 0.5 + min(u[0] + 1.0, 0.0)
+
+
+def test_what_comes_back_one_way_only_is_found_that_way():
+    rig = Rig.from_blocks({"plant": OneSided(), "shift": Shift(), "law": Gain()}, duration=5.0)
+    with pytest.raises(
+        RunError, match=r"^rig: a change of law/u/data by 1 comes back there at 0\.5 s, within 10 periods"
+    ):
+        linear_view(rig, "law/u", at=0.5)
+
+
+class Slow(Block):
+    """Asks for something, which nobody follows at once."""
+
+    OUTPUTS = (number("w", "slow/w", "1"),)
+
+    def update(self, x, t):
+        return x, {"w": (t / 1e9,)}
+
+
+class Heard(Gain):
+    INPUTS = (*Gain.INPUTS, number("w", "slow/w", "1", held=True))
+
+    def update(self, x, t, v, w):
+        return x, {"u": (self.gain * v[0] + (w or (0.0,))[0],)}
+
+
+@pytest.mark.parametrize(("inputs", "periods"), [((), 2), (("slow/w",), 6), (None, 2)])
+def test_the_period_of_the_whole_is_that_of_all_who_count(inputs, periods):
+    """Who is no source, and those sources that something is added to: due again together."""
+    blocks = {
+        "plant": Unstable(period=0.01),
+        "shift": Shift(period=0.02),
+        "law": Heard(period=0.02),
+        "slow": Slow(period=0.03),
+    }
+    view = linear_view(Rig.from_blocks(blocks, duration=1.0), "", at=0.5, inputs=inputs)
+    assert view.period == pytest.approx(0.01 * periods)
+    assert view.inputs == tuple(f"{name}/data" for name in inputs or ())
+    assert view.at == pytest.approx(math.ceil(0.5 / view.period - 1e-9) * view.period)
+
+
+class Peaks(Unstable):
+    """At 7 after its 51st tick, at -9 after the next; else at 1."""
+
+    def first(self):
+        return 0.0
+
+    def outputs(self, x, t):
+        return {"y": (x,)}
+
+    def advance(self, x, t, u):
+        k = round(t / 1e7) + 1
+        return {51: 7.0, 52: -9.0}.get(k, 1.0)
+
+
+@pytest.mark.parametrize(("at", "size"), [(1.0, 7.0), (0.52, 9.0), (0.51, 7.0), (0.5, 1.0), (0.1, 1.0), (0.0, 0.0)])
+def test_sizes_of_states_are_the_largest_of_twenty_looks_on_the_way(at, size):
+    """Of a hundred ticks the first is looked at, each fifth from there, and the last; of some fifty each second."""
+    rig = Rig.from_blocks({"plant": Peaks(period=0.01), "shift": Shift(period=0.01), "law": Gain(period=0.01)}, 2.0)
+    found = StateMap(rig, at, 0, ["plant/y/data"], [], 5)
+    k = found.names.index("plant")
+    assert (found.t, found.period) == (pytest.approx(at), pytest.approx(0.01))
+    assert (found.sizes[k], found.moved[k]) == (size, True)
 
 
 SYSTEMS = {
@@ -404,7 +507,9 @@ class Outside(Shift):
 
 def test_what_cannot_be_put_back_is_told_by_name():
     rig = Rig.from_blocks({"plant": Unstable(), "shift": Outside(), "law": Gain()}, duration=1.0)
-    with pytest.raises(RunError, match=r"cannot be put back"):
+    with pytest.raises(
+        RunError, match=r"^rig: law, plant cannot be put back to where it was at 0\.5 s: "
+    ):  # who hears it
         linear_view(rig, "law/u", at=0.5)
 
 

@@ -1,6 +1,7 @@
 """Requirements: bad input, what cannot be judged, where they are violated, live ones (formulas: `test_formulas`)."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ from conftest import make_scenario
 from softrig_core import ByHand, RunError, ScenarioError, evaluate, figures_of, rig_of, simulate
 from softrig_core.judge.expectation import Expectation
 from softrig_core.judge.formula import margin_unit, read, variables
+from softrig_core.judge.requirement_entry import Requirement, check_lengths
 from softrig_core.judge.robustness import Record
+from softrig_core.verdict.requirements import _ticker
 from softrig_core.wire.signals import Signal
 
 
@@ -228,6 +231,41 @@ def test_a_file_whose_requirement_looks_beyond_its_end_is_refused(tmp_path):
     file.write_text(file.read_text().replace("[5, 7]", "[1, 2]").replace("late:", "overshoot:"))
     with pytest.raises(ScenarioError, match="overshoot is the name of a figure, too"):
         load_scenario(str(file))
+
+
+@pytest.mark.parametrize(
+    ("formula", "fits"),
+    [
+        ("always[0, 2] x > 0", True),
+        ("always[0, 2.000001] x > 0", False),
+        ("always[0, 1.5] (eventually[0, 0.5] x > 0)", True),
+        ("always[0, 1.5] (eventually[0, 0.6] x > 0)", False),
+        ("always[2, inf] x > 0", True),
+        ("eventually[2.1, inf] x > 0", False),
+        ("always (x > 0 -> (once[0, 9] x > 0))", True),
+        ("(x > 0) until[0, 2.5] (x < 0)", False),
+        ("always x >", False),
+    ],
+)
+def test_a_requirement_is_as_long_as_its_run_at_most(formula, fits):
+    given = {"it": Requirement(formula=formula)}
+    if fits:
+        check_lengths(2.0, {"x": None}, given)
+        return
+    with pytest.raises(ScenarioError, match=r"^requirement it: "):
+        check_lengths(2.0, {"x": None}, given)
+
+
+def test_the_record_goes_to_where_the_fastest_of_those_that_go_on_longest_speaks():
+    def member(name, every, last, sporadic=False, labels=("x", "y")):
+        port = SimpleNamespace(topic=name, labels=labels, sporadic=sporadic)
+        return SimpleNamespace(schedule=SimpleNamespace(every=every, last=last), outputs=[port])
+
+    slow, quick, short = member("slow", 10, 500), member("quick", 2, 500), member("short", 1, 499)
+    rare, empty, never = member("rare", 1, 900, True), member("empty", 1, 900, labels=()), member("never", 1, None)
+    for members in ((slow, quick, short, rare, empty, never), (never, short, empty, rare, quick, slow)):
+        assert _ticker(SimpleNamespace(members=members)) == "quick/x"
+    assert _ticker(SimpleNamespace(members=[never])) == "never/x"
 
 
 def test_edges_and_bare_names_decide_without_being_a_distance():

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from softrig_core import Block, NoOperatingPoint, Plant, Rig, RunError, ScenarioError, number, steady
+from softrig_core import Block, NoOperatingPoint, Plant, Rig, RunError, ScenarioError, linear_view, number, steady
 from softrig_core.analysis.steady import _core, _go, _least_squares
 
 
@@ -82,6 +82,59 @@ def test_an_unstable_point_is_told_as_one():
     held = steady(rig_of_curve(lambda x: 0.2 * (x - 1.1), -0.4), at=0.0)  # the law holds it: x+ = 0.8 x - 0.22
     assert (held.states["plant[0]"], held.slowest) == (pytest.approx(-1.1), pytest.approx(0.8))
     assert held.signals["law/u/data"] == pytest.approx(0.44)
+
+
+class Drawn(Curve):
+    """Rests at twice a number that its seed decides."""
+
+    def advance(self, x, t, u):
+        return 0.5 * x[0] + self.uniform(0), x[1]
+
+
+def test_the_seed_is_that_of_the_rig_or_another():
+    rig = Rig.from_blocks({"plant": Drawn(), "law": Quiet()}, duration=0.1)
+    for seed in (None, 0, 3):
+        block = Drawn(name="plant")
+        block.reset(rig.scenario.seed if seed is None else seed)
+        assert steady(rig, at=0.0, seed=seed).states["plant[0]"] == pytest.approx(2.0 * block.uniform(0), rel=1e-12)
+        view = linear_view(rig, "", at=10.0, seed=seed)
+        assert view.values["plant[0]"] == pytest.approx(2.0 * block.uniform(0), rel=1e-12)
+
+
+class Wanders:
+    """A map that rests at 1 and 8, from which a run goes off by a little in each of its periods."""
+
+    t, period, names, places = 3.0, 0.01, ("plant.a", "plant.b"), ()
+    little = np.array([0.0, 1e-8])
+
+    def __init__(self, rig, at, seed, heard, inputs, periods):
+        self.rig, self.heard, self.periods = rig, heard, periods
+        self.start, self.sizes, self.moved = np.array([2.0, 8.0]), np.array([1.0, 4.0]), np.ones(2, bool)
+
+    def __call__(self, x, added, fixed=None):
+        return 0.5 * x + [0.5, 4.0], dict.fromkeys(self.heard, x.sum())
+
+    def go_on(self, x, periods):
+        assert periods == self.periods == 200
+        for k in range(periods):
+            yield x + (k + 1) * self.little, dict.fromkeys(self.heard, x.sum() + k)
+
+    def others(self):
+        return []
+
+
+def test_how_far_a_run_goes_off_counts_in_the_sizes_of_the_states(monkeypatch):
+    monkeypatch.setattr("softrig_core.analysis.steady.StateMap", Wanders)
+    point = steady(rig_of_curve(Curve.f))
+    assert point.states == pytest.approx({"plant.a": 1.0, "plant.b": 8.0}, rel=1e-12)
+    assert point.moved == pytest.approx(200 * 1e-8 / 4.0, rel=1e-6)
+    assert point.signals == pytest.approx(dict.fromkeys(["law/u/data", "plant/y/data", "plant/way/data"], 9.0))
+    assert (point.at, point.period, point.slowest) == (3.0, 0.01, pytest.approx(0.5))
+    monkeypatch.setattr(Wanders, "little", np.array([0.5e-8, 3e-8]))  # 1e-6 and 1.5e-6 of the sizes
+    with pytest.raises(
+        NoOperatingPoint, match=r"near t = 3 s: what is found does not last; plant\.b = 8 moves by 6e-06 within 2 s$"
+    ):
+        steady(rig_of_curve(Curve.f))
 
 
 def test_where_newtons_method_ends_nowhere_it_is_told_with_the_state_that_moves_most():

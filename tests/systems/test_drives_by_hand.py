@@ -439,12 +439,25 @@ def test_each_phase_trips_the_inverter_and_saturates_its_converter(phase, sign):
         plant = ByHand(ImPlant(trip_current=limit, period=1e-7))
         plant.x = plant.x._replace(psi_s_alpha=psi.real, psi_s_beta=psi.imag)
         said = plant.outputs(0)
+        a, b, c = said["currents_meas"]
+        assert (a + b + c, abs(a) > 5.0) == (0.0, True)
         for k in range(11):
             plant.advance(k, switches=(0.0, 0.0, 0.0), load_torque=None)
             assert plant.x.fault is trips
             assert ("adc_saturated" in plant.reports) is (phase < 2 and k == 10)
         assert said["currents_true"][phase] == near(28.5 * sign)
         assert ("overcurrent" in plant.reports) is trips
+
+
+@pytest.mark.parametrize("phase", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_current_at_the_trip_is_not_beyond_it(phase, sign):
+    plant = ImPlant(trip_current=5.0)
+    currents = [0.0, 0.0, 0.0]
+    for size, trips in ((5.0, False), (math.nextafter(5.0, 6.0), True)):
+        currents[phase] = sign * size
+        plant._step = lambda flat: (*flat[:6], *currents, 0.0)
+        assert plant.advance(plant.first(), 0, switches=(0.0, 0.0, 0.0), load_torque=None).fault is trips
 
 
 def flux_signals(t, estimate, true):

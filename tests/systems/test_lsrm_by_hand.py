@@ -1,5 +1,6 @@
 """The linear motor's laws, profiles and figures over random inputs, against loops written from their docstrings."""
 
+import itertools
 import math
 from random import Random
 
@@ -257,6 +258,31 @@ def test_each_phase_trips_the_half_bridges(phase):
         plant.advance(0, phase_voltage=(0.0,) * 4, load=None)  # after a fault the supply takes the flux away
         taken = 0.006 * current - getattr(plant.x, names[phase])
         assert taken == pytest.approx(150.0 * 5e-5 if trips else 0.0, abs=1e-9)
+
+
+def test_markers_are_teeth_at_each_pitch_and_four_poles_on_a_body():
+    """Widths of 21 and 13 mm, a gap of 2 mm at 20 mm from the middle; each tooth three lines around a rectangle."""
+    plant = ByHand(LsrmPlant(x_0=0.1))
+    stator, translator = plant.markers()
+    assert (stator.frame_id, stator.name, stator.kind, stator.size) == ("stator", "stator", "line_list", 0.001)
+    assert (translator.frame_id, translator.name, translator.size) == ("stator", "translator", 0.001)
+    assert (stator.color, translator.color) == ((0.5, 0.5, 0.5, 1.0), (0.8, 0.3, 0.1, 1.0))
+
+    def lines(marker):
+        pairs = zip(marker.points[::2], marker.points[1::2], strict=True)
+        return sorted(sorted(tuple(round(v, 9) + 0.0 for v in p) for p in pair) for pair in pairs)
+
+    def around(x, width, foot, tip):
+        corners = [(x - width / 2, foot), (x - width / 2, tip), (x + width / 2, tip), (x + width / 2, foot)]
+        return [[(*a, 0.0), (*b, 0.0)] for a, b in itertools.pairwise(corners)]
+
+    teeth = [w for n in range(-4, 20) for s in (1, -1) for w in around(0.052 * n, 0.021, s * 0.048, s * 0.022)]
+    poles = [w for n in range(4) for s in (1, -1) for w in around(0.1 + 0.039 * n, 0.013, s * 0.01, s * 0.02)]
+    left, right = 0.1 - 0.0195, 0.1 + 3 * 0.039 + 0.0195
+    body = [(left, 0.01, 0.0), (right, 0.01, 0.0), (right, -0.01, 0.0), (left, -0.01, 0.0)]
+    poles += [[a, b] for a, b in zip(body, [*body[1:], body[0]], strict=True)]
+    for marker, expected in ((stator, teeth), (translator, poles)):
+        assert lines(marker) == sorted(sorted(tuple(round(v, 9) + 0.0 for v in p) for p in w) for w in expected)
 
 
 # figures ---------------------------------------------------------------------------------------------------------

@@ -273,8 +273,11 @@ def test_newton_halves_its_steps_where_it_may_and_keeps_the_best(monkeypatch):
     assert (alpha[0], error, len(asked)) == (3.0, near(math.atan(3.0)), 6)
     asked.clear()
     monkeypatch.setattr(mvim, "_ends", ends_of(lambda a: 1e-9, lambda a: 1.0, asked))
-    assert newton(None, np.array([0.0]), 1, 1, 1.0, 1e-8)[1] == 1e-9
+    assert newton(None, np.array([0.0]), 1, 1, 1.0, 1e-8) == (0.0, 1e-9)  # of alphas that are as good the first
     assert len(asked) == 3  # two steps that change nothing, from what is accurate
+    asked.clear()
+    newton(None, np.array([0.0]), 1, 1, 1.0, 1e-9)
+    assert len(asked) == 3  # just so
     asked.clear()
     assert newton(None, np.array([0.0]), 1, 1, 1.0, 1e-10)[1] == 1e-9
     assert len(asked) == 41  # from what is not, all of them
@@ -327,7 +330,7 @@ def test_a_costate_follows_its_branch(monkeypatch, order, reached, answer):
     def replaced(problem, alpha, order, stages, T, accurate, halvings=0, steps=40):
         start = round(float(alpha[0]), 9)
         if start in reached and halvings == 0:
-            return np.array([reached[start]]), 1e-9
+            return np.array([reached[start]]), 1e-8  # just accurate
         return (np.array([2.0]), 1e-8) if start == 2.0 and halvings == 12 else (alpha, 1.0)
 
     monkeypatch.setattr(mvim, "newton", replaced)
@@ -580,11 +583,19 @@ def test_planners_solve_what_they_are_asked():
     assert found.details["alpha"] == " ".join(f"{a:.10g}" for a in own.alpha)
     assert (found.details["end error"], found.details["order"]) == (f"{own.end_error:.3g}", "6")
     assert MvimPlanner.shape(series.p) == (1, 7)
+    assert (found.accurate, own.residual[-1] >= 1e-4) == (True, True)  # so it says how many stages would do
+    stages = mvim.enough_stages(find("two_state").changed(x0=(-0.4, 0.1)), 6, 1e-4)
+    assert found.reason == f"{own.reason}; stages: {stages} do; {mvim.several(own)}"
+    edge = MvimPlanner(problem="two_state", order=4, order_max=6, eps=1e-9, eps_res=own.residual[-1])
+    assert "; stages: " in MvimPlanner.solve(edge.request(edge.first(), 0, state=(-0.4, 0.1))[1], None).reason
+    met = series.request(series.first(), 0, state=(0.0, 0.0))[1]
+    assert "stages" not in MvimPlanner.solve(met, None).reason
     coarse = CollocationPlanner(problem="two_state", intervals=4, samples=5)
     request = coarse.request(coarse.first(), 0, state=(-0.8, 0.0))[1]
     found = CollocationPlanner.solve(request, None)
     again = collocation.solve(find("two_state"), intervals=4, samples=5)
     assert (np.reshape(found.values, (5, 5)).tolist(), found.order) == (again.rows.tolist(), 3)
+    assert again.end_error == 0.0  # of a free end nothing is missed
     assert found[2:8] == (again.J, again.residual, again.end_error, True, again.residual < 1e-4, again.reason)
     assert found.details["alpha"] == f"{again.alpha[0]} {again.alpha[1]}"
     assert (found.details["J"], found.details["iterations"]) == (f"{again.J:.12g}", str(again.iterations))

@@ -7,6 +7,7 @@ import pytest
 from softrig_core import (
     ByHand,
     Level,
+    Marker,
     Result,
     RunError,
     list_scenarios,
@@ -287,6 +288,9 @@ def test_a_plan_that_comes_ticks_after_its_stamp_is_played():
 def test_markers_show_the_momentum():
     line, ball = ByHand(SpacecraftPlant()).markers()
     assert line.points[1] == ball.points[0] == pytest.approx((0.8624, 0.42535, 0.11359))
+    tip = line.points[1]
+    assert line == Marker("body", "momentum", "line_strip", ((0.0, 0.0, 0.0), tip), 0.02)
+    assert ball == Marker("body", "tip", "sphere_list", (tip,), 0.05, (0.9, 0.4, 0.1, 1.0))
 
 
 def test_a_plan_that_is_over_or_another_problems_is_refused():

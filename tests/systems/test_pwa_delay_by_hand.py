@@ -246,14 +246,14 @@ def test_a_linear_matrix_inequality_is_solved_and_checked():
     found = p.solve()
     assert (found.status, found.t) == ("Solved", pytest.approx(250.0, rel=1e-5))
     assert found.matrices["X"] == pytest.approx(250.0 * np.eye(4), abs=1e-2)
-    p = Problem()  # X - Y - 3 diag(Z) >= t with entries of Y and Z from 0 on: none of them helps
+    p = Problem()  # 10 X >= t of a trace of 1000 and X - Y >= t: with entries of Y from 0 on that does not help
     p.symmetric("X", 2)
     p.symmetric("Y", 2, positive=True)
-    p.positive("trace", [quadratic("X", np.eye(2)), quadratic("Y", np.eye(2), 2.0)], traced=True)
+    p.positive("10 X", [quadratic("X", np.eye(2), 10.0)], traced=True)
     p.positive("X - Y", [quadratic("X", np.eye(2)), quadratic("Y", np.eye(2), -1.0)])
     found = p.solve()
-    assert found.t == pytest.approx(500.0, rel=1e-4)
-    assert found.matrices["Y"] == pytest.approx(np.zeros((2, 2)), abs=1e-2)
+    assert found.t == pytest.approx(50.0, rel=1e-4)
+    assert np.diag(found.matrices["Y"]) == pytest.approx(np.zeros(2), abs=1e-2)
     assert np.min(found.matrices["Y"]) >= 0.0
     rng = np.random.default_rng(4)
     p = Problem()
@@ -354,6 +354,8 @@ def test_a_margin_is_looked_for_from_what_is_certified(monkeypatch):
     assert certified_margin(system) is None
     assert asked[-1] == pytest.approx(0.5 * 2.0**-19)  # half of it would be below a millionth of 1/2 s
     assert certified_margin(system, Criterion("constant"), low=0.2) is None
+    assert certified_margin(system, low=1.05e-6 * 0.5 * 1024) is None
+    assert asked[-1] == pytest.approx(1.05e-6 * 0.5)
     replaced(0.3, least=0.1)  # nothing is certified from no delay on, but 0.2 s is
     assert certified_margin(system, low=0.2) is None
     assert certified_margin(system, Criterion("constant")) is None
@@ -620,6 +622,16 @@ def test_systems_by_name_and_by_their_numbers():
         p = SystemParams(system=name)
         system = p.build()
         assert (system.n, system.cells, p.states) == (n, cells, n)
+    tank, smooth = SystemParams(system="tank").build(), SystemParams(system="continuous_tank").build()
+    drains = [(8.6928e-4, 2.1732e-4), (5.0188e-4, 3.7641e-4)]  # of two slopes, about a level of 0.5
+    assert [m.item() for m in tank.A] == [-slope_ for slope_, _ in drains]
+    assert [m.item() for m in tank.Ad] == [0.2, -0.1]
+    assert [a.item() for a in tank.a] == near(
+        [0.5 * k - (0.5 * r + c) for k, (r, c) in zip((0.2, -0.1), drains, strict=True)]
+    )
+    assert [(A.item(), Ad.item()) for A, Ad in zip(smooth.A, smooth.Ad, strict=True)] == [
+        (-r, -k) for r, _ in drains for k in (0.2, 0.1)
+    ]
     own = SystemParams(
         system="user", n=2, A=tuple(range(8)), Ad=tuple(range(8, 16)), lines=(1.0, 2.0), offsets=(1.0, 2.0, 3.0, 4.0)
     )
@@ -723,7 +735,7 @@ def test_a_monitor_speaks_once_its_record_is_whole():
         for name, shape in p.shapes().items()
     }
     given, verdict, system = p.pad(m), (0.64, 1.0, 0.1, 0.1, 9.0), p.build()
-    states = np.cos(0.3 * np.arange(200)) * 1.004 ** np.arange(200)
+    states = (2.0 + np.cos(0.3 * np.arange(200))) * 1.012 ** np.arange(200)
     record, slopes, values, told = [], [], [], False
     assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=given, verdict=(0.64, 0.0, 0, 0, 0)) == {}
     for k, state in enumerate(states):
@@ -742,6 +754,9 @@ def test_a_monitor_speaks_once_its_record_is_whole():
         assert ("rises" in monitor.reports) is rises
         values.append(value)
     assert told
+    _, said = monitor.block.update(monitor.x, 0, state=(9.0,), mode=(0.0, 0.66), matrices=given, verdict=verdict)
+    rows, rates = np.array([*record[-64:], 9.0]), np.array([*slopes[-64:], -0.64 * record[-66]])
+    assert said["value"][0] == near(functional(system, m, rows[:, None], rates[:, None], 1.0))  # not beyond the bound
     assert monitor.refused(0) == {}
     assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=given, verdict=verdict) == {}  # from anew
     for h, coarse in ((0.64, False), (0.63, True)):

@@ -13,7 +13,7 @@ from softrig_robots.joints import JointGains, PerJoint, motor_names, require_pos
 from softrig_robots.manipulator.controller import VcsController
 from softrig_robots.manipulator.plant import ManipulatorPlant
 from softrig_robots.manipulator.trajectory import TrajectorySource
-from softrig_robots.rehab import tuner
+from softrig_robots.rehab import computation, tuner
 from softrig_robots.rehab.controller import VoltageController
 from softrig_robots.rehab.impedance import Impedance
 from softrig_robots.rehab.patient import Patient
@@ -560,6 +560,48 @@ def test_repeatability_is_the_change_of_an_error_over_its_square():
     t = np.arange(3.0)
     first, second = {"e": (t, np.array([1.0, 2.0, 3.0]))}, {"e": (t, np.array([2.0, 0.0, 3.0]))}
     assert repeatability(first, second, "e") == pytest.approx((1.0 + 4.0 + 0.0) / 14.0)
+
+
+def test_the_time_of_a_law_is_that_of_an_update_over_states_that_change(monkeypatch, capsys):
+    """The clock replaced by one of 3 ms a reading, the laws by one that keeps what it is given."""
+    seen = []
+
+    class Law:
+        def __init__(self, law):
+            self.law = law
+
+        def first(self):
+            return 0
+
+        def update(self, x, k, **inputs):
+            seen.append((x, k, inputs))
+            return x + 1, {}
+
+    clock = itertools.count()
+    monkeypatch.setattr(computation, "VoltageController", Law)
+    monkeypatch.setattr(computation.time, "process_time", lambda: 3e-3 * next(clock))
+    assert computation._mean_time(Law("emvc"), 1500) == near(2.0)  # 3 ms over 1500 updates, us
+    assert [row[:2] for row in seen] == [(k, k) for k in range(1500)]
+    for k in (0, 700, 1499):
+        x = math.sin(1e-3 * k)
+        assert seen[k][2] == {
+            "joint_states": (x, -x, 0.2, -0.1),
+            "motor_states": (0.1 * x, 0.2),
+            "reference": (x + 0.01, 0.01 - x, 0.2, -0.1, 0.0, x),
+            "applied_voltage": (x, -x),
+        }
+    took = itertools.count(1)
+    monkeypatch.setattr(computation, "_mean_time", lambda controller, updates: float(next(took)) + updates)
+    assert computation.computation_times(10) == {"emvc": 11.0, "tsarc": 12.0, "arsc": 13.0}  # the best of three rounds
+    assert next(took) == 10
+    monkeypatch.setattr(computation, "computation_times", lambda: {"emvc": 1.0, "tsarc": 2.5, "arsc": 30.0})
+    computation.main()
+    assert capsys.readouterr().out.splitlines() == [
+        "ACT, us   paper   here",
+        "emvc       12.2   1.00",
+        "tsarc      37.8   2.50",
+        "arsc      160.0  30.00",
+    ]
 
 
 # the tuner -------------------------------------------------------------------------------------------------------

@@ -165,6 +165,15 @@ def test_the_controller_at_the_edges_of_what_it_takes():
     )
 
 
+def test_after_fifty_ticks_without_a_state_nothing_is_dropped_and_what_was_known_is_still_told():
+    block = ByHand(AqmController(law="pi"))
+    last = block.update(0, state=(9.0, 130.0, 0.2), reference=None)
+    said = [block.refused(k) for k in range(60)]
+    assert said[:49] == [last] * 49
+    assert said[49:] == [{"command": (0.0,), "health": last["health"]}] * 11
+    assert last["command"] != (0.0,)
+
+
 def test_what_the_integral_gives_stays_under_other_gains():
     for law, before, after, share in (
         ("sspid", {"l2": 4.0}, {"l2": 8.0}, 0.5),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 import tempfile
@@ -23,7 +22,7 @@ from pythonfmu import Fmi2Slave
 from softrig_control.fmu.slave import Node
 
 
-class {model}(Node, Fmi2Slave):
+class {node}(Node, Fmi2Slave):
     """See node.json."""
 '''
 
@@ -59,14 +58,13 @@ def export(rig: Rig, node: str, folder: Path) -> Path:
     from .slave import content
 
     start = _first(rig, member)
-    model = re.sub(r"\W", "_", node)
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="softrig_fmu_") as place:
-        script = Path(place, f"softrig_{model}.py")
-        script.write_text(_SCRIPT.format(model=model, node=node, package=member.package, executable=member.executable))
+        script = Path(place, f"softrig_{node}.py")
+        script.write_text(_SCRIPT.format(node=node, package=member.package, executable=member.executable))
         what = Path(place, "node.json")
-        what.write_text(json.dumps(content(member, rig.scenario.seed, model, start), indent=1), encoding="utf-8")
-        path = folder / f"{model}.fmu"
+        what.write_text(json.dumps(content(member, rig.scenario.seed, start), indent=1), encoding="utf-8")
+        path = folder / f"{node}.fmu"
         code = "import sys; from pythonfmu import FmuBuilder; FmuBuilder.build_FMU(*sys.argv[1:3], [sys.argv[3]], "
         code += "**dict.fromkeys(sys.argv[4:], True))"
         # in a process of its own: it imports the script by its name, and leaves its folder on the path

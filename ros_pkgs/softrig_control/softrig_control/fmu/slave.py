@@ -50,7 +50,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         self._what = json.loads(Path(self.resources, "node.json").read_text(encoding="utf-8"))
         self._class = load_block(self._what["package"], self._what["executable"])
         self._values: dict[str, Any] = dict(self._what["parameters"])
-        self.modelName = self._what["model"]
+        self.modelName = self._what["node"]
         self.description = " ".join((self._class.__doc__ or "").split("\n\n")[0].split())
         self._params: Any = build(self._class.Params, self._values)
         self._inputs, self._outputs = self._class.ports(self._params)
@@ -217,10 +217,9 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
             self._k += 1
 
 
-def content(member: Any, seed: int, model: str, start: dict[str, list[float]]) -> dict[str, Any]:
+def content(member: Any, seed: int, start: dict[str, list[float]]) -> dict[str, Any]:
     """Give what ``node.json`` says of a member of a rig, and of what its inputs begin with."""
     return {
-        "model": model,
         "node": member.name,
         "package": member.package,
         "executable": member.executable,

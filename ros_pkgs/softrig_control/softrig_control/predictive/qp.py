@@ -49,9 +49,8 @@ class MoveSolver:
         n = len(hessian)
         self._n, self._solve = n, solve
         self._h, self._q, self._sums = np.array(hessian, dtype=float), np.zeros(n), np.tril(np.ones((n, n)))
-        # by row: first the moves, then their partial sums
-        self._lower = np.concatenate([np.full(n, -most), np.full(n, -np.inf)])
-        self._upper = np.concatenate([np.full(n, most), np.full(n, np.inf)])
+        # by row: first the moves, then their partial sums, whose bounds each programme has
+        self._lower, self._upper = np.full(2 * n, -most), np.full(2 * n, most)
         self._sense = np.zeros(2 * n, dtype=np.int32)
 
     def solve(self, q: Sequence[float], low: float, high: float) -> Answer:

@@ -323,7 +323,7 @@ def solve(
     -------
     Solution
     """
-    n, m = len(problem.states), len(problem.controls)
+    n = len(problem.states)
     last = order if order_max is None else order_max
     scale = max(map(abs, (*problem.x0, *(problem.x_end or ())))) or 1.0
     alpha = np.zeros(n)
@@ -333,7 +333,7 @@ def solve(
         else:
             for k in range(1, (frozen_order or order) + 1):
                 alpha, _ = costate(problem, alpha, k, stages, END * scale)
-    found = Solution(np.zeros((stages, 2 * n + m, 1)), problem.horizon, 0, alpha)
+    found = Solution(np.empty(0), problem.horizon, 0, alpha)
     for k in range(1, last + 1):
         if alpha_mode == "own":
             alpha, several = costate(problem, alpha, k, stages, END * scale)
@@ -348,7 +348,7 @@ def solve(
         found.alphas.append(alpha)
         if not found.seed_order and found.ratio[-1] < eps:
             found.seed_order = k
-        found.converged = k > 2 and max(found.ratio[-2:]) < eps and residual < eps_res
+        found.converged = max(found.ratio[-2:]) < eps and residual < eps_res  # the first ratio is infinite
         if k >= order and found.converged:
             break
     found.order, found.alpha, found.coefficients = k, alpha, np.concatenate([z, u], axis=1)

@@ -74,7 +74,6 @@ def growth_rate(run: Run) -> float:
     half = run.t.size // 2
     x, t = run.sizes[half:], run.t[half:]
     peak = np.flatnonzero((x[1:-1] >= x[:-2]) & (x[1:-1] > x[2:])) + 1
-    peak = peak[x[peak] > 0.0]
     if peak.size < 3:
         raise ValueError(
             f"{peak.size} maxima in {np.ptp(t) if t.size else 0.0:g} s: the run is too short for a growth rate"

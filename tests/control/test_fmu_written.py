@@ -1,0 +1,116 @@
+"""What an export as an FMU is made of, and why there is none: with the tool that puts it together played."""
+
+import json
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from softrig_control.fmu import export as exports
+from softrig_control.fmu.export import _can, _check, export, main
+from softrig_control.policy import Policy
+from softrig_core import ScenarioError, joint_state, load_scenario, rig_of
+from softrig_drives.dc_motor.plant import DcMotorPlant
+
+pytest.importorskip("pythonfmu")
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What the tool has been asked for; its answer can be changed."""
+    found = SimpleNamespace(calls=[], answer=SimpleNamespace(returncode=0, stderr=""))
+
+    def run(command, **about):
+        assert about == {
+            "stdin": exports.subprocess.DEVNULL,
+            "capture_output": True,
+            "text": True,
+            "check": False,
+        }
+        script, path, what, *can = command[4:]
+        found.calls.append((command[:4], Path(script).name, Path(script).read_text(), path, Path(what), can))
+        found.node = json.loads(Path(what).read_text())
+        return found.answer
+
+    monkeypatch.setattr(exports.subprocess, "run", run)
+    return found
+
+
+@pytest.fixture(scope="module")
+def motor():
+    return rig_of("dc_motor_smc")
+
+
+def test_a_node_is_written_with_its_script_and_what_it_is(asked, motor, tmp_path):
+    path = export(motor, "dc_motor_plant", tmp_path / "not" / "there")
+    assert path == tmp_path / "not" / "there" / "dc_motor_plant.fmu"
+    assert path.parent.is_dir()
+    assert export(motor, "dc_motor_smc", path.parent).name == "dc_motor_smc.fmu"
+    (command, name, text, file, what, can), (_, other, _, _, _, _) = asked.calls
+    assert (command[0], command[1], command[2]) == (sys.executable, "-P", "-c")
+    assert "FmuBuilder.build_FMU(*sys.argv[1:3], [sys.argv[3]], **dict.fromkeys(sys.argv[4:], True))" in command[3]
+    assert (name, other, file, what.name) == (
+        "softrig_dc_motor_plant.py",
+        "softrig_dc_motor_smc.py",
+        str(path),
+        "node.json",
+    )
+    assert "class dc_motor_plant(Node, Fmi2Slave):" in text
+    assert '"""What runs in this FMU is dc_motor_plant, softrig_drives/dc_motor_plant of softrig."""' in text
+    assert can == ["canGetAndSetFMUstate", "canSerializeFMUstate"]
+    assert not what.exists()
+    law = asked.node
+    assert (law["node"], law["package"], law["executable"], law["seed"]) == (
+        "dc_motor_smc",
+        "softrig_drives",
+        "dc_motor_smc",
+        0,
+    )
+    assert law["start"] == {"state": [0.0], "sensors": [0.0, 0.0], "reference": [1.0]}  # what the scenario says first
+    assert law["parameters"]["period"] == motor.clock.params.period
+
+
+def test_the_seed_and_the_first_values_are_those_of_the_scenario(asked, tmp_path):
+    export(rig_of(load_scenario("dc_motor_smc_b2").model_copy(update={"seed": 11})), "dc_motor_plant", tmp_path)
+    assert asked.node["seed"] == 11
+    assert asked.node["start"].keys() == {"command"}
+
+
+@pytest.mark.parametrize(
+    ("stderr", "said"), [("", "no reason given"), ("first\nlast one\n", "last one"), ("  \n", "no reason given")]
+)
+def test_why_there_is_none_is_the_last_that_the_tool_said(asked, motor, tmp_path, stderr, said):
+    asked.answer = SimpleNamespace(returncode=1, stderr=stderr)
+    with pytest.raises(ScenarioError, match=f"^node dc_motor_plant: no FMU: {said}$"):
+        export(motor, "dc_motor_plant", tmp_path)
+
+
+def test_nodes_that_cannot_be_exported_are_told(motor, tmp_path):
+    with pytest.raises(ScenarioError, match=r"^dc_motor_smc has no node 'plant'; it has dc_motor_plant, "):
+        export(motor, "plant", tmp_path)
+    plain, late = (
+        joint_state("a", "t/a", ["x"], position="m"),
+        joint_state("b", "t/b", ["x"], position="m", delayed=True),
+    )
+    for inputs, outputs in (((late,), ()), ((plain,), (plain, late))):
+        with pytest.raises(
+            ScenarioError, match=r"^node n: t/b carries acquisition times of its own, which an FMU cannot$"
+        ):
+            _check(SimpleNamespace(name="n", inputs=inputs, outputs=outputs, external=False))
+    with pytest.raises(ScenarioError, match=r"^node n is external: its code is not here$"):
+        _check(SimpleNamespace(name="n", inputs=(plain,), outputs=(plain,), external=True))
+    _check(SimpleNamespace(name="n", inputs=(plain,), outputs=(plain,), external=False))
+    assert _can(SimpleNamespace(block_class=Policy)) == ()  # what its policy remembers is opaque
+    assert _can(SimpleNamespace(block_class=DcMotorPlant)) == ("canGetAndSetFMUstate", "canSerializeFMUstate")
+
+
+def test_the_verb_writes_each_and_says_where(asked, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["fmu", "dc_motor_smc", "dc_motor_plant", "dc_motor_smc"]) == 0
+    assert capsys.readouterr().out == "dc_motor_plant.fmu\ndc_motor_smc.fmu\n"
+    assert main(["fmu", "dc_motor_smc", "dc_motor_plant", "--out", "there"]) == 0
+    assert capsys.readouterr().out == "there/dc_motor_plant.fmu\n"
+    for words in (["dll", "dc_motor_smc", "dc_motor_plant"], ["fmu", "dc_motor_smc"], ["fmu"]):
+        with pytest.raises(ScenarioError):
+            main(words)
+    assert len(asked.calls) == 3
