@@ -575,6 +575,10 @@ def test_systems_that_are_none_are_refused():
         (given | {"Ad": (np.eye(2),)}, r"^Ad of cell 0 has the shape \(2, 2\), expected \(1, 1\)$"),
         (given | {"A": (np.array([[math.nan]]),)}, "^A of cell 0 is not finite$"),
         (both, r"^cells 0 and 1 overlap at x = \[.*\], x_d = \[.*\]$"),
+        (
+            {k: v if k in ("lines", "lines_delayed") else v * 3 for k, v in given.items()},
+            r"^cells 0 and 1 overlap at x",
+        ),
         (both | {"E": half, "e": (np.full(1, -0.3), np.zeros(1))}, r"^no cell holds x = .*: the cells leave a gap$"),
         (both | {"E": half, "e": offset, "F": (np.eye(2), 2.0 * np.eye(2))}, "^features of cells 0 and 1 differ by"),
     ):
