@@ -379,6 +379,7 @@ def test_what_is_set_together_is_taken_together_or_each_by_itself():
         ]
     node.remark = "of a set before"
     assert node.ask(k=7.0)[1] == [""]
+    assert node.ask(empty="None")[2] == []  # as `ros2 param dump` says of one that has no value
     assert node.ask(k="many")[2] == [{"k": "many"}]  # the range refuses it
     assert node.ask(words=["a"])[2] == []
     node._credit.left = -1.0
