@@ -281,6 +281,13 @@ def test_who_only_looks_on_stands_behind_the_plant():
     assert columns(Wiring(nodes=nodes, wires=wires[2:])) == [["log"], ["note"]]
 
 
+def test_neighbours_stand_side_by_side_and_who_is_named_first_on_top():
+    to = {"a": ("d",), "b": ("c", "plant"), "c": ("plant",), "d": ("plant",), "plant": ()}
+    nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "plant") for n in to}
+    wires = tuple(Wire(topic=n, type="T", source=n, readers=readers) for n, readers in to.items())
+    assert columns(Wiring(nodes=nodes, wires=wires)) == [["a", "b"], ["d", "c"], ["plant"]]
+
+
 def test_many_nodes_are_arranged_at_once():
     names = [f"n{k}" for k in range(60)]  # each reads all before it: 2^58 ways lead to the last one
     nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "n59") for n in names}

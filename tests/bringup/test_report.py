@@ -500,6 +500,7 @@ def test_report_shows_what_nodes_refused_and_how_slow_they_were(make_run):
 def test_several_runs_get_an_index_and_stand_side_by_side(make_run, tmp_path):
     good = [m for m in METRICS if m["pass"]]
     runs = [make_run("first"), make_run("second", good), make_run("broken", [], error="gone")]
+    write_report(runs[:1], tmp_path / "one.html", ["as many labels as runs"])
     write_report(runs, tmp_path / "all.html")
     page = Page(tmp_path / "all.html")
     index, compared = ([r for r in page.rows if r[0] == name] for name in ("first", "second"))

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from softrig_bringup import folder as folders
+from softrig_bringup import cli, folder as folders
 from softrig_bringup.folder import FALSIFICATION, MANIFEST, RUN, STUDY, ResultsFolder
 from softrig_bringup.options import like, packed
 from softrig_bringup.options.branch import began_as
@@ -311,6 +311,8 @@ def test_a_digest_is_that_of_ticks_stamps_and_numbers_without_the_sign_of_zero(r
                 struct.pack("<qq", t, round(stamp * 1e9)) + b"".join(struct.pack("<d", v + 0.0) for v in values)
             )
         assert (digest.messages, digest.sha256) == (len(table.t), hashed.hexdigest()[:32])
+    zeros = [like.digests(Run(run.rig, 0, changed(run, "motor/command", 10, (zero,)))) for zero in (0.0, -0.0)]
+    assert zeros[0] == zeros[1] != found
 
 
 def test_what_a_node_has_counted_in_real_time_is_said():
@@ -607,3 +609,235 @@ def test_packages_that_are_missing_are_named():
     ):
         with pytest.raises(ScenarioError, match=f"^{said}"):
             packed.need_packages("x", names)
+
+
+# what goes into a file ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A run in its folder, of a scenario of somebody's own with a change while it ran."""
+    place = tmp_path_factory.mktemp("kept")
+    (place / "mine.yaml").write_text(
+        "title: Mine\nextends: dc_motor_smc_b2\nduration: 0.1\nchanges:\n- {at: 0.05, set: {dc_motor_smc.delta: 3.0}}\n"
+    )
+    command = ["run", str(place / "mine.yaml"), "--mode", "inprocess", "--no-plots", "--out", str(place / "run")]
+    assert cli.main(command) == 0
+    return place
+
+
+def test_what_goes_into_a_file_of_a_run_is_as_told(kept, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told = []
+    for name, bag in (("with its bag", True), ("without", False)):
+        made = pack.collect(kept / "run", bag=bag)
+        told.append(f"{name}: lacks {list(made.lacks)}")
+        told += [f"  {place}" for place in made.files]
+        about = made.about
+        told.append(f"  {about.scenario}, packages {about.packages}, code of {' '.join(about.code)}")
+        told.append(f"  digests of {len(about.digests)} topics")
+        assert about.versions == json.loads((kept / "run/metrics.json").read_text())["versions"]
+        content = json.loads(made.files["metrics.json"])
+        told.append(f"  {content['command']}")
+        told += [
+            f"    {line}"
+            for line in made.files[f"scenario/{about.scenario}.yaml"].decode().splitlines()
+            if "delta" in line or line.startswith("  at")
+        ]
+    lone = pack.collect(next((kept / "run/bag").glob("*.mcap")))
+    told += ["a single file", *(f"  {place}" for place in lone.files)]
+    for words in (["--out", "x.zip"], ["--no-bag"]):
+        assert cli.main(["pack", str(kept / "run"), *words]) == 0
+        said = capsys.readouterr()
+        told += [
+            f"pack {' '.join(words)}",
+            *(f"  {re.sub(r'[0-9]+ kB', 'N kB', line)}" for line in (said.out + said.err).splitlines()),
+        ]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.softrig.zip", "x.zip"]
+    assert cli.main(["pack", str(kept / "run"), "--out", str(tmp_path)]) == 2
+    assert "is a folder, expected a file" in capsys.readouterr().err
+    check_told("folders/packed", told)
+
+
+def test_a_file_of_code_that_is_no_longer_that_of_the_run_says_so(kept, capsys, monkeypatch):
+    real = pack.recall
+
+    def other(run, parse):
+        found = real(run, parse)
+        return with_other(
+            found, made_with=found.made_with | {"code": found.made_with["code"] | {"softrig_core": "0123"}}
+        )
+
+    monkeypatch.setattr(pack, "recall", other)
+    now = pack.fingerprints([])["softrig_core"] if pack.fingerprints([]) else None
+    made = pack.collect(kept / "run")
+    said = capsys.readouterr().err
+    assert said.startswith("softrig: the code of softrig_core is no longer that of the run (0123 then, ")
+    assert said.count("\n") == 1
+    assert made.about.code["softrig_core"] == "0123"
+    assert now is None or now in said
+    rig = rig_of("dc_motor_smc_b2")
+    pack._unchanged(Path("r"), rig, {})
+    pack._unchanged(Path("r"), rig, {"parameters": {"dc_motor_smc": {"gone": 1}, "nobody": {"k": 1}}})
+    with pytest.raises(
+        ScenarioError, match=r"^r: it ran with dc_motor_smc\.delta = 7\.5, which is 5\.0 by now: run it again$"
+    ):
+        pack._unchanged(Path("r"), rig, {"parameters": {"dc_motor_smc": {"delta": 7.5}}})
+
+
+@pytest.mark.parametrize("layout", [True, False])
+def test_packages_that_a_file_brings_are_importable_here_and_in_what_is_started(tmp_path, monkeypatch, capsys, layout):
+    """By the script of a checkout; without one they have to be installed."""
+    tree(
+        unpacked := tmp_path / "abc",
+        {"packages/pump_rig/package.xml": "", "packages/json/package.xml": "", "scenario/x.yaml": ""},
+    )
+    monkeypatch.setattr(packed, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", "mine")
+    monkeypatch.setenv("PYTHONPATH", "there")
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    monkeypatch.setenv("SOFTRIG_COMMAND", str(tmp_path / "softrig"))
+    monkeypatch.setattr("sys.path", [])
+    made = SimpleNamespace(returncode=0, stderr="")
+
+    def run(command, **how):
+        library = Path(command[2]) / "lib/python3/site-packages"
+        library.mkdir(parents=True, exist_ok=True)
+        assert command[3] == unpacked / "packages"
+        assert how == {"capture_output": True, "text": True}
+        return made
+
+    monkeypatch.setattr(packed.subprocess, "run", run)
+    if not layout:
+        said = f"it brings pump_rig, not installed here: pip install {unpacked}/packages/pump_rig"
+        with pytest.raises(ScenarioError, match=f"^{re.escape(said)}$"):
+            packed._bring(Path("x.zip"), unpacked)
+        return
+    (tmp_path / "layout.py").write_text("")
+    packed._bring(Path("x.zip"), unpacked)
+    version = f"{packed.sys.version_info[0]}.{packed.sys.version_info[1]}"
+    prefix = tmp_path / f"cache/packs/abc-py{version}"
+    library = str(prefix / "lib/python3/site-packages")
+    assert os.environ["AMENT_PREFIX_PATH"] == str(prefix)
+    assert os.environ["PYTHONPATH"] == f"{library}{os.pathsep}there"
+    assert packed.sys.path == [library]
+    assert os.environ["SOFTRIG_SCENARIOS"] == f"mine{os.pathsep}{unpacked / 'scenario'}"
+    assert capsys.readouterr().err == "softrig: x.zip brings json, pump_rig: code of who has made it runs here\n"
+    made.returncode, made.stderr = 1, "a\nno such thing\n"
+    with pytest.raises(ScenarioError, match=r"^packages: no such thing$"):
+        packed._bring(Path("x.zip"), unpacked)
+
+
+# sporadic topics, and what comes from outside -------------------------------------------------------------------------
+
+NODES = "nodes:\n  plant: {package: faultrig, executable: plant}\n  source: {package: faultrig, executable: source}\n"
+LAG = f"title: Lag\nsystem: lag\nsource: none\nduration: 0.05\n{NODES}  gain: {{package: faultrig, executable: gain}}\n"
+
+
+@pytest.fixture
+def lag(tmp_path, monkeypatch):
+    (tmp_path / "lag.yaml").write_text(LAG)
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
+    rig = rig_of("lag")
+    return rig, simulate(rig)
+
+
+def spoken(run, topic, times, values=None):
+    """The recording of a run in which somebody spoke on a topic at some times, ns."""
+    port = run.rig.topics[topic]
+    recording = Recording((t.name, t.msgtype) for t in run.recording.topics.values())
+    for name, old in run.recording.topics.items():
+        if name == topic:
+            said = [port.layout().encode(t, values or (1.0,) * port.size) for t in times]
+            recording.topics[name].times.extend(times)
+            recording.topics[name].data.extend(said)
+        else:
+            recording.topics[name].times.extend(old.times)
+            recording.topics[name].data.extend(map(bytes, old.data))
+    return recording
+
+
+def test_what_came_from_outside_is_said_by_a_node_once_more(lag):
+    rig, run = lag
+    plain = [m.name for m in rig.members]
+    assert like.from_outside(rig, run.recording) == []
+    assert like.tape(rig, recalled(run)) == {}
+    recording = spoken(run, "lag/offset", [10_000_000])
+    (port,) = like.from_outside(rig, recording)
+    assert (port.topic, port.name) == ("lag/offset", "input_1")
+    made = like.tape(rig, recalled(run, recording=recording, bag=Path("b")))
+    assert made[like.TAPE]["parameters"] == {
+        "period": "1/100",
+        "bag": "b",
+        "until": 0.0,
+        "inputs": [like.written(port)],
+    }
+    assert like.tape(rig, recalled(run, recording=recording), 0.5)[like.TAPE]["parameters"]["until"] == 0.5
+    again = like.repeated(rig.scenario, recalled(run, recording=recording))
+    assert [*again.nodes] == [*plain, like.TAPE]
+    assert runs._once(Run(rig, 0, recording)) == [runs.OUTSIDE]
+    assert runs._once(Run(rig, 0, run.recording)) == []
+    assert runs._once(Run(rig, 0, run.recording, epoch=3)) == ["in real time"]
+    branch = {"at_s": 0.1, "from_s": 0.2}
+    for left, found in (("", []), ("x", [runs.CHANGED])):
+        done = Run(rig, 0, run.recording)
+        done.branched = [branch | {"left": left}]
+        assert runs._once(done) == found
+
+
+def test_a_bag_or_a_folder_says_what_its_run_was(kept, tmp_path):
+    options = SimpleNamespace(parsed=[])
+
+    def parse(words):
+        options.parsed.append(words)
+        return "options"
+
+    found = like.recall(kept / "run", parse)
+    assert (found.path, found.options, found.bag, found.epoch, found.late) == (
+        kept / "run",
+        "options",
+        kept / "run/bag",
+        0,
+        {},
+    )
+    assert options.parsed[0][:3] == [str(kept / "mine.yaml"), "--mode", "inprocess"]
+    content = json.loads((kept / "run/metrics.json").read_text())
+    assert {k: dict(v) for k, v in found.made_with.items()} == {k: content[k] for k in ("versions", "code")} | (
+        {"contents": content["contents"]} if content["contents"] else {"contents": {}}
+    )
+    assert like._reached(found.recording, 0) == 100_000_000
+    assert like._reached(Recording(()), 7) == 0
+    (tmp_path / "bare").mkdir()
+    (tmp_path / "bare/metrics.json").write_text("{}")
+    for place, said in (
+        (tmp_path / "bare", "that run kept no bag: nobody knows what was changed while it ran"),
+        (tmp_path, "expected the directory of a run, the bag of one"),
+        (tmp_path / "none", "expected the directory of a run"),
+    ):
+        with pytest.raises(ScenarioError, match=said):
+            like.recall(place, parse)
+    for text, content in (("[1]", {}), ("{", {}), ('{"a": 1}', {"a": 1})):
+        (tmp_path / "m.json").write_text(text)
+        assert like._content(tmp_path / "m.json") == content
+
+
+def test_a_topic_on_which_somebody_speaks_now_and_then_has_no_message_twice(lag):
+    rig, run = lag
+    sporadic = next((p.topic for m in rig.members for p in m.outputs if p.sporadic), None)
+    assert runs.gaps(rig, run.recording) == ""
+    if sporadic is None:
+        member = rig.members[2]
+        port = with_other(member.outputs[0], sporadic=True)
+        member = with_other(member, outputs=(port, *member.outputs[1:]))
+        rig = with_other(rig, members=(*rig.members[:2], member))
+        sporadic = port.topic
+    for times, wrong in (
+        ([], ""),
+        ([0, 20_000_000], ""),
+        ([0, 0], "0"),
+        ([0, 5_000_000], "0.005"),
+        ([20_000_000, 10_000_000], "0.01"),
+    ):
+        said = runs.gaps(rig, spoken(run, sporadic, times))
+        assert said == (f"{sporadic}: a message at t = {wrong} s, which is no tick or not a later one" if wrong else "")

@@ -10,6 +10,7 @@ import pytest
 from softrig_bringup.page.citations import Citation, _name, _place, _plain, cited, listed, sources
 from softrig_bringup.page.html import e, mark, picture, table
 from softrig_bringup.page.junit import Case, Suite, write_reports
+from softrig_bringup.page.wiring import Wiring, columns
 from softrig_bringup.page.wording import accepted, difference, in_words, measured, measured_here, number, short, spans
 from softrig_bringup.plots.curves import Curve
 from softrig_bringup.report import run_page, several
@@ -232,6 +233,7 @@ def test_a_diagram_wider_than_a_phone_says_that_it_moves(n, wide):
         "The plant, shaded, owns time. Dashed: a node outside, its parameters unknown. A ring ends a topic that no node"
     )
     assert note.text.startswith(said)
+    assert columns(Wiring()) == []
     (_, plain) = run_page._rig(run())
     assert not plain.text
 

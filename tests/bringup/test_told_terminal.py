@@ -307,8 +307,8 @@ CONTENT = {
     [
         ("plain", {}, {}),
         ("changed", {"changed": ["k=2", "seed 3"], "label": "soft"}, {}),
-        ("stopped", {}, {"stopped": 2}),
-        ("real_time", {"reached_s": 0.0}, {"epoch": 5, "results": JUDGED[2:3], "claims": [], "status": {}}),
+        ("stopped", {"reached_s": 0.0}, {"stopped": 2}),
+        ("real_time", {}, {"epoch": 5, "results": JUDGED[2:3], "claims": [], "status": {}}),
     ],
 )
 def test_what_a_run_says_at_its_end_is_as_told(name, content, more, monkeypatch, tmp_path):

@@ -1,11 +1,14 @@
 """What the verbs do with what they are asked, in words: launches, linear views, golden bags, results, packages."""
 
 import argparse
+import importlib.util
 import json
 import math
 import os
+import re
 import signal
 from collections import namedtuple
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,9 +17,16 @@ import pytest
 from softrig_bringup import cli
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.run import part, run as runs
+from softrig_bringup.options import packed
+from softrig_bringup.page.citations import Citation
+from softrig_bringup.page.wiring import Node, Wire, Wiring
+from softrig_bringup.report import redraw
+from softrig_bringup.report.record import RunRecord
+from softrig_bringup.run import notebook, part, run as runs
+from softrig_bringup.terminal import completion, progress
 from softrig_bringup.verbs import (
     animate,
+    check,
     golden,
     launched,
     linear,
@@ -24,6 +34,7 @@ from softrig_bringup.verbs import (
     results,
     results_page,
     run_verb,
+    set_verb,
     view_verb,
     viewer,
 )
@@ -238,6 +249,7 @@ def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
             {"n": 9, "stable": False, "margins": Margins(math.inf, 0.25, math.inf, math.inf, 1.0, 0.0)},
             [],
         ),
+        "eight modes": ({"n": 8, "link": ""}, []),
         "not opened, not the rig": ({"n": 0, "link": "", "variation": 0.51}, []),
         "written": (
             {},
@@ -269,7 +281,7 @@ def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
         ]
     check_told("verbs/linear", told)
     assert asked[0] == (("x", None), {"at": None, "inputs": None, "outputs": None, "overrides": {}})
-    assert asked[3] == (("x", "u"), {"at": 2.0, "inputs": ["i"], "outputs": ["o"], "overrides": {"a.k": 1}})
+    assert asked[4] == (("x", "u"), {"at": 2.0, "inputs": ["i"], "outputs": ["o"], "overrides": {"a.k": 1}})
     assert (tmp_path / "lin/linear.png").read_text() == "120"
     found = json.loads((tmp_path / "lin/linear.json").read_text())
     assert found["margins"] == {
@@ -793,6 +805,9 @@ def test_a_run_broken_stopped_or_with_gaps_says_so(lag, monkeypatch, tmp_path):
         "realtime",
     )  # no ticks to miss
     assert asked[0][:3] == (rig, 0, tmp_path)
+    assert runs._plant_ticks(found) == 0  # which has said nothing
+    found.status = {"plant": {"ticks": 5}}
+    assert runs._plant_ticks(found) == 5
     assert "first gap" in runs.execute(rig, Placement("processes"), tmp_path).error
     outcome.stopped = 15
     assert (
@@ -892,6 +907,9 @@ def test_the_command_line_hands_on_what_is_not_its_own(monkeypatch, capsys):
     ):
         assert main(words) == 2
         assert said in capsys.readouterr().err
+    for shell, text in (("zsh", "#compdef softrig"), ("fish", "complete --command softrig"), ("bash", "complete ")):
+        assert main(["env", "--completion", shell]) == 0
+        assert text in capsys.readouterr().out
     asked = []
     monkeypatch.setattr("softrig_core.processes.executables.node_main", lambda *what: asked.append(what) or 6)
     assert main(["node", "p", "e", "--ros-args", "-p", "a:=1"]) == 6
@@ -900,3 +918,490 @@ def test_the_command_line_hands_on_what_is_not_its_own(monkeypatch, capsys):
     verbs = next(a for a in make_parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
     assert sorted(listed) == sorted(verbs)
     assert isinstance(Run, type)
+
+
+# completion -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "point", "words", "first"),
+    [
+        ("softrig bag inf", None, ["bag"], "2"),
+        ("softrig bag play ", None, ["bag", "play"], "3"),
+        ("softrig bag play", None, ["bag"], "2"),  # the word that is typed may become another
+        ("softrig bag", None, [], None),
+        ("softrig bag ", None, ["bag"], "2"),
+        ("softrig run x", None, [], None),
+        ("softrig bag inf", 11, [], None),  # the cursor is within the verb
+        ("softrig export 'x", None, [], None),
+        ("", None, [], None),
+    ],
+)
+def test_the_verb_of_another_parser_is_known_by_the_words_before_the_last(monkeypatch, line, point, words, first):
+    monkeypatch.setenv("COMP_LINE", line)
+    monkeypatch.setenv("COMP_POINT", str(len(line) if point is None else point))
+    monkeypatch.delenv("_ARGCOMPLETE", raising=False)
+    monkeypatch.setenv("_ARGCOMPLETE", "")
+    assert completion.asked({"bag", "bag play", "export"}) == words
+    assert os.environ["_ARGCOMPLETE"] == (first or "")
+
+
+def test_words_become_scenarios_settings_nodes_packages_and_executables(lag, monkeypatch):
+    of = SimpleNamespace
+    assert completion._COMPLETERS["scenario"]() == completion._COMPLETERS["names"]()
+    assert "lag" in completion._scenarios()
+    scenario = {"title": "t", "system": "s", "source": "n", "extends": "lag", "shared": {"v": 1.0}}
+    (lag / "more.yaml").write_text(json.dumps(scenario))
+    for given in ({"scenario": "more"}, {"study": "more", "scenario": ""}, {"what": "more"}):
+        found = completion._settings(of(**given))
+        assert found[0] == "v="
+        assert {"gain.k=", "plant.period=", "gain.noise="} <= {*found}
+        assert list(completion._nodes(of(**given))) == ["plant", "source", "gain"]
+    assert completion._settings(of(scenario="none")) == []
+    for prefix, package, manifest in (
+        (lag / "a", "rig", "softrig_core"),
+        (lag / "b", "other", "rclpy"),
+        (lag / "c", "bare", None),
+    ):
+        (prefix / "lib" / package).mkdir(parents=True)
+        (prefix / "lib" / package / "run").write_text("")
+        (prefix / "lib" / package / "folder").mkdir()
+        if manifest:
+            (prefix / "share" / package).mkdir(parents=True)
+            (prefix / "share" / package / "package.xml").write_text(manifest)
+    monkeypatch.setattr("softrig_core.kit.resource.prefixes", lambda: [lag / n for n in "abc"])
+    assert completion._packages() == {"rig": ["run"]}
+    assert completion._executables(of(package="rig")) == ["run"]
+    assert completion._executables(of(package="none")) == ()
+    completion.complete(whole := make_parser())
+    verbs = next(a for a in whole._actions if isinstance(a, argparse._SubParsersAction)).choices
+    completed = {f"{n} {a.dest}": a.completer for n, v in verbs.items() for a in v._actions if hasattr(a, "completer")}
+    assert completed["run set"] is completed["study grid"] is completed["falsify over"] is completion._settings
+    assert completed["run external"] is completed["view only"] is completion._nodes
+    assert "run out" not in completed
+
+
+# other ways -----------------------------------------------------------------------------------------------------------
+
+
+def test_live_parameters_are_set_in_a_domain_and_refusals_said(monkeypatch, capsys):
+    asked, refusals = [], []
+    monkeypatch.setenv("ROS_DOMAIN_ID", "1")
+    monkeypatch.setattr(
+        set_verb,
+        "set_parameters",
+        lambda wanted, wait: asked.append((wanted, wait, os.environ["ROS_DOMAIN_ID"])) or refusals,
+    )
+    assert main(["set", "a.k", "2"]) == 0
+    refusals.append("a refuses k: no")
+    assert main(["set", "a.k", "2", "b.j", "x", "--domain", "7", "--wait", "3"]) == 1
+    assert asked == [({"a": {"k": 2}}, 10.0, "1"), ({"a": {"k": 2}, "b": {"j": "x"}}, 3.0, "7")]
+    assert capsys.readouterr().err == "softrig: set: a refuses k: no\n"
+
+
+def test_a_bar_on_a_terminal_is_of_the_runs_seconds(monkeypatch):
+    seen = []
+
+    class Bar:
+        def __init__(self, *columns, console, transient):
+            seen.append((len(columns), columns[2].text_format, columns[0].markup, transient))
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            seen.append("gone")
+
+        def add_task(self, title, total):
+            seen.append((title, total))
+            return 5
+
+        def update(self, task, completed):
+            seen.append((task, completed))
+
+    monkeypatch.setattr("rich.progress.Progress", Bar)
+    monkeypatch.setattr(
+        progress.sys, "stderr", SimpleNamespace(isatty=lambda: True, write=lambda text: None, flush=lambda: None)
+    )
+    with progress.progress("mine", 2.0) as tell:
+        tell(1_500_000_000)
+    assert seen == [(5, "{task.completed:.3g} of {task.total:.3g} s", False, True), ("mine", 2.0), (5, 1.5), "gone"]
+
+
+def test_a_film_of_a_run_ends_with_what_is_drawn(lag, monkeypatch):
+    asked = []
+    t = np.array([0.0, 1.0, 1.5])
+    signals = {"a": SimpleNamespace(t=t), "b": SimpleNamespace(t=t[:2]), "c": SimpleNamespace(t=t[:0])}
+    drawing = SimpleNamespace(signals=("a", "b", "c", "d"))
+    monkeypatch.setattr(animate, "rig_of_run", lambda path: (None, signals))
+    monkeypatch.setattr(animate, "drawing_for", lambda rig: drawing)
+    monkeypatch.setattr(animate, "film", lambda *what: asked.append(what))
+    animate.film_of(str(lag), 0.25, None, 2.0)
+    assert asked == [(drawing, signals, 0.25, 1.5, 2.0)]
+    for out in ("f.mp4", "svg"):
+        assert main(["draw", "animate", str(lag), "-o", out]) == 2
+    monkeypatch.setattr(animate, "drawing_for", lambda rig: None)
+    with pytest.raises(ScenarioError, match=r"^lag: no drawing of plant \(faultrig/plant\)$"):
+        animate._drawing(rig_of("lag"))
+
+
+def test_a_run_in_a_cell_has_four_pictures_at_most(lag, monkeypatch):
+    run, asked = simulate("lag"), []
+    head = bytes(16) + (64).to_bytes(4, "big") + (48).to_bytes(4, "big")
+
+    def plot_run(signals, rig, folder, most):
+        asked.append(most)
+        for k in range(6):
+            (folder / f"p{k}.png").write_bytes(head)
+        return sorted(folder.iterdir())
+
+    monkeypatch.setattr(notebook, "plot_run", plot_run)
+    cell = notebook.html(run)
+    assert (asked, cell.count("<img"), 'alt="p3"' in cell, 'alt="p4"' in cell) == ([4], 4, True, False)
+    assert cell.startswith("<div><p><b>First-order lag</b> · Run of lag (inprocess, seed 0)")
+    saved = []
+    figure = SimpleNamespace(savefig=lambda buffer, format: saved.append(format) or buffer.write(b"png"))
+    monkeypatch.setattr(
+        notebook,
+        "plot_entry",
+        lambda signals, rig, entry: asked.append((entry.title, [*entry.signals], entry.window)) or figure,
+    )
+    assert notebook.plot(run, ["lag/state/x/position"], (0.0, 0.5))._repr_png_() == b"png"
+    assert asked[1:] == [("First-order lag", ["lag/state/x/position"], (0.0, 0.5))]
+    assert saved == ["png"]
+
+
+def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys):
+    run, asked, name = simulate("lag"), [], "lag/state/x/position"
+    plotted = rig_of(run.rig.scenario.having(plots=[{"title": "Position", "signals": {name: "x"}}]))
+
+    def drawn(found, rig, entry, **how):
+        asked.append((entry.title, [*entry.signals], entry.window, how))
+        return SimpleNamespace(savefig=lambda path, dpi, metadata: Path(path).write_text(f"{dpi} {metadata}"))
+
+    monkeypatch.setattr(redraw, "rig_of_run", lambda path: (plotted, run.signals))
+    monkeypatch.setattr(redraw, "plot_entry", drawn)
+    more = ["--width", "50.8", "--font", "8", "--format", "svg", "--csv", "--window", "0", "0.02", "--out", "p"]
+    for words in ([name], [name, *more], [], ["--no-title"]):
+        assert main(["draw", "plot", ".", *words]) == 0
+    plain = {"font": None, "inches": None}
+    assert asked == [
+        ("lag state x position", [name], None, {"title": False} | plain),
+        ("lag state x position", [name], (0.0, 0.02), {"title": False, "font": 8.0, "inches": 2.0}),
+        ("Position", [name], None, {"title": True} | plain),
+        ("Position", [name], None, {"title": False} | plain),
+    ]
+    assert capsys.readouterr().out.splitlines() == [
+        "pictures/plot_01_lag_state_x_position.pdf",
+        "p/plot_01_lag_state_x_position.svg",
+        "p/plot_01_lag_state_x_position.csv",
+        *["pictures/plot_01_position.pdf"] * 2,
+    ]
+    assert (lag / "pictures/plot_01_position.pdf").read_text().startswith("300 {")
+    rows = (lag / "p/plot_01_lag_state_x_position.csv").read_text().splitlines()
+    assert (rows[0], len(rows)) == ("t (s),lag/state/x/position (m)", 4)
+
+    def latex(path, dpi, metadata):
+        raise RuntimeError("no xelatex\nmore")
+
+    monkeypatch.setattr(redraw, "plot_entry", lambda *what, **how: SimpleNamespace(savefig=latex))
+    assert main(["draw", "plot", ".", name, "--format", "pgf"]) == 2
+    assert "pgf: no xelatex; it needs LaTeX (xelatex), pdf does not" in capsys.readouterr().err
+
+
+def test_a_golden_bag_lives_as_told(tmp_path, monkeypatch, capsys):
+    """Made, made again, another length, checked here and as if elsewhere, and the file that says how."""
+    words = ["golden", "dc_motor_smc_b2", "--bags", str(tmp_path)]
+    told = []
+
+    def go(*more):
+        status = main([*words, *more])
+        said = capsys.readouterr()
+        told.append(f"{' '.join(more) or 'plain'}: status {status}")
+        told.extend(
+            f"  {re.sub(r'[0-9]+ kB', 'N kB', line)}" for line in said.out.splitlines() if "CPython" not in line
+        )
+        told.extend(f"  {line}" for line in said.err.splitlines())
+
+    go("--duration", "0.02", "--seed", "3")
+    go("--check")
+    file = tmp_path / "dc_motor_smc_b2/golden.yaml"
+    monkeypatch.setattr(golden, "DECIDE", ("numpy",))
+    file.write_text(re.sub(r"numpy: .*", "numpy: old", file.read_text().replace("why: ''", f"why: {'by hand ' * 20}")))
+    monkeypatch.setattr(golden, "versions", lambda: runs.versions() | {"numpy": "new"})
+    go("--check")
+    go("--duration", "0.01")
+    bag = tmp_path / "dc_motor_smc_b2/bag"
+    golden._ours(bag)
+    for name in ("bag_x.mcap", "notes"):
+        (bag / name).write_text("")
+        with pytest.raises(ScenarioError, match=rf"bag/{name} was not made by `softrig golden`; move it away"):
+            golden._ours(bag)
+        (bag / name).unlink()
+    made = golden.load(tmp_path / "dc_motor_smc_b2", seed=4)
+    assert (made.recipe.seed, made.recipe.duration, made.bag) == (4, 0.01, bag)
+    text = file.read_text().replace(made.recipe.made_with["softrig_core"], "V").splitlines()
+    told += ["golden.yaml", *(f"  {line}" for line in text[: text.index("made_with:")])]
+    check_told("verbs/golden", told)
+    assert max(map(len, text)) <= 110
+    assert all(
+        golden.load(tmp_path / "dc_motor_smc_b2").open_loop(m.name).equal
+        for m in made.rig.members
+        if m.name == "dc_motor_smc"
+    )
+
+
+# a run from its words to its end --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def flow(lag, monkeypatch):
+    """What a run does, step by step; nothing is run."""
+    steps, listeners = [], []
+    done = simulate("lag")
+
+    def execute(rig, placement, log, listener):
+        listeners.append(listener)
+        steps.append(("execute", str(placement), log))
+        return done
+
+    shown = SimpleNamespace(
+        open=lambda domain: steps.append(("open", domain)), over=lambda run, folder: steps.append(("over", folder.name))
+    )
+
+    @contextmanager
+    def page(scenario, log, placement, address):
+        steps.append(("page", address))
+        yield shown
+
+    monkeypatch.setattr(run_verb, "prepare", lambda variables: steps.append(("prepare",)))
+    monkeypatch.setattr(run_verb, "environment", lambda domain, directory: {})
+    monkeypatch.setattr(run_verb, "execute", execute)
+    monkeypatch.setattr(run_verb, "page", page)
+    monkeypatch.setattr(run_verb, "need", lambda *what: steps.append(("need", *what)))
+    monkeypatch.setattr("softrig_bringup.view.serve.free_address", lambda address: steps.append(("free", address)))
+    monkeypatch.setattr(
+        "softrig_bringup.view.here.here",
+        lambda rig, placement, address, folder, conclude: steps.append(("here", address, folder.path.name)) or 9,
+    )
+    monkeypatch.setattr(
+        "softrig_bringup.run.part.run_part", lambda rig, options: steps.append(("part", options.only)) or 8
+    )
+    monkeypatch.setattr(
+        run_verb,
+        "conclude",
+        lambda options, run, folder: steps.append(("conclude", run is done, folder and folder.path.name)) or 7,
+    )
+    monkeypatch.setattr(run_verb, "_how_to_connect", lambda domain, log: f"connect {domain}")
+    return steps, listeners
+
+
+def test_the_steps_of_a_run_are_in_order(flow, lag, capsys):
+    steps, listeners = flow
+    assert main(["run", "lag", "--mode", "inprocess"]) == 7
+    log = lag / "runs/lag/log"
+    assert steps == [("page", ""), ("execute", "inprocess", log), ("conclude", True, "lag"), ("over", "lag")]
+    steps.clear()
+    assert main(["run", "lag", "--mode", "container", "--connect", "--out", "o"]) == 7
+    listeners[-1].opened(5)
+    assert steps == [
+        ("prepare",),
+        ("page", ""),
+        ("execute", "container", lag / "o/log"),
+        ("conclude", True, "o"),
+        ("over", "o"),
+    ]
+    assert "softrig: connect 5\n" in capsys.readouterr().err
+    steps.clear()
+    assert main(["view", "lag", "--address", ":1"]) == 7
+    listeners[-1].opened(6)
+    assert steps[:3] == [("need", "bokeh", "view"), ("free", ":1"), ("prepare",)]
+    assert steps[-1] == ("open", 6)
+    steps.clear()
+    assert main(["view", "lag", "--mode", "inprocess"]) == 9
+    assert steps == [
+        ("need", "bokeh", "view"),
+        ("free", "127.0.0.1:0"),
+        ("here", "127.0.0.1:0", "lag-2" if (lag / "runs/lag-2").exists() else "lag"),
+    ]
+    steps.clear()
+    assert main(["run", "lag", "--only", "gain", "--domain", "5"]) == 8
+    assert steps == [("prepare",), ("part", ["gain"])]
+    for words, said in (
+        (["run", "lag", "--realtime", "--mode", "inprocess"], "blocks in process know no wall clock"),
+        (["view", "lag", "--only", "gain"], "view shows a whole rig, which --only is not"),
+    ):
+        steps.clear()
+        assert main(words) == 2
+        assert (said in capsys.readouterr().err, steps) == (True, [])
+
+
+def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch, capsys):
+    """A plain one, a changed and labelled one one with a node outside, one of nothing kept."""
+    done, drawn = simulate("lag"), []
+    done.wall_s = 0.5
+    monkeypatch.setattr(run_verb, "illustrate", lambda run, folder, form: drawn.append((folder.path.name, form)))
+    told = []
+
+    def go(name, *words, **more):
+        options = make_parser().parse_args(["run", "lag", *words])
+        for key, value in more.items():
+            setattr(done, key, value)
+        folder = None if name is None else ResultsFolder(lag / name)
+        if folder:
+            folder.clear()
+        kept = run_verb._keep(options, done, folder)
+        content = kept.content
+        told.append(f"{' '.join(words) or 'plain'}: changed {kept.changed}, same {kept.same}, told {list(kept.told)}")
+        told.append(f"  {content['title']}, label {content['label']!r}, {content['command']}")
+        if folder:
+            told.append(f"  {sorted(p.name for p in (lag / name).iterdir())}")
+
+    go("a", "--mode", "inprocess")
+    go("b", "--set", "gain.k=2", "--label", "soft", "--junit", "unit.xml", "--no-record", "--format", "svg")
+    told += [f"    {line.strip()}" for line in (lag / "unit.xml").read_text().splitlines() if "suite" in line]
+    go("c", "--external", "gain", "--no-plots")
+    go(None, "--seed", "3")
+    go("d", branched=[{"at_s": 0.02, "from_s": 0.03, "left": ""}])
+    told.append(f"drawn {drawn}")
+    check_told("verbs/kept", (line.replace(str(lag), "HERE") for line in told))
+    assert run_verb.conclude(make_parser().parse_args(["run", "lag", "--no-plots"]), simulate("lag"), None) == 0
+
+
+def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
+    good = {"scenario": "lag", "wall_s": 1.0, "error": "", "metrics": [], "claims": []}
+    claim = {"key": "a", "false": "", "measured_text": "1", "holds": True}
+    outcomes = []
+    asked = []
+    monkeypatch.setattr(
+        check, "sweep", lambda do, names, title, workers: asked.append((names, title, workers)) or outcomes
+    )
+    for found, status, said in (
+        ([good | {"claims": [claim]}], 0, ["lag: 1 hold, 0 do not"]),
+        (
+            [good | {"claims": [claim, claim | {"key": "b", "false": "no"}]}],
+            1,
+            ["lag: 1 hold, 1 do not", "  claim b: no"],
+        ),
+        ([good, good | {"error": "gone"}], 3, ["lag: 0 hold, 0 do not", "lag: broke: gone"]),
+    ):
+        outcomes[:] = found
+        assert main(["check", "lag", "--workers", "2"]) == status
+        assert capsys.readouterr().out.splitlines() == said
+    assert asked == [(["lag"], "check", 2)] * 3
+    assert main(["check", "lag", "--json", "nowhere/x.json"]) == 2
+    assert "nowhere/x.json: there is no folder" in capsys.readouterr().err
+
+    def broken(name):
+        raise RunError("gone")
+
+    assert check.judge("lag")["metrics"][0]["name"] == "last"
+    monkeypatch.setattr(check, "simulate", broken)
+    assert {k: v for k, v in check.judge("lag").items() if k != "wall_s"} == {
+        "scenario": "lag",
+        "metrics": [],
+        "claims": [],
+        "error": "gone",
+    }
+    assert check.judge("lag")["wall_s"] >= 0.0
+
+
+def test_claims_are_of_the_systems_that_are_asked_for(lag, monkeypatch, capsys):
+    def one(name, system, claims):
+        return SimpleNamespace(
+            name=name,
+            system=system,
+            claims=claims,
+            scenario=name,
+            source=f"of {name}",
+            model_copy=lambda update: SimpleNamespace(**update, system=system),
+        )
+
+    known = {n: one(n, s, c) for n, s, c in (("a_1", "a", {"x": 1, "y": 2}), ("a_2", "a", {}), ("b_1", "b", {"z": 1}))}
+    monkeypatch.setattr(results, "list_scenarios", lambda: list(known))
+    monkeypatch.setattr(results, "load_scenario", known.__getitem__)
+    assert [[s.name for s in results.claiming(of)] for of in ((), ("a",), ("b_1", "a"), ("a_2",))] == [
+        ["a_1", "b_1"],
+        ["a_1"],
+        ["a_1", "b_1"],
+        [],
+    ]
+    with pytest.raises(ScenarioError, match=r"^no system .c.; there are a, b$"):
+        results.claiming(["a", "c"])
+    monkeypatch.setattr(results, "list_studies", lambda: list(known))
+    monkeypatch.setattr(results, "load_study", known.__getitem__)
+    assert results.left_out([]) == "3 more claims are of studies (a_1, b_1): hundreds of runs, with --studies"
+    assert results.left_out(["a"]) == "2 more claims are of studies (a_1): hundreds of runs, with --studies"
+    assert results.left_out(["a_2"]) == ""
+    ran, cleared = [], []
+
+    def run_study(study, out, workers):
+        ran.append((study.name, out, workers))
+        if study.name == "b_1" and len(ran) == 2:
+            raise results.OtherContentError("other")
+        return SimpleNamespace(rows=lambda: ["row"])
+
+    monkeypatch.setattr(results, "run_study", run_study)
+    monkeypatch.setattr(
+        results, "ResultsFolder", lambda path, ours: SimpleNamespace(clear=lambda: cleared.append((path, ours)))
+    )
+    monkeypatch.setattr(results, "without_signals", list)
+    monkeypatch.setattr(results, "results", lambda study, done: (study.name, done))
+    monkeypatch.setattr(results, "claims", lambda study, found: [found])
+    scenarios, rows = results.study_findings([], Path("o"), 2)
+    assert ran == [("a_1", Path("o/a_1"), 2), ("b_1", Path("o/b_1"), 2), ("b_1", Path("o/b_1"), 2)]
+    assert (cleared, rows) == ([(Path("o/b_1"), results.STUDY)], [("a_1", ["row"]), ("b_1", ["row"])])
+    assert [(s.name, s.source) for s in scenarios] == [("a_1", "of a_1"), ("b_1", "of b_1")]
+    assert results.study_findings(["a_2"], Path("o"))[1] == [("a_1", ["row"])][:0]
+
+
+# what is written down once --------------------------------------------------------------------------------------------
+
+
+def test_a_checkout_is_told_by_its_commit_and_its_lock_file(tmp_path, monkeypatch):
+    (tmp_path / "locks").mkdir()
+    monkeypatch.setenv("SOFTRIG_COMMAND", str(tmp_path / "softrig"))
+    said = {"rev-parse": "abc\n", "status": " M x\n"}
+    asked = []
+
+    def git(command, **how):
+        asked.append((command[:3], how))
+        return SimpleNamespace(stdout=said[command[6] if command[6] in said else command[7]])
+
+    monkeypatch.setattr(runs.subprocess, "run", git)
+    look = runs.checkout.__wrapped__
+    assert look() == {}
+    (tmp_path / "locks/run.lock").write_text("x")
+    lock = {"run.lock": "sha256:2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881"}
+    assert look() == {"commit": "abc+"} | lock
+    said["status"] = ""
+    assert look() == {"commit": "abc"} | lock
+    assert asked[0] == (
+        ["git", "-C", str(tmp_path)],
+        {"capture_output": True, "text": True, "timeout": 10, "check": True},
+    )
+
+    def none(command, **how):
+        raise FileNotFoundError
+
+    monkeypatch.setattr(runs.subprocess, "run", none)
+    assert look() == lock
+
+
+def test_records_do_not_change_and_libraries_take_one_core():
+    models = (packed.Digest, packed.About, Citation, Node, Wire, Wiring, RunRecord)
+    assert [m.model_config.get("frozen") for m in models] == [True] * len(models)
+    process = viewer.Process("p", "e")
+    assert (process.arguments, process.parameters, process.remappings, process.variables, process.kind) == (
+        [],
+        [],
+        [],
+        {},
+        "rig",
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+            patch.delenv(name, raising=False)
+        spec = importlib.util.spec_from_file_location("softrig_bringup.once_more", cli.__file__)
+        spec.loader.exec_module(importlib.util.module_from_spec(spec))
+        assert (os.environ["OMP_NUM_THREADS"], os.environ["OPENBLAS_NUM_THREADS"]) == ("1", "1")

@@ -146,7 +146,11 @@ PLOTS = [
             "tank/command/inlet/effort": "inflow",
         },
     },
-    {"title": "Level, enlarged", "signals": {"tank/state/level/position": "level"}, "window": [0.0, 0.1]},
+    {
+        "title": "Level, enlarged",
+        "signals": {f"tank/{topic}/level/position": topic for topic in ("state", "wanted", "asked")},
+        "window": [0.0, 0.1],
+    },
     {"title": "Surface", "signals": {"tank/wave/y": "surface"}, "x": "x"},
 ]
 
@@ -791,6 +795,9 @@ def test_a_page_takes_its_session_up_again_by_loading_itself(drawn):
     assert document.template is look.TEMPLATE
     calls = {name: [c.code for c in found] for name, found in document.callbacks._js_event_callbacks.items()}
     assert calls == {"document_ready": ["echo.text = beat.text"], "connection_lost": [look.COME_BACK]}
+    sheets = {name: [s.css for s in named(document, name).stylesheets] for name in ("state", "law.k")}
+    assert sheets == {"state": [look.WIDGETS], "law.k": [look.WIDGETS, look.BESIDE]}
+    assert document.theme._json == look.theme("light")
     assert (document.config.reconnect_session, document.config.notify_connection_status) == (False, False)
 
 
@@ -806,3 +813,10 @@ def test_a_curve_has_at_most_four_points_a_column_of_pixels(monkeypatch):
     picture.show(Pane({"tank/wave": Table(angle[:1999], angle[:1999], {k: x[:1999] for k, x in columns.items()})}), 6.0)
     assert len(source.data["x"]) == 1999
     assert picture.values(Pane({})) == {}
+
+
+def test_how_both_looks_are_drawn_is_as_told():
+    attrs = {name: look.theme(name)["attrs"] for name in ("light", "dark")}
+    told = [f"{name} {kind}: {shown}" for name, kinds in attrs.items() for kind, shown in kinds.items()]
+    told += [f"{name} curves: {' '.join(colours)}" for name, colours in look.COLOURS.items()]
+    check_told("view/look", told)

@@ -453,6 +453,7 @@ def test_a_slider_turns_the_knob_of_its_number_and_follows_it():
         ((0.0, 20.0), 0.0, (0.0, 20.0)),  # twenty times 1, or the value, and no more
         ((0.0, 20.5), 0.0, None),
         ((0.0, 20.0), 0.5, (0.0, 20.0)),
+        ((0.0, 21.0), 0.5, (0.0, 2.0)),
         ((-10.0, 50.0), 3.0, (-10.0, 50.0)),
         ((-10.0, 50.5), 3.0, (-6.0, 12.0)),
         ((0.0, math.inf), 1.0, None),

@@ -4,6 +4,7 @@ import json
 import math
 import queue
 import random
+import subprocess
 import threading
 from collections import Counter
 from types import SimpleNamespace
@@ -11,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.view import beside as beside_module, here as here_module, serve, sources
+from softrig_bringup.view import beside as beside_module, here as here_module, remote, serve, sources
 from softrig_bringup.view.beside import Beside, page
 from softrig_bringup.view.here import Here, here
 from softrig_bringup.view.serve import Pages, Watched, _Token, free_address, new_token
@@ -221,6 +222,10 @@ def test_a_run_under_way_is_what_its_nodes_have_written(run, tmp_path, clock):
     assert speed.x.tolist() == run.signals["motor/state/shaft/velocity"].x[: len(speed.t)].tolist()
     assert speed.t[-1] == 0.1
     (tmp_path / "metrics.json").write_text(json.dumps({"metrics": [{"name": "a"}], "nodes": {"b": {}}}))
+    (tmp_path / "dc_motor_plant.status").write_text('{"state": "done"}')
+    other = Live(run.rig, tmp_path, False)
+    other.finish("ended", None)
+    assert (other.status["dc_motor_plant"], other.outcome, other.end) == ({"state": "done"}, "ended", 0.1)
     source.finish("ended", tmp_path)
     assert (source.results, source.status, source.outcome) == ([{"name": "a"}], {"b": {}}, "ended")
     source.look()  # nothing more
@@ -283,6 +288,7 @@ def test_what_is_done_to_a_rig_in_the_process_of_its_page_is_said(tmp_path, cloc
     source = Here(Session("dc_motor_smc", duration=0.01), False, 1.0)
     control = source.control
     assert (control.goes_back, control.buttons, control.held, control.pace) == (True, [], False, 1.0)
+    assert Here(Session("dc_motor_smc_faults", duration=0.01), True, 0.0).control.buttons == []  # messages from outside
     said = []
     for act in (
         lambda: control.hold("me", "step"),
@@ -533,7 +539,7 @@ class NoServer:
 def pages(run, monkeypatch):
     monkeypatch.setattr(serve, "Server", NoServer)
     source = Recorded(run.rig, run.signals, {})
-    found = Pages(source, None, "inprocess", "127.0.0.1:0", "word", Loop())
+    found = Pages(source, "control", "inprocess", "127.0.0.1:0", "word", Loop())
     yield found
     found.close()
     assert not found.server.started
@@ -591,7 +597,7 @@ def test_figures_are_measured_now_and_then_while_a_run_goes_on(pages, monkeypatc
         clock.now += pause - 0.01
         pages.measure()
         assert len(measured) == before + 1
-        clock.now += 0.02
+        clock.now = pages._next
     assert pages._figures() == (["a result"], True)
     pages._source.thinned = True
     pages.measure()
@@ -628,10 +634,11 @@ def test_a_page_that_cannot_be_made_is_said_and_something_is_left_of_it(pages, m
 
     left = []
     monkeypatch.setattr(serve, "Page", fails)
-    monkeypatch.setattr(serve, "bare", lambda document, control, who, error: left.append((who, str(error))))
+    monkeypatch.setattr(serve, "bare", lambda document, *of: left.append((document.name, of[0], of[1], str(of[2]))))
     cleared = []
-    pages._page(SimpleNamespace(session_context=None, clear=lambda: cleared.append(True)))
-    assert (left, cleared) == ([("browser 1", "no such plot")], [True])
+    document = SimpleNamespace(name="page", session_context=None, clear=lambda: cleared.append(True))
+    pages._page(document)
+    assert (left, cleared) == ([("page", pages._control, "browser 1", "no such plot")], [True])
     assert capsys.readouterr().err == "softrig: a page cannot be shown: ValueError: no such plot\n"
 
 
@@ -796,3 +803,141 @@ def test_the_process_of_a_page_is_told_what_it_must_know(tmp_path, monkeypatch):
     assert command[1:] == ["-P", "-m", "softrig_bringup.view.serve", str(tmp_path / "view.json")]
     assert (how["text"], how["process_group"], kept) == (True, 0, "kept")
     assert beside.keeper.daemon
+
+
+# processes beside, which are not started ------------------------------------------------------------------------------
+
+
+class Piped:
+    """A process with its streams in memory; `lines` is what it says."""
+
+    def __init__(self, command, **asked):
+        self.command, self.asked, self.wrote, self.ended = command, asked, [], []
+        self.stdout = iter(Piped.lines)
+        self.stdin = SimpleNamespace(
+            write=self.wrote.append, flush=lambda: None, close=lambda: self.ended.append("closed")
+        )
+
+    def wait(self, patience=None):
+        self.ended.append(patience)
+        if Piped.stays and patience is not None:
+            raise subprocess.TimeoutExpired("x", patience)
+
+    def kill(self):
+        self.ended.append("killed")
+
+
+@pytest.fixture
+def piped(monkeypatch, tmp_path):
+    made = []
+    Piped.lines, Piped.stays = [], False
+    monkeypatch.setattr(remote.subprocess, "Popen", lambda *what, **how: made.append(Piped(*what, **how)) or made[-1])
+    monkeypatch.setattr(remote, "environment", lambda domain, directory: {"D": str(domain), "F": str(directory)})
+    threads = []
+    monkeypatch.setattr(
+        remote.threading,
+        "Thread",
+        lambda target, daemon: threads.append((target, daemon)) or SimpleNamespace(start=lambda: None),
+    )
+
+    def make(call=lambda do: do()):
+        asks = remote.Remote(3, tmp_path, call)
+        return asks, made[-1], threads[-1]
+
+    return make
+
+
+def test_answers_of_nodes_go_to_whoever_asked(piped, tmp_path):
+    asks, process, (listen, daemon) = piped()
+    assert process.command[1:] == ["-P", "-m", "softrig_core.node.ros.remote"]
+    assert process.asked["env"] == {"D": "3", "F": str(tmp_path)}
+    assert (process.asked["text"], process.asked["process_group"], daemon) == (True, 0, True)
+    found = []
+    for k in range(3):
+        asks.ask({"node": f"n{k}"}, lambda ok, why, k=k: found.append((k, ok, why)))
+    assert [json.loads(line) for line in process.wrote] == [{"id": k, "node": f"n{k}"} for k in range(3)]
+    assert all(line.endswith("}\n") for line in process.wrote)
+    process.stdout = iter(
+        ['{"id": 2, "ok": false, "reason": "no"}\n', "a library says hello\n", '{"id": 0, "ok": true, "reason": ""}\n']
+    )
+    listen()
+    assert found == [(2, False, "no"), (0, True, "")]
+
+    def broken(text):
+        raise BrokenPipeError
+
+    process.stdin.write = broken
+    asks.ask({"node": "n"}, lambda ok, why: found.append((9, ok, why)))
+    assert found[-1] == (9, False, "what asks the nodes has ended")
+    assert list(asks._asked) == [1]
+
+
+def test_a_process_that_is_let_go_ends_by_itself_or_by_force(piped):
+    asks, process, _ = piped()
+    asks.close()
+    assert process.ended == ["closed", 2.0]
+    Piped.stays = True
+    asks, process, _ = piped()
+    asks.close()
+    assert process.ended == ["closed", 2.0, "killed", None]
+
+
+def test_the_process_of_a_page_reads_what_it_must_know_and_ignores_ctrl_c(tmp_path, monkeypatch, capsys):
+    told, asked = [], []
+    (tmp_path / "view.json").write_text(json.dumps(WATCHED | {"directory": str(tmp_path), "scenario": {}}))
+    monkeypatch.setattr(serve.sys, "argv", ["serve", str(tmp_path / "view.json")])
+    monkeypatch.setattr(serve.signal, "signal", lambda *what: told.append(what))
+    monkeypatch.setattr(serve.asyncio, "set_event_loop", lambda loop: loop.close())
+    monkeypatch.setattr(
+        serve, "beside", lambda watched, lines: asked.append((watched.domain, lines is serve.sys.stdin))
+    )
+    assert serve.main() == 0
+    assert (told, asked) == ([(serve.signal.SIGINT, serve.signal.SIG_IGN)], [(3, True)])
+
+    def refused(watched, lines):
+        raise ScenarioError("no such address")
+
+    monkeypatch.setattr(serve, "beside", refused)
+    assert serve.main() == 2
+    assert capsys.readouterr().err == "softrig: no such address\n"
+    with pytest.raises(ValueError, match="extra_forbidden"):
+        Watched.model_validate(WATCHED | {"directory": "", "scenario": {}, "more": 1})
+
+
+def test_a_recording_is_shown_until_it_is_interrupted(run, monkeypatch, capsys):
+    NoPages.made.clear()
+    ended = []
+
+    class Struck(Loop):
+        def start(self):
+            ended.append("begun")
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(serve, "Pages", NoPages)
+    monkeypatch.setattr(serve, "IOLoop", SimpleNamespace(current=Struck))
+    source = Recorded(run.rig, run.signals, {})
+    with pytest.raises(KeyboardInterrupt):
+        serve.serve(source, "container", ":0")
+    (made,) = NoPages.made
+    assert (made.about, made.closed, made.source, made.control.knobs, ended) == (
+        ("container", ":0"),
+        True,
+        source,
+        {},
+        ["begun"],
+    )
+    assert (made.control._now(), made.control._over()) == (0.2, "recorded")
+    assert capsys.readouterr().err == "softrig: the page is http://here; Ctrl-C ends it\n"
+
+
+@pytest.mark.parametrize(("ends", "starts"), [(False, 3), (True, 0)])
+def test_a_page_that_ends_with_its_run_is_not_started_again(tmp_path, monkeypatch, capsys, ends, starts):
+    page_of = Beside(load_scenario("dc_motor_smc"), tmp_path, Placement("container", paused=False), "127.0.0.1:0")
+    page_of._told["domain"], page_of._ends = 7, ends
+    made = []
+    monkeypatch.setattr(page_of, "_start", lambda: made.append(1) or SimpleNamespace(wait=lambda: 5))
+    monkeypatch.setattr(beside_module, "Remote", lambda *what: pytest.fail("nobody is held"))
+    page_of._process = SimpleNamespace(wait=lambda: 5)
+    page_of._keep()
+    assert len(made) == starts
+    assert capsys.readouterr().err.count("the page has broken (status 5)") == (0 if ends else 4)

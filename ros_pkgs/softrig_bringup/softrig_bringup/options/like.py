@@ -255,7 +255,7 @@ def _differences(before: Recalled, run: Run) -> tuple[list[str], int, int]:
         messages += len(a)
         k = next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
         if a != b:
-            at = min([rows[k][0] for rows in (a, b) if k < len(rows)], default=0)
+            at = min(rows[k][0] for rows in (a, b) if k < len(rows))
             lines.append(f"{port.topic} from t = {at / SECOND:.9g} s")
     return lines, messages, topics
 
