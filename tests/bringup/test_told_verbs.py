@@ -838,7 +838,7 @@ def test_a_part_of_a_rig_runs_on_one_machine(lag, monkeypatch, capsys):
         7,
         0.0,
     )
-    assert isinstance(listener, Listener)
+    assert listener == Listener(announce=part.say)
     assert go("--out", "o", "--wait", "3", "--only", "plant", "--only", "source") == 0
     assert (asked[1][2], asked[1][3].wait) == (lag / "o/log", 3.0)
     assert "elsewhere: nobody" in capsys.readouterr().err
