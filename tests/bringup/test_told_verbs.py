@@ -529,7 +529,11 @@ def test_the_status_of_results_is_the_worst_of_its_claims_and_runs(
     monkeypatch.setattr(
         results, "markdown", lambda scenarios, found, without: pages.append((scenarios, len(found), without)) or "m"
     )
+    modes = []
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: modes.append((str(path), mode)) or access(path, mode))
     assert main(["results", "lag", "two", "--out", "o", "--json", "j.json"]) == status
+    assert ("o", os.W_OK | os.X_OK) in modes
     printed = capsys.readouterr()
     assert printed.err.splitlines() == [f"softrig: {line}" for line in said]
     kept = ["1 of 1 runs are kept: neither code nor scenario has changed"] if runs_of[0].kept else []
