@@ -221,11 +221,15 @@ def test_type_hash_is_that_of_the_installed_messages(msgtype):
 def test_installed_type_outside_the_library_is_found_in_the_ament_prefix(tmp_path, monkeypatch):
     folder = tmp_path / "share/strange_msgs/msg"
     folder.mkdir(parents=True)
-    (folder / "Pair.msg").write_text("strange_msgs/One[2] pair\nstd_msgs/Header header\n")
+    (folder / "Pair.msg").write_text(
+        "strange_msgs/One[2] pair\nstd_msgs/Header header\nstrange_msgs/Two[] more\nstring[<=3] names\nstring<=5 name\n"
+    )
     (folder / "One.msg").write_text("float64[<=3] x\n")
+    (folder / "Two.msg").write_text("strange_msgs/One[<=2] x\nstrange_msgs/Four y\n")
+    (folder / "Four.msg").write_text("string text\n")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     topic = BagTopic.known("/pair", "strange_msgs/msg/Pair")
-    assert "MSG: strange_msgs/One" in topic.definition
+    assert all(f"MSG: strange_msgs/{name}" in topic.definition for name in ("One", "Two", "Four"))
     assert topic.digest.startswith("RIHS01_")
     assert BagTopic.known("/none", "absent_msgs/msg/None").definition == ""
 
@@ -935,6 +939,49 @@ def test_a_disk_full_at_a_split_leaves_the_files_before(tmp_path, monkeypatch, f
     if storage == "mcap":
         with (tmp_path / "bag/bag_0.mcap").open("rb") as file:
             assert len(list(make_reader(file).iter_metadata())) == 2
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_file_knows_how_large_it_is_and_what_it_holds(tmp_path, storage):
+    """Of what waits: the bytes of a message and what one costs beside; of what is written: those of the file."""
+    kind = STORAGES[storage]
+    file = kind(tmp_path / f"x{kind.SUFFIX}", "none", "")
+    file.add_topic(1, BagTopic.known("/x", STATE))
+    file.flush()
+    for round_ in range(3):
+        before, beside = file.size, 31 if storage == "mcap" else 24
+        for k in range(4):
+            file.write(1, 10 * round_ + k, bytes(100))
+            assert file.size == before + (k + 1) * (100 + beside)
+        assert file.counts == {1: 4 * round_}
+        file.flush()
+        assert file.size == file.path.stat().st_size
+        assert (file.counts, file.first, file.last) == ({1: 4 * round_ + 4}, 0, 10 * round_ + 3)
+    file.write(1, 99, bytes(100))
+    assert file.discard() == 1
+    assert file.size == file.path.stat().st_size
+    file.close("")
+
+
+@pytest.mark.parametrize(("storage", "each"), [("mcap", 131), ("sqlite3", 124)])
+def test_a_file_is_full_when_it_has_just_so_much(tmp_path, storage, each):
+    for more in (0, 1):
+        writer = BagWriter(tmp_path / str(more), storage=storage, split_bytes=3 * each + more)
+        number = writer.add_topic(BagTopic.known("/x", STATE))
+        for k in range(8):
+            writer.write(number, k, bytes(100))
+        writer.close()
+        assert [sum(f.counts.values()) for f in writer._files] == [[3, 3, 2], [4, 4]][more]
+
+
+def test_metadata_may_be_just_as_long_as_the_limit(tmp_path, monkeypatch):
+    write_bag(tmp_path / "bag", recording())
+    size = (tmp_path / "bag/metadata.yaml").stat().st_size
+    monkeypatch.setattr("softrig_bags.reader.METADATA_LIMIT", size)
+    assert read_bag(tmp_path / "bag").topics
+    monkeypatch.setattr("softrig_bags.reader.METADATA_LIMIT", size - 1)
+    with pytest.raises(BagError, match=f"metadata.yaml is longer than {size - 1} bytes"):
+        read_bag(tmp_path / "bag")
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])

@@ -186,6 +186,26 @@ def test_bag_time_stands_while_it_is_paused_and_a_step_says_one_time(monkeypatch
     assert len(between) == pytest.approx(500 / 25, abs=1)
 
 
+def test_a_step_of_a_player_that_plays_is_one_time_more_and_then_a_pause(monkeypatch):
+    world = World(monkeypatch, until=5.0)
+    world.at(0.31, lambda: world.call("step"))
+    playing(world, Bag([("/a", HEADER)], headers(0, 0, 100, 200, 1000, 1100))).run()
+    assert [k for _, _, k in world.by_stamp()] == [0, 100, 200, 1000]
+    assert world.by_stamp()[-1][0] == pytest.approx(310, abs=25.1)
+    world = World(monkeypatch, until=1.0)
+    Law(world, ["/in"], ["/out"], delay=lambda data: 0.1)
+    world.at(0.25, lambda: world.call("step"))
+    with pytest.raises(RunError, match=r"^stopped at t = 0.003 s$"):
+        replaying(world, Bag([("/in", HEADER)], headers(0, *range(8)))).run()
+    assert [k for _, _, k in world.by_stamp("/in")] == [0, 1, 2, 3]
+
+
+def test_time_that_begins_at_a_nanosecond_is_waited_for_as_any(monkeypatch):
+    world = World(monkeypatch)
+    playing(world, Bag([("/a", HEADER)], [(0, 1, Layout(HEADER).encode(1, ()))]), clock=True).run()
+    assert [topic for _, topic, data in world.said if isinstance(data, bytes)] == ["/clock", "/a"]
+
+
 def test_a_player_that_is_always_late_still_hears_who_asks(monkeypatch):
     """Each message takes 10 ms to send and is due after 1: there is nothing to wait for."""
     world = World(monkeypatch)
@@ -312,6 +332,7 @@ def test_no_tick_is_sent_before_all_answers_to_the_one_before(monkeypatch):
     }
     assert [stamp(d) for d in found.topics["out"].data] == found.topics["out"].times
     assert (told.sent, world.stopped) == (40, True)
+    assert world.said[-1][1:] == ("/in", Duration(seconds=2))  # until all have the last ones
     order = [(k, topic == "/in") for _, topic, k in world.by_stamp()]
     assert [k for k, asks in order if asks] == ticks
     for tick in answered:  # whatever is said of a tick is said before anything of a later one

@@ -315,6 +315,11 @@ MARKS = {
     "four names": [Mark("time", n, -INF, 2.0 * k + 1.0) for k, n in enumerate("abcd")],
     "five times without names": [Mark("time", n, -INF, 2.0 * k + 1.0) for k, n in enumerate("abcde")],
     "violated": [Mark("violated", "a", start=2.0, end=3.0), Mark("violated", "a", start=9.0, end=12.0)],
+    "a name at the edge": [Mark("time", "a", -INF, 0.0), Mark("time", "b", -INF, -0.1)],
+    "violated up to the edges": [
+        Mark("violated", "a", start=-2.0, end=0.0),
+        Mark("violated", "a", start=10.0, end=12.0),
+    ],
     "violated outside": [Mark("violated", "a", start=-2.0, end=-0.5), Mark("violated", "a", start=10.5, end=12.0)],
 }
 
@@ -399,6 +404,9 @@ def boxed(names, width, title="", marks=()):
     box = ax.get_legend()
     if box is None:
         return ax.get_title("left") or None
+    corner = ax.transAxes.inverted().transform(box.get_bbox_to_anchor().p0)
+    assert corner == pytest.approx((0.0, 1.0), abs=1e-9)  # above the axes, from the left
+    assert (box._loc, {t.get_fontsize() for t in box.get_texts()}, box._alignment) == (3, {9.0}, "left")
     return [t.get_text() for t in box.get_texts()], box._ncols, box.get_title().get_text()
 
 
@@ -457,6 +465,43 @@ def test_an_overview_has_one_column_up_to_three_panels(monkeypatch, count, colum
     assert said == ("nothing published on q, r" if count else "")
 
 
+@pytest.mark.parametrize(
+    ("silent", "most", "drawn"),
+    [
+        ([], None, ["Own", "Outside", "Less", "Both", "overview"]),
+        (["o"], None, ["Own", "Both", "overview"]),  # nothing but what an outside node did not publish has no picture
+        (["o", "t"], None, ["Own", "Both", "overview"]),  # one's own silent topics are named in theirs
+        (["t"], None, ["Own", "Outside", "Less", "Both", "overview"]),
+        (["o"], 1, ["Own"]),
+        ([], 3, ["Own", "Outside", "Less"]),
+        (["o"], 3, ["Own", "overview"]),  # fewer than asked for
+    ],
+)
+def test_each_plot_of_a_run_is_drawn_but_of_what_never_came_from_outside(monkeypatch, tmp_path, silent, most, drawn):
+    plots = [PlotEntry(title=title, signals=dict.fromkeys(names, "")) for title, names in (
+        ("Own", ["t/x"]), ("Outside", ["o/x"]), ("Less", ["o/x - o/y"]), ("Both", ["o/x - t/x"]))]  # fmt: skip
+    members = [SimpleNamespace(external=outside, outputs=[SimpleNamespace(topic=t)]) for t, outside in
+               (("t", False), ("o", True))]  # fmt: skip
+    rig = SimpleNamespace(scenario=SimpleNamespace(name="run", plots=plots), members=members)
+    source = SimpleNamespace(silent=silent, topic=lambda name: name[0])
+    saved = []
+    for name, what in {
+        "check_plots": lambda rig: None, "marks_of": lambda rig, signals: {}, "Source": lambda signals, rig: source,
+        "_time_figure": lambda source, entry, marks: entry.title, "_overview": lambda source: "overview",
+        "save_figure": lambda figure, path, title, run, also: saved.append((figure, path.name, title, run, also)),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(pictures, name, what)
+    paths = pictures.plot_run(None, rig, tmp_path, "svg", most)
+    assert [figure for figure, *_ in saved] == drawn
+    assert [path.name for path in paths] == [name for _, name, *_ in saved]
+    numbers = {"Own": 1, "Outside": 2, "Less": 3, "Both": 4}
+    assert saved == [
+        (t, plot_name(numbers[t], t), t, "run", "svg") if t in numbers
+        else ("overview", "overview.png", "Every recorded signal", "run", "svg")
+        for t in drawn
+    ]  # fmt: skip
+
+
 def test_panels_say_what_they_show_once(monkeypatch):
     rows = [
         [curve([0, 1], label="a/position"), curve([1, 0], label="b/position")],
@@ -472,6 +517,36 @@ def test_panels_say_what_they_show_once(monkeypatch):
             for ax in (same, other, bare)]  # fmt: skip
     assert told == [("t/*/position", ["a", "b"]), ("t", ["a/position", "b/velocity"]), ("t", ["x", "y"])]
     assert [ax.get_ylabel() for ax in (same, other)] == ["V", "V"]
+
+
+def test_a_legend_of_a_run_has_room_for_a_hundred_and_ten_letters(monkeypatch):
+    widths = []
+    monkeypatch.setattr(pictures, "legend", lambda ax, curves, title, width, marks: widths.append(width))
+    source = SimpleNamespace(shown=lambda entry, name: curve([0.0, 0.5, 3.0], label=name))
+    pictures._time_figure(source, PlotEntry(title="It", signals={"a": "", "b": ""}), {})
+    pictures._time_figure(source, PlotEntry(title="It", signals={"a": ""}), {})  # one needs none
+    assert widths == [110]
+
+
+def test_a_scale_factor_holds_for_all_ticks():
+    """The numbers at the axis are those that the title multiplies, also when the layout gives other ticks."""
+    with rc_context(look.style()):
+        ax = Figure().subplots()
+        ax.plot([0.0, 1.0], [0.0, 3e7])
+        fold_exponents(ax.figure)
+        numbers = ax.yaxis.get_major_formatter()
+        for largest in (3e7, 9e3):
+            numbers.set_locs([0.0, largest])
+            assert numbers.orderOfMagnitude == 7
+
+
+@pytest.mark.parametrize(
+    ("name", "title"),
+    [("speed", "Speed"), ("ab", "Ab"), ("abCd", "AbCd"), ("aBcd", "aBcd"), ("q", "q"), ("a_b", "a_b"), ("a.b", "a.b"),
+     ("ab/c", "ab/c"), ("", "")],
+)  # fmt: skip
+def test_a_word_begins_large_in_a_title_and_a_name_does_not(name, title):
+    assert look.axis_title(name, "") == title
 
 
 @pytest.mark.parametrize(

@@ -315,7 +315,7 @@ def test_where_nothing_violates_it_says_what_came_nearest(file, tmp_path, capsys
     assert main(["falsify", str(file), "--over", "dc_motor_plant.R=0.6..0.7", "--budget", "8", "--workers", "1",
                  "--no-plots", "--out", str(tmp_path / "a")]) == 0  # fmt: skip
     found = outcome(tmp_path / "a")
-    assert found["violated"] == []
+    assert (found["violated"], found["runs"]) == ([], 8)
     said = " ".join(capsys.readouterr().out.split())
     assert f"no violation in {found['runs']} runs; least margin {found['least']:.6g}" in said
     assert "dc_motor_plant.R = " in said

@@ -142,6 +142,21 @@ def test_the_search_asks_what_its_account_says(name, groups):
         assert found.runs == len(values)
 
 
+@pytest.mark.parametrize(("budget", "alone"), [(160, True), (150, False)])
+def test_each_coordinate_is_tried_alone_where_a_tenth_of_the_budget_is_enough_for_all(budget, alone):
+    """Of six together: all low, all high, and then sixteen are what takes each one alone, too."""
+    asked = []
+    search([6], lambda points: asked.extend(points) or [1.0 - len(asked) // 12] * len(points), budget, enough=0.0)
+    assert asked[:2] == [(0.0,) * 6, (1.0,) * 6]
+    first = [tuple(float(k == j) for k in range(6)) for j in range(6)]
+    assert ([p for p in asked[2:12:2] if p in first] == first[:5]) == alone
+
+
+@pytest.mark.parametrize(("margin", "runs"), [(0.0, 30), (-1e-300, 4)])
+def test_a_margin_that_is_just_enough_is_not_below_it(margin, runs):
+    assert search([3], lambda points: [margin] * len(points), 30, enough=0.0).runs == runs
+
+
 def test_at_random_it_asks_for_four_points_at_a_time_and_nothing_else():
     asked = []
     found = search([2, 1], lambda points: asked.append(points) or [p[0] for p in points], 10, seed=5, sampler="random")

@@ -135,9 +135,9 @@ def test_a_film_as_svg_is_as_told():
     steps = [0.0, 1.0, 4.0, 9.0, 9.0]
     every = [
         [Line(((0.0, 0.0), (5.0, 5.0)), "muted", 1.0, True)] * 5,
-        series(lambda x: square(x, 2 * x), steps),
+        series(lambda x: square(5.0 + x, 7.0 + 2 * x), steps),
         series(lambda x: Line(((0.0, 0.0), (10.0, x)), "second"), steps),
-        series(lambda x: square(10 * x, 0.0), steps),  # 50 in one frame
+        series(lambda x: square(5.0 + 10 * x, 7.0), steps),  # 50 in one frame
         series(lambda x: Line(((0.0, 0.0), (10.0, 10 * x))), steps),
         series(lambda x: Circle((50.0, 20.0 + x), 3.0 + x, "third", "third", 0.0), steps),
         series(lambda x: Circle((10 * x, 20.0), 3.0), steps),
@@ -174,7 +174,7 @@ def test_what_goes_farther_than_forty_units_in_a_frame_begins_anew_there(far, di
 def test_a_shape_is_shifted_as_a_whole_but_for_what_is_rounded(off, shift, where):
     by = [3.0, 4.0]
     by[where] += off
-    (line,) = moving([[Line(((0.0, 0.0), (5.0, 5.0)))], [Line(((3.0, 4.0), (5.0 + by[0], 5.0 + by[1])))]])[3:]
+    (line,) = moving([[Line(((1.0, 2.0), (5.0, 5.0)))], [Line(((4.0, 6.0), (5.0 + by[0], 5.0 + by[1])))]])[3:]
     assert line[0].tag.rpartition("}")[2] == ("animateTransform" if shift else "animate")
 
 

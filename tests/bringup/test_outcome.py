@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 from conftest import make_scenario
-from softrig_bringup.falsify import outcome as outcome_module
+from softrig_bringup.falsify import engine, outcome as outcome_module
 from softrig_bringup.falsify.definition import Falsification
 from softrig_bringup.falsify.engine import Outcome, _requirements
 from softrig_bringup.falsify.outcome import _shown, _standing_alone, content, number, scenario_file, verdict
@@ -73,6 +73,64 @@ def task(**more):
 )
 def test_what_was_found_is_said_in_a_line(space, keys, words):
     assert verdict(found(space, **keys)) == words
+
+
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize(
+    ("margins", "violated"),
+    [({"low": -2.0, "last": 0.0}, ("low",)), ({"low": -2.0, "last": -1e-9}, ("low", "last")),
+     ({"low": 0.0, "last": 1.0}, None), ({"low": 1.0, "last": -1.0}, ("last",))],
+)  # fmt: skip
+def test_what_is_violated_is_made_small_and_what_just_holds_is_not(
+    space, tmp_path, monkeypatch, margins, violated, first
+):
+    asked, point = [], (0.5, 0.0, 0.5, 1.0)
+
+    class Rows:
+        def __init__(self, *given):
+            asked.append(given[2:])
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *error):
+            pass
+
+        def rows(self, works):
+            asked.append(works)
+            return [
+                {"figures": margins, "overrides": {"gain.k": 2.5}, "error": "gone" * (k > 0)}
+                for k, _ in enumerate(works)
+            ]
+
+    def searched(groups, measure, budget, **more):
+        asked.append((groups, budget, more))
+        return Found(min(measure([point, (1.0,) * 4])), point, 2)
+
+    for name, what in {
+        "Batch": Rows, "Log": lambda *given: given, "search": searched, "trial": lambda *given, **more: given,
+        "run": lambda work: {"figures": {"small": 1.0}}, "_violates": lambda case, names: asked.append(names) or True,
+        "shrink": lambda space, changes, violates, budget: (violates("case") and ("small", changes), budget),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(engine, name, what)
+    prepared = engine.Prepared(space, ("low", "last"), {"low": 4.0, "last": 0.5}, {"words": 1})
+    told = engine.falsify(task(first=first, budget=9, seed=3), prepared, tmp_path, workers=2, scheduler="x")
+    workers, search, works, *small = asked
+    assert workers == (2, "x")
+    enough = 0.0 if first else -math.inf
+    assert search == ([1, 3], 9, {"seed": 3, "sampler": "cmaes", "enough": enough})
+    assert [(work[1], work[2], work[3:]) for work in works] == [
+        (space.overrides(p), ("low", "last"), (k, 9)) for k, p in enumerate((point, (1.0,) * 4))
+    ]
+    assert told.found.least == min(margins["low"] / 4.0, margins["last"] / 0.5)
+    assert small == ([violated] if violated else [])
+    assert (told.small, told.small_margins, told.shrinking) == (
+        (("small", {"gain.k": 2.5}), {"small": 1.0}, 100) if violated else (None, {}, 0)
+    )
+    assert (told.case, told.worst, told.broken) == (
+        (space.scenario, {"gain.k": 2.5}), margins, [({"gain.k": 2.5}, "gone")]
+    )  # fmt: skip
+    assert told.violated == list(violated or ())
 
 
 @pytest.mark.parametrize(

@@ -477,6 +477,16 @@ def test_a_map_is_a_grid_where_a_quarter_of_its_cells_is_known(share, grid):
     assert (type(ax.collections[0]).__name__ == "QuadMesh") == grid
 
 
+@pytest.mark.parametrize("seeds", [1, 2, 3])
+def test_a_band_over_a_parameter_is_explained_where_there_is_one(seeds):
+    rows = [row(figures={"f": 1.0 * k}, overrides={"x": 1.0 * (k % 2)}, seed=k) for k in range(2 * seeds)]
+    for banded in (True, False):
+        figure = pictures._over(rows, "x", ["f"], {}, banded=banded)
+        said = "" if figure._supxlabel is None else figure._supxlabel.get_text()
+        assert said.endswith(f"band: least to greatest of up to {seeds} runs" if banded and seeds > 1 else "")
+        assert bool(said) == (banded and seeds > 1)
+
+
 def test_in_parallel_coordinates_the_best_is_drawn_last():
     given = {"figure": "f", "count": 3, "parameters": {"x": {"uniform": [0, 1]}}}
     rows = [row(k, figures={"f": f}, overrides={"x": x}) for k, (f, x) in

@@ -13,12 +13,14 @@ from softrig_control.filters import SecondOrderFilter
 from softrig_control.fuzzy import TakagiSugeno, sum_rules
 from softrig_control.kalman import SteadyKalman, steady_kalman_gain
 from softrig_control.limit_cycle import Swinging, limit_cycle
+from softrig_control.linear_plant import LinearPlantParams
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
 from softrig_control.pid import Pid, PidParams, PidState
 from softrig_control.predictive.carima import Carima, add
-from softrig_control.predictive.certificate import Certificate
-from softrig_control.predictive.controller import GpcController
-from softrig_control.predictive.gpc import Tuning, invert
+from softrig_control.predictive.certificate import Certificate, companion
+from softrig_control.predictive.certificate_node import CertificateParams
+from softrig_control.predictive.controller import GpcController, GpcControllerParams
+from softrig_control.predictive.gpc import Gpc, Tuning, invert
 from softrig_control.profile import NEVER, ProfileParams, StepProfile
 from softrig_control.requirement_monitor import RequirementMonitor
 from softrig_control.signal_name import signal_port, split
@@ -343,6 +345,40 @@ def test_what_cannot_be_is_said(make, text):
     assert str(refused.value).startswith(text)
 
 
+@pytest.mark.parametrize(
+    "model", [Carima((1.0, -1.5, 0.75), (2.0,)), Carima((1.0, -0.5), (0.0, 1.0, 3.0)), Carima((1.0,), (4.0, 5.0))]
+)
+def test_the_companion_of_a_model_answers_a_pulse_as_its_difference_equation(model):
+    a, b, c = companion(model)
+    n = max(len(model.a) - 1, len(model.b))
+    assert (a.shape, b.shape, c.shape) == ((n, n), (n, 1), (1, n))
+    x, y = b.copy(), [0.0]  # after a pulse at 0
+    for k in range(1, 8):
+        past = sum(-p * y[k - i] for i, p in enumerate(model.a) if 0 < i <= k)
+        y.append(past + (model.b[k - 1] if k <= len(model.b) else 0.0))
+        assert (c @ x).item() == pytest.approx(y[k])
+        x = a @ x
+
+
+@pytest.mark.parametrize(
+    ("model", "given", "text"),
+    [
+        (GpcControllerParams, {"N1": 12}, "N1 = 12, Np = 11: expected 1 <= N1 <= Np"),
+        (GpcControllerParams, {"den": (0.0, 1.0)}, "den = [0.0, 1.0]: expected a first coefficient other than zero"),
+        (LinearPlantParams, {"command": "v"}, "'v': expected topic/channel/field"),
+        (LinearPlantParams, {"output": "a/b/duty"}, "'a/b/duty': expected topic/channel/field"),
+        (LinearPlantParams, {"den": (0.0, 1.0)}, "den = [0.0, 1.0]: expected a first coefficient other than zero"),
+        (LinearPlantParams, {"num": (1.0, 2.0, 3.0)}, "num = [1.0, 2.0, 3.0]: expected a degree below the 2 of den"),
+        (CertificateParams, {"K": (1.0,)}, "K has 1, Qbar 0 values, expected 2 and 4, or none"),
+        (CertificateParams, {"K": (1.0, 2.0), "Qbar": (1.0,) * 3}, "K has 2, Qbar 3 values, expected 2 and 4, or none"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused_before_anything_is_made_of_them(model, given, text):
+    with pytest.raises(ValueError) as refused:  # noqa: PT011
+        model(**given)
+    assert text in str(refused.value)
+
+
 def test_what_is_just_allowed():
     assert Tuning(1, 1, 1, 0.0)
     assert Tuning(2, 2, 2)
@@ -392,6 +428,26 @@ def test_a_predictive_law_trips_beyond_its_edges_and_at_the_third_bad_sample():
             else patient.update(k * 10_000_000, measured=(2.0,), reference=None)
         )
         assert said["health"][0] == (2.0 if k % 3 else 0.0)
+
+
+def test_a_predictive_law_takes_a_bad_sample_for_the_last_one_under_the_held_command():
+    given = {"a": (1.0, -0.5), "b": (1.0, 0.25), "set_point": 2.0, "lam": 0.5}
+    law, gpc = ByHand(GpcController(**given)), Gpc(Carima(given["a"], given["b"]), Tuning(weight=0.5))
+    x, last = gpc.first(1.5, 0.0), 1.5
+    for k, y in enumerate((1.5, 1.0, None, 1.25, None, None, 0.5)):
+        if y is None:
+            x = gpc.applied(gpc.measure(x, last), x.u)
+            said = law.refused(k * 10_000_000)
+        else:
+            x, last = gpc.measure(x, y), y
+            x = gpc.applied(x, x.u + gpc.move(x, 2.0))
+            said = law.update(k * 10_000_000, measured=(y,), reference=None)
+        assert said["command"] == (x.u,)
+    first = ByHand(GpcController(**given))
+    assert first.refused(0)["command"] == (0.0,)  # nothing was there before
+    assert first.update(10_000_000, measured=(1.5,), reference=None) == ByHand(GpcController(**given)).update(
+        0, measured=(1.5,), reference=None
+    )
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,18 @@ def test_the_time_shift_is_found(tmp_path, late):
     assert y.shift == 0.0  # a constant comes neither early nor late
 
 
+@pytest.mark.parametrize(
+    ("left", "epoch"), [("9" * 19, 10**19 - 1), ("1" + "0" * 19, 0), ("-5", 0), ("1.5", 0), ("", 0), ("0", 0), ("7", 7)]
+)
+def test_an_epoch_is_a_whole_number_that_64_bits_may_hold(tmp_path, left, epoch):
+    """As a bag has it; anything else is none, and times count as they stand."""
+    found = Recording([("plant/state", STATE)])
+    found.add(0, 5, LAYOUT.encode(5, (1.0, 1.0)))
+    write_bag(tmp_path / "bag", found, custom_data={EPOCH: left})
+    read = signals(tmp_path / "bag")
+    assert (read._epoch, read.from_start) == (epoch, True)
+
+
 def test_the_start_is_that_of_the_first_message_that_is_compared(tmp_path):
     """A bag of somebody else begins with a topic that the other one lacks."""
     a = bag(tmp_path / "a", wave, 0.01)

@@ -11,6 +11,7 @@ from softrig_core import (
     Block,
     Level,
     ParameterError,
+    Plant,
     Port,
     Refused,
     array,
@@ -101,6 +102,7 @@ def test_the_simplest_number_between_two_is_the_first_of_all_fractions_in_order(
             if math.gcd(p, q) == 1 and p:
                 assert rational(p / q) == Fraction(p, q)
     assert rational(3.0) == 3
+    assert [rational(math.nextafter(x, toward)) for x, toward in ((3.0, 0.0), (3.0, 9.0), (-3.0, 0.0))] == [3, 3, -3]
     assert rational(-(2.0**60)) == -(2**60)
     assert (rational("1/3"), rational(Fraction(2, 7))) == (Fraction(1, 3), Fraction(2, 7))
 
@@ -439,3 +441,25 @@ def test_a_sample_before_the_first_message_is_of_time_zero():
     assert all_ports()["vector3"].initial == Sample(0, (0.0, 0.0, 0.0))
     assert list(itertools.islice(all_ports()["scalars"].units, 2)) == ["K", "Pa"]
     assert issubclass(Refused, ValueError)
+
+
+class Loud(Plant[BlockParams]):
+    """Reports whatever it is asked."""
+
+    OUTPUTS = (scalars("out", "out", {"a": ""}),)
+
+    def outputs(self, x, t):
+        self.report(Level.WARN, "outputs", f"at {t}")
+        return {"out": (1.0,)}
+
+    def advance(self, x, t):
+        self.report(Level.WARN, "advance", f"at {t}")
+        return (*x, t)
+
+
+def test_what_a_plant_reports_by_hand_is_told_at_once():
+    plant = ByHand(Loud())
+    assert plant.outputs(5) == {"out": (1.0,)}
+    assert plant.reports == {"outputs": (Level.WARN, "at 5", 1)}
+    plant.advance(7)
+    assert (plant.reports["advance"], plant.x) == ((Level.WARN, "at 7", 1), (7,))

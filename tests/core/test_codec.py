@@ -470,6 +470,15 @@ def test_a_message_that_claims_more_than_it_has_is_refused(msgtype, at, count, s
     assert str(error.value) == f"{msgtype}: {said}"
 
 
+def test_as_many_values_as_a_message_has_bytes_may_be_claimed_and_are_not_there():
+    whole = Layout("sensor_msgs/msg/JointState", "abcdef", ["q"], {"effort": 1}).encode(5, (1.0,))
+    assert len(whole) == 60
+    whole += bytes(4)
+    for count, said in ((8, "64 bytes end inside a field at byte 52"), (9, "claims 9 values of effort in 64 bytes")):
+        with pytest.raises(CdrError, match=said):
+            parse("sensor_msgs/msg/JointState", whole[:44] + struct.pack("<I", count) + whole[48:])
+
+
 def test_items_are_taken_as_a_tuple_however_few_there_are():
     row = ("a", "b", "c", "d")
     assert [getter(p)(row) for p in ((), (2,), (0,), (3, 1), (1, 1, 2))] == [

@@ -110,6 +110,12 @@ def test_messages_of_several_values_are_the_same_in_one_row():
         assert said == same == [*found]
         assert native.python() == left
     assert line.numbers().tolist() == [4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 1.0, 2.0, 3.0]
+    for nothing in (Line(3), Line(3).native(), line.taken(30, 0, ())[0].native()):
+        left, *said = nothing.taken(99, 0, ())
+        assert said == [0, ()]
+        assert (left.python() if not isinstance(nothing, Line) else left) == Line(3)
+        if not isinstance(nothing, Line):
+            assert left.begin == left.end
 
 
 def test_stamps_never_go_back():

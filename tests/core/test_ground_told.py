@@ -8,6 +8,7 @@ import importlib.metadata
 import json
 import math
 import os
+import signal
 import struct
 import sys
 from pathlib import Path
@@ -18,8 +19,10 @@ from softrig_core import Block, BlockParams, Plant, Rig, RunError, ScenarioError
 from softrig_core.block.params import declarations
 from softrig_core.command_line import Number, Parser, named, without_ros
 from softrig_core.guard import guarded, naming, plain, quietly, say
+from softrig_core.interrupt import Interrupt
 from softrig_core.rig import code
 from softrig_core.rig.agreement import agreeing, assumptions, require_agreement, spoken
+from softrig_core.rig.installed import load_block, load_main
 from softrig_core.rig.members import signal_units
 from softrig_core.rig.options import InputLink, Links, RunOptions
 from softrig_core.rig.package_check import check_entry_point, entry_points
@@ -227,6 +230,27 @@ def test_what_a_package_offers_is_tried_with_its_own_defaults(monkeypatch):
     points = [importlib.metadata.EntryPoint(f"e{k}", "m:f", group) for k, group in enumerate(groups)]
     monkeypatch.setattr(importlib.metadata, "distribution", lambda package: SimpleNamespace(entry_points=points))
     assert [p.name for p in entry_points("some")] == ["e0", "e2"]
+
+
+def test_an_executable_is_one_of_its_group(monkeypatch):
+    """A figure function of the same package is none."""
+    points = [
+        importlib.metadata.EntryPoint("run", "math:sin", "console_scripts"),
+        importlib.metadata.EntryPoint("peak", "math:cos", "softrig_figures"),
+        importlib.metadata.EntryPoint("odd", "no_such_module_of_test:f", "console_scripts"),
+    ]
+    found = SimpleNamespace(entry_points=importlib.metadata.EntryPoints(points))
+    monkeypatch.setattr(importlib.metadata, "distribution", lambda package: found)
+    assert (load_main("some", "run"), load_main("some", "peak"), load_main("some", "none")) == (math.sin, None, None)
+    for executable, told in (
+        ("run", "some/run is a tool, not the node of a block"),
+        ("peak", "package some has no executable 'peak'; it has odd, run"),
+        ("odds", "package some has no executable 'odds' (did you mean 'odd'?); it has odd, run"),
+        ("odd", "some/odd cannot be loaded: ModuleNotFoundError: No module named 'no_such_module_of_test'"),
+    ):
+        with pytest.raises(ScenarioError) as error:
+            load_block("some", executable)
+        assert str(error.value).partition(" (/")[0] == told
 
 
 def test_a_fingerprint_is_that_of_the_files_but_for_what_is_made_of_them(tmp_path, monkeypatch):
@@ -447,3 +471,34 @@ def test_streams_words_and_silence(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
     assert guard.keep_traceback().startswith("no file: ")
     assert json.dumps(guard.LINE) == "1000"
+
+
+def test_who_asks_three_times_for_the_end_gets_it(monkeypatch):
+    """At once while nothing has been done yet; while something may take long, by what ends it."""
+    asked = []
+
+    def leave(status):
+        raise SystemExit(status)
+
+    monkeypatch.setattr("softrig_core.interrupt.os._exit", leave)
+    handler = Interrupt()
+    with pytest.raises(SystemExit) as ended:
+        handler(2, None)
+    assert ended.value.code == 0
+    handler = Interrupt()
+    handler.early = False
+    with handler.leaving(lambda: asked.append("leave")):
+        handler(2, None)
+    handler(2, None)
+    assert asked == ["leave"]
+    with pytest.raises(SystemExit) as ended, handler.leaving(lambda: asked.append("leave")):
+        handler(15, None)
+    assert (ended.value.code, asked) == (128 + 15, ["leave"])
+    installed = []
+    monkeypatch.setattr("softrig_core.interrupt.signal.signal", lambda number, what: installed.append((number, what)))
+    monkeypatch.delenv("SOFTRIG_PARENT", raising=False)
+    for current, takes in ((signal.default_int_handler, True), (handler, False), (signal.SIG_IGN, False)):
+        monkeypatch.setattr("softrig_core.interrupt.signal.getsignal", lambda number, current=current: current)
+        installed.clear()
+        handler.install()
+        assert installed == [(signal.SIGINT, handler)] * takes

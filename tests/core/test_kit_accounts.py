@@ -9,13 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 from softrig_core import History, ScenarioError, to_ns, to_s
 from softrig_core.errors import RunError, closest, describe
 from softrig_core.extras import EXTRAS, need
-from softrig_core.kit import draws, history
+from softrig_core.kit import dde, draws, history
 from softrig_core.kit.dense import norm, product, solve, times, total, turn
 from softrig_core.kit.draws import KEPT, SIZE, Draws, Stream
 from softrig_core.kit.floats import leaves, numbers, others, put, read, split
+from softrig_core.kit.jit import our_numba
 from softrig_core.kit.newest import Newest
 from softrig_core.kit.resource import prefixes, resource
 from softrig_core.timebase import Pace
@@ -96,6 +98,82 @@ def test_a_step_is_a_positive_time(step):
 def test_a_longest_delay_is_a_finite_time(longest):
     with pytest.raises(ValueError, match=f"longest delay = {longest} s: expected a finite time of at least 0"):
         History(1.0, longest)
+
+
+# delay equations ------------------------------------------------------------------------------------------------------
+
+
+def hermite(begin, length, x0, x1, dx0, dx1):
+    """The cubic of a step, by scipy."""
+    return CubicHermiteSpline([begin, begin + length], [x0, x1], [dx0, dx1])
+
+
+def read_at(rows, t, late):
+    """Read a list of steps at a time: on a border the step after it, or the one before it where that is `late`."""
+    edge = 1e-9 * rows[-1][1] * (1 if late else -1)
+    row = [r for r in rows if t >= r[0] + edge][-1:] or [rows[0]]
+    (begin, length, *ends), s = row[0], (t - row[0][0]) / row[0][1]
+    return ends[0] if s <= 0.0 else ends[1] if s == 1.0 else float(hermite(begin, length, *ends)(t))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_track_is_a_list_of_steps(seed, monkeypatch):
+    """In a tree: who goes on from an older one leaves the newer ones as they are; read at any time, as native code."""
+    monkeypatch.setattr(dde, "between", dde.between.py_func)
+    rng = random.Random(seed)
+    past = dde.trajectory(0.5, 1.0, lambda t: 2.0 + t)
+    size = len(past.begin)
+    assert (size, past.begin.tolist(), past.meta.tolist()) == (5, [-2.5, -2.0, -1.5, -1.0, -0.5], [5, 0])
+    assert len(dde.trajectory(0.5, 1.0, 1.0, spare=3).begin) == 8
+    rows = [(b, 0.5, 2.0 + b, 2.5 + b, 1.0, 1.0) for b in past.begin.tolist()]
+    assert np.allclose(
+        [past.x0[:, 0], past.x1[:, 0], past.dx0[:, 0]],
+        [[r[2] for r in rows], [r[3] for r in rows], [1.0] * 5],
+        atol=1e-9,
+    )
+    kept = [(dde.Track(past), [(*r[:2], *(float(past[k][i, 0]) for k in (2, 3, 4, 5))) for i, r in enumerate(rows)])]
+    for _ in range(14):
+        track, rows = rng.choice(kept[-3:])
+        new = []
+        for _ in range(count := rng.choice([1, 2, 5, 13])):
+            begin = sum(([*rows, *new][-1])[:2])
+            new.append((begin, rng.choice([0.25, 0.5]), *(rng.random() for _ in range(4))))
+        opened = track.open(count)
+        first = int(opened.meta[0])
+        for k, row in enumerate(new, first):
+            opened.begin[k], opened.length[k] = row[:2]
+            opened.x0[k, 0], opened.x1[k, 0], opened.dx0[k, 0], opened.dx1[k, 0] = row[2:]
+            opened.meta[0] += 1
+        kept.append((track.after(opened), [*rows, *new]))
+        for track, rows in (kept[-1], rng.choice(kept)):
+            held = rows[-size:]
+            assert track.numbers().tolist() == [row[k] for k in (2, 3, 4, 5) for row in held]
+            back = track.native().python()
+            assert (back == track, back.numbers().tolist()) == (True, track.numbers().tolist())
+            other = track.with_numbers(track.numbers() + 1.0)
+            assert (other == track, other.numbers().tolist()) == (False, (track.numbers() + 1.0).tolist())
+            past = track.open()
+            assert past.meta[1] == 0
+            borders = [r[0] for r in held] + [held[-1][0] + held[-1][1]]
+            for late in (0, 1):
+                past.meta[1] = late
+                inside = [rng.uniform(borders[0] + 1e-6, borders[-1] + 0.2) for _ in range(4)]  # what counts
+                for t in (*borders[late:], *inside):
+                    wanted = read_at(held, t, late)
+                    assert dde.delayed.py_func(past, t, 0) == pytest.approx(wanted, abs=1e-9), (t, late)
+            past.meta[1] = 0
+
+
+def test_the_slope_of_a_past_is_exact_for_quartics():
+    def past(t):
+        return np.array([1.0 + t - 2.0 * t**2 + 0.5 * t**3 - 0.25 * t**4])
+
+    assert dde._slope(past, 0.5, 0.125)[0] == pytest.approx(1.0 - 4.0 * 0.5 + 1.5 * 0.25 - 0.125, abs=1e-12)
+    with pytest.raises(ValueError, match=r"step = 0\.0 s: expected a positive time"):
+        dde.trajectory(0.0, 1.0, 0.0)
+    assert [a.tolist() for a in dde.trajectory(1.0, 0.0, (3.0, 4.0))[2:6]] == [[[3.0, 4.0]] * 3] * 2 + [
+        [[0.0, 0.0]] * 3
+    ] * 2
 
 
 # random numbers and answers that are kept -----------------------------------------------------------------------------
@@ -398,3 +476,27 @@ def test_a_pace_at_its_edges():
     pace.change(2.0, 7.0)
     assert (pace.reach(8.0, 0), pace.reach(8.1, 0)) == (None, 200_000_000)
     assert (to_ns(1.5), to_ns(0.1 + 0.2), to_s(1_500_000_000), to_ns(-2.4e-9)) == (1_500_000_000, 300_000_000, 1.5, -2)
+
+
+class Absent:
+    """Finds no numba."""
+
+    def find_spec(self, name, path=None, target=None):
+        """Refuse it."""
+        if name == "numba":
+            raise ImportError(name)
+
+
+def test_numba_is_loaded_without_vectors_that_give_other_bits(monkeypatch):
+    """What is set already stays; where numba is loaded it is too late to say so."""
+    monkeypatch.setattr(sys, "meta_path", [Absent(), *sys.meta_path])
+    said = "NUMBA_DISABLE_INTEL_SVML"
+    for loaded, before, after in ((False, None, "1"), (False, "0", "0"), (True, None, None)):
+        monkeypatch.delitem(sys.modules, "numba", raising=False)
+        if loaded:
+            monkeypatch.setitem(sys.modules, "numba", None)
+        monkeypatch.setenv(said, before or "")
+        if before is None:
+            monkeypatch.delenv(said)
+        assert our_numba.__wrapped__() is None
+        assert os.environ.get(said) == after

@@ -257,6 +257,37 @@ def test_whole_numbers_that_go_along_are_refused_when_something_follows_from_the
             view(at=0.5)
 
 
+class Kept(NamedTuple):
+    """What has been counted, and what was made of it a tick later."""
+
+    counts: int = 0
+    made: float = 0.0
+
+
+class Keeper(Encoder):
+    """Counts, makes a float of it, and tells nobody."""
+
+    used = True
+
+    def first(self):
+        return Kept()
+
+    def update(self, x, t, u):
+        made = x.counts / 2.0**60 if self.used else 0.0
+        return Kept(round(u[0] * 2.0**60), made), {"v": (u[0],)}
+
+
+@pytest.mark.parametrize("used", [True, False])
+def test_what_follows_need_not_be_said(used):
+    keeper = type("Keeper", (Keeper,), {"used": used})
+    rig = Rig.from_blocks({"plant": Unstable(), "shift": keeper(), "law": Gain()}, duration=5.0)
+    if not used:
+        assert linear_view(rig, "law/u", at=0.5).states == ("plant",)
+        return
+    with pytest.raises(RunError, match=r"^rig: shift\.counts goes along with "):
+        linear_view(rig, "law/u", at=0.5)
+
+
 @pytest.mark.long
 def test_the_delay_margin_of_the_axis_over_its_fieldbus_is_the_true_one():
     """What is left of one and the same margin at two delays of the fieldbus, and where runs begin to swing."""
@@ -476,7 +507,9 @@ class Outside(Shift):
 
 def test_what_cannot_be_put_back_is_told_by_name():
     rig = Rig.from_blocks({"plant": Unstable(), "shift": Outside(), "law": Gain()}, duration=1.0)
-    with pytest.raises(RunError, match=r"cannot be put back"):
+    with pytest.raises(
+        RunError, match=r"^rig: law, plant cannot be put back to where it was at 0\.5 s: "
+    ):  # who hears it
         linear_view(rig, "law/u", at=0.5)
 
 

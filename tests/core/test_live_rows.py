@@ -7,14 +7,18 @@ from types import SimpleNamespace
 
 import pytest
 from by_hand import Hand
-from faultrig import Gain, Lag, Source
-from softrig_core import Block, BlockParams, Plant, RunError, command, joint_state, param
+from faultrig import COMMAND, STATE, Gain, Lag, Source
+from softrig_core import Block, BlockParams, Plant, RunError, Sample, array, command, joint_state, param
 from softrig_core.block.block import Level
 from softrig_core.block.schedule import Schedule
+from softrig_core.node import group as group_module
 from softrig_core.node.adapter.adapter import Adapter
+from softrig_core.node.group import Group
 from softrig_core.node.realtime.beat import Beat
+from softrig_core.node.realtime.live import Live
 from softrig_core.node.realtime.realtime import Realtime, newest
 from softrig_core.node.realtime.rivals import Rivals
+from softrig_core.node.realtime.sporadic import Sporadic
 from softrig_core.node.realtime.stand import LEAD, NEVER, Stand
 from softrig_core.node.seam.hold import Hold
 from softrig_core.node.seam.tick import TickWriter
@@ -730,6 +734,126 @@ def test_a_message_of_who_may_be_silent_serves_before_its_tick_is_acknowledged_a
     assert SEEN[-1] == (20 * MS, 1.0, 7.0, None, 0)
 
 
+def test_a_rig_begins_when_who_tells_of_silence_is_there_too():
+    links = {
+        "base": "0.01",
+        "inputs": {"a": linked(), "b": linked(sporadic=True, told=True)},
+        "starter": "node",
+        "starts": ["node", "other"],
+        "grid": "0.01",
+    }
+    node = Node(Law(), links).join()
+    assert node.drive.departure.handshake.absent() == [
+        f"no publisher on {topic} (expected from other)" for topic in ("a", "b", "/other/tick")
+    ]
+    assert Node(Law(), links).join(["other"]).drive.departure.handshake.absent()[2:] == []
+
+
+# ---- what has no stamp, and what a neighbour in the same process says ----
+
+
+class Counts(Block[LawParams]):
+    """Says what it has seen of an array and of a state."""
+
+    INPUTS = (array("a", "a", {"q": 1}, "m"), joint_state("b", "b", ["q"], position="m"))
+    OUTPUTS = (command("u", "u", ["q"], "N"),)
+
+    def update(self, x, t, a, b):
+        SEEN.append((t // MS, a[0], b[0]))
+        return x, {"u": (a[0],)}
+
+
+@pytest.mark.parametrize(("every", "waits"), [("0.01", True), ("0.02", False)])
+def test_an_array_belongs_to_the_tick_at_which_it_comes_and_of_a_slower_sender_the_newest_serves(every, waits):
+    node = Node(Counts(), {"base": "0.01", "inputs": {"a": linked(every), "b": linked()}}, epoch=START).join()
+    node.hear("a", 0, 1.0, at=START + MS)
+    node.hear("b", START, 0.5)
+    assert [*SEEN] == [(0, 1.0, 0.5)]
+    node.hear("b", START + 10 * MS, 1.5, at=START + 11 * MS)
+    assert len(SEEN) == (1 if waits else 2)
+    node.hear("a", 1, 2.0, at=START + 12 * MS)
+    assert SEEN[-1] == (10, 2.0 if waits else 1.0, 1.5)
+    node.hear("a", 4, 3.0, at=START + 21 * MS)
+    node.hear("a", 4, 4.0)
+    node.hear("b", START + 20 * MS, 2.5)
+    assert SEEN[-1] == (20, 3.0, 2.5)
+    assert (node.rows["a"].lost, node.rows["a"].refused, node.drive.counts()["lost_arrays"]) == (2, 1, 2)
+    assert node.rows["a"].last_refusal == "number 4 from other, expected 5 (already there)"
+
+
+def test_what_a_neighbour_says_goes_into_the_row_as_if_it_had_come_over_a_wire():
+    node = three()
+    row, taken = node.rows["a"], []
+    node.drive.senders.take = lambda *said: taken.append(said[1:])
+    tell = row.teller(None, False)
+    tell(START + 10 * MS, (1.0,), START + 11 * MS)
+    assert taken == [(START + 10 * MS, START + 10 * MS, (1.0,), START + 11 * MS)]
+    assert (row.stamp, row.arrived, row.recent[-1]) == (START + 10 * MS, START + 11 * MS, (START + 10 * MS, (1.0,)))
+    tell(START + 20 * MS, None, START + 21 * MS)  # silence, for which nobody waits here
+    assert len(taken) == 1
+    row.teller(lambda values: values[::-1], False)(START + 30 * MS, (1.0, 2.0), START + 31 * MS)
+    assert taken[-1][2] == (2.0, 1.0)
+    tell(START + 40 * MS, Sample(35 * MS, (3.0,)), START + 41 * MS)
+    assert taken[-1][:3] == (START + 40 * MS, START + 40 * MS, (3.0,))
+    row.teller(None, True)(START + 50 * MS, (math.nan,), START + 51 * MS)
+    assert (row.refused, row.last_refusal, row.bad) == (
+        1,
+        "q/position is nan, expected a finite number",
+        START + 50 * MS,
+    )
+    assert len(taken) == 3
+    row.teller(None, True)(START + 60 * MS, (4.0,), START + 61 * MS)
+    assert taken[-1][2] == (4.0,)
+    row.local, row.outside = True, 1  # another process writes it, too
+    tell(START + 70 * MS, (5.0,), START + 71 * MS)
+    assert (len(taken), row.refused) == (4, 2)
+    late = Node(Lag(period=0.01), epoch=START).join()
+    command_row = late.rows["command"]
+    command_row.teller(None, True)(START, (math.inf,), START + MS)
+    assert (command_row.refused, command_row.bad) == (1, None)  # a plant waits for a good one
+    begun = Node(Law(), {"base": "0.01", "inputs": {"a": linked(), "b": linked()}}).join()
+    begun.rows["a"].teller(None, False)(START + 13 * MS, (1.0,), START + 14 * MS)
+    assert begun.adapter.epoch == START + 10 * MS
+    delayed = Node(Delays(), epoch=START).join()
+    delayed.rows["d"].teller(None, False)(START + 20 * MS, (1.0,), START + 31 * MS)
+    assert delayed.rows["d"].recent[-1] == (START + 30 * MS, Sample(20 * MS, (1.0,)))
+    delayed.rows["d"].teller(None, False)(START + 20 * MS, Sample(7 * MS, (2.0,)), START + 41 * MS)
+    assert delayed.rows["d"].recent[-1] == (START + 40 * MS, Sample(7 * MS, (2.0,)))
+
+
+class Delays(Block[LawParams]):
+    INPUTS = (joint_state("d", "d", ["q"], position="m", delayed=True),)
+    OUTPUTS = (command("u", "u", ["q"], "N"),)
+
+    def update(self, x, t, d):
+        return x, {"u": d.data}
+
+
+def test_nodes_of_a_process_that_others_read_too_hear_each_other_when_what_is_under_way_has_returned():
+    links = {"base": "0.01", "inputs": {"state": linked(), "reference": linked()}}
+    source = Adapter(Hand("source", START), Source(period=0.01), RunOptions(mode="realtime", epoch=START))
+    law = Adapter(
+        Hand("law", START),
+        Gain(period=0.01),
+        RunOptions(mode="realtime", epoch=START, links=Links(**links).model_dump_json()),
+    )
+    Group([source, law])
+    hand, other = source.middleware, law.middleware
+    tick = next(t for t in hand.timers if t.call.__name__ == "_tick")
+    for k in range(2):
+        hand.time = other.time = START + k * 10 * MS
+        tick.call()
+        (heard,) = hand.posted
+        hand.posted.clear()
+        assert law.ticks == k
+        other.heard["lag/state"](STATE.layout().encode(hand.time, (1.0, 0.0)))
+        assert law.ticks == k
+        heard()
+        assert law.ticks == k + 1
+    assert other.said["lag/command"][1] == COMMAND.layout().encode(START + 10 * MS, (2.0 * (0.01 - 1.0),))
+    assert len(hand.said["lag/reference"]) == 2  # to others, too
+
+
 # ---- the clock of a rig that a person holds ----
 
 
@@ -917,3 +1041,30 @@ def test_nodes_that_are_all_slower_than_the_clock_beat_at_their_common_period():
     assert beats.at(20) == []
     assert beats.at(40) == [(0, 1, 40, 40)]
     assert beats.at(60) == [(1, 1, 60, 60)]
+
+
+def test_nodes_beat_together_only_where_all_that_they_wait_for_is_their_own_and_checked():
+    """Who reads of others, by order of arrival, of who may be silent or unchecked, or has no common start, waits."""
+
+    def row(kind=Live, **about):
+        made = object.__new__(kind)
+        made.local, made.paired, made.awaited, made.schedule = True, True, True, Schedule("0.01")
+        vars(made).update(about)
+        return made
+
+    def whole(*rows, unchecked=False, starter="node", epoch=0):
+        node = SimpleNamespace(links=SimpleNamespace(starter=starter), options=SimpleNamespace(epoch=epoch))
+        drive = SimpleNamespace(senders=SimpleNamespace(rows=[*rows]), node=node)
+        link = SimpleNamespace(output=SimpleNamespace(port=SimpleNamespace(unchecked=unchecked)))
+        return group_module._whole([drive], [link])
+
+    free = row(local=False, paired=False, awaited=False, schedule=None)
+    assert whole(row(), row(), free)
+    assert whole(row(), starter="", epoch=5)
+    assert not whole(row(), starter="")
+    assert not whole(row(), unchecked=True)
+    assert not whole(row(), row(paired=False))
+    assert not whole(row(), row(Sporadic))
+    assert not whole(row(), row(local=False, schedule=None))
+    assert not whole(row(), row(local=False, awaited=False))
+    assert not whole(free)

@@ -1,32 +1,35 @@
 """All figures of merit against loops over their samples, written from what their documentation says."""
 
 import math
+import random
 import statistics
 from bisect import bisect
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from softrig_core.judge import measures
 
-EIGHTH = st.integers(-16, 16).map(lambda n: n / 8.0)  # binary fractions: what lies on an edge does so exactly
-TIMES = st.lists(st.integers(1, 3), min_size=1, max_size=12)
+
+def eighth(rng):
+    return rng.randint(-16, 16) / 8.0  # binary fractions: what lies on an edge does so exactly
 
 
-@st.composite
-def records(draw):
+def records(rng):
     """A signal y and one that it may be compared with, their times in tenths of a second from the same begin on."""
     found = {}
     for name in ("y", "r"):
-        steps = draw(TIMES)
+        steps = [rng.randint(1, 3) for _ in range(rng.choice([1, 2, 3, 6, 12, 12]))]
         ticks = [sum(steps[:k]) for k in range(len(steps))]
         t = np.array(ticks) * 0.1  # as a run has them: not all the nearest double of what is written
-        found[name] = (t, np.array([draw(EIGHTH) for _ in ticks]))
+        calm = rng.random() < 0.5  # values that repeat
+        found[name] = (t, np.array([rng.choice([0.0, 1.0, 2.0]) if calm else eighth(rng) for _ in ticks]))
     return found
 
 
-WINDOWS = st.tuples(*[st.none() | st.integers(0, 30).map(lambda n: n / 20.0)] * 2)
+def windows(rng):
+    return [None if rng.random() < 0.6 else rng.randint(0, 30) / 20.0 for _ in range(2)]
 
 
 def tick(t):
@@ -169,13 +172,23 @@ def compared(expected, found):
     assert found() == pytest.approx(wanted, rel=1e-9, abs=1e-12)
 
 
-@given(records(), WINDOWS, st.sampled_from(["r", 0.0, 0.5, None]), EIGHTH.map(abs))
-@settings(max_examples=50, deadline=None, derandomize=True)
-@example({"y": (np.arange(9) * 0.1, np.array([0, 1, 0, 2, 1, 4, 0, 1, 0]) + 0.5)}, (None, None), 0.5, 1.0)
-@example({"y": (np.arange(5) * 0.1, np.array([0.0, 9.0, 1.0, 9.0, -1.0]))}, (None, None), 0.0, 1.0)
-@example({"y": (np.arange(4.0), np.arange(4.0) ** 2), "r": (np.arange(3.0), np.ones(3))}, (None, None), "r", 0.0)
-@example({"y": (np.arange(2.0), np.arange(2.0)), "r": (np.array([0.0, 0.5]), np.ones(2))}, (None, None), "r", 0.0)
-def test_figures_of_values_and_errors(signals, cuts, reference, number):
+MADE = [
+    ({"y": (np.arange(9) * 0.1, np.array([0, 1, 0, 2, 1, 4, 0, 1, 0]) + 0.5)}, (None, None), 0.5, 1.0),
+    ({"y": (np.arange(5) * 0.1, np.array([0.0, 9.0, 1.0, 9.0, -1.0]))}, (None, None), 0.0, 1.0),
+    ({"y": (np.arange(4.0), np.arange(4.0) ** 2), "r": (np.arange(3.0), np.ones(3))}, (None, None), "r", 0.0),
+    ({"y": (np.arange(2.0), np.arange(2.0)), "r": (np.array([0.0, 0.5]), np.ones(2))}, (None, None), "r", 0.0),
+]
+
+
+def test_figures_of_values_and_errors():
+    for made in MADE:
+        hold_values(*made)
+    for seed in range(100):
+        rng = random.Random(seed)
+        hold_values(records(rng), windows(rng), rng.choice(["r", 0.0, 0.5, None]), abs(eighth(rng)))
+
+
+def hold_values(signals, cuts, reference, number):
     start, end = cuts
     limits = {"start": start, "end": end}
     told = {} if reference is None else {"reference": reference}
@@ -194,16 +207,20 @@ def test_figures_of_values_and_errors(signals, cuts, reference, number):
         )
 
 
-@given(
-    records(),
-    WINDOWS,
-    st.sampled_from([-4.0, -1.0, 0.0, 0.5, 1.0, 2.0]),
-    st.sampled_from(["level", "signal", None]),
-    st.sampled_from([{}, {"low": 0.0, "high": 0.5}, {"low": 0.25, "high": 0.25}, {"low": -0.25, "high": 0.5}]),
-    st.sampled_from([{}, {"band": 0.25}, {"band": 0.5, "at": "sample"}, {"band": 0.0}]),
-)
-@settings(max_examples=80, deadline=None, derandomize=True)
-def test_figures_of_steps(signals, cuts, initial, final, levels, bands):
+def test_figures_of_steps():
+    for seed in range(150):
+        rng = random.Random(seed)
+        hold_steps(
+            records(rng),
+            windows(rng),
+            rng.choice([-4.0, -1.0, 0.0, 0.5, 1.0, 2.0]),
+            rng.choice(["level", "signal", None]),
+            rng.choice([{}, {}, {"low": 0.0, "high": 0.5}, {"low": 0.25, "high": 0.25}, {"low": -0.25, "high": 0.5}]),
+            rng.choice([{}, {"band": 0.25}, {"band": 0.5, "at": "sample"}, {"band": 0.0}]),
+        )
+
+
+def hold_steps(signals, cuts, initial, final, levels, bands):
     start, end = cuts
     limits = {"start": start, "end": end}
     said = {"level": {"final": initial + 2.0}, "signal": {"final": "r", "initial": "r"}, None: {}}[final]
@@ -256,9 +273,9 @@ def test_the_newest_of_many_instants(times, at):
     assert measures.newest(np.array(times[:1]), np.array(at)).tolist() == [bisect(times[:1], t) - 1 for t in at]
 
 
-@given(records())
-@settings(max_examples=15, deadline=None, derandomize=True)
-def test_the_newest_step_of_some_signals(signals):
+@pytest.mark.parametrize("seed", range(15))
+def test_the_newest_step_of_some_signals(seed):
+    signals = records(random.Random(seed))
     steps = []
     for t, x in signals.values():
         k = max(k for k in range(len(t)) if k == 0 or x[k] != x[k - 1])

@@ -161,6 +161,17 @@ class Saying(Block[Params]):
         return x + 1, {"often": often}
 
 
+class Aging(Block[Params]):
+    """Asks how old what it reads is."""
+
+    INPUTS = (SIGNAL, WIDE)
+    OUTPUTS = (replace(PUSH, name="pull", topic="pull"),)
+
+    def update(self, x: tuple[()], t: int, *, signal: Any, wide: Any) -> tuple[tuple[()], Mapping[str, Any]]:
+        """Answer."""
+        return x, {"pull": (signal[0] + self.age("signal"),)}
+
+
 class Hearing(Block[Params]):
     """Hears all of it, and with a stamp what has none."""
 
@@ -290,6 +301,16 @@ BATCHES: dict[str, tuple[Any, str, str]] = {
         "more",
         "",
     ),
+    "one asks for an age": (
+        lambda: {"body": Body(), "law": Law(), "wide": Wide(), "aging": Aging(period=0.002)},
+        "law",
+        "",
+    ),
+    "one asks for an age that changes": (
+        lambda: {"body": Body(period=0.002), "law": Law(period=0.002), "wide": Wide(), "aging": Aging()},
+        "law",
+        "",
+    ),
     "silent": (hard, "sensor", ""),
 }
 
@@ -340,6 +361,7 @@ RIGS: dict[str, tuple[Any, str, int]] = {
         "body both hearing law",
         12,
     ),
+    "one that asks for an age": (lambda: {"body": Body(), "law": Law(), "wide": Wide(), "aging": Aging()}, "", 2),
     "doubted": (lambda: {"body": Body(), "law": Spoiling()}, "", 2),
     "of many numbers": (lambda: {"wide": Wide()}, "", 2),
     "an answer that is too short": (lambda: {"body": Body(), "law": Short()}, "", 2),
@@ -364,6 +386,8 @@ def lines_of(make: Any, *how: Any) -> list[str]:
         return [re.sub(r"line \d+: ", "", str(reason))]
     known = [t.splitlines() for t in re.split(r"\n\n+", text.text)]
     lines = [line.partition("  # ")[0] for part in known if re.match(r"def (f\d|rig)", part[0]) for line in part]
+    tables = {k: v for k, v in text.program.names.items() if type(v) is tuple}
+    lines += [f"{name} {value}" for name, value in tables.items()]
     return [*lines, f"arrays {text.arrays}, stamped {text.stamped}, words {sorted(text.program.words)}"]
 
 

@@ -148,7 +148,7 @@ class Owner(Base):
         self.newest(0.5)
         self.view, self.ages = MappingProxyType({"one": 1.0}), {"near": 0, "far": 7_000_000_000}.get
         self.laws = (self.half, self.gainful.own)
-        self.edge, self.beyond = 4096, 4097
+        self.edge, self.beyond, self.low = 4096, 4097, "low"
         self.sixteen, self.seventeen = [0.5] * 16, [0.5] * 16 + [1]
 
     def third(self, k: int) -> float:
@@ -270,6 +270,7 @@ def in_code(value: Any, writer: Writer) -> str:
     if isinstance(value, Record):
         return f"{{{'; '.join(f'{k}: {in_code(v, writer)}' for k, v in value.items.items())}}}"
     kind = "of unknown type" if value.sample is UNKNOWN else repr(value.sample).replace("\n", "")
+    kind = re.sub(r"\d+\.\d{7,}", lambda found: f"{float(found[0]):.9g}", kind)  # last digits differ between CPUs
     keys = f", by {', '.join(value.keys)}" if value.keys else ""
     inside = f", inside {tuple(p.keys for p in value.parts)}" if value.parts else ""
     return f"{value.code}: {kind}{keys}{inside}{'' if is_sure(value) else ', or else'}"
@@ -512,6 +513,9 @@ CASES = {
         (p, i)[2]
         (p, i)[-2]
         (p, i)[-3]
+        (p, q, r, i, j)[self.count]
+        e[self.whole[0]]
+        m[self.low]
         e[0] + e[-1]
         e[3]
         e[-3]

@@ -761,25 +761,30 @@ class Drive:
         self.senders.await_tick(t)
 
 
-def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=(), **links):
+def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=None, clock=False, **links):
     """A reader that has died, with what the others have recorded: times (ms) and values by topic, by sender how far."""
     kinds = {"x": link(), "s": InputLink(period="0.01", node="quiet", port="out", sporadic=True), "c": link()}
     reader = Reader(inputs=kinds if inputs is None else inputs, returns=True, **links)
     reader.files = True
-    ports = ports or (state("x"), state("s"), array("c", "c", {"q": 1}, "m"))
+    ports = (state("x"), state("s"), array("c", "c", {"q": 1}, "m")) if ports is None else ports
     rows = {port.name: reader.row(port) for port in ports}
+    if clock:
+        reader.table.follow_clock(link())
     reader.table.follow_ticks(set(), lambda: None)
     planned, marked = [], []
     reader.step.changes, reader.step.plan = [Change(MS, {"k": 1.0})], planned.extend
     reader.step.lacks, reader.block, reader.write_status = "as ever", None, lambda: None
 
     def recording(of):
-        made = Recording((name, next(p for p in ports if p.name == name).msgtype) for name in of)
+        known = {port.name: port for port in ports} | {"/clock": CLOCK}
+        made = Recording((name, known[name].msgtype) for name in of)
         for name, said_then in of.items():
-            port = next(p for p in ports if p.name == name)
+            port = known[name]
             for k, (t, value) in enumerate(said_then):
                 made.topics[name].times.append(t * MS)
-                made.topics[name].data.append(said(port, k if name == "c" else t * MS, value))
+                made.topics[name].data.append(
+                    port.layout().encode(k if name == "c" else t * MS, value if name == "/clock" else (value,))
+                )
         return made
 
     files = Files(recording(record), recording(dict(own)), dict(answered), frozenset(gone))
@@ -892,3 +897,13 @@ def test_what_came_from_outside_is_in_its_own_record_and_each_message_counts():
     paired_.bring(15 * MS)
     assert (reader.values["x"], reader.table.rows[0].stamp, len(reader.kept)) == ((1.5,), 10 * MS, 3)
     assert [number for number, _ in paired_.rest()] == [2]
+
+
+def test_who_paces_itself_by_the_clock_comes_back_to_its_newest_tick():
+    times = [(10 * k, ()) for k in range(4)]
+    for record, ticks, used in ((times, 4, 30 * MS), ([], 0, -1)):
+        reader, _, _, seen, *_ = comes_back({"/clock": record}, inputs={}, ports=(), clock=True)
+        (row,) = reader.table.rows
+        assert (len(seen), row.used, row.reached, reader.table.missing) == (ticks, used, used, 1)
+        row.receive(CLOCK.layout().encode(10 * ticks * MS, ()))
+        assert (reader.table.missing, reader.turns) == (0, 1)

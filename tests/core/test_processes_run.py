@@ -3,14 +3,15 @@
 import os
 import signal
 import struct
+import subprocess
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from types import SimpleNamespace
 
 import pytest
 from conftest import make_scenario
-from softrig_core import Recording, ScenarioError, rig_of
-from softrig_core.processes import domain, peers, processes, shared_memory
+from softrig_core import Recording, RunError, ScenarioError, rig_of
+from softrig_core.processes import domain, peers, processes, shared_memory, spawning
 from softrig_core.processes.placement import Listener, Placement
 from softrig_core.processes.stopping import Stopped
 from test_processes_parts import BASIC, Child
@@ -150,8 +151,12 @@ def test_what_people_should_know_of_a_run_is_announced(stage):
     assert given.said == []
 
 
-def test_how_a_run_ends_is_said_once_and_a_refused_parameter_is_the_scenarios(stage):
+def test_how_a_run_ends_is_said_once_and_a_refused_parameter_is_the_scenarios(stage, monkeypatch):
     assert stage(error="node law: broken").run().error == "node law: broken"
+    monkeypatch.setattr(processes.SystemClock, "set_back", lambda clock: "; the clock was set back")
+    assert stage(error="node law: broken").run().error == "node law: broken; the clock was set back"
+    assert stage().run().error == ""
+    monkeypatch.setattr(processes.SystemClock, "set_back", lambda clock: "")
     idle_one = stage()
     idle_one.status = {"ticks": 0}
     outcome = idle_one.run()
@@ -179,6 +184,69 @@ def test_how_a_run_ends_is_said_once_and_a_refused_parameter_is_the_scenarios(st
     assert broken.asked[-1] == "stop"
 
 
+def test_nodes_are_started_with_files_of_their_own_by_the_server_or_else_by_themselves(tmp_path, monkeypatch):
+    forked, started, opened = [], [], []
+
+    def fork(package, executable, command, variables, output):
+        forked.append((package, executable, command, variables))
+        os.write(output, b"x")
+        return by_server
+
+    def popen(command, **how):
+        started.append((command, how.pop("stdout").name, how))
+        return SimpleNamespace(pid=8)
+
+    monkeypatch.setattr(spawning, "start_node", fork)
+    monkeypatch.setattr(spawning.subprocess, "Popen", popen)
+    monkeypatch.setattr(spawning, "find_executable", lambda package, executable: tmp_path / package / executable)
+    monkeypatch.setattr(os, "pidfd_open", lambda pid: opened.append(pid) or 9)
+    rig = rig_of(make_scenario(BASIC, 0.5))
+    members = {m.name: m for m in rig.members}
+    options = {"run.mode": "lockstep", "run.paused": True}
+    run = spawning.Started(rig, 3, tmp_path, options, True, {"A": "1"}, None, False)
+    for end in ("status", "shard"):
+        (tmp_path / f"gain.{end}").write_text("of a run before")
+    by_server = SimpleNamespace(pid=5)
+    (child,) = spawning.start(run, [members["gain"]])
+    gain = [str(tmp_path / "faultrig" / "gain"), "--ros-args", "-r", "__node:=gain"]
+    gain += ["--params-file", str(tmp_path / "gain.params.yaml")]
+    assert forked == [("faultrig", "gain", gain, {"A": "1"})]
+    assert (child.process, child.end, opened) == (by_server, 9, [5])
+    assert (child.log, child.status, child.shard) == tuple(
+        tmp_path / f"gain.{end}" for end in ("log", "status", "shard")
+    )
+    assert not child.status.exists()
+    assert not child.shard.exists()
+    given = (tmp_path / "gain.params.yaml").read_text()
+    for line in (f'run.shard: "{child.shard}"', f'run.status: "{child.status}"', "run.paused: true", "run.seed: 3"):
+        assert line in given
+    assert "run.again" not in given
+    by_server = None
+    spawning.start(run, [members["gain"]])
+    assert child.log.read_text() == "x"  # of this one only
+    ((command, log, how),) = started
+    assert (command, log) == (gain, str(child.log))
+    assert how == {
+        "stdin": subprocess.DEVNULL,
+        "stderr": subprocess.STDOUT,
+        "env": {"A": "1"},
+        "process_group": 0,
+        "preexec_fn": spawning._die_with_parent,
+    }
+    child.shard.write_text("what it said")
+    spawning.start(run._replace(record=False), [members["gain"]], again=True)
+    assert child.log.read_text() == "xx"  # behind what it had said
+    assert (tmp_path / "gain.shard.died").read_text() == "what it said"
+    given = (tmp_path / "gain.params.yaml").read_text()
+    for line in ('run.shard: ""', f'run.again: "{tmp_path}"', "run.paused: false"):
+        assert line in given
+    both = spawning.start(run, [members["plant"], members["source"]])
+    assert [c.log.name for c in both] == ["plant+source.log"] * 2
+    assert [c.status.name for c in both] == ["plant.status", "source.status"]
+    assert forked[-1][:2] == ("softrig_core", "container")
+    assert forked[-1][2][1:3] == ["faultrig", "plant"]
+
+
 def test_room_in_shared_memory_is_enough_to_the_byte(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "statvfs", lambda folder: SimpleNamespace(f_bavail=10, f_frsize=375_000))
     assert shared_memory.lacking(3, tmp_path) == ""  # 1.25 MB each
@@ -198,7 +266,16 @@ def test_room_in_shared_memory_is_enough_to_the_byte(tmp_path, monkeypatch):
     assert shared_memory.numbers(tmp_path / "none") == set()
 
 
-def port_of_fast_dds(at, number=7411, limit=20_000, third=6_666, ago=0.0, size=None):
+def test_a_link_in_the_place_of_a_lock_is_not_followed(tmp_path):
+    for name in ("target", "fastrtps_00aa", "fastrtps_00bb", "fastrtps_00bb_el"):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (0, 0))
+    (tmp_path / "fastrtps_00aa_el").symlink_to(tmp_path / "target")
+    assert shared_memory.remove_leftovers(folder=tmp_path) == 2
+    assert {p.name for p in tmp_path.iterdir()} == {"target", "fastrtps_00aa", "fastrtps_00aa_el"}
+
+
+def port_of_fast_dds(at, number=7411, limit=20_000, third=6_666, ago=1e3, size=None):
     """The bytes of a port in shared memory, described at a place: when it was judged last, its number, its limits."""
     last = round((time.time() - ago) * 1e3)
     described = struct.pack("=qIIIIIII", last, 1, 2, 3, number, 5, limit, third)
@@ -246,6 +323,54 @@ def test_leftovers_go_in_the_domain_that_nobody_is_in_and_its_locks_are_of_the_u
         assert asked[1:] == [None]  # others may be there
 
 
+def test_the_search_for_a_domain_begins_at_the_number_of_the_process_and_goes_round(monkeypatch):
+    """So that two runs in a row seldom share one; then those beyond, of which the highest come first."""
+    tried = []
+
+    def taken(number):
+        tried.append(number)
+        raise KeyError
+
+    monkeypatch.setattr(domain, "_open", taken)
+    monkeypatch.setattr(os, "getpid", lambda: 298)  # the 98th of a hundred, from 1 on
+    for busy, first in (
+        ({}, 99),
+        ({99}, 100),
+        ({99, 100}, 1),
+        ({*range(1, 101)}, 215),
+        ({*range(1, 101), *range(215, 232)}, 101),
+    ):
+        monkeypatch.setattr(domain, "inhabited", lambda busy=busy: busy)
+        with pytest.raises(KeyError), domain.free_domain():
+            pass
+        assert tried.pop() == first
+    with pytest.raises(KeyError), domain.free_domain(17):
+        pass
+    assert tried == [17]
+    monkeypatch.undo()
+    monkeypatch.setattr(domain, "udp_ports", lambda: {7399, 7400, 7649, 7650, 65_399})
+    assert domain.inhabited() == {-1, 0, 1, 231}
+
+
+def test_nodes_need_a_loopback_interface_that_is_up_where_it_is_called_lo(monkeypatch):
+    for flags, fits in ((0x49, True), (0x48, False), (0, False)):
+        asked = []
+        answer = struct.pack("16sH14x", b"lo", flags)
+        monkeypatch.setattr(
+            domain.fcntl, "ioctl", lambda of, what, name, a=answer, log=asked: log.append((what, name)) or a
+        )
+        with suppress(RunError) if not fits else nullcontext():
+            domain.require_loopback()
+            assert fits
+        assert asked == [(0x8913, b"lo" + bytes(254))]
+
+    def unknown(*_):
+        raise OSError
+
+    monkeypatch.setattr(domain.fcntl, "ioctl", unknown)
+    domain.require_loopback()  # it has another name here
+
+
 # ---- who knows whom ----
 
 
@@ -275,6 +400,7 @@ LINKED = {
     },
     "a late link": {"plant": "plant", "source": "source", "link": "link", "law": "late_gain"},
     "no plant": {"source": "source"},
+    "who works for long": BASIC | {"planner": "planner", "watcher": "watcher"},
 }
 
 

@@ -107,6 +107,25 @@ def test_who_follows_is_beside_them_until_messages_take_long(allowed):
     assert processor.number is None
 
 
+@pytest.mark.parametrize(
+    ("messages", "each", "stays"),
+    [
+        (ENOUGH, SHORT - 1, True),
+        (ENOUGH, SHORT, False),
+        (ENOUGH - 1, SHORT, True),
+        (1, LONG, False),
+        (1, LONG - 1, True),
+    ],
+)
+def test_what_is_long_and_how_much_is_enough_to_judge_by(messages, each, stays, allowed):
+    work, processor = placed()
+    work.more(1, 0)
+    processor.step()
+    work.more(messages, each)
+    processor.step()
+    assert (processor.number is not None) is stays
+
+
 @pytest.mark.parametrize("beside", [False, True])
 def test_who_may_use_one_only_is_left_alone(beside, allowed):
     os.sched_setaffinity(0, {allowed[-1]})

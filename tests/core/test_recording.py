@@ -228,6 +228,19 @@ def test_a_shard_that_is_cut_anywhere_gives_its_whole_records_and_says_how_many_
         assert (over, found(recording)) == (cut - at, expected)
 
 
+def test_rows_without_numbers_are_read_to_the_last(tmp_path):
+    """A clock says nothing but its time: ten bytes a row."""
+    path, clock = tmp_path / "clock.shard", Layout("rosgraph_msgs/msg/Clock")
+    writer = ShardWriter(path, [("/clock", clock.msgtype), ("x", "std_msgs/msg/Float64")], {0: clock})
+    writer.add_row(1, ())
+    writer.add(1, 2, b"between")
+    writer.add_row(3, ())
+    writer.close()
+    recording = Recording([("/clock", clock.msgtype), ("x", "std_msgs/msg/Float64")])
+    assert recording.read_shard(path) == 0
+    assert found(recording) == {"/clock": [(t, clock.encode(t, ())) for t in (1, 3)], "x": [(2, b"between")]}
+
+
 @pytest.mark.parametrize("limit", [97, 150, 1 << 22])
 def test_a_shard_that_grows_is_read_as_it_comes(limit, tmp_path, monkeypatch):
     monkeypatch.setattr(ShardTail, "LIMIT", limit)

@@ -3,6 +3,7 @@
 A node of rclpy's is stood for by what the pieces call of it.
 """
 
+import ctypes
 import random
 import time
 from contextlib import nullcontext
@@ -11,6 +12,7 @@ from types import SimpleNamespace
 import pytest
 from by_hand import Hand
 from faultrig import Gain, Lag
+from rclpy.parameter import Parameter
 from softrig_core import Block, Observer, joint_state, number
 from softrig_core.block.block import Level
 from softrig_core.block.marker import Marker
@@ -22,7 +24,7 @@ from softrig_core.node.container import Container
 from softrig_core.node.face import frames
 from softrig_core.node.face.faces import Faces
 from softrig_core.node.face.tuning import Tuning
-from softrig_core.node.ros import contained, remote, ros
+from softrig_core.node.ros import arrival, contained, remote, ros, tf_message
 from softrig_core.node.ros.contained import ContainedMiddleware
 from softrig_core.node.ros.garbage import Garbage
 from softrig_core.node.ros.messages import diagnostic_array, marker_array, message_class, range_descriptor
@@ -33,8 +35,6 @@ from softrig_core.node.seam.monitor import Monitor
 from softrig_core.rig.options import Links, RunOptions
 from test_codec import STORE
 
-rclpy = pytest.importorskip("rclpy")
-Parameter = rclpy.parameter.Parameter if hasattr(rclpy, "parameter") else None
 NOW = 1_700_000_000_000_000_005
 
 
@@ -377,6 +377,9 @@ def test_what_is_set_together_is_taken_together_or_each_by_itself():
         assert [{k: plain(Parameter(k, value=v)) if v != [] else [] for k, v in f.items()} for f in found] == [
             {name: meant}
         ]
+    node.remark = "of a set before"
+    assert node.ask(k=7.0)[1] == [""]
+    assert node.ask(empty="None")[2] == []  # as `ros2 param dump` says of one that has no value
     assert node.ask(k="many")[2] == [{"k": "many"}]  # the range refuses it
     assert node.ask(words=["a"])[2] == []
     node._credit.left = -1.0
@@ -793,6 +796,44 @@ def test_a_container_turns_until_all_have_ended_or_one_has_failed_for_a_second(m
     assert {*stopped.spun} == {(300_002 - 150_000) / 1e9}
 
 
+def test_a_container_sends_what_is_left_and_waits_for_those_who_have_it_to_get(monkeypatch):
+    log, up = [], [True]
+
+    def adapter(name, state):
+        drain = SimpleNamespace(name=name, drain=lambda: log.append(f"drain {name}"))
+        return SimpleNamespace(state=state, middleware=drain)
+
+    monkeypatch.setattr(containers, "rclpy", SimpleNamespace(ok=lambda: up[0]))
+    for happens, expected in (
+        (True, ["a", "b", "loop", "flush", "drain a", "ends"]),
+        (False, ["a", "b", "loop", "flush", "drain a", "stopped"]),
+        (KeyboardInterrupt(), ["a", "b", "loop", "stopped"]),
+        (containers.ExternalShutdownException(), ["a", "b", "loop", "stopped"]),
+        (ValueError("no"), ["a", "b", "loop", "broke no", "ends"]),
+        (OSError("late"), ["a", "b", "loop", "stopped"]),  # a signal has shut the context down
+    ):
+
+        def loop(executor, happens=happens):
+            log.append("loop")
+            if isinstance(happens, BaseException):
+                raise happens
+            return happens
+
+        log.clear()
+        up[0] = not isinstance(happens, OSError)
+        container = Container()
+        container.nodes, container._loop = ["a", "b"], loop
+        container.adapters = [adapter("a", "done"), adapter("b", "failed")]
+        container.exchange = SimpleNamespace(flush=lambda: log.append("flush"))
+        container._broke = lambda error: log.append(f"broke {error}")
+        container._conclude = lambda stopped: log.append("stopped" if stopped else "ends") or 4
+        monkeypatch.setattr(
+            "rclpy.experimental.events_executor.EventsExecutor", lambda: SimpleNamespace(add_node=log.append)
+        )
+        assert container.run() == 4
+        assert log == expected
+
+
 def test_python_looks_for_cycles_seldom_while_there_are_none():
     class Collector:
         found, log = 0, []
@@ -917,3 +958,172 @@ def test_a_set_or_a_press_is_answered_when_the_node_has_and_a_node_that_does_not
         assert asked.said.pop() == (request["id"], False, said)
     asked.remote.ask({"id": 6, "node": "law", "set": {"k": 2**63 - 1, "n": [-(2**63)]}})
     assert len(asked.timers) == 1
+
+
+# ---- below rclpy ----
+
+
+class FakeRcl:
+    """The functions of rcl that are called by themselves, over a queue of messages."""
+
+    def __init__(self):
+        self.queue, self.code, self.told, self.resets, self.writers, self.kept = [], 0, [], 0, 0, []
+
+    def rcutils_get_default_allocator(self):
+        return arrival._Allocator()
+
+    def _room(self, where, size):
+        self.kept.append((ctypes.c_uint8 * size)())
+        where._obj.buffer, where._obj.capacity = ctypes.addressof(self.kept[-1]), size
+
+    def rcutils_uint8_array_init(self, where, size, allocator):
+        self._room(where, size.value)
+        return self.code
+
+    def rcl_take_serialized_message(self, reader, where, info, allocation):
+        assert (reader.value, info, allocation) == (77, None, None)
+        if self.code or not self.queue:
+            return self.code or 401
+        data = self.queue.pop(0)
+        if len(data) > where._obj.capacity:
+            self._room(where, len(data))
+        ctypes.memmove(where._obj.buffer, data, len(data))
+        where._obj.length = len(data)
+        return 0
+
+    def rcl_subscription_set_on_new_message_callback(self, reader, call, data):
+        assert (reader.value, data) == (77, None)
+        self.call = call
+        return self.code
+
+    def rcl_subscription_get_publisher_count(self, reader, counted):
+        counted._obj.value = self.writers
+        return self.code
+
+    def rcutils_reset_error(self):
+        self.resets += 1
+
+
+def test_messages_are_handed_over_as_they_came_however_long_they_are(monkeypatch):
+    rcl, heard, matched, ensured, up = FakeRcl(), [], [], [], [True]
+    monkeypatch.setattr(arrival.ctypes.pythonapi, "PyGILState_Ensure", lambda: ensured.append(1))
+    monkeypatch.setattr(arrival, "rclpy", SimpleNamespace(ok=lambda: up[0]))
+    subscription = SimpleNamespace(handle=SimpleNamespace(pointer=77), topic_name="/t")
+    works = []
+    one = arrival.Arrival(rcl, subscription, heard.append, matched.append, works.append)
+    one.begin()
+    messages = [b"a", b"", bytes(range(256)) * 16, bytes(range(256)) * 17, b"end"]  # 4096 bytes, and more
+    rcl.queue += messages
+    for count in (2, 0, 3):
+        rcl.call(None, count)
+    assert (len(works), len(ensured)) == (5, 1)  # once a thread
+    for work in works:
+        work()
+    works[0]()  # a newer one has replaced it: nothing is there
+    assert (heard, rcl.resets) == (messages, 0)
+    for writers, told in ((0, []), (2, [2]), (2, [2]), (1, [2, 1])):
+        rcl.writers = writers
+        one.look()
+        assert matched == told
+    one.end()
+    assert not rcl.call
+    rcl.code = 5
+    one.look()
+    assert (matched, rcl.resets) == ([2, 1], 1)
+    for call, said in (
+        (works[0], "a message cannot be taken (rcl says 5)"),
+        (one.begin, "cannot be told of its messages"),
+    ):
+        with pytest.raises(ros.RCLError) as error:
+            call()
+        assert str(error.value) == f"/t: {said}"
+    assert rcl.resets == 3
+    with pytest.raises(MemoryError, match="4096 bytes for messages on /t"):
+        arrival.Arrival(rcl, subscription, heard.append, matched.append, works.append)
+    rcl.code = 0
+
+    def publish(data):
+        raise ros.RCLError("shut down")
+
+    failing = arrival.Arrival(rcl, subscription, publish, matched.append, works.append)
+    failing.begin()
+    rcl.queue += [b"x", b"y"]
+    rcl.call(None, 1)
+    with pytest.raises(ros.RCLError):
+        works[-1]()
+    up[0] = False
+    works[-1]()  # a signal has shut the context down
+
+
+def text(sequence):
+    return ctypes.string_at(sequence.data, sequence.size).decode()
+
+
+def test_the_type_of_frames_is_described_as_ros_describes_that_of_tf2_msgs():
+    """Its sources, of ros2/geometry2; sizes of the structures as the headers of rosidl have them on 64 bits."""
+    from geometry_msgs.msg import TransformStamped
+
+    sizes = {
+        tf_message.Handle: 48,
+        tf_message.Callbacks: 56,
+        tf_message.Member: 112,
+        tf_message.Members: 64,
+        tf_message.Sequence: 24,
+        tf_message.Field: 96,
+        tf_message.Individual: 48,
+        tf_message.Description: 72,
+        tf_message.Source: 72,
+        tf_message.Hash: 33,
+    }
+    assert {kind: ctypes.sizeof(kind) for kind in sizes} == sizes
+    made = tf_message.tf_class()
+    assert tf_message.tf_class() is made
+    assert (made.__name__, type(made).__name__) == ("TFMessage", "Metaclass_TFMessage")
+    handle = type(made)._support.handle
+    own = ctypes.cast(handle.description(0), ctypes.POINTER(tf_message.Description))[0]
+    assert text(own.own.name) == "tf2_msgs/msg/TFMessage"
+    (field,) = ctypes.cast(own.own.fields.data, ctypes.POINTER(tf_message.Field))[: own.own.fields.size]
+    assert (text(field.name), field.type_id, field.capacity, field.string_capacity) == ("transforms", 145, 0, 0)
+    assert (text(field.nested), text(field.default)) == ("geometry_msgs/msg/TransformStamped", "")
+    referenced = ctypes.cast(own.referenced.data, ctypes.POINTER(tf_message.Individual))[: own.referenced.size]
+    assert [text(one.name) for one in referenced] == [
+        "builtin_interfaces/msg/Time",
+        *(f"geometry_msgs/msg/{name}" for name in ("Quaternion", "Transform", "TransformStamped", "Vector3")),
+        "std_msgs/msg/Header",
+    ]
+    sources = ctypes.cast(handle.sources(0), ctypes.POINTER(tf_message.Sequence))[0]
+    first, *others = ctypes.cast(sources.data, ctypes.POINTER(tf_message.Source))[: sources.size]
+    assert (text(first.name), text(first.encoding)) == ("tf2_msgs/msg/TFMessage", "msg")
+    assert text(first.text) == "geometry_msgs/TransformStamped[] transforms\n"
+    assert {text(one.name) for one in others} == {text(one.name) for one in referenced}
+    told = ctypes.cast(handle.hash(0), ctypes.POINTER(tf_message.Hash))[0]
+    assert (told.version, bytes(told.value).hex()) == (1, tf_message.HASH)
+    theirs = tf_message.Handle.from_address(pointer_of(type(TransformStamped)._TYPE_SUPPORT))
+    assert handle.identifier == theirs.identifier
+
+    def found(name):
+        where = handle.find(0, name)
+        return None if not where else tf_message.Handle.from_address(where)
+
+    assert found(b"rosidl_typesupport_other") is None
+    fast, introspected = (found(f"rosidl_typesupport_{kind}".encode()) for kind in ("fastrtps_c", "introspection_c"))
+    names = tf_message.Callbacks.from_address(fast.data)
+    assert (names.namespace, names.name) == (b"tf2_msgs::msg", b"TFMessage")
+    members = tf_message.Members.from_address(introspected.data)
+    assert (members.namespace, members.name, members.count) == (b"tf2_msgs__msg", b"TFMessage", 1)
+    assert (members.size, members.has_key) == (24, False)
+    member = members.members[0]
+    assert (member.name, member.type_id, member.string_bound, member.is_key) == (b"transforms", 18, 0, False)
+    assert (member.is_array, member.array_size, member.is_bounded, member.offset) == (True, 0, False, 0)
+    for use in ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE"):
+        with pytest.raises(
+            TypeError, match="tf2_msgs/msg/TFMessage without tf2_msgs: only bytes are published and taken"
+        ):
+            getattr(type(made), use)(None)
+
+
+def pointer_of(capsule):
+    name, pointer = ctypes.pythonapi.PyCapsule_GetName, ctypes.pythonapi.PyCapsule_GetPointer
+    name.restype, name.argtypes = ctypes.c_char_p, [ctypes.py_object]
+    pointer.restype, pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    return pointer(capsule, name(capsule))

@@ -3,6 +3,8 @@
 import itertools
 import json
 import random
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -11,9 +13,11 @@ from softrig_core.block.block import Block
 from softrig_core.block.params import BlockParams
 from softrig_core.scenario.changes import ChangeEntry, script
 from softrig_core.scenario.faults import FaultEntry, insert
+from softrig_core.scenario.node_parameters import NodeParameters
 from softrig_core.scenario.places import place
 from softrig_core.scenario.port_text import ports_of, ports_text, reader
 from softrig_core.scenario.references import fill, fill_parameters, parameter_of, pick
+from softrig_core.scenario.scenario import Draft, Scenario
 from softrig_core.scenario.scenario_file import inherit, list_scenarios, locate, merge, names, resolve
 from softrig_core.scenario.yaml_file import DEPTH, NODES, SIZE, read_mapping, read_yaml
 from told import check_told
@@ -480,3 +484,107 @@ def test_a_file_that_has_changed_is_read_again(folder):
     (folder / "one/base.yaml").write_text("#" * (SIZE + 1))
     assert said(load_scenario, "base") == f"ScenarioError: base.yaml: {SIZE + 1} bytes, expected at most {SIZE}"
     assert list(itertools.islice(names(folder / "two/base.yaml"), 3)) == ["base"]
+
+
+def test_what_a_scenario_must_not_say_and_what_goes_over_it():
+    node = {"package": "p", "executable": "e"}
+    whole = {
+        "name": "here",
+        "title": "T",
+        "system": "s",
+        "source": "S",
+        "duration": 1.0,
+        "nodes": {"a": node, "b": node},
+    }
+    claim = {"where": "Table 1", "verdict": "reproduced", "published": 1.0}
+    more = whole | {
+        "shared": {"gain": 1.0, "motor": {"R": 1.0, "L": 2.0}},
+        "faults": {"noisy": {"link": "x", "kind": "noise"}},
+        "figures": {"peak": {"function": "maximum"}},
+    }
+    lines = []
+    for keys in (
+        {},
+        {"containers": [["a"], ["b"]]},
+        {"containers": [["a", "a"]]},
+        {"containers": [["a"], ["c"]]},
+        {"trips": ["a", "c"]},
+        {"trips": ["b"]},
+        {"expect": {"peak": {"equals": 1.0}}},
+        {"claims": {"peak": claim}},
+        {"claims": {"peak": claim}, "figures": {"peak": {}}},
+        {"claims": {"peak": claim | {"verdict": "not_checkable", "reason": "r"}}},
+        {"claims": {"x": claim | {"figure": "other.peak"}}},
+        {"requirements": {"peak": "always x > 0"}, "figures": {"peak": {}}},
+        {"nodes": {}},
+        {"nodes": {"9a": node}},
+        {"nodes": {"a": node | {"remap": {"x": "a b"}}}},
+        {"faults": None, "figures": None, "shared": None},
+        {"duration": 0.0},
+        {"seed": 2**63},
+        {"record": "some"},
+    ):
+        told = said(Scenario.model_validate, whole | keys)
+        first = re.search(r"^  (.*?) \[type=", told, re.MULTILINE)
+        lines.append(f"{keys}: {first[1] if first else 'a scenario'}")
+    scenario = Scenario.model_validate(more)
+    for overrides in (
+        {"a.gain": 2.0, "b.deep.k": 3},
+        {"noisy.from": 1.0},
+        {"noisy.kind": "loss"},
+        {"c.gain": 2.0},
+        {"a": 2.0},
+        {"aa.gain": 1.0},
+    ):
+        try:
+            new = scenario.changed(overrides=overrides)
+        except ScenarioError as error:
+            lines.append(f"{overrides}: {error}")
+            continue
+        lines.append(f"{overrides}: {[n.parameters for n in new.nodes.values()]} {new.faults['noisy'].parameters}")
+    assert scenario.changed() == scenario
+    assert scenario.changed(duration=2.0).duration == 2.0
+    lines.append(said(scenario.changed, duration=-1.0))
+    lines.append(said(scenario.having, titel="x"))
+    for overrides in ({"gain": 2.0}, {"motor.R": 5.0}, {"motor": 5.0}, {"gains": 2.0}, {"c.k": 1}, {"a.k": 2}):
+        draft = Draft("here", Path("here.yaml"), {k: v for k, v in more.items() if k != "name"})
+        found = said(lambda d=draft, o=overrides: d.filled(o).shared)
+        lines.append(f"{overrides} of a draft: {found}")
+        assert draft.raw["shared"] == more["shared"]
+    check_told("scenarios", lines)
+    claims = {
+        "one": claim,
+        "two": claim | {"figure": "peak"},
+        "three": claim | {"verdict": "not_checkable", "reason": "r"},
+        "four": claim | {"figure": "other.peak"},
+        "five": {"where": "w", "verdict": "reproduced", "below": "six", "figure": "peak", "text": "t"},
+    }
+    known = Scenario.model_validate(more | {"claims": claims, "figures": {k: {} for k in ("one", "peak", "six")}})
+    assert known.claimed() == ["one", "peak", "peak", "six"]
+    assert (known.written("title"), known.written_in(None) is known) == ("", True)
+
+
+def test_parameters_of_nodes_may_be_those_of_others():
+    def parameters(**nodes):
+        entries = {name: {"package": "p", "executable": "e", "parameters": values} for name, values in nodes.items()}
+        about = {"name": "here", "title": "T", "system": "s", "source": "S", "duration": 1.0, "nodes": entries}
+        return NodeParameters(Scenario.model_validate(about), dict.fromkeys(nodes, Law))
+
+    found = parameters(
+        a={"gain": "$b.size", "row": ["$b.row.1", 3.0]}, b={"size": 4, "row": [1.0, "$c.gain"]}, c={"gain": 7.0}
+    )
+    assert (found("a").gain, found("a").row, found("b").row) == (4.0, (7.0, 3.0), (1.0, 7.0))
+    assert found("a") is found("a")
+    for nodes, told in (
+        ({"a": {"gain": "$a.size"}}, "here: node a: its parameters refer to themselves: a -> a"),
+        (
+            {"a": {"gain": "$b.gain"}, "b": {"gain": "$a.gain"}},
+            "here: node a: its parameters refer to themselves: a -> b -> a",
+        ),
+        ({"a": {"gain": "$c.gain"}}, "here: node a: $c.gain: the nodes are a"),
+        ({"a": {"gain": "$b.gian"}, "b": {}}, "here: node a: $b.gian: b has period, gain, size, row"),
+        ({"a": {"gain": -1.0}}, "here: node a: parameter gain = -1.0: input should be greater than or equal to 0"),
+    ):
+        with pytest.raises(ScenarioError) as error:
+            parameters(**nodes)("a")
+        assert str(error.value) == told

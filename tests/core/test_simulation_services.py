@@ -131,6 +131,14 @@ def test_who_waits_for_steps_is_told_how_many_have_been_taken_of_those_of_his_ow
     assert call.simulation._steps == []
 
 
+def test_of_a_run_without_an_end_any_number_of_steps_may_be_taken(monkeypatch):
+    call = Caller(monkeypatch, "dc_motor_smc_b2", paused=True)
+    call.until(lambda: call.adapter.state == "running")
+    call.adapter.schedule = SimpleNamespace(last=None, count=lambda: 0)
+    assert call.simulation._take(10**9, lambda n: None, lambda text: None) == ""
+    assert call.adapter.hold.steps == 10**9
+
+
 def test_quitting_ends_the_run_by_its_reason(monkeypatch):
     call = Caller(monkeypatch, "dc_motor_smc_b2")
     call.until(lambda: call.adapter.ticks == 3)
@@ -165,6 +173,11 @@ def test_bodies_are_where_the_scene_has_them_and_move_as_the_joints_do(monkeypat
     call.set(PAUSED)
     scene, step = call.adapter.block.scene(call.adapter.block.p), call.adapter.step
     port = next(p for p in step.outputs if p.name == scene.port)
+    fast = [
+        1.0 + k if name.endswith("/velocity") else v
+        for k, (name, v) in enumerate(zip(port.labels, step.said[scene.port], strict=True))
+    ]
+    step.said = {**step.said, scene.port: tuple(fast)}
     said = dict(zip(port.labels, step.said[scene.port], strict=True))
     q = [v for k, v in said.items() if k.endswith("/position")]
     rates = [v for k, v in said.items() if k.endswith("/velocity")]
@@ -175,15 +188,16 @@ def test_bodies_are_where_the_scene_has_them_and_move_as_the_joints_do(monkeypat
         p, r = told.state.pose.position, told.state.pose.orientation
         assert ((p.x, p.y, p.z), (r.x, r.y, r.z, r.w)) == (pose.position, pose.rotation)
         assert told.state.header.frame_id == pose.parent
+        stamp = told.state.header.stamp
+        assert stamp.sec * 10**9 + stamp.nanosec == step.t > 0
         later = next(
-            x for x in scene.moving([a + 1e-4 * b for a, b in zip(q, rates, strict=True)]) if x.child == pose.child
+            x for x in scene.moving([a + 1e-6 * b for a, b in zip(q, rates, strict=True)]) if x.child == pose.child
         )
         v, w = told.state.twist.linear, told.state.twist.angular
-        moved = [(b - a) / 1e-4 for a, b in zip(pose.position, later.position, strict=True)]
+        moved = [(b - a) / 1e-6 for a, b in zip(pose.position, later.position, strict=True)]
         assert (v.x, v.y, v.z) == pytest.approx(moved, abs=1e-3)
-        assert math.hypot(w.x, w.y, w.z) == pytest.approx(
-            math.hypot(*turned(pose.rotation, later.rotation)) / 1e-4, abs=1e-3
-        )
+        turns = [angle / 1e-6 for angle in turned(pose.rotation, later.rotation)]
+        assert (w.x, w.y, w.z) == pytest.approx(turns, abs=1e-3)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -2,6 +2,7 @@
 
 import json
 import re
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from by_hand import Hand
 from faultrig import COMMAND, REFERENCE, STATE, Burst, Gain, Lag, Spread, Watcher
 from softrig_core import RunError, joint_state
 from softrig_core.block.block import Level
+from softrig_core.node import container as containers, group as group_module
 from softrig_core.node.adapter import adapter as adapters
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.adapter.departure import READY, START, Departure
@@ -550,6 +552,54 @@ def test_the_files_of_a_run_tell_how_far_its_nodes_have_come(tmp_path):
     assert {n: t.data for n, t in files.own.topics.items()} == {"mine": [b"mine"]}
 
 
+def test_ticks_of_a_process_keep_a_timer_waiting_for_five_ms_and_stop_where_one_is_missing(monkeypatch):
+    clock = SimpleNamespace(now=0)
+
+    def monotonic_ns():
+        clock.now += MS
+        return clock.now
+
+    monkeypatch.setattr(group_module, "time", SimpleNamespace(monotonic_ns=monotonic_ns))
+    hand, taken = Hand(), []
+
+    def ticks():
+        for k in range(20):
+            taken.append(k)
+            yield None if k == 15 else k
+
+    group = object.__new__(Group)
+    group.nodes, group._ticks = [SimpleNamespace(state="running", middleware=hand)], ticks()
+    group.turn()
+    assert (len(taken), hand.posted) == (7, [group.turn])  # the limit is set with the first of them
+    hand.posted.pop()()
+    assert (len(taken), hand.posted) == (14, [group.turn])
+    hand.posted.pop()()
+    assert (taken[-1], hand.posted) == (15, [])
+    for state, more in (("starting", 0), ("failed", 0), ("done", 4)):
+        before, group.nodes[0].state = len(taken), state
+        group.turn()
+        assert len(taken) == before + more
+
+
+def test_a_block_that_fails_ends_the_run_in_the_name_of_its_node():
+    broken = []
+
+    def ticks():
+        yield 0
+        error = RunError("law: failed")
+        error.node = "law"
+        raise error
+
+    nodes = [
+        SimpleNamespace(state="running", step=SimpleNamespace(name=n), broke=broken.append) for n in ("plant", "law")
+    ]
+    nodes[0].broke = None
+    group = object.__new__(Group)
+    group.nodes, group._ticks = nodes, ticks()
+    group.turn()
+    assert [str(e) for e in broken] == ["law: failed"]
+
+
 # ---- how it ends ----
 
 
@@ -629,3 +679,64 @@ def test_what_a_node_of_a_container_raises_ends_the_run_in_its_name(capsys):
         container._broke(ValueError("no"))
     assert container._conclude(stopped=False) == 3
     assert (other.state, str(other.error), other.waits_for) == ("failed", "stopped: node has failed", ["node"])
+
+
+class Left(Exception):
+    """A process has ended, with this status."""
+
+
+def test_a_container_starts_what_its_command_line_names_and_says_what_is_wrong_with_it(monkeypatch, capsys):
+    def leave(nodes, status):
+        raise Left(status)
+
+    added, broken = [], []
+
+    class Started(Container):
+        def add(self, group):
+            added.append(group)
+            if broken:
+                raise broken[0]
+
+        def connect(self):
+            added.append("connected")
+
+        def run(self):
+            return 7
+
+    monkeypatch.setattr(containers, "leave", leave)
+    monkeypatch.setattr(containers, "Container", Started)
+    monkeypatch.setattr(containers, "interrupt", SimpleNamespace(install=lambda: None, early=True))
+    monkeypatch.setattr(containers, "secure_streams", lambda: None)
+    joined = []
+    monkeypatch.setattr(containers, "joining", lambda **how: joined.append(how) or nullcontext())
+    rmw = ["rmw_fastrtps_cpp"]
+    ros = SimpleNamespace(init=lambda args: None, ok=lambda: True, get_rmw_implementation_identifier=lambda: rmw[0])
+    monkeypatch.setattr(containers, "rclpy", ros)
+
+    def status(*arguments):
+        added.clear()
+        with pytest.raises(Left) as left:
+            containers.main(arguments)
+        return left.value.args[0], capsys.readouterr()
+
+    assert status("a", "b", "--", "c", "d", "--ros-args")[0] == 7
+    assert added == [["a", "b"], ["c", "d", "--ros-args"], "connected"]
+    assert joined == [{"exclusive": True, "silence": 10.0}]
+    code, said = status("a")
+    assert (code, "a: expected PACKAGE EXECUTABLE [--ros-args ...]" in said.err.replace("\n", " ")) == (2, True)
+    for arguments, expected in (((), 2), (("--ros-args",), 2), (("-h",), 0), (("a", "b", "--help"), 0)):
+        code, said = status(*arguments)
+        assert (code, "PACKAGE EXECUTABLE" in said.out, added) == (expected, True, [])
+    broken.append(KeyboardInterrupt())
+    assert status("a", "b")[0] == 0
+    broken[:] = [RunError("no such thing")]
+    code, said = status("a", "b")
+    assert (code, "a b: no such thing" in said.err) == (2, True)
+    ros.ok = lambda: False  # a signal has shut the context down under it
+    assert status("a", "b")[0] == 0
+    ros.ok, rmw[0] = (lambda: True), "rmw_cyclonedds_cpp"
+    code, said = status("a", "b")
+    assert (code, "needs Fast DDS (RMW_IMPLEMENTATION=rmw_fastrtps_cpp), got rmw_cyclonedds_cpp" in said.err) == (
+        2,
+        True,
+    )

@@ -136,6 +136,25 @@ def test_bad_settings_are_named(call, text):
         call()
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: ParticleSwarm([0.0], [1.0], budget=1),
+        lambda: ParticleSwarm([0.0], [1.0], n_pop=1, n_iter=1),
+        lambda: DifferentialEvolution([0.0], [1.0], n_pop=4),
+        lambda: GreyWolf([0.0], [1.0], n_pop=3),
+        lambda: Genetic([0.0], [1.0], n_pop=4, elite=3),
+        lambda: ImprovedSalpSwarm([1e-9], [1.0]),
+        lambda: PerturbObserve([0.0], [1.0], initial=0.0),
+        lambda: PerturbObserve([0.0], [1.0], initial=1.0),
+        lambda: Scan([0.0], [1.0], n_grid=3),
+        lambda: RampScan([0.1], [0.9], matching=Transformer(), n_ramp=2),
+    ],
+)
+def test_settings_that_are_just_enough_are_taken(call):
+    assert len(call().ask()) == 1
+
+
 # the algorithms -------------------------------------------------------------------------------------------------
 
 

@@ -253,6 +253,8 @@ SHAPES = {
     "smooth": lambda a, b: lambda x: math.cos(a * x) + 0.3 * b * x,
     "kinked": lambda a, b: lambda x: abs(x - 0.3 * a) + b * abs(x - 1.1),
     "stairs": lambda a, b: lambda x: math.floor(a * (x - b) ** 2),
+    "roots": lambda a, b: lambda x: round(3.0 * a * (math.sqrt(abs(x - b)) - 0.2 * x)),  # of which many are equal
+    "fine roots": lambda a, b: lambda x: round(90.0 * a * (math.sqrt(abs(x - b)) - 0.1 * x)),
     "flat": lambda a, b: lambda x: a,
     "falling": lambda a, b: lambda x: -a * x**3 - b * x,
     "narrow": lambda a, b: lambda x: -math.exp(-((20.0 * (x - 0.1 * a)) ** 2)) + 0.01 * b * x,

@@ -2,13 +2,16 @@
 
 import copy
 import math
+import os
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 import pytest
 from softrig_optim.pso import ParticleSwarm
 from softrig_optim.scan import Scan
 from softrig_optim.search import Search, Told, run
-from softrig_optim.sweep import progress
+from softrig_optim.sweep import Workers, _own_imports, progress, sweep
 
 
 class Walk(Search):
@@ -118,3 +121,80 @@ def test_progress_is_told_by_tenths_or_after_ten_seconds(monkeypatch, capsys):
     assert told(3, 10.0) == [2]
     monkeypatch.setattr("softrig_optim.sweep.is_quiet", lambda: True)
     assert told(20) == []
+
+
+@pytest.mark.parametrize(
+    ("mean", "room", "workers", "cases", "sizes"),
+    [
+        (math.inf, 6, 2, 10, [1] * 6),  # of the first nobody knows how long they take
+        (1.0, 6, 2, 10, [1] * 6),
+        (0.125, 3, 2, 10, [2, 2, 2]),  # a quarter of a second each
+        (0.0625, 3, 2, 10, [4, 4, 2]),
+        (0.0625, 3, 4, 10, [3, 3, 3, 1]),  # the last ones are spread over all workers
+        (0.0625, 3, 2, 3, [2, 1]),
+        (0.0, 2, 2, 2500, [1000, 1000]),
+        (1e-9, 2, 2, 1500, [750, 750]),
+        (0.125, 0, 2, 10, []),
+        (0.125, 3, 2, 0, []),
+    ],
+)
+def test_cases_are_handed_over_in_chunks_of_a_quarter_of_a_second(mean, room, workers, cases, sizes):
+    pool = Workers(workers)
+    pool._mean = mean
+    left = iter(enumerate(range(cases)))
+    chunks = list(pool._chunks(left, room, 0.25, workers))
+    assert [len(chunk) for chunk in chunks] == sizes
+    assert [case for chunk in chunks for case in chunk] == [(k, k) for k in range(sum(sizes))]
+    assert next(left, (sum(sizes),))[0] == sum(sizes)  # no more were taken
+
+
+def test_how_long_a_case_takes_is_that_of_the_newest_chunks():
+    pool, means = Workers(2), []
+    for seconds in (4.0, 1.0, 6.0):
+        assert list(pool._told([(7, "a"), (9, "b")], (["x", "y"], seconds))) == [(7, "x"), (9, "y")]
+        means.append(pool._mean)
+    assert means == [2.0, 1.25, 2.125]
+
+
+@pytest.mark.parametrize("deaths", [0, 1, 2, 3])
+def test_a_case_whose_worker_dies_three_times_is_given_up_and_no_other_is_lost(monkeypatch, deaths):
+    asked = []
+
+    def submit(self, function, chunk):
+        numbers, future = [k for k, _ in chunk], Future()
+        asked.append(numbers)
+        if 5 in numbers and sum(5 in n for n in asked) <= deaths:
+            future.set_exception(BrokenProcessPool())
+        else:
+            future.set_result(([function(case) for _, case in chunk], 0.01))
+        return future
+
+    monkeypatch.setattr(Workers, "_submit", submit)
+    with Workers(2) as pool:
+        if deaths < 3:
+            assert dict(pool.stream(lambda case: 10 * case, range(9))) == {k: 10 * k for k in range(9)}
+        else:
+            with pytest.raises(RuntimeError, match=r"^the worker of case \d died 3 times$"):  # or of one beside it
+                list(pool.stream(lambda case: 10 * case, range(9)))
+    assert sum(5 in numbers for numbers in asked) == min(deaths + 1, 3)
+    assert all(len(numbers) == 1 for numbers in asked[-1:])
+
+
+def test_a_sweep_has_no_more_workers_than_cases(monkeypatch):
+    made = []
+    monkeypatch.setattr(Workers, "map", lambda self, function, cases, done: made.append(self._count) or list(cases))
+    monkeypatch.setattr("softrig_optim.sweep.cores", lambda: 5)
+    for cases, workers in ((3, None), (9, None), (9, 2), (2, 7), (0, 4)):
+        assert sweep(abs, list(range(cases)), workers=workers) == list(range(cases))
+    assert made == [3, 5, 2, 2, 1]
+    assert Workers()._count == 5
+
+
+def test_nobody_imports_from_the_current_directory_while_a_process_starts(monkeypatch):
+    for before in (None, "", "0"):
+        monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+        if before is not None:
+            monkeypatch.setenv("PYTHONSAFEPATH", before)
+        with _own_imports():
+            assert os.environ["PYTHONSAFEPATH"] == "1"
+        assert os.environ.get("PYTHONSAFEPATH") == before

@@ -6,6 +6,7 @@ import itertools
 import math
 import types
 
+import casadi
 import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize_scalar
@@ -461,6 +462,39 @@ def test_the_nlp_is_the_best_of_its_arches(P):
     assert (found <= high).all()
 
 
+@pytest.mark.parametrize(
+    ("success", "answer", "raises", "taken"),
+    [
+        (True, (200.0, 100.0), False, True),
+        (False, (200.0, 100.0), False, False),
+        (True, (math.nan, 100.0), False, False),
+        (True, (200.0, 100.0), True, False),
+        (True, (250.0, 50.0), False, None),  # dearer than what was given
+        (True, (200.0 + 0.9e-5, 100.0 - 0.9e-5), False, True),  # ends a tolerance inside its bounds
+    ],
+)
+def test_what_counts_of_the_answer_of_ipopt(monkeypatch, success, answer, raises, taken):
+    given, asked = np.array([220.0, 80.0]), []
+
+    class Solver:
+        def __call__(self, **bounds):
+            asked.append(bounds)
+            if raises:
+                raise RuntimeError
+            return {"x": np.array(answer)}
+
+        def stats(self):
+            return {"success": success}
+
+    monkeypatch.setattr(casadi, "nlpsol", lambda *_: Solver())
+    P, succeeded = nlp(PAIR, 300.0, given)
+    assert succeeded == (taken is not False)
+    assert P.tolist() == ([200.0, 100.0] if taken else given.tolist())
+    assert asked[0]["lbx"].tolist() == [200.0, 60.0]
+    assert asked[0]["ubx"].tolist() == [300.0, 100.0]
+    assert (asked[0]["x0"].tolist(), asked[0]["lbg"], asked[0]["ubg"]) == (given.tolist(), 300.0, 300.0)
+
+
 # The proof ----------------------------------------------------------------------------------------------
 
 
@@ -496,6 +530,8 @@ def stretches(n=60):
         s = np.sort(chance.uniform(0.0, 1.0, 2))
         s[0], s[1] = (0.0 if k % 5 == 0 else s[0]), (1.0 if k % 2 == 0 else s[1])
         yield row, *(arch + s * PI / f)
+    for e in (1.9, 2.0, 2.1, 2.3):  # about as strong as the parabola
+        yield (0.0, 9.0, 1.0, 0.0, 0.0, e, 1.0), 0.0, PI
 
 
 def test_a_chord_is_lowered_by_what_its_rule_says_and_is_then_below_the_cost(plain):
@@ -742,6 +778,18 @@ def test_a_proof_with_conditions_is_below_all_and_reaches_the_best_in_so_many_bo
     share = 1.0 - given.losses.slopes(found.P)  # of a MW of a unit that arrives
     left, right = (s / share for s in THREE.slopes(found.P))
     assert found.price == (max(left), min(right))
+
+
+@pytest.mark.parametrize("reserve", [0.0, 45.0])
+def test_what_a_proof_begins_with_counts_if_it_meets_the_conditions(reserve):
+    given = Conditions(THREE.p_min, THREE.p_max, Losses.none(3), reserve, np.array([30.0, 10.0, 20.0]))
+    for P, good in (((200.0, 70.0, 130.0), True), ((200.0, 70.0, 131.0), False), ((130.0, 120.0, 150.0), not reserve)):
+        proof = branch.branch_and_bound(THREE, 400.0, np.array(P), 1e-3, 0, given)
+        assert (proof.cost, proof.nodes) == (pytest.approx(THREE.total(P)) if good else np.inf, 0)
+        assert proof.P.tolist() == list(P)
+        assert proof.bound == -np.inf
+    plain = branch.branch_and_bound(THREE, 400.0, np.array([200.0, 70.0, 131.0]), 1e-3, 0)
+    assert plain.cost == pytest.approx(THREE.total([200.0, 70.0, 131.0]))  # nobody asks whether it balances
 
 
 # The answer ---------------------------------------------------------------------------------------------

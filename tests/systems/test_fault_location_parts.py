@@ -10,31 +10,42 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfilt
-from softrig_core import ParameterError
+from softrig_bags.write import write_bag
+from softrig_core import Level, ParameterError, Recording, RunError, ScenarioError
 from softrig_core.block.params import build
 from softrig_power.fault_location import (
     confidence as trust,
     ends,
     equations,
     figures,
+    locate_tool,
     location,
     measurement,
+    pictures,
     resample,
+    simulation,
+    study,
     study_tool,
     transient,
 )
+from softrig_power.fault_location.cases import Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, _bounded, _text, read_comtrade, write_comtrade
 from softrig_power.fault_location.confidence import Confidence, ErrorBudget
 from softrig_power.fault_location.inception import inception, windowed
+from softrig_power.fault_location.line_file import line_data
 from softrig_power.fault_location.location import Location, Locator
+from softrig_power.fault_location.locator import FaultLocator
 from softrig_power.fault_location.marker import LocationMarker
 from softrig_power.fault_location.network import LEAST_RESISTANCE, network, steady
 from softrig_power.fault_location.objective import LocatorParams, Objective, check_travel
 from softrig_power.fault_location.parameters import RATES, RigParams, grounded, phases
+from softrig_power.fault_location.plant import LinePlant, LinePlantParams
+from softrig_power.fault_location.ports import record_port
 from softrig_power.fault_location.record import CHANNELS, Record, RecordError, Status
 from softrig_power.fault_location.rows import Rows
 from softrig_power.fault_location.search import brent, integer_grid
 from softrig_power.fault_location.simulation import FaultedLine
+from softrig_power.lines import bergeron
 from softrig_power.lines.modal import CLARKE
 from softrig_power.lines.section import Section
 
@@ -1147,6 +1158,129 @@ def test_the_numbers_of_the_stepped_network():
     assert network(least).closed.tolist() == network(tiny).closed.tolist()
 
 
+def plain_steps(monkeypatch):
+    """The compiled step as a plain one; what it makes room for holds nothing that could be used by mistake."""
+    room = types.SimpleNamespace(**vars(np) | {"empty": lambda shape: np.full(shape, np.nan)})
+    monkeypatch.setattr(simulation, "np", room)
+    for name in ("histories", "store", "filter_step", "_fault"):
+        monkeypatch.setattr(simulation, name, getattr(simulation, name).py_func)
+    return simulation.advance.py_func
+
+
+@pytest.mark.parametrize("phase", [(0, 0, 0), (1, 2, 2), (1, 1, 2), (1, 1, 1)])
+def test_a_step_of_the_network_is_one_system_of_linear_equations(monkeypatch, phase):
+    """In phases: sources behind R and L by trapezia, what arrives at the ends, currents that add up to nothing."""
+    p = build(
+        RigParams, {"fault.type": "ABCG", "fault.rf_ohm": 7.0, "fault.x_km": 30.0, "measurement.profile": "raw1m"}
+    )
+    line = FaultedLine(p)
+    net, chance, n = line.net, np.random.default_rng(11), 25_000  # between closing and opening
+    net = net._replace(on=n if any(phase) else n + 1)
+    state = line.state._replace(phase=np.array(phase))
+    state.ring[:] = chance.normal(0.0, 300.0, state.ring.shape)
+    state.source_current[:], state.source_voltage[:] = chance.normal(0.0, 9.0, (2, 2, 3))
+    state.fault_current[:], state.peak[:] = float(any(phase)), [0.0, 1e9, 0.0]
+    ring, i0, u0 = state.ring.copy(), state.source_current.copy(), state.source_voltage.copy()
+    h = np.empty((6, 2))
+    bergeron.histories.py_func(net.lines, ring, n, h)
+    plain_steps(monkeypatch)(net, line.chain, CLARKE, state, n - 1, 1)
+    g, C = net.lines.conductance, CLARKE
+    closed = [k for k in range(3) if phase[k] == 1]
+    m = len(closed)
+    A, b = np.zeros((16 + m, 16 + m)), np.zeros(16 + m)  # modes at S, F, R; sources; star point; fault currents
+    angles = 100.0 * math.pi * n * 1e-6 + np.array([0.0, math.radians(-10.0)])
+    for end, node in ((0, 0), (1, 6)):
+        emf = 400e3 * np.array([0.0, math.cos(angles[end]), math.sin(angles[end])])
+        for mode in range(3):
+            r, x = (2.33, 26.6) if mode == 0 else (1.31, 15.0)
+            lh = x / (100.0 * math.pi) / 1e-6  # L/h
+            row = 9 + 3 * end + mode
+            A[row, row], A[row, node + mode] = lh + 0.5 * r, 0.5  # L (i - i0)/h + R (i + i0)/2 = (e - u + before)/2
+            b[row] = (lh - 0.5 * r) * i0[end, mode] + 0.5 * (emf[mode] + u0[end, mode])
+            A[node + mode, row] = -1.0
+            A[node + mode, node + mode] = g[3 * end + mode]
+            b[node + mode] = -h[3 * end + mode, end]
+    for mode in range(3):
+        A[3 + mode, 3 + mode] = g[mode] + g[3 + mode]
+        b[3 + mode] = -h[mode, 1] - h[3 + mode, 0]
+        for k, ph in enumerate(closed):
+            A[3 + mode, 16 + k] = C[mode, ph]
+    A[15, 15] = 1e3  # the star point to ground
+    for k, ph in enumerate(closed):
+        A[15, 16 + k] = -1.0
+        A[16 + k, 3:6], A[16 + k, 15], A[16 + k, 16 + k] = C[:, ph], -1.0, -7.0
+    x = np.linalg.solve(A, b)
+    current = np.zeros(3)
+    current[closed] = x[16:]
+    np.testing.assert_allclose(state.fault_current, current, atol=1e-6)
+    np.testing.assert_allclose(state.source_current.ravel(), x[9:15], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        state.peak, np.maximum([0.0, 1e9, 0.0], np.abs(current)) if any(phase) else [0.0, 1e9, 0.0]
+    )
+    for end, node in ((0, 0), (1, 6)):
+        u = x[node : node + 3]
+        i = g[3 * end : 3 * end + 3] * u + h[3 * end : 3 * end + 3, end]
+        np.testing.assert_allclose(
+            state.measured[6 * end : 6 * end + 6], [*(C.T @ u), *(C.T @ i)], rtol=1e-8, atol=1e-6
+        )
+    voltage = np.array(
+        [[x[k % 3 + 6 * 0] if k < 3 else x[3 + k % 3], x[3 + k % 3] if k < 3 else x[6 + k % 3]] for k in range(6)]
+    )
+    bergeron.store.py_func(net.lines, ring, n, voltage, h, np.empty((6, 2)))
+    np.testing.assert_allclose(state.ring, ring, rtol=1e-8, atol=1e-8)
+
+
+def test_when_phases_close_and_open(monkeypatch):
+    """All close at once; each opens with the first current after the end that has changed its sign."""
+    p = build(RigParams, {"fault.type": "ABG", "fault.rf_ohm": 2.0, "fault.x_km": 30.0})
+    line = FaultedLine(p)
+    net = line.net._replace(on=100, off=200)
+    state = line.state
+
+    def step(n, volts):
+        simulation._fault.py_func(net, state, np.array(volts), n)
+        return state.phase.tolist(), state.fault_current.tolist()
+
+    before = step(99, [1e4, 2e4, 3e4])
+    assert before == ([0, 0, 2], [0.0, 0.0, 0.0])
+    phase, current = step(100, [1e4, 2e4, 3e4])
+    assert phase == [1, 1, 2]
+    np.testing.assert_allclose(current, net.closed[0b011] @ [1e4, 2e4, 3e4])
+    assert current[2] == 0.0
+    largest = [abs(c) for c in current]
+    phase, current = step(199, [-1e3, 2e3, 0.0])  # signs change too early
+    assert phase == [1, 1, 2]
+    np.testing.assert_allclose(current, net.closed[0b011] @ [-1e3, 2e3, 0.0])
+    phase, current = step(200, [-1e3, 2e3, 0.0])
+    assert phase == [1, 1, 2]
+    phase, current = step(201, [3e3, 2e3, 0.0])  # the first phase has turned: the second one goes on alone
+    assert phase == [2, 1, 2]
+    np.testing.assert_allclose(current, net.closed[0b010] @ [3e3, 2e3, 0.0])
+    assert state.opened.tolist() == pytest.approx([201e-6, 0.0, 0.0])
+    phase, current = step(202, [3e3, 0.0, 0.0])  # no current is a change, too
+    assert (phase, current) == ([2, 2, 2], [0.0, 0.0, 0.0])
+    assert state.opened.tolist() == pytest.approx([201e-6, 202e-6, 0.0])
+    assert state.peak.tolist() == pytest.approx(largest)
+    assert step(203, [9e9, 9e9, 9e9])[1] == [0.0, 0.0, 0.0]
+
+
+def test_a_record_has_a_row_every_so_many_steps(monkeypatch):
+    moved = []
+
+    def advance(net, chain, transform, state, k, steps):
+        moved.append((k, steps))
+        state.measured[:] += 1.0
+        state.fault_current[:] += 10.0
+
+    monkeypatch.setattr(simulation, "advance", advance)
+    state = types.SimpleNamespace(measured=np.zeros(12), fault_current=np.zeros(3))
+    out = np.empty((4, 15))
+    simulation.record.py_func(None, None, None, state, 50, out)
+    assert moved == [(0, 50), (50, 50), (100, 50)]
+    assert out[:, 0].tolist() == out[:, 11].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert out[:, 12].tolist() == out[:, 14].tolist() == [0.0, 10.0, 20.0, 30.0]
+
+
 @pytest.mark.parametrize("shift", [0.0, 30.0, -45.0])
 def test_the_first_sample_is_that_of_the_steady_state_at_each_clock(shift):
     p = build(
@@ -1246,6 +1380,31 @@ def test_what_the_simulated_line_cannot_be(given, text):
     assert text in str(refused.value)
 
 
+def test_a_row_of_the_study(monkeypatch):
+    seen = []
+    answers = iter([Location(Status.OK, 49.0, 2.0, 30.0, 3, 7), Location(Status.NO_FAULT, None, 4.0, 5.0, 1, 9)])
+    monkeypatch.setattr(study, "_simulated", lambda settings: seen.append(dict(settings)) or "record")
+    monkeypatch.setattr(study, "locate", lambda record, p: seen.append((record, p)) or next(answers))
+    case = Case("AB", 50.0, 5.0)
+    row = study.run_case(case, {"measurement.profile": "m4k"}, {"algorithm": "phasor", "line.length": 200.0})
+    fault = {"fault.type": "AB", "fault.x_km": 50.0, "fault.rf_ohm": 5.0}
+    assert seen[0] == fault | {"measurement.profile": "m4k"}
+    assert seen[1] == ("record", build(LocatorParams, {"algorithm": "phasor", "line.length": 200.0}))
+    told = ("AB", 50.0, 5.0, "phasor", "m4k", "ok", 49.0, -0.5, 2.0, 30.0, 3, 7)
+    assert tuple(vars(row).values())[:-1] == told
+    assert row.error_m == pytest.approx(-1000.0)
+    lost = study.run_case(case, {}, {})
+    assert (lost.profile, lost.status, lost.located_km, lost.error_percent) == ("m20k", "no_fault", None, None)
+    assert math.isnan(lost.error_m)
+    assert 0.0 <= lost.cpu_s < 1.0
+    lines = study.as_csv([row, lost]).split("\n")
+    assert (
+        lines[0] == "type,x_km,rf_ohm,method,profile,status,located_km,error_percent,f_min,f_max,mode,evaluations,cpu_s"
+    )
+    assert lines[2].startswith("AB,50.0,5.0,brent,m20k,no_fault,,,4.0,5.0,1,9,")
+    assert lines[3:] == [""]
+
+
 @pytest.mark.parametrize("given", [["--profile", "raw1m"], ["--methods", "guess"], ["--processes", "two"]])
 def test_the_study_takes_known_profiles_and_methods_only(capsys, given):
     with pytest.raises(SystemExit) as ended:
@@ -1303,3 +1462,278 @@ def test_figures_of_a_run_are_those_of_its_last_answer():
     assert [figures.fault_peak(signals, phase=p) for p in "ac"] == [7.0, 3.0]
     with pytest.raises(ValueError, match=r"^nothing came on location$"):
         figures.location_error({"location/0": (np.empty(0), np.empty(0))}, truth=1.0)
+
+
+# The nodes -----------------------------------------------------------------------------------------------------
+
+
+def test_what_the_locator_tells_of_an_answer():
+    node = FaultLocator(truth_km=50.0)
+    node._tell(Location(Status.OK, 50.012, text="fault at 50.0120 km"), None, 0.25)
+    text = "fault at 50.0120 km; 0.2500 s of CPU time; error 0.0100 % of the line (12.0 m)"
+    assert node.reports == {"ok": (Level.OK, text, 1)}
+    node = FaultLocator()
+    node._tell(Location(Status.NO_FAULT, text="none"), types.SimpleNamespace(warning="slow"), 0.25)
+    assert node.reports == {"no_fault": (Level.OK, "none; 0.2500 s of CPU time", 1), "rate": (Level.WARN, "slow", 1)}
+    node = FaultLocator(truth_km=50.0)
+    node._tell(Location(Status.AT_TERMINAL, 0.0, text="at the end"), types.SimpleNamespace(warning=""), 1.0)
+    text = "at the end; 1.0000 s of CPU time; error -41.6667 % of the line (-50000.0 m)"
+    assert node.reports == {"at_terminal": (Level.WARN, text, 1)}
+    with pytest.raises(
+        ParameterError, match=r"waves pass the line of 13 km in 0\.939 samples of 50 us, expected 1 or more"
+    ):
+        FaultLocator(line={"length": 13.0})
+
+
+def test_the_locator_answers_a_press_with_what_has_come():
+    node = FaultLocator(samples=3)
+    x, given = node.first(), dict.fromkeys(("u_s", "i_s", "u_r", "i_r"), (1.0, 2.0, 3.0))
+    asked = []
+    node._answer = lambda x: (asked.append(len(x.rows.newest())) or x, {"verdict": (len(asked),)})
+    for t, locate in enumerate([None, (1.0,), (1.0,), (0.0,), (2.0,), None]):
+        x, said = node.update(x, t * 10**9, locate=locate, **given)
+        assert bool(said) == (t in (1, 4))
+    assert asked == [2, 3]
+    assert x.rows.newest()[0] == (3.0, *(1.0, 2.0, 3.0) * 4)
+    assert node.finish(x, 6 * 10**9, locate=None, **given)[1] == {"verdict": (3,)}
+    whole = FaultLocator(form="record", samples=3)
+    x, ages = whole.first(), iter((None, 0, 1))
+    whole.age = lambda name: next(ages)
+    for wanted in ((), (1.0,), (1.0,)):
+        x, _ = whole.update(x, 0, locate=None, record=(float(len(wanted)),))
+        assert x.record == wanted
+
+
+def test_a_verdict_and_what_it_stands_on():
+    node = FaultLocator(n_grid=5)
+    empty, said = node._answer(node.first())
+    assert said == {"verdict": (float(Status.TOO_SHORT), 0.0, 0.0)}
+    assert (empty.answers, empty.result.text) == (1, "a record of 0 samples")
+    record = study.simulate(build(RigParams, {"fault.x_km": 30.0}))
+    x = node.first()._replace(record=tuple(record.table().ravel()))
+    whole = FaultLocator(form="record", samples=1200, n_grid=5)
+    _, said = whole._answer(x)
+    work = Locator(record, whole.p)
+    found = work.locate()
+    assert said["verdict"] == (0.0, float(found.mode), found.f_max)
+    scatter = trust._scatter(Locator(record, whole.p.model_copy(update={"mode": str(found.mode)})), found)
+    assert said["location"] == (
+        found.x_km,
+        found.f_min,
+        found.f_max,
+        found.mode,
+        found.evaluations,
+        pytest.approx(scatter),
+    )
+    assert said["objective"] == (0.0, 30.0, 60.0, 90.0, 120.0, *work.curves.ravel())
+
+
+def test_the_period_of_a_plant_follows_from_its_profile():
+    assert build(LinePlantParams, {"measurement.profile": "m4k"}).period == 1.0 / 4000.0
+    assert build(LinePlantParams, {"measurement.profile": "m4k", "period": 2.5e-4}).period == 2.5e-4
+    with pytest.raises(ParameterError) as refused:
+        build(LinePlantParams, {"measurement.profile": "m4k", "period": 1e-3})
+    assert "period = 0.001 s, but m4k samples every 0.00025 s" in str(refused.value)
+
+
+def test_a_record_of_the_plant_with_its_noise_and_a_new_one_at_a_press():
+    plant = LinePlant(
+        measurement={"profile": "m4k", "noise_snr_db": 40.0},
+        duration=0.001,
+        step=1e-6,
+        fault={"t_on": 0.0003, "t_off": 0.0008},
+    )
+    x, rows = plant.first(), []
+    line = FaultedLine(plant.p)
+    clean = line.run(4)
+    for k in range(4):
+        noise = np.random.default_rng([0, x.seed]).standard_normal(48)[12 * k : 12 * k + 12] * line.noise_level()
+        said = plant.outputs(x, 0)
+        row = [v for name in ("u_s", "i_s", "u_r", "i_r") for v in said[name]]
+        assert row == pytest.approx((clean[k, :12] + noise).tolist())
+        assert said["fault_current"] == pytest.approx(tuple(clean[k, 12:]))
+        rows += [k / 4000.0, *row]
+        assert ("record" in said) == (k == 3)
+        x = plant.advance(x, 0, run=(0.0,))
+    assert said["record"] == pytest.approx(tuple(rows))
+    assert (x.k, x.number, x.pressed) == (4, 0, False)
+    assert len(x.rows.newest()) == 3
+    again = plant.advance(x, 0, run=(1.0,))
+    assert (again.k, again.number, again.pressed, again.rows.newest()) == (0, 1, True, [])
+    assert plant.reports["run"][:2] == (Level.OK, "a new record begins")
+    assert again.seed != x.seed
+    held = plant.advance(again, 0, run=(1.0,))
+    assert (held.k, held.number, held.pressed) == (1, 1, True)
+    assert plant.advance(held, 0, run=None).pressed is False
+
+
+# `softrig locate` -----------------------------------------------------------------------------------------------
+
+
+LINE_GIVEN = ["--line", "paper"]
+
+
+def asked(monkeypatch, *arguments, found=None, error=None):
+    """What the tool does with a command line: its status, and what it has called with what."""
+    called, record = {}, long_record(1200)
+    found = found or Location(Status.OK, 30.0, 1.0, 9.0, 1, 5, "fault at 30.0000 km")
+
+    def read(sources, channels, late):
+        called["read"] = ([str(s) for s in sources], channels, late)
+        if error:
+            raise error
+        return record
+
+    monkeypatch.setattr(locate_tool, "read", read)
+    monkeypatch.setattr(locate_tool, "to_bag", lambda record, path: called.update(bag=str(path)))
+    monkeypatch.setattr(locate_tool, "inception", lambda record, frequency: called.update(frequency=frequency) or 0.02)
+    window = {"window_start": 0.021, "window_end": 0.03}
+    monkeypatch.setattr(locate_tool, "windowed", lambda record, p: p.model_copy(update=window))
+    monkeypatch.setattr(locate_tool, "locate", lambda record, p: called.update(p=p) or found)
+    told = Confidence(0.001, {}, 9.0)
+    monkeypatch.setattr(locate_tool, "confidence", lambda record, p, of, budget: called.update(budget=budget) or told)
+    return locate_tool.main(list(arguments)), called
+
+
+def test_what_a_command_line_asks_for(monkeypatch, capsys):
+    status, called = asked(monkeypatch, "a.cfg", *LINE_GIVEN)
+    assert (status, called["read"], called["frequency"]) == (0, (["a.cfg"], [], (0.0, 0.0)), 50.0)
+    assert called["p"] == LocatorParams(window_start=0.021, window_end=0.03)
+    assert called["budget"] == ErrorBudget()
+    assert "bag" not in called
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == "fault at 30.000 km from S (90.000 km from R), standard uncertainty 1.0 m"
+    assert said[-1] == "  window 0.021 to 0.03 s, from the change at 0.02 s"
+    more = [
+        "s.cfg",
+        "r.cfg",
+        *LINE_GIVEN,
+        "--window",
+        "0.022",
+        "0.035",
+        "--late",
+        "3",
+        "-5",
+        "--channels",
+        "a,b,,c",
+        "--bag",
+        "there",
+        "--set",
+        "algorithm=phasor",
+        "--set",
+        "frequency=60",
+        "--set",
+        "line.length=100",
+        "--error",
+        "ratio=0.02",
+        "--error",
+        "sync_us=7",
+    ]
+    status, called = asked(monkeypatch, *more)
+    assert called["read"] == (["s.cfg", "r.cfg"], ["a", "b", "c"], (pytest.approx(3e-6), pytest.approx(-5e-6)))
+    assert called["bag"] == "there"
+    given = {"algorithm": "phasor", "frequency": 60.0, "line.length": 100.0, "window_start": 0.022, "window_end": 0.035}
+    assert called["p"] == build(LocatorParams, given)
+    assert called["budget"] == ErrorBudget(ratio=0.02, sync_us=7.0)
+    assert "frequency" not in called
+    assert capsys.readouterr().out.splitlines()[-1] == "  window 0.022 to 0.035 s, as told"
+
+
+def test_how_the_tool_ends(monkeypatch, capsys):
+    lost = Location(Status.NO_FAULT, text="no_fault: nothing")
+    status, called = asked(monkeypatch, "a.cfg", *LINE_GIVEN, found=lost)
+    assert (status, "budget" in called) == (1, False)
+    assert capsys.readouterr().out.splitlines()[0] == "no_fault: nothing"
+    status, _ = asked(monkeypatch, "a.cfg", *LINE_GIVEN, error=RecordError(Status.GAP, "gap at 2 s"))
+    assert (status, capsys.readouterr().err) == (1, "gap at 2 s\n")
+    for error, kind in ((ComtradeFileError("a.cfg: no"), ScenarioError), (KeyError("no topic"), RunError)):
+        with pytest.raises(kind, match=f"^{error.args[0]}$"):
+            asked(monkeypatch, "a.cfg", *LINE_GIVEN, error=error)
+    with pytest.raises(ScenarioError, match="n_grid"):
+        asked(monkeypatch, "a.cfg", *LINE_GIVEN, "--set", "n_grid=2")
+    with pytest.raises(ScenarioError, match="ratio"):
+        asked(monkeypatch, "a.cfg", *LINE_GIVEN, "--error", "ratio=2")
+    with pytest.raises(ScenarioError, match=r"^'mode=2': mode is 1 already$"):
+        asked(monkeypatch, "a.cfg", *LINE_GIVEN, "--set", "mode=1", "--set", "mode=2")
+    for wrong in (["--window", "1"], ["--late", "x", "1"], []):
+        with pytest.raises(SystemExit):
+            asked(monkeypatch, *(["a.cfg"] if wrong else []), *LINE_GIVEN, *wrong)
+
+
+def test_pictures_are_drawn_where_they_are_asked_for(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(pictures, "waveforms", lambda record, p, path: drawn.append(path.name))
+    monkeypatch.setattr(
+        pictures, "objective", lambda record, p, found, path, truth: drawn.append((path.name, found.x_km, truth))
+    )
+    asked(monkeypatch, "a.cfg", *LINE_GIVEN, "--pictures", str(tmp_path / "new" / "there"), "--truth", "31.5")
+    assert drawn == ["waveforms.png", ("objective.png", 30.0, 31.5)]
+    assert (tmp_path / "new" / "there").is_dir()
+    asked(monkeypatch, "a.cfg", *LINE_GIVEN)
+    assert len(drawn) == 2
+
+
+def test_a_record_in_a_bag_as_streams_or_whole(tmp_path):
+    record = long_record(40)
+    locate_tool.to_bag(record, tmp_path / "bag")
+    again = locate_tool.read([tmp_path / "bag"])
+    assert (again.start, again.rate, again.samples.tolist()) == (0.0, 20_000.0, record.samples.tolist())
+    late = locate_tool.read([tmp_path / "bag"], (), (0.0, 50e-6))
+    assert late.samples.tolist() == np.hstack([record.samples[:39, :6], record.samples[1:, 6:]]).tolist()
+    port = record_port(40)
+    recording = Recording([(port.topic, port.msgtype)])
+    recording.add(0, 10**9, port.layout().encode(10**9, tuple(record.table().ravel())))
+    write_bag(tmp_path / "whole", recording)
+    for given in ((0.0, 0.0), (50e-6, 50e-6)):
+        assert locate_tool.read([tmp_path / "whole"], (), given).samples.tolist() == record.samples.tolist()
+    assert locate_tool.read([tmp_path / "whole"], (), (0.0, 50e-6)).samples.tolist() == late.samples.tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "wanted"),
+    [
+        (
+            "length: 90\nr1: 0.03\nl1: 1e-3\nc1: 1e-8\n",
+            {},
+            {"line.length": 90, "line.r1": 0.03, "line.l1": 1e-3, "line.c1": 1e-8},
+        ),
+        (
+            "r1: 0.03\nl1: 1e-3\nc1: 1e-8\n",
+            {"line.length": 7.0, "mode": "1"},
+            {"line.length": 7.0, "line.r1": 0.03, "line.l1": 1e-3, "line.c1": 1e-8},
+        ),
+        (
+            "length: 90\nr1: 0.03\nl1: 1e-3\nc1: 1e-8\n",
+            {"line.r1": 0.5},
+            {"line.length": 90, "line.r1": 0.5, "line.l1": 1e-3, "line.c1": 1e-8},
+        ),
+    ],
+)
+def test_the_data_of_a_line_of_a_file_and_of_options(tmp_path, text, given, wanted):
+    (tmp_path / "line.yaml").write_text(text)
+    assert line_data(str(tmp_path / "line.yaml"), given) == wanted
+    paper = {"line.length": 120.0, "line.r1": 0.0275, "line.l1": 1.00268e-3, "line.c1": 1.3e-8}
+    assert line_data("paper", {}) == paper
+    assert line_data(None, wanted) == wanted
+
+
+def test_what_is_missing_of_a_line_is_told(tmp_path):
+    with pytest.raises(ScenarioError) as refused:
+        line_data(None, {"line.r1": 1.0, "line.c1": 1.0})
+    text = (
+        "the line's length, l1 are not told: expected --line FILE (YAML: length in km, r1 in ohm/km, l1 in H/km, "
+        "c1 in F/km), --line paper for that of the paper, or --set line.length=... line.l1=..."
+    )
+    assert str(refused.value) == text
+    (tmp_path / "l.yaml").write_text("- 1\n")
+    for name, words in (
+        (str(tmp_path / "l.yaml"), "expected length, r1, l1, c1, got [1]"),
+        (str(tmp_path / "no.yaml"), "No such file"),
+    ):
+        with pytest.raises(ScenarioError) as refused:
+            line_data(name, {})
+        assert str(refused.value).startswith(f"--line {name}: ")
+        assert words in str(refused.value)
+    (tmp_path / "l.yaml").write_text("length: -1\n")
+    with pytest.raises(ParameterError, match="length"):
+        line_data(str(tmp_path / "l.yaml"), {})

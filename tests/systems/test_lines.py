@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from softrig_power.lines.bergeron import (
     branch,
     branch_impedance,
@@ -152,3 +153,152 @@ def test_modal_transforms():
     ):
         np.testing.assert_allclose(modal, np.diag([10.0 + 2.0j, 3.0 + 1.0j, 3.0 + 1.0j]), atol=1e-14)
     np.testing.assert_allclose(AERIAL @ np.ones(3), 0.0)
+
+
+# each number by another hand -----------------------------------------------------------------------------------------
+
+
+PLAIN = Section(0.04, 1.1e-3, 1.2e-8, 90.0)
+
+
+def test_the_constants_of_a_section_by_their_formulas():
+    assert PLAIN.velocity == pytest.approx(1.0 / math.sqrt(1.1e-3 * 1.2e-8))
+    assert PLAIN.tau == pytest.approx(90.0 * math.sqrt(1.1e-3 * 1.2e-8))
+    assert PLAIN.z == pytest.approx(math.sqrt(1.1e-3 / 1.2e-8))
+    assert PLAIN.resistance == pytest.approx(3.6)
+    assert (PLAIN.z_plus, PLAIN.z_minus) == pytest.approx((PLAIN.z + 0.9, PLAIN.z - 0.9))
+    assert PLAIN.part(30.0) == Section(0.04, 1.1e-3, 1.2e-8, 30.0)
+    series, shunt = complex(0.04, OMEGA * 1.1e-3), complex(0.0, OMEGA * 1.2e-8)
+    assert PLAIN.propagation(OMEGA) ** 2 == pytest.approx(series * shunt)
+    assert PLAIN.propagation(OMEGA).real > 0.0
+    assert PLAIN.characteristic_impedance(OMEGA) ** 2 == pytest.approx(series / shunt)
+    assert PLAIN.characteristic_impedance(OMEGA).real > 0.0
+    for name, value, text in [
+        ("r", -1.0, "r = -1.0: expected a non-negative number"),
+        ("l", 0.0, "l = 0.0: expected a positive number"),
+        ("c", math.inf, "c = inf: expected a positive number"),
+        ("length", -2.0, "length = -2.0: expected a positive number"),
+    ]:
+        with pytest.raises(ValueError) as refused:  # noqa: PT011
+            Section(**{"r": 0.0, "l": 1.0, "c": 1.0, "length": 1.0} | {name: value})
+        assert str(refused.value) == text
+
+
+@pytest.mark.parametrize("omega", [OMEGA, 7.0 * OMEGA])
+def test_the_two_port_by_the_matrix_exponential(omega):
+    """u' = -z i, i' = -y u along the line."""
+    series, shunt = complex(0.04, omega * 1.1e-3), complex(0.0, omega * 1.2e-8)
+    chain = expm(-90.0 * np.array([[0.0, series], [shunt, 0.0]]))
+    y = PLAIN.exact_two_port(omega)
+    for u in ([1.0, 0.0], [0.3j, 1.0 - 0.2j]):
+        i = y @ u
+        assert chain @ [u[0], i[0]] == pytest.approx(np.array([u[1], -i[1]]))
+
+
+@pytest.mark.parametrize("delay", [None, 0.8 * cmath.exp(-0.3j)])
+def test_the_lossy_section_by_the_equations_of_its_page(delay):
+    d = cmath.exp(-1j * OMEGA * PLAIN.tau) if delay is None else delay
+    y = PLAIN.bergeron_two_port(OMEGA, delay)
+    z, r, plus, minus = PLAIN.z, 3.6, PLAIN.z + 0.9, PLAIN.z - 0.9
+    for u in ([1.0, 0.0], [0.3j, 1.0 - 0.2j]):
+        i = y @ u
+        leaving = u + minus * i
+        for own, other in ((0, 1), (1, 0)):
+            history = -z / plus**2 * leaving[other] - r / 4.0 / plus**2 * leaving[own]
+            assert i[own] == pytest.approx(u[own] / plus + d * history)
+
+
+def test_the_numbers_of_prepared_sections():
+    step = 2e-6
+    found = lines([PLAIN, PLAIN.part(40.0)], step)
+    for k, section in enumerate((PLAIN, PLAIN.part(40.0))):
+        r, plus = section.resistance, section.z + section.resistance / 4.0
+        assert found.conductance[k] == pytest.approx(1.0 / plus)
+        assert found.z_minus[k] == pytest.approx(section.z - r / 4.0)
+        assert found.far[k] == pytest.approx(-section.z / plus**2)
+        assert found.near[k] == pytest.approx(-r / 4.0 / plus**2)
+        delay = section.tau / step
+        assert found.newest[k] == math.floor(delay) - 1
+        ages = found.newest[k] + np.arange(4)
+        for n, age in enumerate(ages):
+            product = math.prod((delay - m) / (age - m) for m in ages if m != age)
+            assert found.weights[k, n] == pytest.approx(product, abs=1e-12)
+    size = 1
+    while size <= found.newest.max() + 4:
+        size *= 2
+    assert history_length(found) == size
+    assert [history_length(found._replace(newest=np.array([n]))) for n in (3, 4, 11, 12, 27, 28)] == [
+        8,
+        16,
+        16,
+        32,
+        32,
+        64,
+    ]
+    edge = PLAIN.part(4.0 * step * PLAIN.velocity)
+    assert lines([edge.part(edge.length * (1.0 - 1e-10))], step).newest[0] in (2, 3)
+    with pytest.raises(ValueError, match="expected at least 4, which is"):
+        lines([PLAIN, edge.part(edge.length * (1.0 - 1e-8))], step)
+
+
+def test_what_arrives_and_what_is_stored_in_loops():
+    """Values of any kind: what is told at a step arrives after the travel time, by the cubic."""
+    step = 5e-6
+    prepared, chance = lines([PLAIN, PLAIN.part(40.0)], step), np.random.default_rng(1)
+    size, told = history_length(prepared), []
+    ring, out, current = np.zeros((2, 2, size), complex), np.empty((2, 2), complex), np.empty((2, 2), complex)
+    for k in range(1, 3 * size):
+        histories.py_func(prepared, ring, k, out)
+        u = chance.normal(size=(2, 2)) + 1j * chance.normal(size=(2, 2))
+        for n in range(2):
+            for end in range(2):
+                ages = [prepared.newest[n] + m for m in range(4)]
+                seen = [told[k - 1 - age][n][end] if age < k else 0.0 for age in ages]
+                assert out[n, end] == pytest.approx(sum(w * x for w, x in zip(prepared.weights[n], seen, strict=True)))
+        store.py_func(prepared, ring, k, u, out, current)
+        arriving = np.empty((2, 2), complex)
+        for n in range(2):
+            i = u[n] * prepared.conductance[n] + out[n]
+            assert current[n] == pytest.approx(i)
+            leaving = u[n] + prepared.z_minus[n] * i
+            arriving[n] = prepared.far[n] * leaving[::-1] + prepared.near[n] * leaving
+        told.append(arriving)
+
+
+def test_the_sinusoidal_past_slot_by_slot():
+    step = 5e-6
+    prepared = lines([PLAIN], step)
+    u, i = np.array([[1.0, 0.5j]]), np.array([[0.01j, -0.02]])
+    ring = steady_history(prepared, u, i, OMEGA, step)
+    size = history_length(prepared)
+    leaving = u[0] + prepared.z_minus[0] * i[0]
+    for age in range(size):
+        turned = cmath.exp(-1j * OMEGA * step * age)
+        for end in range(2):
+            wanted = (prepared.far[0] * leaving[1 - end] + prepared.near[0] * leaving[end]) * turned
+            assert ring[0, end, -age % size] == pytest.approx(wanted)
+
+
+def test_a_branch_by_the_trapezoidal_rule():
+    r, l, h = 2.0, 0.03, 1e-4  # noqa: E741
+    b = branch(r, l, h)
+    u0, u1, i0 = 5.0, -3.0, 0.7
+    i1 = b.conductance * (u1 + u0 + b.keep * i0)
+    assert l * (i1 - i0) / h + r * 0.5 * (i1 + i0) == pytest.approx(0.5 * (u1 + u0))
+    z = cmath.exp(1j * OMEGA * h)  # u = Z i for sampled sinusoids
+    wanted = (l * (z - 1.0) / h + 0.5 * r * (z + 1.0)) / (0.5 * (z + 1.0))
+    assert branch_impedance(r, l, OMEGA, h) == pytest.approx(wanted)
+
+
+def test_the_transforms_entry_by_entry():
+    third, root = 1.0 / 3.0, math.sqrt
+    np.testing.assert_allclose(
+        CLARKE,
+        [[root(third)] * 3, [root(2 * third), -root(1 / 6), -root(1 / 6)], [0.0, root(0.5), -root(0.5)]],
+        rtol=1e-15,
+    )
+    np.testing.assert_allclose(KARRENBAUER, [[third] * 3, [third, -third, 0.0], [third, 0.0, -third]])
+    np.testing.assert_allclose(KARRENBAUER_INVERSE, [[1, 1, 1], [1, -2, 1], [1, 1, -2]])
+    np.testing.assert_allclose(AERIAL, [[third, -third, 0.0], [0.0, third, -third], [-third, 0.0, third]])
+    for matrix in (CLARKE, KARRENBAUER, KARRENBAUER_INVERSE, AERIAL):
+        assert not matrix.flags.writeable

@@ -236,6 +236,11 @@ def test_conditions_that_can_be(irradiance, temperature, text):
             {"model": "switched", "period": 1.01e-3, "converter.f_sw": 5e4},
             "period = 0.00101 s is not a multiple of 1/f_sw = 2e-05 s",
         ),
+        (
+            PvPlantParams,
+            {"period": 1.0, "step": 1e-6},
+            "period = 1 s takes 1e+06 steps of step = 1e-06 s, expected at most 100000",
+        ),
         (PvPlantParams, {"irradiance": (1.0, 2.0)}, "irradiance of 2 modules, temperature of 4"),
         (MpptParams, {"d_min": 0.9}, "d_min = 0.9 is not below d_max = 0.9"),
         (ShadingSourceParams, {"times": (0.0, 1.0)}, "irradiance has 4 values, expected 4 modules x 2 times"),

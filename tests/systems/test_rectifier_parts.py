@@ -303,14 +303,15 @@ def test_a_step_of_the_diodes_in_every_situation(plain):
         if k % 3 == 0:
             i[k % 9 // 3] = 0.0
         alive = i != 0.0
-        i = np.where(alive, i - i.sum() / max(alive.sum(), 1), 0.0) if alive.sum() > 1 else np.zeros(3)
+        if alive.sum() > 1:  # a lone current is left as it is: it can go nowhere
+            i = np.where(alive, i - i.sum() / alive.sum(), 0.0)
         x = np.array([*i, chance.uniform(150.0, 330.0)])
         t, h = chance.uniform(0.0, 1.0 / 60.0), 10.0 ** chance.uniform(-6.0, -3.5)
         wanted = bridge(t, h, x, period)
         diodes.conduct.py_func(t, h, x, (CIRCUIT, period))
         assert x.tolist() == pytest.approx(wanted.tolist(), abs=1e-9)
         met.add((int((i != 0.0).sum()), int((x[:3] != 0.0).sum())))
-    assert met >= {(0, 0), (0, 2), (2, 2), (2, 3), (3, 3), (3, 2)}
+    assert met >= {(0, 0), (0, 2), (1, 0), (2, 2), (2, 3), (3, 3), (3, 2)}
 
 
 def test_a_diode_carries_nothing_backwards():

@@ -88,7 +88,7 @@ class Scan(Search):
             if golden:
                 e = (a if x >= m else b) - x
                 d = GOLDEN * e
-            u = x + (d if abs(d) >= tol else math.copysign(tol, d))
+            u = x + (d if abs(d) >= tol else tol if d >= 0.0 else -tol)  # up, too, where the step is -0.0
             (fu,) = yield [(u,)]
             if fu <= fx:
                 a, b = (x, b) if u >= x else (a, x)

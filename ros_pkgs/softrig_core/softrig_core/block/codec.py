@@ -105,7 +105,7 @@ class Decoder:
         elif named and sorted(names) != sorted(port.channels):
             raise Refused(f"names {list(names)}, expected {list(port.channels)}")
         order: list[int] = []
-        start = dict.fromkeys(message.fields, 0)
+        start: dict[str, int] = {}
         at = 0
         for name, values in message.fields.items():
             start[name] = at

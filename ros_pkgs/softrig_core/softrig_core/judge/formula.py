@@ -268,7 +268,6 @@ def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]
             return kind, body
         if unit not in scale:
             raise ScenarioError(f"scale: no number for {unit or 'pure numbers'!r}; it has {', '.join(scale)}")
-        found.add("")
         share = {"Literal": scale[unit]}
         return kind, body | {side: {"Binary": ["Div", body[side], share]} for side in ("lhs", "rhs")}
 

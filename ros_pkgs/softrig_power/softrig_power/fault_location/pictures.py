@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 MISPRINTS = ("corrected", "printed", "printed_sign", "printed_coefficient", "printed_resistance", "printed_speed")
 
 
-def _figure(rows: int, columns: int = 1, height: float = 2.6) -> tuple[Any, Any]:
+def _figure(rows: int, columns: int = 1, *, height: float) -> tuple[Any, Any]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
