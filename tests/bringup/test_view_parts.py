@@ -289,7 +289,7 @@ def test_the_part_of_a_tick_that_was_waited_for_stays_over_a_pause(clock):
     source = Here(Session("dc_motor_smc", duration=0.1), False, 1e-4)
     source.turn()
     first, found = source.session.t, []
-    for now, what in ((0.5, ""), (0.9, "pause"), (5.9, "resume"), (5.95, ""), (6.05, "")):
+    for now, what in ((0.05, ""), (0.9, "pause"), (5.9, "resume"), (5.95, ""), (6.05, "")):
         clock.now = now
         source.turn()
         found.append(round((source.session.t - first) / 1e-4))
