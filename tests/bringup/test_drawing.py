@@ -26,8 +26,9 @@ DRAWN = [
 
 ALIKE = ("dc_motor_smc_b2", "rectifier_mpc_decoupled", "rehab_impedance_r5", "tcp_aqm_smc_s4")  # to one before
 # of a unit, what makes a drawing move without leaving it
-SCALES = {"V": 60.0, "A": 6.0, "rad/s": 40.0, "rad": 1.0, "m": 0.08, "N.m": 2.0, "Wb": 0.8, "": 0.7, "N": 20.0,
-          "W": 40.0, "MW": 80.0, "packet": 100.0, "deg": 30.0, "m/s": 0.3}  # fmt: skip
+SCALES = {"V": 60.0, "A": 6.0, "rad/s": 40.0, "rad": 1.0, "m": 0.08, "N m": 2.0, "Wb": 0.8, "": 0.7, "N": 20.0,
+          "W": 40.0, "W/m^2": 900.0, "km": 80.0, "mm": 20.0, "MW": 80.0, "packet": 100.0, "deg": 30.0,
+          "m/s": 0.3}  # fmt: skip
 
 
 # whose readings are shown far beyond their scales, too

@@ -86,7 +86,8 @@ def test_plotjuggler_reads_a_joint_state_by_its_channels_and_a_trajectory_by_its
 
 def test_the_verb_writes_layouts_and_says_what_it_cannot(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["draw", "layouts", "lsrm_fuzzy"]) == 0
+    assert main(["draw", "layouts", "lsrm_fuzzy", "--out", "for/others"]) == 0
+    (tmp_path / "for/others").rename(tmp_path / "layouts")
     names = ["lsrm_fuzzy.foxglove.json", "lsrm_fuzzy.plotjuggler.xml", "lsrm_fuzzy.rviz"]
     assert sorted(p.name for p in (tmp_path / "layouts").iterdir()) == names
     rviz = json.loads((tmp_path / "layouts" / "lsrm_fuzzy.rviz").read_text())["Visualization Manager"]

@@ -281,11 +281,18 @@ def test_who_only_looks_on_stands_behind_the_plant():
     assert columns(Wiring(nodes=nodes, wires=wires[2:])) == [["log"], ["note"]]
 
 
-def test_neighbours_stand_side_by_side_and_who_is_named_first_on_top():
-    to = {"a": ("d",), "b": ("c", "plant"), "c": ("plant",), "d": ("plant",), "plant": ()}
+@pytest.mark.parametrize(
+    ("to", "found"),
+    [
+        ({"a": ("d",), "b": ("c", "plant"), "c": ("plant",), "d": ("plant",), "plant": ()}, [["a", "b"], ["d", "c"]]),
+        # c and d are in the middle both, of one neighbour and of three
+        ({"a": ("d", "plant"), "b": ("d",), "c": ("plant",), "d": ("plant",), "plant": ()}, [["a", "b"], ["c", "d"]]),
+    ],
+)
+def test_neighbours_stand_side_by_side_and_who_is_named_first_on_top(to, found):
     nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "plant") for n in to}
     wires = tuple(Wire(topic=n, type="T", source=n, readers=readers) for n, readers in to.items())
-    assert columns(Wiring(nodes=nodes, wires=wires)) == [["a", "b"], ["d", "c"], ["plant"]]
+    assert columns(Wiring(nodes=nodes, wires=wires)) == [*found, ["plant"]]
 
 
 def test_many_nodes_are_arranged_at_once():

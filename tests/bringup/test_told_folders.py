@@ -1,5 +1,6 @@
 """Folders of results and files of runs: what is replaced, kept or refused, packed and unpacked, what repeats a run."""
 
+import argparse
 import hashlib
 import json
 import os
@@ -296,6 +297,15 @@ def test_a_repetition_is_held_against_the_run_as_told(run):
         same, said = began_as(recalled(run), other, at, {"versions": {"numpy": "1"}})
         told += [f"up to {at:g} s", *(f"  {same}: {line}" for line in said)]
     check_told("folders/compared", told)
+
+
+def test_a_stamp_that_differs_is_a_difference_whichever_run_has_it(run):
+    layout, late = run.rig.topics["motor/command"].layout(), changed(run, "motor/command")
+    topic = late.topics["motor/command"]
+    topic.data[:] = [layout.encode(0, (float(v),)) for v in run.signals["motor/command/armature/effort"].x]
+    for before, after in ((run.recording, late), (late, run.recording)):
+        same, said = like.compared(recalled(run, recording=before), Run(run.rig, 0, after), {})
+        assert (same, "motor/command from t = 0.01 s" in said[-1]) == (False, True)
 
 
 def test_a_digest_is_that_of_ticks_stamps_and_numbers_without_the_sign_of_zero(run):
@@ -817,6 +827,12 @@ def test_a_bag_or_a_folder_says_what_its_run_was(kept, tmp_path):
     ):
         with pytest.raises(ScenarioError, match=said):
             like.recall(place, parse)
+
+    def unknown(words):
+        raise argparse.ArgumentError(None, "unrecognized arguments: --new")
+
+    with pytest.raises(ScenarioError, match="the bag of one that says how it was made"):
+        like.recall(kept / "run", unknown)
     for text, content in (("[1]", {}), ("{", {}), ('{"a": 1}', {"a": 1})):
         (tmp_path / "m.json").write_text(text)
         assert like._content(tmp_path / "m.json") == content

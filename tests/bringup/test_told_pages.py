@@ -345,6 +345,7 @@ def metrics(n, **more):
         ("below", [{"metrics": metrics(9)}, {"metrics": metrics(9)}]),
         ("parted", [{"metrics": metrics(10)}] * 9),
         ("eight", [{"metrics": metrics(8)}] * 2),
+        ("eight_runs", [{"metrics": metrics(9)}] * 8),
     ],
 )
 def test_figures_of_several_runs_stand_side_by_side_as_told(name, runs):

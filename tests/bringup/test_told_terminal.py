@@ -48,7 +48,7 @@ def test_tables_of_many_columns_go_on_below_as_told():
     heads = ["case", "law.gain_of_speed", "noise.k", "rise_time", "unit"]
     rows = [["0", "1.5", "0.001", "0.607", "s"], ["1", "12.25", "0.5", "", "s"]]
     told = []
-    for width, keys in ((60, 1), (39, 1), (24, 1), (24, 2), (12, 1)):
+    for width, keys in ((60, 1), (39, 1), (24, 1), (24, 2), (12, 1), (10, 1)):
         told.append(f"{width} wide, {keys} again")
         told += [f"  {line}" for line in shown(width, lambda c, keys=keys: tables.print_columns(c, heads, rows, keys))]
     told.append("as it is by itself")

@@ -529,7 +529,11 @@ def test_the_status_of_results_is_the_worst_of_its_claims_and_runs(
     monkeypatch.setattr(
         results, "markdown", lambda scenarios, found, without: pages.append((scenarios, len(found), without)) or "m"
     )
+    modes = []
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: modes.append((str(path), mode)) or access(path, mode))
     assert main(["results", "lag", "two", "--out", "o", "--json", "j.json"]) == status
+    assert ("o", os.W_OK | os.X_OK) in modes
     printed = capsys.readouterr()
     assert printed.err.splitlines() == [f"softrig: {line}" for line in said]
     kept = ["1 of 1 runs are kept: neither code nor scenario has changed"] if runs_of[0].kept else []
@@ -838,7 +842,7 @@ def test_a_part_of_a_rig_runs_on_one_machine(lag, monkeypatch, capsys):
         7,
         0.0,
     )
-    assert isinstance(listener, Listener)
+    assert listener == Listener(announce=part.say)
     assert go("--out", "o", "--wait", "3", "--only", "plant", "--only", "source") == 0
     assert (asked[1][2], asked[1][3].wait) == (lag / "o/log", 3.0)
     assert "elsewhere: nobody" in capsys.readouterr().err

@@ -302,6 +302,16 @@ def test_what_the_options_change_of_a_scenario_is_as_told(tmp_path):
     check_told("words_scenario", told)
 
 
+def test_a_command_of_a_later_version_does_not_end_the_process(monkeypatch):
+    def recall(path, parse):
+        return parse(["x", "--option-of-a-later-version"])
+
+    monkeypatch.setattr("softrig_bringup.options.like.recall", recall)
+    for words_of in (["--like", "r"], ["--from", "r@1"]):
+        with pytest.raises(argparse.ArgumentError):
+            run_options.scenario_of(parser().parse_args(["run", *words_of]))
+
+
 def test_what_a_launch_is_given_is_what_a_run_is_given():
     given = {name: default or "" for name, (default, _, _) in launched.ARGUMENTS.items()} | {"scenario": "x"}
     plain = launched._options(given)

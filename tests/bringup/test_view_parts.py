@@ -284,6 +284,20 @@ def test_a_slice_of_ticks_ends_in_time_and_a_pace_is_waited_for(clock, monkeypat
     assert source.turn() == 0.01
 
 
+def test_the_part_of_a_tick_that_was_waited_for_stays_over_a_pause(clock):
+    """A tick begins with each second of the wall; 0.9 s of one are over when somebody pauses for 5 s."""
+    source = Here(Session("dc_motor_smc", duration=0.1), False, 1e-4)
+    source.turn()
+    first, found = source.session.t, []
+    for now, what in ((0.05, ""), (0.9, "pause"), (5.9, "resume"), (5.95, ""), (6.05, "")):
+        clock.now = now
+        source.turn()
+        found.append(round((source.session.t - first) / 1e-4))
+        if what:
+            source.control.hold("me", what)
+    assert found == [1, 1, 1, 1, 2]
+
+
 def test_what_is_done_to_a_rig_in_the_process_of_its_page_is_said(tmp_path, clock):
     source = Here(Session("dc_motor_smc", duration=0.01), False, 1.0)
     control = source.control

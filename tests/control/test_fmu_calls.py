@@ -32,7 +32,7 @@ class Played:
 
     def __init__(self, three, slope=lambda t, x: [-x[0]], x=(1.0,), **answers):
         self.calls, self.answers, self.t, self.x = [], {k: [*v] for k, v in answers.items()}, 0.0, [*x]
-        self._slope, self._three = slope, three
+        self._slope, self._three, self.edge = slope, three, 0.7
 
     def __getattr__(self, name):
         if name.startswith("_"):
@@ -63,7 +63,7 @@ class Played:
         dx[:n] = self._slope(self.t, self.x)
 
     def _getEventIndicators(self, z, n):
-        z[:n] = [self.x[0] - 0.7]
+        z[:n] = [self.x[0] - self.edge]
 
     def _getNumberOfContinuousStates(self):
         return len(self.x)
@@ -206,6 +206,18 @@ def test_the_integrator_is_the_classical_one_cut_at_time_events(played, version)
             x = classical(slope, a / 16, b / 16, x)
         assert fmu.x == pytest.approx(x, rel=1e-13)
     assert [c for c in fmu.calls if "completed" in c] == ["completedIntegratorStep()"] * 5
+
+
+def test_an_indicator_that_comes_to_zero_is_an_event(played):
+    """It has been above; from zero on, and below, nothing is new."""
+    one, fmu = played(2, True, slope=lambda t, x: [-2.0])
+    fmu.edge = 0.5
+    one.begin()
+    for k, events in enumerate((1, 2, 1)):  # that of the inputs' jump; that of x = 0.5, at the end of the second
+        fmu.calls.clear()
+        one.advance(k / 8, (k + 1) / 8, ())
+        assert fmu.calls.count("enterEventMode()") == events
+    assert fmu.x == [0.25]
 
 
 class FMICallException(Exception):  # as FMPy's has it

@@ -20,7 +20,7 @@ from softrig_control.predictive.carima import Carima, add
 from softrig_control.predictive.certificate import Certificate, companion
 from softrig_control.predictive.certificate_node import CertificateParams
 from softrig_control.predictive.controller import GpcController, GpcControllerParams
-from softrig_control.predictive.gpc import Tuning, invert
+from softrig_control.predictive.gpc import Gpc, Tuning, invert
 from softrig_control.profile import NEVER, ProfileParams, StepProfile
 from softrig_control.requirement_monitor import RequirementMonitor
 from softrig_control.signal_name import signal_port, split
@@ -428,6 +428,26 @@ def test_a_predictive_law_trips_beyond_its_edges_and_at_the_third_bad_sample():
             else patient.update(k * 10_000_000, measured=(2.0,), reference=None)
         )
         assert said["health"][0] == (2.0 if k % 3 else 0.0)
+
+
+def test_a_predictive_law_takes_a_bad_sample_for_the_last_one_under_the_held_command():
+    given = {"a": (1.0, -0.5), "b": (1.0, 0.25), "set_point": 2.0, "lam": 0.5}
+    law, gpc = ByHand(GpcController(**given)), Gpc(Carima(given["a"], given["b"]), Tuning(weight=0.5))
+    x, last = gpc.first(1.5, 0.0), 1.5
+    for k, y in enumerate((1.5, 1.0, None, 1.25, None, None, 0.5)):
+        if y is None:
+            x = gpc.applied(gpc.measure(x, last), x.u)
+            said = law.refused(k * 10_000_000)
+        else:
+            x, last = gpc.measure(x, y), y
+            x = gpc.applied(x, x.u + gpc.move(x, 2.0))
+            said = law.update(k * 10_000_000, measured=(y,), reference=None)
+        assert said["command"] == (x.u,)
+    first = ByHand(GpcController(**given))
+    assert first.refused(0)["command"] == (0.0,)  # nothing was there before
+    assert first.update(10_000_000, measured=(1.5,), reference=None) == ByHand(GpcController(**given)).update(
+        0, measured=(1.5,), reference=None
+    )
 
 
 @pytest.mark.parametrize(

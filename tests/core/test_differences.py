@@ -168,6 +168,25 @@ def test_a_column_is_taken_where_two_neighbouring_steps_agree_best(f, x, size):
     assert view.variation == pytest.approx(worst / largest, rel=1e-6, abs=1e-14)
 
 
+def test_a_state_that_rests_at_zero_counts_as_one_of_size_one():
+    m = Map(
+        lambda s, v, w: np.array([math.sin(s[0]), 0.5 * s[1]]),
+        lambda s, v, w: [s.sum()],
+        [1.0, 0.0],
+        [1.0, 0.0],
+        [True] * 2,
+    )
+    found = Differences(m, ["plant/y"], [], "")
+    view = found.view()
+    off = found.steps[0] / 256.0
+    up, down, worst, largest = 1.0 + off, 1.0 - off, 0.0, found.steps[1] / 512.0  # of the second, after a period
+    for _ in range(10):
+        up, down, off = math.sin(up), math.sin(down), view.A[0, 0] * off
+        worst, largest = max(worst, abs((up - down) / 2.0 - off)), max(largest, abs(up - down) / 2.0)
+    assert view.variation == pytest.approx(worst / largest, rel=1e-6)
+    assert view.variation > 1e-5
+
+
 def test_states_are_moved_off_in_turn_of_sign_to_see_whether_they_stay_linear():
     m = Map(lambda s, v, w: s, lambda s, v, w: [s.sum()], [1.0] * 4, [1.0, 2.0, 4.0, 8.0], [True] * 4)
     m.f = lambda s, v, w: np.roll(s, 1)
@@ -215,7 +234,8 @@ def test_something_that_is_no_float_and_goes_along_is_told():
     told = r"^made: plant\.n goes along with plant\.x\[0\] at 1\.5 s, however little that is moved, and is no float"
     with pytest.raises(RunError, match=told):
         Differences(m, ["plant/y"], [], "").view()
-    m.others = lambda: [("plant.n", 1)] * (1 + len(m.asked))  # of which there are more then
+    m.asked.clear()
+    m.others = lambda: [("plant.n", 1)] * (len(m.asked) > 1)  # which there was none of before
     with pytest.raises(RunError, match=told):
         Differences(m, ["plant/y"], [], "").view()
     m.follows = lambda *_: False  # it does, but nothing follows from it

@@ -5,12 +5,12 @@ import signal
 import struct
 import subprocess
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from types import SimpleNamespace
 
 import pytest
 from conftest import make_scenario
-from softrig_core import Recording, ScenarioError, rig_of
+from softrig_core import Recording, RunError, ScenarioError, rig_of
 from softrig_core.processes import domain, peers, processes, shared_memory, spawning
 from softrig_core.processes.placement import Listener, Placement
 from softrig_core.processes.stopping import Stopped
@@ -350,6 +350,25 @@ def test_the_search_for_a_domain_begins_at_the_number_of_the_process_and_goes_ro
     monkeypatch.undo()
     monkeypatch.setattr(domain, "udp_ports", lambda: {7399, 7400, 7649, 7650, 65_399})
     assert domain.inhabited() == {-1, 0, 1, 231}
+
+
+def test_nodes_need_a_loopback_interface_that_is_up_where_it_is_called_lo(monkeypatch):
+    for flags, fits in ((0x49, True), (0x48, False), (0, False)):
+        asked = []
+        answer = struct.pack("16sH14x", b"lo", flags)
+        monkeypatch.setattr(
+            domain.fcntl, "ioctl", lambda of, what, name, a=answer, log=asked: log.append((what, name)) or a
+        )
+        with suppress(RunError) if not fits else nullcontext():
+            domain.require_loopback()
+            assert fits
+        assert asked == [(0x8913, b"lo" + bytes(254))]
+
+    def unknown(*_):
+        raise OSError
+
+    monkeypatch.setattr(domain.fcntl, "ioctl", unknown)
+    domain.require_loopback()  # it has another name here
 
 
 # ---- who knows whom ----

@@ -110,6 +110,10 @@ def test_units_of_both_sides_must_fit_and_several_need_a_scale():
         ("always state / 0 < 1", "a division by zero"),
         ("always state % (level - 0.5) < 1", "a division by zero"),
         ("always log(0 - 1) < state", "log of numbers for which it is undefined"),
+        ("always state^0.5 < 1", "a power of something in m takes a whole number"),
+        ("always state^level < 1", "a power of something in m takes a whole number"),
+        ("always state^state < 1", "a power of something in m takes a whole number"),
+        ("always sqrt(state) < 1", "sqrt of something with a unit: compare squares instead"),
     ],
 )
 def test_a_formula_that_means_nothing_is_refused_before_the_run(formula, reason):

@@ -379,6 +379,7 @@ def test_what_is_set_together_is_taken_together_or_each_by_itself():
         ]
     node.remark = "of a set before"
     assert node.ask(k=7.0)[1] == [""]
+    assert node.ask(empty="None")[2] == []  # as `ros2 param dump` says of one that has no value
     assert node.ask(k="many")[2] == [{"k": "many"}]  # the range refuses it
     assert node.ask(words=["a"])[2] == []
     node._credit.left = -1.0
@@ -793,6 +794,44 @@ def test_a_container_turns_until_all_have_ended_or_one_has_failed_for_a_second(m
     stopped.script = {100_000_000: lambda: setattr(stopped, "ok", False)}
     assert not stopped.run()
     assert {*stopped.spun} == {(300_002 - 150_000) / 1e9}
+
+
+def test_a_container_sends_what_is_left_and_waits_for_those_who_have_it_to_get(monkeypatch):
+    log, up = [], [True]
+
+    def adapter(name, state):
+        drain = SimpleNamespace(name=name, drain=lambda: log.append(f"drain {name}"))
+        return SimpleNamespace(state=state, middleware=drain)
+
+    monkeypatch.setattr(containers, "rclpy", SimpleNamespace(ok=lambda: up[0]))
+    for happens, expected in (
+        (True, ["a", "b", "loop", "flush", "drain a", "ends"]),
+        (False, ["a", "b", "loop", "flush", "drain a", "stopped"]),
+        (KeyboardInterrupt(), ["a", "b", "loop", "stopped"]),
+        (containers.ExternalShutdownException(), ["a", "b", "loop", "stopped"]),
+        (ValueError("no"), ["a", "b", "loop", "broke no", "ends"]),
+        (OSError("late"), ["a", "b", "loop", "stopped"]),  # a signal has shut the context down
+    ):
+
+        def loop(executor, happens=happens):
+            log.append("loop")
+            if isinstance(happens, BaseException):
+                raise happens
+            return happens
+
+        log.clear()
+        up[0] = not isinstance(happens, OSError)
+        container = Container()
+        container.nodes, container._loop = ["a", "b"], loop
+        container.adapters = [adapter("a", "done"), adapter("b", "failed")]
+        container.exchange = SimpleNamespace(flush=lambda: log.append("flush"))
+        container._broke = lambda error: log.append(f"broke {error}")
+        container._conclude = lambda stopped: log.append("stopped" if stopped else "ends") or 4
+        monkeypatch.setattr(
+            "rclpy.experimental.events_executor.EventsExecutor", lambda: SimpleNamespace(add_node=log.append)
+        )
+        assert container.run() == 4
+        assert log == expected
 
 
 def test_python_looks_for_cycles_seldom_while_there_are_none():

@@ -322,11 +322,12 @@ def test_arrays_go_on_with_the_numbers_that_the_record_has_already():
 def test_python_looks_for_cycles_seldom_during_a_run_and_as_before_after_it():
     before, seen = gc.get_threshold(), []
     try:
-        for given, during in (((700, 10, 9), (YOUNG, 10, 9)), ((10**6, 5, 5), (10**6, 5, 5)), ((0, 7, 7), (0, 7, 7))):
-            gc.set_threshold(*given)
+        for given, during in ((700, YOUNG), (10**6, 10**6), (0, 0)):
+            gc.set_threshold(given, 10, 9)
+            usual = gc.get_threshold()  # not every Python keeps all three
             run_inprocess(wired(), 0, progress=lambda t: seen.append(gc.get_threshold()))
-            assert set(seen) == {during}
-            assert gc.get_threshold() == given
+            assert set(seen) == {(during, *usual[1:])}
+            assert gc.get_threshold() == usual
             seen.clear()
     finally:
         gc.set_threshold(*before)

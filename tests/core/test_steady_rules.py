@@ -84,6 +84,23 @@ def test_an_unstable_point_is_told_as_one():
     assert held.signals["law/u/data"] == pytest.approx(0.44)
 
 
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_rest_is_relative_to_the_size_of_a_state(scale):
+    """The same in another unit: as many steps, the same place."""
+
+    class Scaled(Curve):
+        def first(self):
+            return scale, 0.0
+
+        @staticmethod
+        def f(x):
+            return scale * Curve.f(x / scale)
+
+    point = steady(Rig.from_blocks({"plant": Scaled(), "law": Quiet()}, duration=0.1), at=0.0)
+    same = steady(rig_of_curve(Curve.f), at=0.0)
+    assert (point.steps, point.states["plant[0]"]) == (same.steps, pytest.approx(scale * same.states["plant[0]"]))
+
+
 class Drawn(Curve):
     """Rests at twice a number that its seed decides."""
 

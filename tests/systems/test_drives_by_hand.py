@@ -139,6 +139,22 @@ def test_the_axis_controller_is_state_feedback_on_what_its_compensation_makes_of
         assert said["controller_state"] == near((r, state[1], state[0], xi, (t - newest) * 1e-9))
 
 
+def test_other_gains_of_the_axis_bring_no_bump_nor_does_the_loop_as_designed():
+    before, after = FsfbController(), FsfbController(poles=(-4.0, -5.0, -6.0))
+    x = before.first()
+    for k in range(30):
+        feedback = Sample(k * 10 * MS, (0.1 * k, 2.0))
+        x, _ = before.update(x, k * 10 * MS, feedback=feedback, reference=(9.0,), forward=None, reverse=None)
+    now = after.go_on(x, before.p)
+    for (v, y), xi_before, xi in ((x.state, x.xi, now.xi), (x.nominal[:2], x.nominal.xi, now.nominal.xi)):
+        commands = [
+            p.gains()[2] * i - p.gains()[0] * v - p.gains()[1] * y for p, i in ((before.p, xi_before), (after.p, xi))
+        ]
+        assert commands[1] == near(commands[0])
+    assert now._replace(xi=x.xi, nominal=x.nominal) == x
+    assert now.nominal.xi != x.nominal.xi
+
+
 def test_the_axis_controller_at_the_edges_of_what_it_takes():
     """Feedback of now, as old as is allowed and out of a gap as long as is allowed is used; beyond each 0 V."""
     made = {"period": 0.01, "max_age": 0.1}

@@ -601,6 +601,13 @@ def test_planners_solve_what_they_are_asked():
     assert (found.details["J"], found.details["iterations"]) == (f"{again.J:.12g}", str(again.iterations))
     assert (found.memory[0].tolist(), found.memory[1]) == (again.rows.tolist(), 1.0)
     assert CollocationPlanner.shape(coarse.p) == (1, 5)
+    x = coarse.first()._replace(
+        last=found
+    )  # from the last plan on there is nothing to do, from a straight line there is
+    warm = CollocationPlanner.solve(coarse.request(x, 0, state=(-0.8, 0.0))[1], None)
+    cold = CollocationPlanner(problem="two_state", intervals=4, samples=5, warm_start=False)
+    cold = CollocationPlanner.solve(cold.request(x, 0, state=(-0.8, 0.0))[1], None)
+    assert int(warm.details["iterations"]) < int(cold.details["iterations"]) == again.iterations
 
 
 def power_plan(rng, stages=1, order=2):

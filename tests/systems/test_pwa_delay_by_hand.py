@@ -555,6 +555,30 @@ def test_cells_are_the_signs_of_their_lines():
     assert system.A[3][0, 0] == 3.0
 
 
+def test_a_plant_moves_by_the_cell_of_its_state_and_of_its_past():
+    """A line on x, one on x_d, four cells with matrices and offsets of their own; the past is the start."""
+    rng = np.random.default_rng(6)
+    A, Ad, a = rng.normal(size=(4, 2, 2)), rng.normal(size=(4, 2, 2)), rng.normal(size=(4, 2))
+    lines, late = [[1.0, 0.4]], [[0.7, -1.0]]
+    system = from_lines(A, Ad, lines, late, a)
+    numbers = {"A": A, "Ad": Ad, "lines": lines, "lines_delayed": late, "offsets": a}
+    made = {"system": "user", "n": 2, "period": 1e-6, "step": 1e-6, "delay": 0.1}
+    made |= {name: tuple(np.ravel(m).tolist()) for name, m in numbers.items()}
+    cells = set()
+    for start in rng.normal(size=(6, 2)):
+        plant = SwitchedDelayPlant(x0=tuple(start), **made)
+        first = plant.first()
+        for now in rng.normal(size=(6, 2)):
+            x = first._replace(x1=now[0], x2=now[1])
+            cell = system.cell(now, start)
+            assert plant.outputs(x, 0)["mode"] == (float(cell), 0.1)
+            after = plant.advance(x, 0)
+            expected = A[cell] @ now + Ad[cell] @ start + a[cell]
+            assert (np.array(after[:2]) - now) / 1e-6 == pytest.approx(expected, abs=1e-4)
+            cells.add(cell)
+    assert len(cells) == 4
+
+
 def test_systems_that_are_none_are_refused():
     one, none = (np.array([[-1.0]]),), np.zeros((0, 1))
     given = {
@@ -575,6 +599,10 @@ def test_systems_that_are_none_are_refused():
         (given | {"Ad": (np.eye(2),)}, r"^Ad of cell 0 has the shape \(2, 2\), expected \(1, 1\)$"),
         (given | {"A": (np.array([[math.nan]]),)}, "^A of cell 0 is not finite$"),
         (both, r"^cells 0 and 1 overlap at x = \[.*\], x_d = \[.*\]$"),
+        (
+            {k: v if k in ("lines", "lines_delayed") else v * 3 for k, v in given.items()},
+            r"^cells 0 and 1 overlap at x",
+        ),
         (both | {"E": half, "e": (np.full(1, -0.3), np.zeros(1))}, r"^no cell holds x = .*: the cells leave a gap$"),
         (both | {"E": half, "e": offset, "F": (np.eye(2), 2.0 * np.eye(2))}, "^features of cells 0 and 1 differ by"),
     ):

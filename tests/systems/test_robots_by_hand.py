@@ -497,6 +497,19 @@ def test_below_its_limit_the_sampled_loop_dies_away_above_it_grows(delayed, appl
         assert is_stable(1e-3, (share * limit,) * 2, (4.0, 4.0), delayed, applied) is stable
 
 
+@pytest.mark.parametrize("drift", [{"resistance": 0.5, "constants": -0.3}, {"resistance": -0.4, "constants": 0.2}])
+def test_the_limit_of_motors_that_drift_is_that_of_the_worse_end(drift):
+    """One of these motors is worse before its drift, the other after it."""
+    R, K = 1.0 + drift["resistance"], 1.0 + drift["constants"]
+    after = {"resistance": 4.0 * R, "torque_constant": 4.32 * K, "back_emf_constant": 0.287 * K}
+    limits = [
+        alpha_hat_limit(1e-3, 4.0, False, False, build(LinearRobot, made))
+        for made in ({}, {"motors": after}, {"drift": drift})
+    ]
+    assert limits[2] == pytest.approx(min(limits[:2]), rel=1e-5)
+    assert limits[0] != pytest.approx(limits[1], rel=1e-2)
+
+
 # small things ----------------------------------------------------------------------------------------------------
 
 

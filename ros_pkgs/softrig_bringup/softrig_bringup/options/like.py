@@ -119,7 +119,7 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
         epoch = int(data.get("epoch", "0"))
         options = parse(command[command.index("run") + 1 :])
         recording = read_bag(bag)
-    except (BagError, OSError, ValueError, KeyError, TypeError):
+    except (BagError, OSError, ValueError, KeyError, TypeError, argparse.ArgumentError):
         raise ScenarioError(
             f"{path}: expected the directory of a run, the bag of one that says how it was "
             "made, or a file of `softrig pack`"
