@@ -354,7 +354,7 @@ def test_each_tick_is_answered_as_the_page_says(kind, seed):
     block.reset(seed)
     episode = Episode(f"{kind} {seed}", draw.choice([0.004, 0.02]), floor, threshold)
     command, met = account.command, set()
-    for k in range(500):
+    for k in range(400):
         (v, i), down, bad = episode.next(command)
         if bad:
             answer, wanted = block.refused(k * PERIOD), account.refused(k)
