@@ -298,14 +298,15 @@ class Episode:
     """A source of which the command turns the load, another one now and then; what is measured is bad or refused."""
 
     def __init__(self, seed, calm, floor, threshold):
-        self.rng, self.calm, self.level, self.down = random.Random(seed), calm, 1.0, [False] * 3
+        self.rng, self.calm, self.level, self.drift, self.down = random.Random(seed), calm, 1.0, 0.0, [False] * 3
         just = [share * (1.0 + part * edge) for edge in (threshold, 0.1) for part in (1.03, -0.99) for share in (1.0,)]
         self.levels = [1.0, 1.0, 0.6, 1.5, *just, *([0.0] * 2 if floor is not None else [])]
 
     def next(self, command):
         draw = self.rng
         if draw.random() < self.calm:
-            self.level = draw.choice(self.levels)
+            self.level, self.drift = draw.choice(self.levels), draw.choice([0.0, 0.0, 0.003, -0.002])
+        self.level *= 1.0 + self.drift * (0.5 < self.level < 2.0)
         for k in range(3):
             if draw.random() < self.calm / (60.0 if k == 1 and not self.down[1] else 12.0):  # stopped seldom, not long
                 self.down[k] = not self.down[k]
@@ -353,7 +354,7 @@ def test_each_tick_is_answered_as_the_page_says(kind, seed):
     )  # fmt: skip
     block.reset(seed)
     episode = Episode(f"{kind} {seed}", draw.choice([0.004, 0.02]), floor, threshold)
-    command, met = account.command, set()
+    command = account.command
     for k in range(400):
         (v, i), down, bad = episode.next(command)
         if bad:
@@ -367,9 +368,7 @@ def test_each_tick_is_answered_as_the_page_says(kind, seed):
         assert (answer["command"], answer["state"]) == tuple(pytest.approx(w, rel=1e-12) for w in wanted), (
             f"at tick {k}"
         )
-        met.add((account.phase, account.looking is None, account.waits, account.broken))
     assert set(block.reports) == account.said
-    assert len(met) > autostart  # who waits for its button may wait for ever
 
 
 def built(**changes):
