@@ -57,6 +57,17 @@ def test_what_it_keeps_is_what_its_ticks_saw(seed):
     assert 400 / stretch <= taken < 200  # now and then, and by itself
 
 
+def test_what_a_hundredth_of_a_second_has_brought_is_taken_in_at_its_last_tick():
+    gathering, plain = watchers()
+    for step in (gathering, plain):
+        step.stamps = {p.name: (lambda: None) for p in step.inputs}
+    taken, take = [], gathering.block.at_once
+    gathering.block.at_once = lambda x, t, messages: taken.append(t) or take(x, t, messages)
+    for k in range(65):
+        gathering.say(plain.schedule.time(k))
+    assert taken == [plain.schedule.time(k) for k in (19, 39, 59)]  # of half a millisecond each
+
+
 @pytest.mark.parametrize(("period", "gathers"), [(0.0001, True), (0.006, False)])
 def test_who_is_slow_or_says_something_is_asked_at_each_tick(period, gathers):
     rig = rig_of("induction_dtc", overrides={"flux_monitor.period": period})

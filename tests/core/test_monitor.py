@@ -57,6 +57,7 @@ def test_short_work_is_done_where_it_arrives_long_work_by_the_executor():
     arrive(0)
     executor.turn(lambda: len(where) > SHORT_ONES)
     assert set(where) == {here}
+    assert executor.monitor.done == SHORT_ONES + 2
 
 
 @pytest.mark.parametrize("warm", [False, True])
