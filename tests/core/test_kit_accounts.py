@@ -148,6 +148,7 @@ def test_a_track_is_a_list_of_steps(seed, monkeypatch):
         for track, rows in (kept[-1], rng.choice(kept)):
             held = rows[-size:]
             assert track.numbers().tolist() == [row[k] for k in (2, 3, 4, 5) for row in held]
+            assert track.native().past.meta.tolist() == [size, 0]
             back = track.native().python()
             assert (back == track, back.numbers().tolist()) == (True, track.numbers().tolist())
             other = track.with_numbers(track.numbers() + 1.0)
