@@ -25,6 +25,7 @@ class Map:
         self.direct = direct
         self.f, self.g, self.start, self.sizes = f, g, np.array(start, float), np.array(sizes, float)
         self.moved = np.array(moved, bool)
+        self.resting = np.zeros(len(start), bool)
         self.names = [f"plant.x[{k}]" for k in range(len(start))]
         self.inputs, self.outputs, self.link = inputs, outputs, link
         self.places = dict.fromkeys((*outputs, *inputs, *([link] if link else [])))

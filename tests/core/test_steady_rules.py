@@ -84,6 +84,17 @@ def test_an_unstable_point_is_told_as_one():
     assert held.signals["law/u/data"] == pytest.approx(0.44)
 
 
+@pytest.mark.parametrize("gain", [0.2, -0.3])
+def test_a_plant_that_rests_where_it_begins_has_its_states_there(gain):
+    """x+ = (1 + gain) x - gain from x = 1: nothing moves but what adds up, and a stone on its top is not stable."""
+    rig = rig_of_curve(lambda x: (gain - 0.0625) * (x - 1.0) - 0.0625, 0.0625)  # with what its law does
+    point = steady(rig, at=0.0)
+    assert (point.states["plant[0]"], point.stable, point.steps) == (1.0, gain < 0.0, 0)
+    assert point.slowest == pytest.approx(1.0 + gain)
+    seen = linear_view(rig, at=0.0, outputs=["plant/y/data"])
+    assert np.linalg.eigvals(seen.A) == pytest.approx([1.0 + gain])
+
+
 @pytest.mark.parametrize("scale", [1e-4, 1e4])
 def test_rest_is_relative_to_the_size_of_a_state(scale):
     """The same in another unit: as many steps, the same place."""
@@ -127,6 +138,7 @@ class Wanders:
     def __init__(self, rig, at, seed, heard, inputs, periods):
         self.rig, self.heard, self.periods = rig, heard, periods
         self.start, self.sizes, self.moved = np.array([2.0, 8.0]), np.array([1.0, 4.0]), np.ones(2, bool)
+        self.resting = np.zeros(2, bool)
 
     def __call__(self, x, added, fixed=None):
         return 0.5 * x + [0.5, 4.0], dict.fromkeys(self.heard, x.sum())

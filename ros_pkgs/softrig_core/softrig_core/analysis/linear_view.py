@@ -444,6 +444,7 @@ class Differences:
         heard = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.heard), len(on))
         counts = _reach(whole.T, (heard != 0.0).any(axis=0))
         held = (whole == np.eye(len(on))).all(axis=1)  # nothing moves them here: as good as parameters
+        held |= self.map.resting[on] & (whole == 0.0).all(axis=1)  # or what a plant was told, which it hears again
         for key, (column, _) in self.columns.items():
             if isinstance(key, str):
                 held &= column[on] == 0.0
@@ -454,8 +455,8 @@ class Differences:
         return kept, whole[np.ix_(counts, counts)], heard[:, counts]
 
     def _explore(self) -> None:
-        """Find the columns of all that has moved, and of all that is moved by what has a column."""
-        waiting = {int(i) for i in np.flatnonzero(self.map.moved & self.finite)}
+        """Find the columns of all that has moved or rests in a plant, and of all that is moved by what has a column."""
+        waiting = {int(i) for i in np.flatnonzero((self.map.moved | self.map.resting) & self.finite)}
         waiting |= {int(i) for column, _ in self.columns.values() for i in np.flatnonzero(column)}
         waiting -= self.columns.keys()
         for _ in range(ROUNDS + 1):

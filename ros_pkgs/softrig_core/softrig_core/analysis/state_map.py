@@ -151,6 +151,8 @@ class StateMap:
         Largest magnitude of each, seen on the way there; 0 where it never was anything else.
     moved : array of bool
         Which of them have changed on the way.
+    resting : array of bool
+        Which of them are a plant's own and have not: it may rest where it is unstable.
     t : float
         When it is, s.
     period : float
@@ -235,6 +237,12 @@ class StateMap:
         """Hold two goes from the same place against one another."""
         once, _ = self(self.start, {})
         self.moved = self.moved | (once != self.start)
+        plants = {m.name for m in self.rig.members if m.is_plant}
+        self.resting = np.zeros(len(self.start), bool)
+        for (name, step), here in zip(self._steps.items(), self._slices, strict=True):
+            own = sum(len(row) for _, row in read(step.x))
+            self.resting[here.start : here.start + own] = name in plants
+        self.resting &= ~self.moved
         again, _ = self(self.start, {})
         if not np.array_equal(once, again):
             bad = sorted({n.partition(".")[0] for n, a, b in zip(self.names, once, again, strict=True) if a != b})
