@@ -37,6 +37,15 @@ from softrig_core.processes.executables import environment, find_executable  # n
 from softrig_core.processes.fork_server import start_node  # noqa: E402
 from softrig_core.wire.recording import shard_topics  # noqa: E402
 
+CLOCKS = {name: getattr(time, name) for name in ("monotonic", "perf_counter", "time", "time_ns", "sleep")}
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown():
+    """Refuse a clock that a test leaves behind: threads of the next ones would wait for ever."""
+    yield
+    assert {name: getattr(time, name) for name in CLOCKS} == CLOCKS
+
 
 def pytest_terminal_summary(terminalreporter, config):
     """After the long set: the table of CONTRIBUTING.md, by folder."""

@@ -46,7 +46,7 @@ class World:
         self.subscriptions, self.peers, self.timers, self.spun = {}, {}, [], []
         self.node, self.frozen = self, 0
         self.at(until, self.stop)
-        monkeypatch.setattr(player.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(player, "time", SimpleNamespace(monotonic=lambda: self.now))
         monkeypatch.setattr(player, "gc", SimpleNamespace(collect=lambda: None, freeze=self.freeze))
 
     def freeze(self):
@@ -466,7 +466,7 @@ def test_an_answer_of_another_tick_is_refused_whichever_comes_first():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_ticks_are_bag_times_that_stamps_know_or_stamps(seed):
+def test_ticks_are_bag_times_that_stamps_know_or_stamps(seed, monkeypatch):
     """Of messages with and without a header: by bag times once one of the first 200 has its stamp, else by stamps."""
     rng = random.Random(seed)
     agrees = [None, 0, 199, 200, None, 0][seed]
@@ -484,7 +484,7 @@ def test_ticks_are_bag_times_that_stamps_know_or_stamps(seed):
     bag = Bag([("/in", HEADER), ("/bare", TEXT), ("/left", HEADER)], messages)
     part = Span(bag.start, bag.end)
     told = LockstepPlayer(
-        world := World(pytest.MonkeyPatch()), bag, Publishers(world, bag, bag.topics[:2], {}), ["/out"], {}, part
+        world := World(monkeypatch), bag, Publishers(world, bag, bag.topics[:2], {}), ["/out"], {}, part
     )
     found = [told._following, *told._groups]
     assert [(tick, i, data) for tick, group in found for i, data in group] == wanted

@@ -155,7 +155,7 @@ def test_what_is_selected_is_subscribed_as_it_comes_and_what_cannot_be_is_said(m
 @pytest.mark.parametrize("stamped", [True, False])
 def test_a_message_is_written_under_its_stamp_or_its_time_of_arrival(made, tmp_path, monkeypatch, stamped):
     now = iter((100, 200, 300, 400))
-    monkeypatch.setattr(recorder_module.time, "time_ns", lambda: next(now))
+    monkeypatch.setattr(recorder_module, "time", SimpleNamespace(time_ns=lambda: next(now)))
     recorder, node, writer = made(stamped=stamped)
     node.publish("/a", HEADER)
     node.publish("/bare", FLOAT)

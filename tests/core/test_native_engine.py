@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
@@ -45,7 +46,7 @@ def test_how_far_a_go_reaches_follows_the_time_that_goes_take(monkeypatch: pytes
     """Twice as far while one takes less than half of what it may, half after one of more, 1024 ticks at least."""
     took = itertools.chain([8.0, 15.99, 16.0, 32.0, 32.01, 40.0, 50.0, 50.0, 0.0], itertools.repeat(20.0))
     now = iter(())
-    monkeypatch.setattr(engine.time, "perf_counter", lambda: next(now))
+    monkeypatch.setattr(engine, "time", SimpleNamespace(perf_counter=lambda: next(now)))
     run, gos, before = going({"body": Body(), "law": Law()}, 22.0), [], 1
     run._longest = 32.0
     now = itertools.chain.from_iterable((0.0, t) for t in took)
@@ -60,7 +61,7 @@ def test_how_far_a_go_reaches_follows_the_time_that_goes_take(monkeypatch: pytes
 def test_with_others_to_be_served_a_go_takes_a_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
     for alone, go in ((None, 4096), (lambda: True, 1024)):
         now = itertools.accumulate(itertools.cycle([0.0, 0.0051]))
-        monkeypatch.setattr(engine.time, "perf_counter", lambda now=now: next(now))
+        monkeypatch.setattr(engine, "time", SimpleNamespace(perf_counter=lambda now=now: next(now)))
         engine._texts.clear()
         engine._counts.clear()
         ended(going({"body": Body(), "law": Law()}, 4.0, alone=alone))

@@ -5,6 +5,7 @@ import math
 import os
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -104,7 +105,7 @@ def test_a_search_says_what_it_knows():
 def test_progress_is_told_by_tenths_or_after_ten_seconds(monkeypatch, capsys):
     """Where nobody looks at a terminal; nothing when it is to be quiet."""
     clock = [0.0]
-    monkeypatch.setattr("softrig_optim.sweep.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("softrig_optim.sweep.time", SimpleNamespace(monotonic=lambda: clock[0]))
     monkeypatch.setattr("sys.stderr.isatty", lambda: False)
 
     def told(total, seconds=0.0):
