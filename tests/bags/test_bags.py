@@ -870,6 +870,7 @@ def test_shards_of_a_killed_run_become_a_bag(tmp_path):
     done = repair(tmp_path / "log")
     assert done.bag == tmp_path / "bag"
     assert [(f.kept, bool(f.lost)) for f in done.files] == [(12, True), (100, False)]
+    assert not any("index" in str(f) for f in done.files)  # a shard has none, and is on the disk at once
     found = read_bag(tmp_path / "bag")
     assert found.topics["plant/state"] == source.topics["plant/state"]
     assert found.topics["command"].data == source.topics["command"].data[:-1]

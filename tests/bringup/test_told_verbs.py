@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from softrig_bringup import cli
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import ResultsFolder
@@ -426,7 +427,10 @@ def test_defaults_of_a_recipe():
         "why": "",
         "made_with": {},
     }
-    assert all(golden.Allowed(**{k: 0.0}) for k in ("absolute", "relative"))
+    for name in ("absolute", "relative"):
+        assert getattr(golden.Allowed(**{name: 0.0}), name) == 0.0
+        with pytest.raises(ValidationError, match="greater than or equal to 0"):
+            golden.Allowed(**{name: -1e-9})
 
 
 def test_golden_says_a_line_a_bag_and_its_status(monkeypatch, tmp_path, capsys):

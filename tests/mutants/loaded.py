@@ -182,7 +182,7 @@ def pytest_runtestloop(session):
     os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
     seconds, of_line = known_tests(os.environ["MUTANTS_LINES"].split())
     places = sorted(p for p in of_line if p.startswith(under) and "/test/" not in p)
-    functions = loaded_functions(sorted({Path(p).parts[2] for p in places}))
+    functions = loaded_functions(sorted({Path(p).parts[1] for p in places}))
     gc.freeze()
     items, sound, tally = {i.nodeid: i for i in session.items}, {}, Counter()
     file = Path(os.environ["MUTANTS_OUT"])

@@ -116,7 +116,7 @@ def _longest(forward: Mapping[str, list[str]], goals: set[str]) -> dict[str, int
 def _ordered(found: list[list[str]], neighbours: Mapping[str, list[str]]) -> list[list[str]]:
     """Sort each column by the mean place of the neighbours in other columns."""
     for sweep in range(SWEEPS):
-        for column in found if sweep % 2 else found[::-1]:
+        for column in found if sweep else found[::-1]:
             place = {n: (k + 0.5) / len(c) for c in found for k, n in enumerate(c)}
             apart = {n: [place[m] for m in neighbours[n] if m not in column] for n in column}
             column.sort(key=lambda n: sum(apart[n]) / len(apart[n]) if apart[n] else place[n])

@@ -348,7 +348,7 @@ class Given:
 @pytest.fixture
 def session(monkeypatch):
     """A session whose executor says how long it was spun."""
-    spun, signals = [], {}
+    spun, signals, after = [], {}, []
 
     def spin(future, seconds):
         spun.append((future.done(), round(seconds, 3)))
@@ -360,7 +360,7 @@ def session(monkeypatch):
     monkeypatch.setattr(ros.signal, "signal", signals.__setitem__)
     monkeypatch.setattr(ros, "EventsExecutor", lambda: executor)
     monkeypatch.setattr(ros, "Node", Given)
-    monkeypatch.setattr(ros, "look_after_ports", lambda node: None)
+    monkeypatch.setattr(ros, "look_after_ports", after.append)
     monkeypatch.setattr(ros.rclpy, "init", lambda **_: None)
     monkeypatch.setattr(ros.Session, "opened", None)
 
@@ -372,6 +372,7 @@ def session(monkeypatch):
         ]
         made = ros.Session("player", [], options)
         assert set(signals) == {ros.signal.SIGINT, ros.signal.SIGTERM}
+        assert after.pop() is made.node
         return made, spun
 
     return make
