@@ -502,3 +502,13 @@ def test_who_asks_three_times_for_the_end_gets_it(monkeypatch):
         installed.clear()
         handler.install()
         assert installed == [(signal.SIGINT, handler)] * takes
+
+
+def test_what_a_full_disk_does_not_take_is_not_tried_again_when_python_ends(monkeypatch):
+    with open("/dev/full", "w") as full:
+        full.write("text")
+        monkeypatch.setattr(sys, "stdout", full)
+        with pytest.raises(OSError, match="No space left"):
+            guard._flush()
+        assert os.readlink(f"/proc/self/fd/{full.fileno()}") == os.devnull
+        full.flush()

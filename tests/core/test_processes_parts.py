@@ -159,6 +159,7 @@ def test_while_a_participant_begins_its_profile_is_that_of_the_environment(given
             file = Path(os.environ[profile.VARIABLE])
             assert (file.name[:8], file.suffix) == ("softrig-", ".xml")
             root = ElementTree.parse(file).getroot()
+            assert file.read_bytes().startswith(b"<?xml ")
             assert root.find(".//d:leaseDuration/d:sec", SPACE).text == lease
             assert root.find(".//d:port", SPACE) is not None
             assert (root.find(".//d:userTransports", SPACE) is None) is (given == "theirs")

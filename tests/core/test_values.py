@@ -117,8 +117,8 @@ def test_a_tick_that_is_dropped_has_reported_nothing_and_draws_again():
     ("name", "duration"),
     [("dc_motor_smc_b2", 0.1), ("dc_motor_smc_b5_pid", 0.1), ("induction_dtc", 0.005), ("dc_motor_smc_faults", 0.1),
      ("dc_motor_fsfb_stretch_jitter", 0.2), ("rectifier_mpc_seed19", 0.02), ("rehab_impedance_r5", 0.05),
-     ("rehab_impedance_r4_arsc", 0.05), ("tcp_aqm_smc", 0.05), ("tcp_aqm_smc_s4", 0.5), ("pwa_delay", 0.05),
-     ("pwa_delay_p2_d2", 0.5), ("pwa_delay_p3", 0.05)],
+     ("rehab_impedance_r4_arsc", 0.05), ("tcp_aqm_smc", 0.05), ("tcp_aqm_smc_s4", 0.5), ("pwa_delay_p3", 0.05),
+     *(pytest.param(*case, marks=pytest.mark.long) for case in (("pwa_delay", 0.05), ("pwa_delay_p2_d2", 0.5)))],
 )  # fmt: skip
 def test_going_back_to_any_tick_repeats_it(name, duration):
     rig = rig_of(load_scenario(name).changed(duration=duration))

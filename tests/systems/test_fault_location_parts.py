@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import types
+import warnings
 
 import numpy as np
 import pytest
@@ -335,6 +336,16 @@ def edited(tmp_path, record=None, name="one", end="both", **changes):
         lines[int(number[1:])] = text
     cfg.write_text("\n".join(lines) + "\n")
     return cfg
+
+
+def test_a_file_without_dates_is_read_without_a_word(tmp_path):
+    cfg = edited(tmp_path)
+    dates = [k for k, line in enumerate(cfg.read_text().splitlines()) if line.count("/") == 2]
+    assert len(dates) == 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = read_comtrade([edited(tmp_path, **{f"l{k}": "," for k in dates})])
+    assert found.samples.tolist() == whole().samples.tolist()
 
 
 def test_channels_by_unit_and_phase_and_their_scale(tmp_path):

@@ -101,7 +101,10 @@ def expected(kind, sent):
     raise AssertionError(kind)
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.long) if n in ("optimal_control_mvim", "pwa_delay") else n for n in SYSTEMS],
+)
 def test_each_kind_of_fault_does_on_each_topic_what_it_says(name):
     rig, faults = tapped(name, SYSTEMS[name])
     run = simulate(rig)

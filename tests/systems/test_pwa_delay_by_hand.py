@@ -15,6 +15,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from softrig_core import ByHand, Level, ParameterError
 from softrig_core.block.params import build
+from softrig_core.kit.dde import trajectory
 from softrig_systems.pwa_delay import certify as certifying
 from softrig_systems.pwa_delay.applicability import NotApplicable, require_equilibrium, require_no_sliding
 from softrig_systems.pwa_delay.bessel import bessel
@@ -26,6 +27,7 @@ from softrig_systems.pwa_delay.level import level_bound, level_margin
 from softrig_systems.pwa_delay.lmi import Eigenvalues, Problem, Term, quadratic
 from softrig_systems.pwa_delay.lyapunov import LyapunovMonitor, functional
 from softrig_systems.pwa_delay.margin_search import MarginSearch
+from softrig_systems.pwa_delay.motion import FREE, PendulumConstants, pendulum_cell
 from softrig_systems.pwa_delay.params import SystemParams
 from softrig_systems.pwa_delay.plants import SwitchedDelayPlant, TankPlant
 from softrig_systems.pwa_delay.profiles import delay_at, profile
@@ -813,3 +815,10 @@ def test_figures_of_the_functional_and_of_what_a_level_covers():
         return level_covered(told, delay=delay, hold=0.5)
 
     assert [covered(*given) for given in ((2.0, 1.0, 1.5), (2.0, 1.0, 1.51), (2.0, 0.0, 1.0))] == [1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(("angle", "before", "cell"), [(0.0, 0.0, 0), (0.0, 1e-12, 1), (1e-12, 0.0, 2), (1.0, 1.0, 3)])
+def test_a_pendulum_that_hangs_straight_down_is_in_the_cell_of_negative_angles(angle, before, cell):
+    past = trajectory(0.01, 0.1, (before, 0.0))
+    given = PendulumConstants(0.0, 1.0, np.array([FREE]), profile("constant", 0.05))
+    assert pendulum_cell(0.0, np.array([angle, 0.0]), past, given) == cell
