@@ -6,7 +6,7 @@ import argparse
 import re
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from softrig_core import ScenarioError
 from softrig_core.command_line import Number
@@ -115,6 +115,21 @@ def _mode(word: str) -> str:
     return word
 
 
+class Again(argparse.ArgumentParser):
+    """Reads a command that was given before, by whatever version: raises ArgumentError where it does not fit.
+
+    Of words that it does not know `exit_on_error` would end the process all the same before Python 3.12.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        arguments(self)
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse."""
+        raise argparse.ArgumentError(None, message)
+
+
 def scenario_of(options: argparse.Namespace) -> Scenario:
     """Give the scenario with what the options change of it."""
     from softrig_core import ScenarioError, load_scenario
@@ -154,8 +169,7 @@ def _repeated(options: argparse.Namespace) -> Scenario:
         if name not in free and getattr(options, name) not in ("", None, []):
             other = name if name == "scenario" else f"--{name.replace('_', '-')}"
             raise ScenarioError(f"{word} repeats a run as it was: expected no {other} beside it")
-    parser = argparse.ArgumentParser(exit_on_error=False)
-    arguments(parser)
+    parser = Again()
     if options.origin is None:
         options.recalled = recall(options.like, parser.parse_args)
         return repeated(scenario_of(options.recalled.options), options.recalled)

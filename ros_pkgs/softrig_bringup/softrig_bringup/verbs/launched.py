@@ -205,9 +205,7 @@ def _options(given: Mapping[str, str]) -> argparse.Namespace:
     words += ["--record-all"] if given["record"] == "all" else []
     for node in given["external"].split():
         words += ["--external", node]
-    parser = argparse.ArgumentParser(exit_on_error=False)
-    run_options.arguments(parser)
     try:
-        return parser.parse_args(words)
+        return run_options.Again().parse_args(words)
     except argparse.ArgumentError as error:
         raise ScenarioError(str(error)) from None

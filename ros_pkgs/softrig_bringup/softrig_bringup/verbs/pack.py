@@ -26,7 +26,7 @@ from softrig_core.rig.code import fingerprints
 from ..options import repeat
 from ..options.like import TAPE, Recalled, digests, from_outside, recall, repeated
 from ..options.packed import ABOUT, BAG, FILES, METRICS, MOST, PACKAGES, SCENARIO, SUFFIX, About
-from ..options.run_options import arguments, scenario_of
+from ..options.run_options import Again, scenario_of
 from ..page.citations import FILE as REFERENCES
 
 _BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_modules"}  # not sources
@@ -75,9 +75,7 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
     ScenarioError
         No run; what it was made of is no longer what it was; its bag alone has what is needed, and is to be left out.
     """
-    parser = argparse.ArgumentParser(exit_on_error=False)
-    arguments(parser)
-    before = recall(run, parser.parse_args)
+    before = recall(run, Again().parse_args)
     content = _beside(before.bag)
     scenario = scenario_of(before.options)
     scenario = scenario.having(nodes={name: entry for name, entry in scenario.nodes.items() if name != TAPE})
