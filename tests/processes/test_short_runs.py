@@ -6,7 +6,6 @@ import pytest
 from softrig_core import simulate
 from test_outside import SYSTEMS, short
 
-
 LATER = ("optimal_control_mvim", "pwa_delay")  # whose solvers alone take seconds
 
 
