@@ -6,8 +6,10 @@ import pytest
 from softrig_core import simulate
 from test_outside import SYSTEMS, short
 
+LATER = ("optimal_control_mvim", "pwa_delay")  # whose solvers alone take seconds
 
-@pytest.mark.parametrize("system", SYSTEMS)
+
+@pytest.mark.parametrize("system", [pytest.param(s, marks=[pytest.mark.long] * (s in LATER)) for s in SYSTEMS])
 def test_a_short_run_gives_no_warnings(system):
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
