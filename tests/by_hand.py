@@ -73,3 +73,16 @@ class Hand(Middleware):
 
     def log(self, level, text):
         self.logs.append(f"{level.name} {text}")
+
+
+class Kept:
+    """A sink: what was recorded."""
+
+    def __init__(self):
+        self.said = []
+
+    def add(self, topic, t, data):
+        self.said.append((topic, t, data))
+
+    def note(self, t, data):
+        self.said.append(("note", t, data))

@@ -254,6 +254,11 @@ def test_a_full_disk_takes_nothing_from_a_run_in_the_process_of_its_page(tmp_pat
     (tmp_path / "log").mkdir()
     for full in ("log/rig.shard", f".left_1.yaml.{os.getpid()}.part"):
         (tmp_path / full).symlink_to("/dev/full")
+    plain = Here(Session("dc_motor_smc", duration=0.1), True, 1.0)
+    plain.session.go(0.05)
+    plain._place = lambda: tmp_path
+    plain.control.go_back("me", 0.0)  # nothing was turned: there is nothing to be kept
+    assert plain.session.t == 0.0
     source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, place=lambda: tmp_path)
     source.control.turn("me", "dc_motor_smc.delta", 0.5)
     source.session.go(0.05)

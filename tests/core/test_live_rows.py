@@ -6,7 +6,7 @@ from collections import deque
 from types import SimpleNamespace
 
 import pytest
-from by_hand import Hand
+from by_hand import Hand, Kept
 from faultrig import COMMAND, STATE, Gain, Lag, Source
 from softrig_core import Block, BlockParams, Plant, RunError, Sample, array, command, joint_state, param
 from softrig_core.block.block import Level
@@ -26,19 +26,6 @@ from softrig_core.rig.options import InputLink, Links, RunOptions
 
 MS, SECOND = 1_000_000, 1_000_000_000
 START = 1_700_000_000 * SECOND  # a tick of every period here
-
-
-class Kept:
-    """A sink: what was recorded."""
-
-    def __init__(self):
-        self.said = []
-
-    def add(self, topic, t, data):
-        self.said.append((topic, t, data))
-
-    def note(self, t, data):
-        self.said.append(("note", t, data))
 
 
 class Node:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from by_hand import Hand
+from by_hand import Hand, Kept
 from faultrig import COMMAND, REFERENCE, STATE, Burst, Gain, Lag, Spread, Watcher
 from softrig_core import RunError, joint_state
 from softrig_core.block.block import Level
@@ -285,17 +285,6 @@ def test_a_start_that_does_not_come_ends_the_run_and_says_why():
 
 
 # ---- what a node says of its ticks ----
-
-
-class Kept:
-    def __init__(self):
-        self.said = []
-
-    def add(self, topic, t, data):
-        self.said.append((topic, t, data))
-
-    def note(self, t, data):
-        self.said.append(("note", t, data))
 
 
 def law_links(**more):

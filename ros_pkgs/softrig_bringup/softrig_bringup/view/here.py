@@ -111,18 +111,17 @@ class Here(Growing):
     def _back(self, t: float) -> str:
         """Go back to a time (s) and stay there, the knobs as they are turned."""
         session, before = self.session, self.session.t
-        branch = None if self.outcome or self._place is None else self._keep_branch(self._place())
+        left, branch = self._folder if self.outcome else "", None
+        if session.undone(t) and not self.outcome and self._place is not None:
+            branch = self._keep_branch(self._place())  # first, as what cannot be kept is not left
+            left = branch.name
         try:
             turned = session.rewind(t)
-        except (ScenarioError, RunError):
+        except RunError:
             if branch:
                 branch.unlink()
             raise
-        if branch and not turned:  # it is the run of the scenario as it stands
-            branch.unlink()
-            branch = None
         session.set(turned)
-        left = self._folder if self.outcome else branch.name if branch else ""
         self.branched.append({"at_s": session.t, "from_s": before, "left": left})
         self._pace.begin()
         self.outcome, self.results, self.control.held = "", [], True
@@ -137,7 +136,7 @@ class Here(Growing):
         return f"back to {session.t:.9g} s from {before:.9g} s: what is turned holds from there on"
 
     def _keep_branch(self, place: Path) -> Path:
-        """Write what a way back leaves as a scenario; OSError where it cannot be, before anything is left."""
+        """Write what a way back leaves as a scenario; OSError where it cannot be."""
         session, path = self.session, place / f"left_{len(self.branched) + 1}.yaml"
         changes = branched(session.rig, session.recording, self.end, {})
         scenario = session.rig.scenario.having(changes=changes).model_dump(

@@ -182,13 +182,29 @@ class Session:
                 raise ScenarioError(f"node {node}: {error}") from None
             self._turned.append(_Turned(self._k, node, own))
 
+    def undone(self, t: float) -> dict[str, Any]:
+        """Give what going back to t (s) would undo: ``node.parameter`` to its newest value, as `set` takes it.
+
+        Raises
+        ------
+        ScenarioError
+            The run has not come so far.
+        """
+        k = self._past(t)
+        return {
+            f"{turned.node}.{name}": value
+            for turned in self._turned
+            if turned.k >= k
+            for name, value in turned.values.items()
+        }
+
     def rewind(self, t: float) -> dict[str, Any]:
         """Go back: as if no tick from t (s) on had been answered, and nothing been set from there on.
 
         Returns
         -------
         dict
-            What had been set from there on: ``node.parameter`` to its newest value, as `set` takes it.
+            What had been set from there on; see `undone`.
 
         Raises
         ------
@@ -197,13 +213,7 @@ class Session:
         RunError
             A block has a state that cannot be kept, or does not come back to it; names it and says why.
         """
-        k = self._past(t)
-        undone = {
-            f"{turned.node}.{name}": value
-            for turned in self._turned
-            if turned.k >= k
-            for name, value in turned.values.items()
-        }
+        k, undone = self._past(t), self.undone(t)
         self._turned = [turned for turned in self._turned if turned.k < k]
         self._kept = {at: moment for at, moment in self._kept.items() if at <= k}
         self._rest()
