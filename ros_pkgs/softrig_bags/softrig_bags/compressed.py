@@ -8,7 +8,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from .errors import BagError
 from .mcap_recover import inflate
 
 if sys.version_info >= (3, 14):
@@ -24,29 +23,6 @@ SUFFIXES = (".mcap", ".db3")
 def plain(path: Path) -> Path:
     """Give the name of a storage file without the suffix of its compression."""
     return path.with_suffix("") if path.suffix == ".zstd" else path
-
-
-def storage_files(path: Path) -> list[Path]:
-    """Give the storage files of a bag, whole or damaged, in their order.
-
-    Parameters
-    ----------
-    path : Path
-        Bag directory or a single file. Where rosbag2 was killed while it compressed a file, both are there; the one
-        that is not compressed is whole.
-
-    Raises
-    ------
-    BagError
-        None there.
-    """
-    if path.is_file() and plain(path).suffix in SUFFIXES:
-        return [path]
-    for suffix in SUFFIXES:
-        found = {plain(p): p for pattern in (f"*{suffix}.zstd", f"*{suffix}") for p in path.glob(pattern)}
-        if found:
-            return [found[p] for p in sorted(found, key=lambda p: (len(p.name), p.name))]
-    raise BagError(f"{path}: no .mcap, .db3 or .shard file there")
 
 
 @contextmanager

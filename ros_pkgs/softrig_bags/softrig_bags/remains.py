@@ -1,0 +1,103 @@
+"""What a run or a recorder has left in a folder: storage files, what stands beside them, shards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ruamel.yaml import YAML
+
+from .compressed import SUFFIXES, plain
+from .errors import BagError
+from .sqlite_recover import JOURNALS, journals
+
+METADATA = "metadata.yaml"
+SHARD, DIED = ".shard", ".shard.died"  # the second: of a node that has died, until it has come back
+
+
+@dataclass
+class Remains:
+    """What can be read in one place.
+
+    Attributes
+    ----------
+    place : Path
+        The bag's folder, the file, or the folder of shards.
+    files : list of Path
+        Storage files in their order, of .mcap and .db3, compressed or not.
+    shards : list of Path
+        Records of nodes; without storage files only.
+    absent : list of str
+        Names of files that metadata.yaml lists and that are not there.
+    """
+
+    place: Path
+    files: list[Path] = field(default_factory=list)
+    shards: list[Path] = field(default_factory=list)
+    absent: list[str] = field(default_factory=list)
+
+    @property
+    def pending(self) -> bool:
+        """Whether a journal stands beside a file: a reader of the file alone does not see all that was committed."""
+        return any(journals(file) for file in self.files if file.suffix == ".db3")
+
+
+def remains(path: Path) -> Remains:
+    """Find the storage files or shards that a path means.
+
+    Parameters
+    ----------
+    path : Path
+        Bag directory, a storage file or the journal beside it, a folder of shards, or the folder of a run: then its
+        bag, else the shards in its ``log``, else the bag that was being written.
+
+    Raises
+    ------
+    BagError
+        There is nothing of a bag or a run.
+    """
+    if path.is_file():
+        for suffix in (*JOURNALS, "-shm"):
+            if path.name.endswith(f".db3{suffix}"):
+                path = path.with_name(path.name.removesuffix(suffix))
+        if plain(path).suffix in SUFFIXES and path.is_file():
+            return Remains(path, [path])
+    elif path.is_dir():
+        for place in (path, path / "bag", path / "log", *sorted(path.glob(".*.part"))):
+            if place.is_dir() and (found := _in_folder(place)) is not None:
+                return found
+    raise BagError(f"{path}: no .mcap, .db3 or .shard file there")
+
+
+def _in_folder(path: Path) -> Remains | None:
+    """Look into one folder.
+
+    Where rosbag2 was killed while it compressed a file, both are there; the one that is not compressed is whole.
+    """
+    patterns = [f"*{suffix}{packed}" for packed in (".zstd", "") for suffix in SUFFIXES]
+    found = {plain(p): p for pattern in patterns for p in path.glob(pattern) if p.is_file()}
+    shards = {p.name.removesuffix(SHARD): p for p in path.glob(f"*{SHARD}")}
+    for died in path.glob(f"*{DIED}"):  # a node that comes back writes its record from the beginning
+        name = died.name.removesuffix(DIED)
+        if name not in shards or shards[name].stat().st_size < died.stat().st_size:
+            shards[name] = died
+    if found and shards:
+        raise BagError(
+            f"{path} has shards of a run ({sorted(shards.values())[0].name}) and files of a bag "
+            f"({sorted(found.values())[0].name}): expected one of the two; move one of them away"
+        )
+    if not found and not shards:
+        return None
+    files = [found[p] for p in sorted(found, key=lambda p: (len(p.name), p.name))]
+    names = {p.name for p in found}
+    absent = [name for name in _listed(path) if plain(Path(name)).name not in names] if files else []
+    return Remains(path, files, [shards[name] for name in sorted(shards)], absent)
+
+
+def _listed(path: Path) -> list[str]:
+    """Read which files metadata.yaml lists; none where it is damaged."""
+    try:
+        content = YAML(typ="safe").load((path / METADATA).read_text())
+        return [str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
+    except Exception:  # absent, or damaged text makes the parser raise whatever it leads to
+        return []

@@ -1,0 +1,163 @@
+"""SQLite files as a crash left them: with their journals, and what can be read behind damaged pages."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from .topics import custom_data
+
+JOURNALS = "-wal", "-journal"  # what SQLite keeps beside a database; it makes a -shm anew from the -wal
+ERRORS = (sqlite3.Error, UnicodeDecodeError)  # the latter when SQLite's own words quote damaged names
+_ROWS = "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id"
+_LAST_ROW = 1 << 40
+_GAP = 1 << 20
+_SMALLEST_ROW = 8  # bytes in the file
+_TRIES = 3
+
+
+class Declared(NamedTuple):
+    """A topic as a storage file declares it, any of it empty."""
+
+    name: str
+    msgtype: str
+    text: str
+    encoding: str
+    digest: str
+    offered: str
+
+
+def journals(path: Path) -> list[Path]:
+    """List the files beside a database in which SQLite keeps a part of it."""
+    return [path.with_name(name) for name, _, _ in _state(path) if name != path.name]
+
+
+def _state(path: Path) -> list[tuple[str, int, int]]:
+    """List name, size and time of change of a database and its journals, of those that hold something."""
+    found = []
+    for suffix in ("", *JOURNALS):
+        with suppress(FileNotFoundError):  # a recorder that is at work removes them
+            state = path.with_name(path.name + suffix).stat()
+            found += [(path.name + suffix, state.st_size, state.st_mtime_ns)] if state.st_size else []
+    return found
+
+
+class SqliteRecovery:
+    """The rows that can be read from a copy of a database and its journals.
+
+    Parameters
+    ----------
+    path : Path
+        The database; it and its journals are left as they are.
+    scratch : Path
+        Folder for the copy.
+
+    Attributes
+    ----------
+    topics : dict of int to Declared
+        By the number that the rows carry.
+    custom_data : dict of str to str
+        From the newest metadata in the file.
+    lost : list of str
+        What could not be read, in words.
+    """
+
+    def __init__(self, path: Path, scratch: Path) -> None:
+        self._copy = _whole_copy(path, scratch)
+        self.topics: dict[int, Declared] = {}
+        self.custom_data: dict[str, str] = {}
+        self.lost: list[str] = []
+
+    def __iter__(self) -> Iterator[tuple[int, int, bytes]]:
+        """Yield the number of the topic, the time in ns and the bytes of each message, in the order of the rows."""
+        size = sum(file.stat().st_size for file in [self._copy, *journals(self._copy)])
+        with closing(sqlite3.connect(self._copy)) as database:  # opening it undoes a commit that was cut off
+            with suppress(*ERRORS):  # older schemas have no such table
+                for (text,) in database.execute("SELECT metadata FROM metadata ORDER BY id"):
+                    self.custom_data = custom_data(text) or self.custom_data
+            try:
+                self.topics = _topics(database)
+                damaged = 0
+                for _, number, t, data in _rows(database, size, self.lost):
+                    if number in self.topics and isinstance(t, int) and t >= 0 and isinstance(data, bytes):
+                        yield number, t, data
+                    else:  # from a damaged page SQLite returns anything
+                        damaged += 1
+                if damaged:
+                    self.lost.append(f"{damaged} damaged rows")
+            except ERRORS as error:
+                self.lost.append(f"the list of topics ({error})")
+
+
+def _topics(database: sqlite3.Connection) -> dict[int, Declared]:
+    columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
+    offered = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
+    digest = "type_description_hash" if "type_description_hash" in columns else "''"
+    texts: dict[str, tuple[str, str]] = {}
+    if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
+        rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
+        texts = {row[0]: (row[1], row[2]) for row in rows if _all_text(row)}
+    return {
+        number: Declared(name, msgtype, *texts.get(msgtype, ("", "")), hashed, profiles)
+        for number, name, msgtype, hashed, profiles in database.execute(
+            f"SELECT id, name, type, {digest}, {offered} FROM topics"
+        )
+        if _all_text((name, msgtype, hashed, profiles))
+    }
+
+
+def _all_text(values: Sequence[Any]) -> bool:
+    return all(isinstance(v, str) for v in values)
+
+
+def _rows(database: sqlite3.Connection, size: int, lost: list[str]) -> Iterator[tuple[int, Any, Any, Any]]:
+    """Yield the rows of all messages; behind a damaged page go on with steps that double until there is a row."""
+    last, step, left = 0, 1, size // _SMALLEST_ROW  # pages that claim each other as children give rows without end
+    while last < _LAST_ROW and left > 0:
+        try:
+            for row in database.execute(_ROWS, (last,)):
+                left -= 1
+                if left <= 0:
+                    break
+                if row[0] > last:
+                    yield row
+                    if row[0] < last + _GAP:  # else a damaged number
+                        last, step = row[0], 1
+            else:
+                return
+        except ERRORS as error:
+            lost[:] = [f"what stood on damaged pages ({error})"]
+            last, step = last + step, 2 * step
+    if left <= 0:
+        lost[:] = ["rows beyond what the file can hold"]
+
+
+def _whole_copy(path: Path, directory: Path) -> Path:
+    """Copy a database with its journals, with zeros for pages cut off: SQLite opens nothing that is shorter."""
+    copy = directory / path.name
+    for _ in range(_TRIES):
+        before = _state(path)
+        with suppress(FileNotFoundError):
+            for name in {path.name, *(name for name, _, _ in before)}:
+                shutil.copyfile(path.with_name(name), directory / name)
+            if _state(path) == before:
+                break
+    else:  # a recorder writes faster than files are copied: only SQLite's own locks yield one moment's state
+        for file in [copy, *journals(copy)]:
+            file.unlink()
+        with (
+            closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as source,
+            closing(sqlite3.connect(copy)) as target,
+        ):
+            source.backup(target)
+    with copy.open("r+b") as database:
+        head = database.read(32)
+        if len(head) == 32:
+            page_size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+            with suppress(OSError):  # a damaged head may claim more than a file can have
+                database.truncate(max(copy.stat().st_size, pages * (page_size if page_size != 1 else 65536)))
+    return copy

@@ -1,0 +1,324 @@
+"""Bags of recorders that are killed at a random moment, in each way in which rosbag2 writes.
+
+The child writes as rosbag2 does (its schema, a transaction a batch, the pragmas and options of its presets) with the
+libraries `sqlite3` and `mcap`. What these libraries find in what is left is the measure.
+"""
+
+import io
+import shutil
+import sqlite3
+import struct
+import subprocess
+import sys
+from contextlib import suppress
+
+import pytest
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from softrig_bags.errors import BagError
+from softrig_bags.read import read_bag
+from softrig_bags.repair import repair
+from softrig_core.wire.recording import ShardWriter
+
+SQLITE = {  # rosbag2_storage_sqlite3: the default, `resilient`, and journals that its configuration file may choose
+    "default": ["journal_mode=MEMORY", "synchronous=OFF"],
+    "resilient": ["journal_mode=WAL", "synchronous=NORMAL"],
+    "wal_short": ["journal_mode=WAL", "wal_autocheckpoint=8"],
+    "delete": ["journal_mode=DELETE", "synchronous=FULL"],
+    "truncate": ["journal_mode=TRUNCATE", "synchronous=OFF", "cache_size=2"],
+    "persist": ["journal_mode=PERSIST", "synchronous=OFF"],
+    "exclusive": ["locking_mode=EXCLUSIVE", "journal_mode=WAL", "page_size=512"],
+}
+MCAP = {  # rosbag2_storage_mcap: its presets and single options, as those of the library
+    "fastwrite": {"use_chunking": False},
+    "zstd_fast": {"compression": "zstd", "enable_crcs": False, "chunk_size": 4096},
+    "zstd_small": {"compression": "zstd", "chunk_size": 65536},
+    "lz4": {"compression": "lz4", "chunk_size": 4096},
+    "none": {"compression": "none", "chunk_size": 8192, "repeat_channels": False, "index": False},
+}
+CHILD = '''
+import os, random, signal, sqlite3, sys, time
+from contextlib import suppress
+from mcap.writer import CompressionType, IndexType, Writer
+
+SCHEMA = """
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
+    serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
+    encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
+    data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'jazzy');
+"""
+
+def data(k):
+    return b"\\0\\1\\0\\0" + k.to_bytes(8, "little") * (1 + k % 40)
+
+def sqlite(folder, pragmas):
+    db = sqlite3.connect(folder + "/bag_0.db3", isolation_level=None)
+    for pragma in pragmas:
+        db.execute("PRAGMA " + pragma)
+    db.executescript("BEGIN;" + SCHEMA + "COMMIT;")
+    db.execute("INSERT INTO topics VALUES (1, '/x', 'x_msgs/msg/X', 'cdr', '', '')")
+    db.execute("INSERT INTO message_definitions VALUES (1, 'x_msgs/msg/X', 'ros2msg', 'float64 data', '')")
+    os.write(ready, b"x")
+    k = 0
+    while True:
+        db.execute("BEGIN")
+        for _ in range(50):
+            db.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)", (k, data(k)))
+            k += 1
+        db.execute("COMMIT")
+
+def mcap(folder, options):
+    options = dict(options)
+    options["compression"] = CompressionType[options.pop("compression", "none").upper()]
+    if not options.pop("index", True):
+        options["index_types"] = IndexType.NONE
+    with open(folder + "/bag_0.mcap", "wb", buffering=3000) as out:
+        writer = Writer(out, **options)
+        writer.start("ros2", "x")
+        schema = writer.register_schema("x_msgs/msg/X", "ros2msg", b"float64 data")
+        channel = writer.register_channel("/x", "cdr", schema)
+        os.write(ready, b"x")
+        k = 0
+        while True:
+            writer.add_message(channel, k, data(k), k)
+            k += 1
+
+def size(folder):
+    found = 0
+    for file in os.scandir(folder):
+        with suppress(FileNotFoundError):  # a journal that has just gone
+            found += file.stat().st_size
+    return found
+
+begun, ready = os.pipe()
+chance = random.Random(len(sys.argv))
+for job in sys.argv[1:]:
+    kind, given, folder = eval(job)
+    os.mkdir(folder)
+    if not (child := os.fork()):
+        (sqlite if kind == "sqlite" else mcap)(folder, given)
+    os.read(begun, 1)
+    wanted = size(folder) + chance.randrange(40_000)
+    while size(folder) < wanted:
+        time.sleep(0.0005)
+    time.sleep(chance.uniform(0.0, 0.003))
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+'''
+
+
+def killed(place, times):
+    """Folders that recorders have left in a place, `times` of each preset."""
+    jobs = [
+        (kind, given, str(place / f"{kind}_{name}_{k}"))
+        for kind, presets in (("sqlite", SQLITE), ("mcap", MCAP))
+        for name, given in presets.items()
+        for k in range(times)
+    ]
+    command = [sys.executable, "-c", CHILD, *map(repr, jobs)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60 + 10 * times)
+    assert not done.returncode, done.stderr
+    return place
+
+
+@pytest.fixture(scope="module")
+def five(tmp_path_factory):
+    return killed(tmp_path_factory.mktemp("killed"), 5)
+
+
+def rows_by_sqlite(folder, scratch):
+    """What SQLite itself gives of a copy of all files, up to the first error."""
+    shutil.copytree(folder, scratch)
+    found = []
+    database = sqlite3.connect(scratch / "bag_0.db3")
+    with suppress(sqlite3.Error):
+        for row in database.execute("SELECT timestamp, data FROM messages ORDER BY id"):
+            found.append(row)
+    database.close()
+    return found
+
+
+def messages_by_mcap(content):
+    """What the library gives as a stream, up to the first error."""
+    found = []
+    with suppress(McapError, struct.error):
+        for record in StreamReader(io.BytesIO(content)).records:
+            if isinstance(record, Message):
+                found.append((record.log_time, record.data))
+    return found
+
+
+def check_all_saved(folders, kind):
+    """Everything that the library finds is saved, in its order, and what is told is the number of messages."""
+    most = 0
+    for folder in folders:
+        out = folder.with_name(f"repaired_{folder.name}")
+        if kind == "sqlite":
+            wanted = rows_by_sqlite(folder, folder.with_name(f"copy_{folder.name}"))
+        else:
+            wanted = messages_by_mcap((folder / "bag_0.mcap").read_bytes())
+        try:
+            told = repair(folder, out)
+        except BagError:
+            if wanted:
+                raise
+            continue
+        if kind == "sqlite":
+            with sqlite3.connect(next(out.glob("*.db3"))) as database:
+                saved = database.execute("SELECT timestamp, data FROM messages ORDER BY id").fetchall()
+        else:
+            with next(out.glob("*.mcap")).open("rb") as file:
+                messages = make_reader(file).iter_messages(log_time_order=False)
+                saved = [(message.log_time, message.data) for _, _, message in messages]
+        assert saved[: len(wanted)] == wanted
+        times = [t for t, _ in saved]  # whole messages of a cut chunk, or behind a damaged page, come after
+        assert times == sorted(set(times))
+        assert told.files[0].kept == len(saved)
+        most = max(most, len(wanted))
+    assert most > 50  # the recorders did record
+
+
+KINDS = [*(("sqlite", preset) for preset in SQLITE), *(("mcap", preset) for preset in MCAP)]
+
+
+@pytest.mark.parametrize(("kind", "preset"), KINDS)
+def test_everything_that_the_library_finds_of_a_killed_recorder_is_saved(five, kind, preset):
+    check_all_saved(sorted(five.glob(f"{kind}_{preset}_?")), kind)
+
+
+@pytest.mark.long
+def test_fifty_killed_recorders_of_each_preset(tmp_path):
+    killed(tmp_path, 50)
+    for kind, preset in KINDS:
+        folders = [tmp_path / f"{kind}_{preset}_{k}" for k in range(50)]
+        check_all_saved(folders, kind)
+
+
+# What stands beside ---------------------------------------------------------------------------------------------------
+
+
+def database(folder, journal, count=10):
+    """A database with its journal as it stands while the recorder is at work; the connection keeps it so."""
+    folder.mkdir()
+    recorder = sqlite3.connect(folder / "bag_0.db3", isolation_level=None)
+    recorder.execute(f"PRAGMA journal_mode={journal}")
+    recorder.executescript(
+        "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
+        " serialization_format TEXT NOT NULL);"
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,"
+        " data BLOB NOT NULL);INSERT INTO topics VALUES (1, '/x', 'std_msgs/msg/Empty', 'cdr');"
+    )
+    rows = [(k, bytes([0, 1, 0, 0, 0])) for k in range(count)]
+    recorder.execute("BEGIN")
+    recorder.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)", rows)
+    recorder.execute("COMMIT")
+    return recorder
+
+
+def kept(told):
+    return [(f.name, f.kept, f.lost, f.left_out) for f in told.files]
+
+
+@pytest.mark.parametrize("what", ["bag", "bag/bag_0.db3", "bag/bag_0.db3-wal", "bag/bag_0.db3-shm", ""])
+def test_rows_that_are_in_the_journal_alone_are_saved(tmp_path, what):
+    (tmp_path / "run").mkdir()
+    recorder = database(tmp_path / "run/bag", "WAL", 999)
+    before = {p.name: p.read_bytes() for p in (tmp_path / "run/bag").iterdir()}
+    assert len(before["bag_0.db3"]) < 9000  # everything is in the journal
+    told = repair(tmp_path / "run" / what, tmp_path / "new")
+    assert kept(told) == [("bag_0.db3 with bag_0.db3-wal", 999, [], [])]
+    assert {p.name: p.read_bytes() for p in (tmp_path / "run/bag").iterdir()} == before
+    recorder.close()
+
+
+def test_a_bag_with_a_journal_beside_it_is_not_whole(tmp_path):
+    """metadata.yaml agrees with the file, and a recorder has gone on into the journal."""
+    recorder = database(tmp_path / "bag", "WAL", 5)
+    told = repair(tmp_path / "bag", tmp_path / "five")
+    shutil.copy(told.bag / "metadata.yaml", tmp_path / "bag")
+    text = (tmp_path / "bag/metadata.yaml").read_text().replace("five_0.db3", "bag_0.db3")
+    (tmp_path / "bag/metadata.yaml").write_text(text)
+    recorder.execute("PRAGMA wal_checkpoint")
+    recorder.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 9, x'0001000000')")
+    assert [f.kept for f in repair(tmp_path / "bag").files] == [6]
+    assert [f.kept for f in repair(tmp_path / "bag", tmp_path / "again").files] == [6]
+    recorder.close()
+
+
+def test_a_database_that_changes_while_it_is_copied_is_read_under_its_locks(tmp_path, monkeypatch):
+    recorder = database(tmp_path / "bag", "WAL", 500)
+    copied = shutil.copyfile
+
+    def changed(source, target):
+        recorder.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 9, x'0001000000')")
+        return copied(source, target)
+
+    monkeypatch.setattr("softrig_bags.sqlite_recover.shutil.copyfile", changed)
+    told = repair(tmp_path / "bag", tmp_path / "new")
+    assert told.files[0].kept == recorder.execute("SELECT count(*) FROM messages").fetchone()[0] > 500
+    recorder.close()
+
+
+def test_files_of_both_storages_in_one_folder_are_saved(tmp_path):
+    recorder = database(tmp_path / "bag", "DELETE", 7)
+    recorder.close()
+    with (tmp_path / "bag/a_0.mcap").open("wb") as out:
+        writer = Writer(out)
+        writer.start("ros2", "x")
+        schema = writer.register_schema("std_msgs/msg/Empty", "ros2msg", b"")
+        channels = [writer.register_channel(f"/{n}", n, schema) for n in ("cdr", "json")]
+        for k in range(6):
+            writer.add_message(channels[k % 2], k, b"\0\1\0\0\0", k)
+        writer.add_attachment(0, 0, "notes.txt", "text/plain", b"x")
+        writer.add_metadata("site", {"a": "b"})
+        writer.finish()
+    (tmp_path / "bag/metadata.yaml").write_text(
+        "rosbag2_bagfile_information: {relative_file_paths: [a_0.mcap, bag_0.db3, bag_1.db3]}"
+    )
+    told = repair(tmp_path / "bag", tmp_path / "new")
+    assert kept(told) == [
+        (
+            "a_0.mcap",
+            3,
+            [],
+            ["1 attachment notes.txt", "1 metadata site", "3 messages on /json (encoding 'json', expected cdr)"],
+        ),
+        ("bag_0.db3", 7, [], []),
+        ("bag_1.db3", 0, ["all of it: metadata.yaml lists this file, but it does not exist"], []),
+    ]
+    assert str(told).splitlines()[0].startswith("a_0.mcap: 3 messages kept, left out: 1 attachment")
+    assert {t.name: len(t.data) for t in read_bag(told.bag).topics.values()} == {"cdr": 3, "x": 7}
+
+
+def test_of_a_node_that_has_died_and_not_come_back_the_longer_record_is_saved(tmp_path):
+    (tmp_path / "run/log").mkdir(parents=True)
+    for file, count in (("a.shard", 2), ("a.shard.died", 9), ("b.shard", 5), ("b.shard.died", 3), ("c.shard.died", 1)):
+        shard = ShardWriter(tmp_path / "run/log" / file, [(file[0], "std_msgs/msg/Empty")])
+        for t in range(count):
+            shard.add(0, t, b"\0\1\0\0\0")
+        shard.close()
+    told = repair(tmp_path / "run")
+    assert told.bag == tmp_path / "run/bag"
+    assert [(f.name, f.kept) for f in told.files] == [("a.shard.died", 9), ("b.shard", 5), ("c.shard.died", 1)]
+
+
+def test_shards_beside_files_of_a_bag_are_not_dropped_in_silence(tmp_path):
+    database(tmp_path / "bag", "DELETE").close()
+    ShardWriter(tmp_path / "bag/a.shard", [("a", "std_msgs/msg/Empty")]).close()
+    with pytest.raises(BagError, match=r"shards of a run \(a.shard\) and files of a bag \(bag_0.db3\): expected"):
+        repair(tmp_path / "bag", tmp_path / "new")
+
+
+def test_a_bag_that_was_being_written_when_the_run_was_killed_is_saved(tmp_path):
+    database(tmp_path / ".bag.77.part", "DELETE", 4).close()
+    told = repair(tmp_path)
+    assert (told.bag, told.files[0].kept) == (tmp_path / "bag", 4)
