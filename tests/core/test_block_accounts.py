@@ -27,6 +27,7 @@ from softrig_core import (
 )
 from softrig_core.block.answer import Heard, usual
 from softrig_core.block.codec import Decoder, encoder, readable_stamp, selection
+from softrig_core.block.fill import picked
 from softrig_core.block.held import ByHand
 from softrig_core.block.params import BlockParams, Params, build, check_steps, declarations, differing, flatten
 from softrig_core.block.port import Sample, pose
@@ -187,7 +188,7 @@ def test_what_one_port_sends_another_reads_by_the_names_of_its_values(seed):
         by_label = dict(zip(source.labels, values, strict=True))
         expected = tuple(by_label.get(label, s) for label, s in zip(sink.labels, sink.safe, strict=True))
         take = selection(source, sink)
-        assert (values if take is None else tuple(take(values))) == expected
+        assert picked(take, values) == expected
         assert (take is None) == (source.labels == sink.labels)
         message = source.layout().encode(1_500_000_000, values)
         decoder = Decoder(sink)

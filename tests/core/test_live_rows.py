@@ -778,7 +778,7 @@ def test_what_a_neighbour_says_goes_into_the_row_as_if_it_had_come_over_a_wire()
     assert (row.stamp, row.arrived, row.recent[-1]) == (START + 10 * MS, START + 11 * MS, (START + 10 * MS, (1.0,)))
     tell(START + 20 * MS, None, START + 21 * MS)  # silence, for which nobody waits here
     assert len(taken) == 1
-    row.teller(lambda values: values[::-1], False)(START + 30 * MS, (1.0, 2.0), START + 31 * MS)
+    row.teller((1, 0), False)(START + 30 * MS, (1.0, 2.0), START + 31 * MS)
     assert taken[-1][2] == (2.0, 1.0)
     tell(START + 40 * MS, Sample(35 * MS, (3.0,)), START + 41 * MS)
     assert taken[-1][:3] == (START + 40 * MS, START + 40 * MS, (3.0,))

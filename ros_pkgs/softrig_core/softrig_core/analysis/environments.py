@@ -21,7 +21,7 @@ from ..native.batch_text import Form, batch_text, remembered
 from ..native.choice import forbidden
 from ..native.compile import compiled
 from ..native.engine import NATIVE
-from ..native.rig_text import Place, RigText, _source, taken
+from ..native.rig_text import RigText
 from ..native.translate import follow
 from ..native.twins import form, unpacked
 from ..native.value import NotNative
@@ -169,7 +169,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
             self._moved(given, by_python)
         observed = np.empty((self.num_envs, len(self.envs[0].held)))
         for column, place in enumerate(self._observes if len(late) < self.num_envs else ()):
-            observed[:, column] = self.now.rows[place] if type(place) is Place else place
+            observed[:, column] = self.now.rows[place] if type(place) is int else place
         for j, row in late.items():
             observed[j] = row
         for j in late:
@@ -307,14 +307,11 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         block: Any = agent.block
         found: list[Any] = []
         for port, k in block.observed:
-            source = _source(agent, port.name)
-            if source is None:
-                found.append(float(port.safe[k]))
-                continue
-            s, j, take = source
-            places, _ = taken(s.outputs[j].size, False, take)
-            before = first[id(s)] + sum(p.size for p in s.outputs[:j])
-            found.append(Place(before + places[k]) if type(places[k]) is Place else float(places[k]))
+            fill = agent.fed.get(port.name)
+            place = port.safe[k] if fill is None else fill.places[k]
+            if fill is not None and type(place) is int:
+                place += first[id(fill.source)] + sum(p.size for p in fill.source.outputs[: fill.output])
+            found.append(place)
         return found
 
     def _moved(self, given: Any, by_python: Callable[[int], None]) -> None:

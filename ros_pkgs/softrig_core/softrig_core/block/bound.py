@@ -15,6 +15,7 @@ from typing import Any
 
 from ..errors import RunError
 from .answer import sum_of_products
+from .port import Sample
 
 Step = Any  # `softrig_core.block.step.Step`, which imports this
 
@@ -73,27 +74,31 @@ PLAIN = """
 def sayer(step: Step) -> Callable[[int], None]:
     """Make the function that answers a tick (ns) of a step as it is wired by now; see `Step.say`."""
     known: dict[str, Any] = {"respond": step.respond, "send": step.send}
+    rows = [f"row{k}" for k, _ in enumerate(step.outputs)]
+    all_rows = "".join(f"{row}, " for row in rows)
     checked, handed = "        rows = ()", []
     if step.outputs and step.plain:
-        rows = [f"row{k}" for k, _ in enumerate(step.outputs)]
         sizes = [f"type({row}) is tuple and len({row}) == {p.size}" for row, p in zip(rows, step.outputs, strict=True)]
         checked = PLAIN.format(
-            rows="".join(f"{row}, " for row in rows),
+            rows=all_rows,
             found="".join(f"found[{port.name!r}], " for port in step.outputs),
             numbers=rows[0] if len(rows) == 1 else f"({', '.join(f'*{row}' for row in rows)})",
             sizes=" and ".join(sizes),
         )
         known["bound"] = min(port.bound for port in step.outputs)
-        for number, (k, values, name, take) in enumerate(step.readers):
-            known |= {f"values{number}": values, f"take{number}": take}
-            row = rows[k] if take is None else f"take{number}({rows[k]})"
-            handed.append(f"    values{number}[{name!r}] = {row}")
     elif step.outputs:
-        checked = "        rows = step.checked(found)"
+        checked = f"        {all_rows} = rows = step.checked(found)"
+        handed.append("    step.spoken = [s if row is None else t for s, row in zip(step.spoken, rows)]")
+    for number, fill in enumerate([*step.readers, *step.doubters]):
+        row, port = rows[fill.output], fill.port
+        known |= {f"values{number}": fill.reader.values, f"reader{number}": fill.reader, f"port{number}": port}
+        silent = "" if step.plain else f"if {row} is not None: "
+        if step.outputs[fill.output].unchecked:
+            handed.append(f"    {silent}reader{number}.doubt(t, port{number}, {fill.text(row)})")
+        else:
+            handed.append(f"    {silent}values{number}[{port.name!r}] = {fill.text(row)}")
     if step.send is not None:
         handed.append("    send(t, rows)")
-    if step.outputs and (step.doubters or not step.plain):
-        handed = ["    step.hand_on(t, rows)"]
     inputs = _inputs(step.asked_for)
     answer, kept = ("found", "") if step.plant else ("x, found", "    step.x = x")
     text = SAY.format(answer=answer, inputs=inputs, checked=checked, failed=FAILED, kept=kept, handed="\n".join(handed))
@@ -123,6 +128,7 @@ def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[.
         "events": step.block.events,
         "RunError": RunError,
         "sum_of_products": sum_of_products,
+        "Sample": Sample,
     }
     exec(code_of(text, "tick"), known)
     found: Callable[..., None] = known[name]

@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from itertools import count
 
 from ..timebase import SECOND
-from ..wire.cdr import Layout, Message, Pick, getter, parse
+from ..wire.cdr import Layout, Message, Picker, getter, parse
 from ..wire.stream import CdrError
 from .answer import sum_of_products
+from .fill import Pick
 from .port import Port, Refused
 
 
@@ -19,7 +20,7 @@ class Decoder:
         self._port = port
         self._bound = port.bound
         self._decode = port.layout().decode  # of the last layout seen
-        self._pick: Pick | None = None
+        self._pick: Picker | None = None
         self.kept = port.safe  # of a partial port: what channels that a message leaves out keep; its reader updates it
 
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
@@ -45,7 +46,7 @@ class Decoder:
             self._check(values)
         return found
 
-    def pick(self, layout: Layout) -> Pick | None:
+    def pick(self, layout: Layout) -> Picker | None:
         """Say how the numbers of messages of a layout become those of the port; None when they are the same.
 
         Raises
@@ -141,7 +142,7 @@ def encoder(layout: Layout, said: int = 0) -> Callable[[int, Sequence[float]], b
 
 
 def selection(source: Port, sink: Port) -> Pick | None:
-    """Say how the values of `source` become those of `sink`; None when they are the same.
+    """Return which values of `source` are those of `sink` (see `fill.Fill`); None when all are, in their order.
 
     Parameters
     ----------
@@ -168,11 +169,9 @@ def selection(source: Port, sink: Port) -> Pick | None:
     missing = [f for f in sink.fields if f not in source.fields]
     if missing:
         raise Refused(f"fields {list(source.fields)} lack {missing[0]}")
-    if len(source.channels) < len(sink.channels):  # what this source never sends stays as it is
-        some = getter([source.places.get(label, source.size + i) for i, label in enumerate(sink.labels)])
-        return lambda values: some(values + sink.safe)
-    order = tuple(source.places[label] for label in sink.labels)
-    return None if order == tuple(range(source.size)) else getter(order)
+    # what this source never sends, of a partial sink, stays as it is
+    places = tuple([source.places.get(x, safe) for x, safe in zip(sink.labels, sink.safe, strict=True)])
+    return None if places == tuple(range(source.size)) else places
 
 
 def readable_stamp(data: bytes) -> int | None:

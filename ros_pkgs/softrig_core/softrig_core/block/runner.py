@@ -82,7 +82,7 @@ def _say(steps: Sequence[Step], t: int) -> list[Step]:
     """Have those speak that lack nothing; gives the others."""
     lacking: list[Step] = []
     for step in steps:
-        waits = lacking and any(s in lacking for s in step.sources)
+        waits = lacking and any(fill.source in lacking for fill in step.fed.values())
         if waits or (step.lacks is not None and step.lacks(t)):
             lacking.append(step)
         else:

@@ -15,6 +15,7 @@ from .answer import Row, admit, flat
 from .block import Block, Level, Plant
 from .bound import mover, sayer
 from .change import Change, permit, revise
+from .fill import Fill, Pick, Stamp
 from .held import Held
 from .params import flatten
 from .port import Port, Sample
@@ -46,8 +47,11 @@ class Step(Held):
         Whether something was refused that the next answer would have used.
     t : int
         The tick under way, or the newest that is over, ns.
-    sources : list of Step
-        Those of this process that it reads.
+    readers, doubters : list of Fill
+        What its outputs fill in this process, in order; those whose readers check what they get, as a fault publishes
+        what may be bad.
+    fed : dict of str to Fill
+        By input, what fills it in this process.
     plain : bool
         Whether every output says something at each tick, at its stamp.
     numbers : tuple of float
@@ -100,15 +104,15 @@ class Step(Held):
         self.inputs, self.outputs = inputs, outputs
         self.values: dict[str, Any] = {p.name: p.initial for p in inputs}
         self.stamps: dict[str, Callable[[], int | None]] = {}
-        self.sources: list[Step] = []
+        self.fed: dict[str, Fill] = {}
         self.bad = False
         self.t = 0
         self.plain = not any(p.sporadic or p.delayed for p in outputs)
         self.spoken: list[int | None] = [None] * len(outputs)  # of one that is not plain: when each output spoke last
         self.numbers: tuple[float, ...] = ()
         self.said: Any = {}  # the newest answer: what is held when an input is refused
-        self.doubters: list[tuple[int, Step, Port, Callable[[Any], Any] | None]] = []
-        self.readers: list[tuple[int, dict[str, Any], str, Callable[[Any], Any] | None]] = []
+        self.readers: list[Fill] = []
+        self.doubters: list[Fill] = []
         self.asked_for = () if isinstance(block, Plant) else tuple(self.values)
         self.plant = isinstance(block, Plant)
         self.respond: Callable[..., Any] = block.outputs if isinstance(block, Plant) else block.update
@@ -144,17 +148,15 @@ class Step(Held):
         return self.respond(self.x, t, **{name: self.values[name] for name in self.asked_for})
 
     def hand_on(self, t: int, rows: Rows) -> None:
-        """Let the readers here and those elsewhere have an answer."""
+        """Hand on what no answer of the block is: to the readers here and to those elsewhere."""
         if not self.plain:
             self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
-        for k, values, name, take in self.readers:
-            row = rows[k]
-            if row is not None:
-                values[name] = row if take is None else take(row)
-        for k, reader, port, take in self.doubters:
-            row = rows[k]
-            if row is not None:
-                reader.doubt(t, port, row if take is None else take(row))
+        for fill in (*self.readers, *self.doubters):
+            row = rows[fill.output]
+            if row is not None and self.outputs[fill.output].unchecked:
+                fill.reader.doubt(t, fill.port, fill.take(row))
+            elif row is not None:
+                fill.bring(row)
         if self.send is not None:
             self.send(t, rows)
 
@@ -239,34 +241,22 @@ class Step(Held):
             self.numbers = flat(rows)
         return rows
 
-    def hands_to(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
+    def hands_to(self, output: str, reader: Step, name: str, pick: Pick | None) -> None:
         """Have an output fill an input of another step of this process.
 
         Parameters
         ----------
         name : str
             Of its input.
-        pick : callable or None
-            How the values of the one become those of the other.
+        pick : tuple or None
+            See `Fill`.
         """
         k = next(i for i, p in enumerate(self.outputs) if p.name == output)
         port = next(p for p in reader.inputs if p.name == name)
-        take = pick
-        if self.outputs[k].delayed and pick is not None:
-
-            def take(found: Sample) -> Sample:
-                return Sample(found.stamp, pick(found.data))
-        elif port.delayed and not self.outputs[k].delayed:
-
-            def take(found: Any) -> Sample:
-                return Sample(self.t, found if pick is None else pick(found))
-
-        if self.outputs[k].unchecked:
-            self.doubters.append((k, reader, port, take))
-        else:
-            self.readers.append((k, reader.values, name, take))
-        reader.sources.append(self)
-        reader.stamps[name] = (lambda: self.t) if self.plain else (lambda: self.spoken[k])
+        stamp: Stamp = "own" if self.outputs[k].delayed else "tick" if port.delayed else "none"
+        fill = reader.fed[name] = Fill(self, k, reader, port, pick, stamp)
+        (self.doubters if self.outputs[k].unchecked else self.readers).append(fill)
+        reader.stamps[name] = fill.told
 
     def doubt(self, t: int, port: Port, found: Row) -> None:
         """Take a message that may be bad, as one that comes over a wire: what an input refuses never reaches the block.

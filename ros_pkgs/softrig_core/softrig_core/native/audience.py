@@ -11,9 +11,9 @@ import numpy as np
 
 from ..block.answer import Heard, Messages, Row
 from ..block.block import Observer
+from ..block.fill import Fill, picked
 from ..block.port import Sample
 from ..block.step import Step
-from .rig_text import Place, fed, taken
 
 NEVER = -1  # of a time, ns
 
@@ -31,10 +31,10 @@ def _places(step: Step) -> list[Where]:
     ]
 
 
-def _readings(source: Step, reader: Step) -> list[tuple[dict[str, Any], str, Any, Where]]:
-    """Give what of a step's answers another one reads: where to, by which name, how, and which part (`_part`)."""
+def _readings(source: Step, reader: Step) -> list[tuple[Fill, Where]]:
+    """Give what of a step's answers another one reads, and which part of them (`_part`)."""
     places = _places(source)
-    return [(values, name, take, places[j]) for j, values, name, take in fed(source) if values is reader.values]
+    return [(fill, places[fill.output]) for fill in reader.fed.values() if fill.source is source]
 
 
 def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row | None:
@@ -75,10 +75,9 @@ def answered(
     if not step.plain:
         newest = [(spoken or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
         step.spoken = [None if t == NEVER else t for t in newest]
-    for j, values, name, take in step.readers:
-        if not step.outputs[j].sporadic:
-            row = said[step.outputs[j].name]
-            values[name] = row if take is None else take(row)
+    for fill in step.readers:
+        if not step.outputs[fill.output].sporadic:
+            fill.bring(said[step.outputs[fill.output].name])
 
 
 def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
@@ -197,10 +196,10 @@ class Audience:
                     if not s.plain:
                         spoke = _parted(s, numbers[at], stamps[at])
                         s.spoken = [s.t if p.name in spoke else t for p, t in zip(s.outputs, s.spoken, strict=True)]
-                    for values, name, take, where in readers:
+                    for fill, where in readers:
                         part = _part(numbers[at], stamps[at], where)
                         if part is not None:
-                            values[name] = part if take is None else take(part)
+                            fill.bring(part)
             for w, every in watchers:
                 if k % every == 0:
                     w.say(t)
@@ -239,19 +238,18 @@ class Audience:
         if readings and max(every, often) % min(every, often):
             return None
         seen = slice(-own.start % step, None, step)
-        for _, name, take, (low, high, stamp, flag) in readings:
-            row, stamped = taken(high - low, stamp is not None, take)
-            if stamped or (flag is not None and step > 1):
+        for fill, (low, high, _, flag) in readings:
+            if fill.stamp != "none" or (flag is not None and step > 1):
                 return None
             stamps, table = source.schedule.times(own.start, own.stop)[seen], numbers[seen]
             if isinstance(table, list):
-                said = (
-                    (t, n[low:high]) for t, n in zip(stamps.tolist(), table, strict=True) if flag is None or n[flag]
+                rows = zip(stamps.tolist(), table, strict=True)
+                found[fill.port.name] = tuple(
+                    [(t, picked(fill.pick, n[low:high])) for t, n in rows if flag is None or n[flag]]
                 )
-                found[name] = tuple(said if take is None else ((t, take(n)) for t, n in said))
                 continue
             if flag is not None:
                 stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
-            values = [table[:, low + p] if type(p) is Place else np.full(len(table), float(p)) for p in row]
-            found[name] = Heard(stamps, np.array(values).T)
+            values = [table[:, low + p] if type(p) is int else np.full(len(table), p) for p in fill.places]
+            found[fill.port.name] = Heard(stamps, np.array(values).T)
         return found

@@ -140,7 +140,7 @@ def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Fo
     NotNative
         What of them native code does not know.
     """
-    if odd := [link.name for link in links(steps)]:
+    if odd := [link.fill.port.name for link in links(steps)]:
         raise NotNative(f"{odd[0]}: what is silent at times, or late, has no form in batches yet")
     numbers = {id(s): k for k, s in enumerate(steps)}
     program = Program([s.block for s in steps], Writer, _ages(steps, ()))

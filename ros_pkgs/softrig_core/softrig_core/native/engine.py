@@ -356,7 +356,7 @@ class Engine:
         return min(1 << 20, 2 * (self.runner.ticks or 0) + (1 << 13))
 
     def _watched(self, step: Step) -> bool:
-        return any(step in w.sources for w in self._watchers)
+        return any(fill.source is step for w in self._watchers for fill in w.fed.values())
 
     # going --------------------------------------------------------------------------------------------------------
 
@@ -545,8 +545,9 @@ class Engine:
             if self._typed:
                 s.native = s.native[0] + len(own), ""
             for link, value in zip(self._links, after[len(after) - len(self._links) :], strict=True):
-                if link.source == k and newest.get(link.j, s.t) >= self._time(first):
-                    link.values[link.name] = unpacked(value)
+                fill = link.fill
+                if link.source == k and newest.get(fill.output, s.t) >= self._time(first):
+                    fill.reader.values[fill.port.name] = unpacked(value)
 
 
 NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, NameError, TypeError)  # what gives a tick up

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from ..block.block import Block
-from ..block.port import Port, Sample
+from ..block.fill import Fill
+from ..block.port import Sample
 from ..block.step import Step
 from .reports import Reports
 from .translate import GIVEN_UP, LONGEST, Program, made
@@ -54,66 +55,38 @@ class Link:
 
     Attributes
     ----------
-    source, j : int or None
-        Number of the native member that speaks, and of its output; None: Python runs it, between native ticks.
-    values, name : dict, str
-        Where the reader has it.
-    take : callable or None
-        How what is said becomes what is read.
-    told : callable
-        Gives when something came last, ns; None: never.
-    doubts : Port or None
-        The reader's end, where that refuses what the port at this one lets pass.
+    source : int or None
+        Number of the native member that speaks; None: Python runs it, between native ticks.
+    fill : Fill
     """
 
     source: int | None
-    j: int
-    values: dict[str, Any]
-    name: str
-    take: Any
-    told: Callable[[], int | None]
-    doubts: Port | None = None
+    fill: Fill
 
     @property
     def value(self) -> Any:
         """What the reader has."""
-        return self.values[self.name]
+        return self.fill.reader.values[self.fill.port.name]
 
     @property
     def stamp(self) -> int:
         """Of what the reader has, ns: its age counts from there."""
-        return self.value.stamp if isinstance(self.value, Sample) else self.told() or 0
+        return self.value.stamp if isinstance(self.value, Sample) else self.fill.told() or 0
 
     @property
     def form(self) -> Any:
         """What a text is for: whether something has come, and of which types."""
-        return form(self.value), self.told() is None
+        return form(self.value), self.fill.told() is None
 
 
 def links(steps: Sequence[Step]) -> list[Link]:
     """Give those between native members that are silent at times, or late, or doubted, and those from other members."""
     found: list[Link] = []
     for k, s in enumerate(steps):
-        ends = [
-            (j, values, name, take, None)
-            for j, values, name, take in s.readers
-            if s.outputs[j].sporadic or s.outputs[j].delayed
-        ]
-        ends += [(j, other.values, port.name, take, port) for j, other, port, take in s.doubters]  # type: ignore[misc]
-        found += [Link(k, j, values, name, take, _told(s, j), port) for j, values, name, take, port in ends]
+        found += [Link(k, fill) for fill in (*(f for f in s.readers if f.silent), *s.doubters)]
     for s in steps:
-        found += [
-            Link(None, j, s.values, name, take, s.stamps[name])
-            for source in s.sources
-            if source not in steps
-            for j, values, name, take in fed(source)
-            if values is s.values
-        ]
+        found += [Link(None, fill) for fill in s.fed.values() if fill.source not in steps]
     return found
-
-
-def _told(step: Step, j: int) -> Callable[[], int | None]:
-    return (lambda: step.t) if step.plain else lambda: step.spoken[j]
 
 
 def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
@@ -227,29 +200,15 @@ def _ages(steps: Sequence[Step], kept: Sequence[Link]) -> dict[tuple[int, str], 
     found: dict[tuple[int, str], int | str | None] = {}
     for k, step in enumerate(steps):
         for port in step.inputs:
-            source = _source(step, port.name)
-            link = next((i for i, one in enumerate(kept) if one.values is step.values and one.name == port.name), None)
-            if source is None or (link is not None and kept[link].told() is None):
+            fill = step.fed.get(port.name)
+            link = next((i for i, one in enumerate(kept) if one.fill is fill), None)
+            if fill is None or (link is not None and fill.told() is None):
                 found[k, port.name] = None
             elif link is not None:
                 found[k, port.name] = f"max(int({WHEN}[0] - {WHEN}[{link + 1}]), 0)"
-            elif step.schedule.every % source[0].schedule.every == 0:
+            elif step.schedule.every % fill.source.schedule.every == 0:
                 found[k, port.name] = 0
     return found
-
-
-def fed(source: Step) -> list[Any]:
-    """Give who reads of a member and what, those that doubt its messages among them."""
-    return [*source.readers, *((j, other.values, port.name, take) for j, other, port, take in source.doubters)]
-
-
-def _source(step: Step, name: str) -> tuple[Step, int, Any] | None:
-    """Give whose output fills an input, which one, and how."""
-    for s in step.sources:
-        for j, values, n, take in fed(s):
-            if values is step.values and n == name:
-                return s, j, take
-    return None
 
 
 def _inputs(
@@ -258,11 +217,11 @@ def _inputs(
     """Say where a step has its inputs from: of whom, and which numbers."""
     found: dict[str, Value] = {}
     for port in step.inputs:
-        source, values = _source(step, port.name), step.values[port.name]
-        link = next((i for i, one in enumerate(kept) if one.values is step.values and one.name == port.name), None)
-        if source is None and (not port.held or values is not None):
+        fill, values = step.fed.get(port.name), step.values[port.name]
+        link = next((i for i, one in enumerate(kept) if one.fill is fill), None)
+        if fill is None and (not port.held or values is not None):
             raise NotNative(f"{step.name}: {port.topic} does not come from a member of the rig")
-        if source is None or values is None:
+        if fill is None or values is None:
             found[port.name] = Static(None)
         elif port.size > LONGEST:
             raise NotNative(f"{step.name}: {port.topic} has {port.size} numbers, expected at most {LONGEST}")
@@ -274,25 +233,24 @@ def _inputs(
                 else Group(tuple(Dynamic(f"h{link}[{p}]", float(v)) for p, v in enumerate(values)))
             )
         else:
-            s, j, take = source
-            every, k = s.schedule.every // stride, numbers[id(s)]
+            every, k = fill.source.schedule.every // stride, numbers[id(fill.source)]
             time = _time(f"(k - k % {every})" if every > 1 else "k", ns)
-            found[port.name] = _read(program, s, j, take, f"r{k}", f"z{k}", time, values)
+            found[port.name] = _read(program, fill, f"r{k}", f"z{k}", time, values)
     return found
 
 
-def _read(program: Program, s: Step, j: int, take: Any, numbers: str, stamps: str, time: str, values: Any) -> Value:
+def _read(program: Program, fill: Fill, numbers: str, stamps: str, time: str, values: Any) -> Value:
     """Write what a reader makes of an output, which has `values` of it now."""
-    before, delayed = sum(p.size for p in s.outputs[:j]), s.outputs[j].delayed
-    places, _ = taken(s.outputs[j].size, delayed, take)
+    outputs, delayed = fill.source.outputs[: fill.output], fill.stamp == "own"
+    before = sum(p.size for p in outputs)
     data = values.data if isinstance(values, Sample) else values
     row = [
-        Dynamic(f"{numbers}[{before + p}]" if type(p) is Place else repr(float(p)), float(v))
-        for p, v in zip(places, data, strict=True)
+        Dynamic(f"{numbers}[{before + p}]" if type(p) is int else repr(p), float(v))
+        for p, v in zip(fill.places, data, strict=True)
     ]
     if not isinstance(values, Sample):
         return Group(tuple(row))
-    stamp = f"{stamps}[{len([p for p in s.outputs[:j] if p.delayed])}]" if delayed else time
+    stamp = f"{stamps}[{len([p for p in outputs if p.delayed])}]" if delayed else time
     return Dynamic(
         f"{program.name(Sample, 'Sample')}({stamp}, ({''.join(f'{v.code}, ' for v in row)}))",
         Sample(values.stamp, tuple(float(v) for v in data)),
@@ -308,16 +266,16 @@ def _handed_on(
     for j, port in enumerate(step.outputs):
         said: list[str] = []
         for i, link in enumerate(kept):
-            if (link.source, link.j) != (k, j):
+            if (link.source, link.fill.output) != (k, j):
                 continue
-            if link.value is None or link.told() is None:
+            if link.value is None or link.fill.told() is None:
                 said.append(GIVEN_UP)
                 continue
-            value = _read(program, step, j, link.take, f"q{k}", f"z{k}", "t", link.value)
+            value = _read(program, link.fill, f"q{k}", f"z{k}", "t", link.value)
             row = isinstance(value, Group)
             said.append(f"h{i} = {Writer(program, _handed_on, {}).code(value)}")  # type: ignore[arg-type]
             said.append(f"{WHEN}[{i + 1}] = {'t' if row else f'h{i}.stamp'}")
-            for p, limit in enumerate(link.doubts.limits if link.doubts else ()):
+            for p, limit in enumerate(link.fill.port.limits if port.unchecked else ()):
                 said += [f"if not abs(h{i}{'' if row else '.data'}[{p}]) <= {limit!r}:", f"    {GIVEN_UP}"]
         if port.sporadic:
             said.append(f"{WHEN}[{1 + len(kept) + spoken.index((k, j))}] = t")
@@ -429,18 +387,6 @@ def _kept(state: str, value: Dynamic, step: Step, typed: bool) -> str:
     """Take a state, which must be of the type of the one before."""
     known = not typed and is_sure(value) and alike(value.sample, packed(step.x, typed))
     return f"{state} = {value.code}" if known else f"{state} = same_({state}, {value.code})"
-
-
-class Place(int):
-    """Number of a value in an answer: what is picked is one, or what is given where there is none."""
-
-
-def taken(size: int, delayed: bool, take: Callable[[Any], Any] | None) -> tuple[tuple[float, ...], bool]:
-    """Say what a reader takes of an output: places of its numbers, or numbers; and whether with a stamp."""
-    row: Any = tuple(map(Place, range(size)))
-    row = Sample(0, row) if delayed else row
-    found = row if take is None else take(row)
-    return (found.data, True) if isinstance(found, Sample) else (found, False)
 
 
 class _Nowhere:

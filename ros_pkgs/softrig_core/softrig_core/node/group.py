@@ -11,11 +11,11 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from ..block.codec import selection
+from ..block.fill import Pick
 from ..block.port import Refused
 from ..block.runner import Runner
 from ..errors import RunError
 from ..native.choice import ticks_of
-from ..wire.cdr import Pick
 from .adapter.adapter import Adapter
 from .lockstep.lockstep import Lockstep
 from .realtime.beat import Beat

@@ -7,18 +7,18 @@ from typing import Any
 
 from ..block.block import Block, Plant
 from ..block.change import Change
+from ..block.fill import Pick
 from ..block.params import BlockParams, ParameterError
 from ..block.port import CLOCK, Port
 from ..block.schedule import Schedule
 from ..errors import ScenarioError
 from ..scenario.references import parameter_of
 from ..scenario.scenario import Scenario
-from ..wire.cdr import Pick
 
 
 @dataclass(frozen=True)
 class Link:
-    """Where an input comes from: the publishing member, its port, and how to pick the values."""
+    """Where an input comes from: the publishing member, its port, and which of its values it takes."""
 
     source: Member
     port: Port

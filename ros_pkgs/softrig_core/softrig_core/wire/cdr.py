@@ -29,7 +29,7 @@ from ..timebase import SECOND
 from .stream import CdrError, Reader, Writer
 from .types import TYPES, Dims
 
-Pick = Callable[[tuple[Any, ...]], tuple[Any, ...]]  # takes some items
+Picker = Callable[[tuple[Any, ...]], tuple[Any, ...]]  # takes some items
 
 NUMBER = "; sequence "  # between the label of an array's first dimension and the number of the message
 DIGITS = 12
@@ -280,7 +280,7 @@ def _runs(places: Sequence[int]) -> list[tuple[int, int]]:
     return list(zip(starts, [*starts[1:], len(places)], strict=True))
 
 
-def getter(places: Sequence[int]) -> Pick:
+def getter(places: Sequence[int]) -> Picker:
     """Give an itemgetter that always gives a tuple (of a tuple)."""
     if len(places) > 1:
         return itemgetter(*places)

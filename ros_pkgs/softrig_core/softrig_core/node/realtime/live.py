@@ -9,9 +9,9 @@ from typing import Any
 from ...block.answer import Row
 from ...block.block import Block, Level
 from ...block.codec import readable_stamp
+from ...block.fill import Pick, picked
 from ...block.port import Port, Refused, Sample
 from ...timebase import SECOND, to_ns
-from ...wire.cdr import Pick
 from ..adapter.adapter import Adapter
 from ..adapter.sender import Sender
 from .rivals import Rivals
@@ -227,7 +227,7 @@ class Live(Sender):
             if self.outside and self._refuses():
                 return
             sampled, values = row if isinstance(row, Sample) else (stamp - self.node.epoch, row)
-            values = values if pick is None else pick(values)
+            values = picked(pick, values)
             if not self.node.epoch:
                 self._begin(stamp)
             due = self.table.grid_time(now) if self.by_arrival else stamp

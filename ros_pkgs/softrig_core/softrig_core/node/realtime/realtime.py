@@ -14,12 +14,12 @@ from typing import Any
 
 from ...block.answer import Row
 from ...block.block import Level, Plant
+from ...block.fill import Pick
 from ...block.port import Port
 from ...block.schedule import Schedule
 from ...block.step import Rows
 from ...errors import RunError
 from ...timebase import SECOND
-from ...wire.cdr import Pick
 from ..adapter.adapter import Adapter
 from ..adapter.departure import Departure
 from ..adapter.handshake import Handshake

@@ -1,0 +1,84 @@
+"""Fills: which output of one step fills which input of another of its process, and with which numbers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from .port import Port, Sample
+
+if TYPE_CHECKING:
+    from .answer import Row
+    from .step import Step
+
+Stamp = Literal["none", "own", "tick"]
+Pick = tuple[int | float, ...]  # of each number of an input: its place among those of the output, or the number itself
+
+
+def picked(pick: Pick | None, values: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the numbers of an input, made of those of an output; all of them where `pick` is None."""
+    return values if pick is None else tuple([values[p] if type(p) is int else p for p in pick])
+
+
+class Fill(NamedTuple):
+    """An output that fills an input.
+
+    Parameters
+    ----------
+    source : Step
+        Publishes.
+    output : int
+        Number of its output.
+    reader : Step
+    port : Port
+        The input of the reader.
+    pick : tuple or None
+        Its numbers; None: those of the output.
+    stamp : str
+        What the input gets: ``none``, a tuple; ``own``, the `Sample` that a delayed output is, with its stamp;
+        ``tick``, a `Sample` with the tick of the source.
+    """
+
+    source: Step
+    output: int
+    reader: Step
+    port: Port
+    pick: Pick | None
+    stamp: Stamp
+
+    @property
+    def places(self) -> Pick:
+        """What each number of the input is: a place among those of the output, or the number itself."""
+        return tuple(range(self.source.outputs[self.output].size)) if self.pick is None else self.pick
+
+    @property
+    def silent(self) -> bool:
+        """Whether it may bring nothing at a tick of its source, or something with another stamp."""
+        port = self.source.outputs[self.output]
+        return port.sporadic or port.delayed
+
+    def take(self, row: Row) -> Row:
+        """Return what the input gets of the row that the output publishes at the tick of its source."""
+        if isinstance(row, Sample):
+            return row if self.pick is None else Sample(row.stamp, picked(self.pick, row.data))
+        data = picked(self.pick, row)
+        return Sample(self.source.t, data) if self.stamp == "tick" else data
+
+    def text(self, row: str) -> str:
+        """Return what `take` does with a row of that name, as Python text with `t` for the tick of the source."""
+        if self.pick is None and self.stamp != "tick":
+            return row
+        data = f"{row}.data" if self.stamp == "own" else row
+        if self.pick is not None:
+            data = f"({''.join(f'{data}[{p}], ' if type(p) is int else f'{p!r}, ' for p in self.pick)})"
+        if self.stamp == "none":
+            return data
+        return f"Sample({'t' if self.stamp == 'tick' else f'{row}.stamp'}, {data})"
+
+    def bring(self, row: Row) -> None:
+        """Put what the input gets of a row into the values of the reader."""
+        self.reader.values[self.port.name] = self.take(row)
+
+    def told(self) -> int | None:
+        """Return when the output has published last, ns; None: never."""
+        source = self.source
+        return source.t if source.plain else source.spoken[self.output]
