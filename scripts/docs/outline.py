@@ -37,7 +37,7 @@ KINDS = {
     "reference": (
         "Reference",
         "Everything by name; most of it is made from the code.",
-        ("scenario_file", "model_kit", "licences"),
+        ("scenario_file", "file_formats", "model_kit", "licences"),
     ),
 }  # fmt: skip
 
@@ -58,6 +58,7 @@ KEYWORDS = {
     "studies": "sweep, monte, carlo, grid, batch, parallel",
     "learning": "gym, gymnasium, reinforcement, agent, rl",
     "linear_view": "bode, nyquist, poles, margin, linearize, eigenvalues",
+    "file_formats": "urdf, comtrade, fmu, csv, tags, columns, mimic, damping, friction",
     "outside_tools": "plotjuggler, foxglove, rviz, gif, video, animation",
     "bags": "rosbag, mcap, record, replay",
     "realtime": "hardware, loop, hil, latency, wall, clock",

@@ -12,6 +12,7 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- rooms: softrig_core -->                                   rooms of a package, by their imports
     <!-- licences: run -->                                         of what lock files pin, or of what casadi has inside;
                                                                     anew only with --runs
+    <!-- format: softrig_robots.urdf_file URDF -->                 a table of what is used, ignored, refused of a file
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
 
@@ -36,6 +37,7 @@ from softrig_bringup.study.definition import list_studies, load_study
 from softrig_core import Port, list_scenarios, load_scenario, simulate
 from softrig_core.block.params import Declaration, Params, declarations
 from softrig_core.judge.claims import VERDICTS
+from softrig_core.kit.file_format import FileFormat
 from softrig_core.rig.installed import load_block
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import hold
@@ -45,7 +47,7 @@ from .licences import licences
 from .plots import animate, animation, draw, picture
 from .rooms import rooms
 
-_KINDS = "licences|rooms|nodes|claims|scenarios|sources|picture|animation|measured"
+_KINDS = "format|licences|rooms|nodes|claims|scenarios|sources|picture|animation|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 LONG = 6  # rows of measurements; more are folded
 ANIMATION = re.compile(r"<!-- animation: (\S+) (\S+) (\S+) -->")
@@ -69,6 +71,7 @@ def generate(page: str, runs: bool = False) -> str:
             "measured": lambda: measured(found[3]),
             "rooms": lambda: house(first),
             "licences": lambda: licences(found[3]),
+            "format": lambda: file_format(getattr(import_module(first), words[0])),
         }
         return f"{found[1]}\n{made[found[2]]()}\n\n{found[4]}"
 
@@ -170,6 +173,16 @@ def house(package: str) -> str:
         known = ", ".join(f"`{name}`" for name in sorted(room.knows))
         lines.append(f"| {room.floor} | `{room.name}` | {room.text.rstrip('.')} | {known} |")
     return "\n".join(lines)
+
+
+def file_format(found: FileFormat) -> str:
+    """Names of a file format with what softrig does with them, folded."""
+    lines = ["| name | | |", "|---|---|---|"]
+    for name, (use, text) in found.table.items():
+        lines.append(f"| `{name}` | {use} | {text} |")
+    counts = Counter(use for use, _ in found.table.values())
+    told = ", ".join(f"{n} {use}" for use, n in counts.most_common())
+    return folded(f"{found.title}: {len(found.table)} names, {told} ({found.standard})", "\n".join(lines))
 
 
 def scenarios(prefixes: Sequence[str]) -> str:

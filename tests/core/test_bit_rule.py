@@ -73,6 +73,7 @@ EXEMPT = {
     "softrig_power.gupfc.steady.start": "numpy's Fourier transform: one build for all x86-64, another for arm64",
     "softrig_robots.driven_robot._equations": CASADI,
     "softrig_robots.rehab.stability": CHECK,
+    "softrig_robots.urdf_file._check_body": CHECK,
     "softrig_robots.rigid_body": CASADI + "; moments of inertia are checked",
     "softrig_systems.optimal_control.collocation": SOLVER,
     "softrig_systems.optimal_control.evaluator.OcpEvaluator._take": SCALAR,

@@ -21,7 +21,7 @@ from softrig_robots.rehab.plant import RehabPlant
 from softrig_robots.rehab.prom import PromReference
 from softrig_robots.rehab.stability import LinearRobot, _sampled, alpha_hat_limit, is_stable
 from softrig_robots.rehab.tuner import Tuner
-from softrig_robots.urdf import check_inertia, root_link, with_angles
+from softrig_robots.urdf import check_inertia, for_pinocchio, root_link
 
 MS = 1_000_000
 
@@ -560,13 +560,13 @@ def test_urdf_of_a_continuous_joint():
         "</robot>"
     )
     assert root_link(text) == "a"
-    turned = with_angles(text)
+    turned = for_pinocchio(text)
     assert "continuous" not in turned
     assert '<limit effort="1e9" velocity="1e9" lower="-1e9" upper="1e9" />' in turned
     assert '<limit effort="3" velocity="4" lower="-1e9" upper="1e9" />' in turned
-    with pytest.raises(ValueError, match=r"^not a URDF: "):
-        with_angles("<robot continuous")
-    assert with_angles("no matter") == "no matter"
+    zero = '<inertial><mass value="0"/><inertia ixx="0" iyy="0.0"/></inertial>'
+    assert "inertial" not in for_pinocchio(f'<robot><link name="a">{zero}</link></robot>')
+    assert "inertial" in for_pinocchio(f'<robot><link name="a">{zero.replace("0.0", "0.1")}</link></robot>')
 
 
 def test_repeatability_is_the_change_of_an_error_over_its_square():

@@ -9,7 +9,7 @@ r"""A robot whose joints are driven through gears by DC motors: equations, compi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
@@ -22,6 +22,8 @@ from .joints import PerJoint, require_positive, spread
 if TYPE_CHECKING:
     import casadi as ca
     from softrig_core import Scene
+
+    from .urdf_file import Joint
 
 Vector = tuple[float, ...]
 LARGEST_STEP = 2.5  # of the armature's time constants; at 2.785 RK4 does not decay any more
@@ -135,6 +137,10 @@ class DrivenRobot(Plant[P]):
         none = (0.0,) * self.n
         return Friction(none, none, none, 1.0, 1.0)
 
+    def stops(self) -> bool:
+        """Return whether the limits of the URDF act: end stops, and drives that saturate at the efforts."""
+        return False
+
     def loads(self, t: int) -> tuple[Vector, Vector]:
         """Give voltage drops d (V) and load torques tau_d (N m) of the sub-step that begins at t (ns)."""
         raise NotImplementedError
@@ -156,7 +162,7 @@ class DrivenRobot(Plant[P]):
 
     def setup(self) -> None:
         """Compile the robot and bring the motors to the joint side of the gears."""
-        self._step, self._torque, self.n = compile_robot(self.robot(self.p), self.TIP)
+        self._step, self._torque, self.n = compile_robot(self.robot(self.p), self.TIP, self.stops())
         self._table = table = self.p.motors.table(self.n)
         self._gear = table["gear"]
         self._inertia = tuple(J / r**2 for J, r in zip(table["inertia"], self._gear, strict=True))
@@ -268,7 +274,7 @@ class DrivenRobot(Plant[P]):
 
 
 @lru_cache(maxsize=16)
-def compile_robot(urdf: str, tip: str) -> tuple[Compiled, Compiled, int]:
+def compile_robot(urdf: str, tip: str, stops: bool = False) -> tuple[Compiled, Compiled, int]:
     """Compile a robot.
 
     Motor, friction and payload numbers are arguments of the compiled functions, so that only another URDF needs
@@ -280,6 +286,8 @@ def compile_robot(urdf: str, tip: str) -> tuple[Compiled, Compiled, int]:
         URDF text.
     tip : str
         Frame of the payload and of the force F_e.
+    stops : bool
+        The limits of the URDF act: inelastic end stops, and drives whose torque is limited.
 
     Returns
     -------
@@ -291,23 +299,34 @@ def compile_robot(urdf: str, tip: str) -> tuple[Compiled, Compiled, int]:
     """
     import casadi as ca
 
-    from .rigid_body import SymbolicRobot, load_model
+    from .rigid_body import SymbolicRobot, load_model, ties
+    from .urdf_file import read_robot
 
-    robot = SymbolicRobot(load_model(urdf), tip)
+    model = load_model(urdf)
+    names = list(model.names)[1:]
+    robot = SymbolicRobot(model, tip, ties(urdf, names))
     n = robot.n
+    limits = [read_robot(urdf).joints[name] for name in names] if stops else []
     x, inputs, load, force = ca.SX.sym("x", 3 * n), ca.SX.sym("V", n), ca.SX.sym("tau_d", n), ca.SX.sym("F_e", 3)
     plant = ca.SX.sym("plant", 9 * n + 3)
-    derivative, transmitted = _equations(robot, x, inputs, load, force, plant)
+    efforts = ca.DM([joint.effort for joint in limits])
+    derivative, transmitted = _equations(robot, x, inputs, load, force, plant, efforts)
     ode = ca.Function("ode", [x, inputs, load, force, plant], [derivative])
     held = [ca.MX.sym("V", n), ca.MX.sym("tau_d", n), ca.MX.sym("F_e", 3), ca.MX.sym("plant", 9 * n + 3)]
     now, h = ca.MX.sym("x", 3 * n), ca.MX.sym("h")
-    step = ca.Function("robot_step", [now, *held, h], [rk4(lambda x: ode(x, *held), now, h)])
+    later = rk4(lambda x: ode(x, *held), now, h)
+    if limits:
+        ends = ca.Function("end_stops", [x, plant], [_end_stops(robot, x, plant, limits)])
+        later = ends(later, held[-1])
+    step = ca.Function("robot_step", [now, *held, h], [later])
     torque = ca.Function("gear_torque", [x, load, force, plant], [transmitted])
     return Compiled(step), Compiled(torque), n
 
 
-def _equations(robot: Any, x: ca.SX, inputs: ca.SX, load: ca.SX, force: ca.SX, plant: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Right-hand side of the state equation, and the torques behind the gears."""
+def _equations(
+    robot: Any, x: ca.SX, inputs: ca.SX, load: ca.SX, force: ca.SX, plant: ca.SX, efforts: ca.DM
+) -> tuple[ca.SX, ca.SX]:
+    """Right-hand side of the state equation, and the torques behind the gears; efforts: limits, empty for none."""
     import casadi as ca
 
     n = robot.n
@@ -317,7 +336,30 @@ def _equations(robot: Any, x: ca.SX, inputs: ca.SX, load: ca.SX, force: ca.SX, p
     stribeck, edge, payload = plant[9 * n], plant[9 * n + 1], plant[9 * n + 2]
     rubbing = (coulomb + (static - coulomb) * ca.exp(-((v / stribeck) ** 2))) * ca.tanh(v / edge) + viscous * v
     motor = torque_constant * current
+    if efforts.numel():
+        motor = ca.fmax(ca.fmin(motor, efforts), -efforts)
     pushed = ca.jacobian(robot.tool_position(q), q).T @ force
     acceleration = robot.forward_dynamics(q, v, motor - damping * v - rubbing - pushed - load, inertia, payload)
     transmitted = motor - inertia * acceleration - damping * v
     return ca.vertcat(v, acceleration, (inputs - R * current - back_emf * v) / L), transmitted
+
+
+def _end_stops(robot: Any, x: ca.SX, plant: ca.SX, limits: Sequence[Joint]) -> ca.SX:
+    """State after impacts on the end stops, joint after joint, and again for those that an impact moves into one.
+
+    Impacts are inelastic: an impulse along joint i, to which the robot yields as its mass matrix says, takes that
+    joint's speed; positions go back to the stop the same way, so that mimic joints stay together.
+    """
+    import casadi as ca
+
+    n = robot.n
+    q, v, rest = x[:n], x[n : 2 * n], x[2 * n :]
+    torque = ca.SX.sym("tau", n)
+    still = robot.forward_dynamics(q, ca.SX.zeros(n), torque, plant[4 * n : 5 * n], plant[9 * n + 2])
+    yielding = ca.jacobian(still, torque)  # M^-1, of mimic joints within their constraint
+    for i in [i for _ in range(2) for i, joint in enumerate(limits) if math.isfinite(joint.upper - joint.lower)]:
+        along = yielding[:, i] / yielding[i, i]
+        back = ca.fmax(ca.fmin(q[i], limits[i].upper), limits[i].lower) - q[i]
+        q = q + along * back
+        v = v - along * ca.if_else(back * v[i] < 0, v[i], 0)
+    return ca.vertcat(q, v, rest)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Marker, Port, array, executable, joint_state, param, pose, reference
+from softrig_core import Block, BlockParams, Level, Marker, Port, array, executable, joint_state, param, pose, reference
 
 from .joints import PerJoint, require_positive, spread
 from .urdf import read_urdf, root_link
@@ -19,16 +20,24 @@ class RobotDynamicsParams(BlockParams):
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     urdf: str = param("package://softrig_robots/urdf/manipulator.urdf", "file or package:// URI of the robot")
-    joints: tuple[str, ...] = param(("joint1", "joint2", "joint3"), "joint names in the URDF's order", min_length=1)
+    joints: tuple[str, ...] = param(
+        ("joint1", "joint2", "joint3"),
+        "joint names in the URDF's order; without those that mimic another",
+        min_length=1,
+    )
     tool: str = param("tool", "frame whose pose and Jacobian are given")
     armature: PerJoint = param((0.0,), "rotor inertias J_m/r^2 as seen at the joints", "kg m^2")
+    edge_speed: float = param(
+        0.05, "speed that smooths the change of sign of the URDF's Coulomb friction", "rad/s", gt=0.0
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         from .rigid_body import check_robot
 
-        require_positive("armature", spread("armature", self.armature, len(self.joints)), or_zero=True)
-        check_robot(self.urdf, self.tool, self.joints)
+        armature = spread("armature", self.armature, len(self.joints))
+        require_positive("armature", armature, or_zero=True)
+        check_robot(self.urdf, self.tool, self.joints, armature, mimic=True)
         return self
 
 
@@ -41,9 +50,10 @@ class State(NamedTuple):
 class RobotDynamics(Block[RobotDynamicsParams]):
     """Answers a joint state with everything a model-based law or a check of one needs.
 
-    Notation of pinocchio: M(q) a + nle(q, v) = tau. The Jacobian is that of the tool with axes of the base
-    (linear rows first). The inverse dynamics take their acceleration from `reference`, zero without one. A query that
-    was refused gets no answer.
+    Notation of pinocchio: M(q) a + bias(q, v) = tau. The bias has damping and friction of the URDF in it. Where joints
+    mimic others, all is that of the joints that follow none: a gripper's two fingers are one joint. The Jacobian is
+    that of the tool with axes of the base (linear rows first). The inverse dynamics take their acceleration from
+    `reference`, zero without one. A query that was refused gets no answer.
     """
 
     @classmethod
@@ -70,45 +80,72 @@ class RobotDynamics(Block[RobotDynamicsParams]):
         """Load the model."""
         import numpy as np
         import pinocchio as pin
+        from softrig_core.kit.dense import solve
 
-        from .rigid_body import frame_id, load_model
+        from .rigid_body import check_robot, frame_id
+        from .urdf_file import read_robot
 
-        self._np, self._pin = np, pin
-        self._urdf = read_urdf(self.p.urdf)
+        p = self.p
+        self._np, self._pin, self._solve = np, pin, solve
+        self._urdf = read_urdf(p.urdf)
         self._root = root_link(self._urdf)
-        self._model = load_model(self._urdf)
-        self._model.armature = np.array(spread("armature", self.p.armature, self._model.nv))
+        robot = read_robot(self._urdf, p.urdf)
+        self._notes = robot.notes
+        moved = [(j.mimic.joint, j.mimic.multiplier, j) if j.mimic else (n, 1.0, j) for n, j in robot.joints.items()]
+        self._rubbing = [
+            (p.joints.index(name), along, j.damping, j.friction) for name, along, j in moved if j.damping or j.friction
+        ]
+        self._model = check_robot(p.urdf, p.tool, p.joints, spread("armature", p.armature, len(p.joints)), mimic=True)
         self._data = self._model.createData()
-        self._tool = frame_id(self._model, self.p.tool)
+        self._tool = frame_id(self._model, p.tool)
 
     def first(self) -> State:
-        """Stand at zero."""
+        """Report what the URDF has that has no effect, and stand at zero."""
+        for note in self._notes:
+            self.report(Level.WARN, note, note)
         return State((0.0,) * self._model.nq)
 
     def update(
         self, x: State, t: int, *, joint_query: Vector, reference: Vector | None
     ) -> tuple[State, Mapping[str, Vector]]:
         """Answer the query (q, v, tau)."""
-        pin, model, data, n = self._pin, self._model, self._data, self._model.nv
-        state = self._np.array(joint_query)
+        np, pin, model, data, n = self._np, self._pin, self._model, self._data, self._model.nv
+        state = np.array(joint_query)
         q, v, tau = state[:n], state[n : 2 * n], state[2 * n :]
-        a = self._np.zeros(n) if reference is None else self._np.array(reference)
-        forward = pin.aba(model, data, q, v, tau).tolist()
-        pin.computeAllTerms(model, data, q, v)  # fills the upper half of M only
-        upper = data.M
-        mass = self._np.triu(upper) + self._np.triu(upper, 1).T
-        pin.updateFramePlacements(model, data)
+        a = np.zeros(n) if reference is None else np.array(reference)
+        rubbing = self._rub(v)
+        if model.mimicking_joints:  # pinocchio has neither algorithm for them
+            forward, upper, nle = None, pin.crba(model, data, q), pin.nonLinearEffects(model, data, q, v).copy()
+            jacobian = pin.computeFrameJacobian(model, data, q, self._tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        else:
+            forward = pin.aba(model, data, q, v, tau - rubbing)
+            pin.computeAllTerms(model, data, q, v)
+            upper, nle = data.M, data.nle
+            jacobian = pin.getFrameJacobian(model, data, self._tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        upper = np.reshape(upper, (n, n))  # pinocchio fills the upper half only, and returns a vector for one joint
+        mass = np.triu(upper) + np.triu(upper, 1).T
+        bias = nle + rubbing
+        if forward is None:
+            forward = self._solve(mass, tau - bias)
+        pin.framesForwardKinematics(model, data, q)
         tool = data.oMf[self._tool]
-        jacobian = pin.getFrameJacobian(model, data, self._tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
         return State(joint_query[:n]), {
             "mass_matrix": tuple(mass.ravel().tolist()),
-            "bias": tuple(data.nle.tolist()),
+            "bias": tuple(bias.tolist()),
             "gravity": tuple(pin.computeGeneralizedGravity(model, data, q).tolist()),
-            "forward_dynamics": tuple(forward),
-            "inverse_dynamics": tuple((pin.rnea(model, data, q, v, a)).tolist()),
+            "forward_dynamics": tuple(np.ravel(forward).tolist()),
+            "inverse_dynamics": tuple((pin.rnea(model, data, q, v, a) + rubbing).tolist()),
             "jacobian": tuple(jacobian.ravel().tolist()),
             "tool_pose": (*tool.translation.tolist(), *pin.Quaternion(tool.rotation).coeffs().tolist()),
         }
+
+    def _rub(self, v: Any) -> Any:
+        """Return damping and friction of the URDF, N m, as seen at the joints that follow no other."""
+        torque = self._np.zeros(len(v))
+        for k, along, damping, friction in self._rubbing:
+            speed = along * float(v[k])
+            torque[k] += along * (damping * speed + friction * math.tanh(speed / self.p.edge_speed))
+        return torque
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Vector]]:
         """Stay silent: the last answer under a new stamp would pass for that to this query."""

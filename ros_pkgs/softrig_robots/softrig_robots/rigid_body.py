@@ -6,42 +6,42 @@ The PyPI build of pinocchio has no casadi bindings. Articulated-body algorithm a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from .urdf import check_inertia, read_urdf, with_angles
+from .urdf import for_pinocchio, read_urdf
+from .urdf_file import read_robot
 
 
-def load_model(urdf: str) -> pin.Model:
+def load_model(urdf: str, mimic: bool = False) -> pin.Model:
     """Read a robot whose joints all have one degree of freedom.
 
     Parameters
     ----------
     urdf : str
         URDF text.
+    mimic : bool
+        True: mimic joints have no coordinate of their own. False: all joints have one.
 
     Raises
     ------
     ValueError
-        Not a URDF, no moving joint, a joint of another kind, or a link that cannot exist.
+        Not a URDF, something in it that is refused (see `urdf_file.URDF`), or no moving joint.
     """
-    model = pin.buildModelFromXML(with_angles(urdf))
-    names = list(model.names)
+    read_robot(urdf)
+    model = pin.buildModelFromXML(for_pinocchio(urdf), mimic)
     if model.njoints < 2:
         raise ValueError("the URDF has no moving joint")
-    for i in range(1, model.njoints):
-        if model.nqs[i] != 1:
-            raise ValueError(
-                f"joint {names[i]} has {model.nqs[i]} coordinates: expected revolute, continuous or prismatic joints"
-            )
-        body = model.inertias[i]
-        moments = np.linalg.eigvalsh(body.inertia) if body.mass > 0.0 else np.zeros(3)
-        check_inertia(f"mass behind joint {names[i]}", body.mass, f"inertia behind joint {names[i]}", moments.tolist())
     return model
 
 
-def check_robot(urdf: str, frame: str, joints: tuple[str, ...]) -> None:
+def check_robot(
+    urdf: str, frame: str, joints: tuple[str, ...], armature: Sequence[float], mimic: bool = False
+) -> pin.Model:
     """Refuse a robot that does not fit its parameters.
 
     Parameters
@@ -52,16 +52,73 @@ def check_robot(urdf: str, frame: str, joints: tuple[str, ...]) -> None:
         Link frame that it must have.
     joints : tuple of str
         Joint names that it must have, in this order.
+    armature : sequence of float, one a joint
+        Rotor inertias at the joints, kg m^2.
+    mimic : bool
+        True: `joints` are those that follow no other.
+
+    Returns
+    -------
+    pinocchio.Model
+        With the rotor inertias.
 
     Raises
     ------
     ValueError
         Says what is wrong with the URDF, or what it has instead.
     """
-    model = load_model(read_urdf(urdf))
+    text = read_urdf(urdf)
+    robot = read_robot(text, urdf)
+    model = load_model(text, mimic)
     frame_id(model, frame)
-    if tuple(model.names)[1:] != joints:
-        raise ValueError(f"joints = {list(joints)}, but {urdf} has {list(model.names)[1:]}")
+    names = tuple(name for name in list(model.names)[1:] if not (mimic and robot.joints[name].mimic))
+    if names != joints:
+        raise ValueError(f"joints = {list(joints)}, but {urdf} has {list(names)}")
+    heaviest = np.max([_inertias(model, k) for k in range(4)], axis=0)
+    for name, inertia, rotor in zip(joints, heaviest, armature, strict=True):
+        if not inertia + rotor > 0.0:
+            raise ValueError(f"{urdf}: joint {name} moves no mass: give a link behind it one, or its motor an inertia")
+    model.armature = np.array(armature, dtype=float)
+    return model
+
+
+def _inertias(model: pin.Model, k: int) -> NDArray[np.float64]:
+    """Diagonal of the mass matrix at the k-th of some fixed positions."""
+    q = np.array([0.7 * k * (i + 1) for i in range(model.nq)])
+    return np.array(np.diag(np.reshape(pin.crba(model, model.createData(), q), (model.nv, model.nv))))
+
+
+def fastest_rubbing(model: pin.Model, q: Sequence[float], rubbing: Sequence[float]) -> float:
+    """Return the fastest rate at which viscous friction slows a robot down, 1/s.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        With rotor inertias.
+    q : sequence of float
+        Positions, rad.
+    rubbing : sequence of float
+        Friction of each joint, N m s/rad.
+    """
+    n = model.nv
+    M = np.reshape(pin.crba(model, model.createData(), np.array(q)), (n, n))  # of one joint alone it is a vector
+    M = np.triu(M) + np.triu(M, 1).T
+    return float(np.max(np.abs(np.linalg.eigvals(np.linalg.solve(M, np.diag(rubbing))))))
+
+
+def ties(urdf: str, names: Sequence[str]) -> list[tuple[int, int, float, float]]:
+    """Return the mimic joints: index, index of the joint that is followed, multiplier and offset.
+
+    Parameters
+    ----------
+    urdf : str
+        URDF text.
+    names : sequence of str
+        Moving joints in pinocchio's order, from which the indices count.
+    """
+    order = {name: k for k, name in enumerate(names)}
+    found = ((name, joint.mimic) for name, joint in read_robot(urdf).joints.items())
+    return [(order[n], order[m.joint], m.multiplier, m.offset) for n, m in found if m is not None]
 
 
 def frame_id(model: pin.Model, frame: str) -> int:
@@ -86,10 +143,13 @@ class SymbolicRobot:
         From `load_model`.
     tool : str
         Frame in which a payload sits and on which a force acts.
+    tied : sequence of tuples
+        Mimic joints, from `ties`.
     """
 
-    def __init__(self, model: pin.Model, tool: str) -> None:
+    def __init__(self, model: pin.Model, tool: str, tied: Sequence[tuple[int, int, float, float]] = ()) -> None:
         self.n = model.nv
+        self._tied = tied
         self._parents = [model.parents[i] for i in range(model.njoints)]
         self._placements = [_pair(model.jointPlacements[i]) for i in range(model.njoints)]
         self._bodies = [ca.DM(model.inertias[i].matrix()) for i in range(model.njoints)]
@@ -100,11 +160,14 @@ class SymbolicRobot:
         pin.computeJointJacobians(model, data, pin.neutral(model))
         self._axes = [ca.DM.zeros(6)]
         for i in range(1, model.njoints):
-            column = pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[:, i - 1]
-            self._axes.append(ca.DM(np.round(column, 12)))
+            # of one joint alone pinocchio returns a vector
+            jacobian = np.reshape(pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL), (6, model.nv))
+            self._axes.append(ca.DM(np.round(jacobian[:, i - 1], 12)))
 
     def forward_dynamics(self, q: ca.SX, v: ca.SX, tau: ca.SX, armature: ca.SX, payload: ca.SX) -> ca.SX:
         """Accelerations from torques.
+
+        Mimic joints are a constraint K q'' = 0 with a torque K^T lambda (Gauss's principle).
 
         Parameters
         ----------
@@ -119,6 +182,18 @@ class SymbolicRobot:
         -------
         SX of shape (n,)
         """
+        free = self._tree_dynamics(q, v, tau, armature, payload)
+        if not self._tied:
+            return free
+        K = ca.SX(len(self._tied), self.n)
+        for row, (follower, leader, multiplier, _) in enumerate(self._tied):
+            K[row, follower], K[row, leader] = 1.0, -multiplier
+        torque = ca.SX.sym("tau", self.n)
+        yielding = ca.jacobian(self._tree_dynamics(q, v, torque, armature, payload), torque) @ K.T  # M^-1 K^T
+        return free - yielding @ ca.solve(K @ yielding, K @ free)
+
+    def _tree_dynamics(self, q: ca.SX, v: ca.SX, tau: ca.SX, armature: ca.SX, payload: ca.SX) -> ca.SX:
+        """Accelerations of the tree by the articulated-body algorithm."""
         count = len(self._parents)
         x: list[ca.SX] = [ca.SX.eye(6)] * count
         twist: list[ca.SX] = [ca.SX.zeros(6)] * count

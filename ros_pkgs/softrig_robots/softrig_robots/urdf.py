@@ -10,6 +10,7 @@ from softrig_core import resource
 
 Vector = tuple[float, float, float]
 ENDLESS = "1e9"  # rad
+_PHYSICS = ("inertial", "parent", "child", "origin", "axis", "limit", "dynamics", "mimic")
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,9 @@ class Link:
     tip: Vector
 
 
-def check_inertia(mass_name: str, mass: float, inertia_name: str, inertia: Sequence[float]) -> None:
+def check_inertia(
+    mass_name: str, mass: float, inertia_name: str, inertia: Sequence[float], slack: float | None = None
+) -> None:
     """Refuse a body that cannot exist.
 
     Parameters
@@ -58,18 +61,20 @@ def check_inertia(mass_name: str, mass: float, inertia_name: str, inertia: Seque
         What the message calls the two.
     inertia : sequence of 3 floats
         Principal moments about the centre of mass, kg m^2.
+    slack : float, optional
+        Rounding error of the moments, kg m^2. With it, points and rods without thickness may exist, too.
 
     Raises
     ------
     ValueError
         Mass not positive, moments not positive, or one larger than the sum of the other two.
     """
-    if not mass > 0.0:
+    if not (mass > 0.0 or (slack is not None and mass == 0.0)):
         raise ValueError(f"{mass_name} = {mass:g} kg: expected a positive mass")
     low, middle, high = sorted(map(float, inertia))
-    if not low > 0.0:
+    if not (low > 0.0 or (slack is not None and low >= -slack)):
         raise ValueError(f"{inertia_name} = {list(inertia)} kg m^2: expected a positive definite inertia")
-    if high > (low + middle) * (1.0 + 1e-9):
+    if high > (low + middle) * (1.0 + 1e-9) + (slack or 0.0):
         raise ValueError(
             f"{inertia_name} = {list(inertia)} kg m^2: no body has one moment larger than the sum of "
             "the other two (triangle inequality)"
@@ -126,7 +131,10 @@ def robot_urdf(
         f'    <child link="{tip}"/>',
         f"    {_origin(origin, rotation)}",
         "  </joint>",
-        f'  <link name="{tip}"/>',
+        f'  <link name="{tip}">',
+        # without it one reader (PyBullet) makes the tip 1 kg
+        '    <inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>',
+        "  </link>",
         *hardware,
         "</robot>",
         "",
@@ -183,22 +191,36 @@ def root_link(urdf: str) -> str:
     return next((str(link.get("name")) for link in robot.iterfind("link") if link.get("name") not in children), "")
 
 
-def with_angles(urdf: str) -> str:
-    """Make continuous joints revolute ones without an end, whose one coordinate is the angle.
+def for_pinocchio(urdf: str) -> str:
+    """Return a URDF as pinocchio should read it.
 
-    pinocchio gives a continuous joint cosine and sine instead, and no message carries those.
+    Continuous joints become revolute ones without an end, whose one coordinate is the angle: pinocchio gives them
+    cosine and sine instead, and no message carries those. An inertial of zero is removed: adding it to the link before
+    would move that link's centre of mass by a rounding error. So is what softrig ignores, which pinocchio might refuse.
+
+    Parameters
+    ----------
+    urdf : str
+        URDF text.
     """
-    if "continuous" not in urdf:
-        return urdf
-    try:
-        robot = ElementTree.fromstring(urdf)
-    except ElementTree.ParseError as error:
-        raise ValueError(f"not a URDF: {error}") from None
+    robot = ElementTree.fromstring(urdf)
+    for element in [child for child in robot if child.tag not in ("link", "joint")]:
+        robot.remove(element)
+    for element in robot:
+        for child in [child for child in element if child.tag not in _PHYSICS]:
+            element.remove(child)
     for joint in robot.iterfind("joint[@type='continuous']"):
         joint.set("type", "revolute")
         limit = joint.find("limit")
         if limit is None:
-            limit = ElementTree.SubElement(joint, "limit", {"effort": ENDLESS, "velocity": ENDLESS})
+            limit = ElementTree.SubElement(joint, "limit")
+        for key in ("effort", "velocity"):
+            limit.set(key, limit.get(key, ENDLESS))
         limit.set("lower", f"-{ENDLESS}")
         limit.set("upper", ENDLESS)
+    for link in robot.iterfind("link"):
+        inertial = link.find("inertial")
+        parts = [] if inertial is None else [*inertial.iterfind("mass"), *inertial.iterfind("inertia")]
+        if inertial is not None and not any(float(x) for part in parts for x in part.attrib.values()):
+            link.remove(inertial)
     return ElementTree.tostring(robot, encoding="unicode")

@@ -5,15 +5,20 @@ Equations (1)-(3) of the paper; the disturbance d is a voltage drop in front of 
 
 from __future__ import annotations
 
-from typing import Self
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import model_validator
-from softrig_core import Params, Port, command, executable, joint_state, param, to_ns
+from softrig_core import Level, Params, Port, command, executable, joint_state, param, to_ns
 
-from ..driven_robot import DrivenRobot, DrivenRobotParams, Vector
+from ..driven_robot import LARGEST_STEP, DrivenRobot, DrivenRobotParams, Friction, Vector
 from ..joints import PerJoint, motor_names, spread
 from ..urdf import read_urdf
 from .model import Links, manipulator_urdf
+
+if TYPE_CHECKING:
+    from ..urdf_file import Joint
 
 JOINTS = ("joint1", "joint2", "joint3")
 
@@ -33,6 +38,14 @@ class ManipulatorParams(DrivenRobotParams):
     links: Links = Links()
     position: PerJoint = param((0.0,), "q(0)", "rad")
     velocity: PerJoint = param((0.0,), "velocity at t = 0", "rad/s")
+    edge_speed: float = param(
+        0.05, "speed that smooths the change of sign of the URDF's Coulomb friction", "rad/s", gt=0.0
+    )
+    limits: Literal["report", "act"] = param(
+        "report",
+        "limits of the URDF: `report` when they are passed, or let them `act`: inelastic end stops at lower and upper, "
+        "drives whose torque saturates at effort",
+    )
     disturbance: VoltageStep = VoltageStep()
 
     @model_validator(mode="after")
@@ -46,12 +59,62 @@ class ManipulatorParams(DrivenRobotParams):
         ):
             spread(name, values, n)
         if self.urdf:
-            from ..rigid_body import check_robot
-
-            check_robot(self.urdf, "tool", self.joints)
+            self._check_urdf()
+        elif self.limits == "act":
+            raise ValueError("limits: act needs a robot with limits: give its file as urdf")
         elif len(self.links.mass) != n:
             raise ValueError(f"joints = {list(self.joints)} for {len(self.links.mass)} links, expected one a link")
         return self
+
+    def _check_urdf(self) -> None:
+        """Refuse a robot that is another than the parameters say, or cannot be simulated with this step."""
+        from ..rigid_body import check_robot, fastest_rubbing
+        from ..urdf_file import read_robot
+
+        motors = self.motors.table(len(self.joints))
+        armature = [J / r**2 for J, r in zip(motors["inertia"], motors["gear"], strict=True)]
+        model = check_robot(self.urdf, "tool", self.joints, armature)
+        found = read_robot(read_urdf(self.urdf)).joints
+        rubbing = [found[name].damping + found[name].friction / self.edge_speed for name in self.joints]
+        fastest = fastest_rubbing(model, self.start("position"), rubbing)
+        least = math.ceil(self.period * fastest / LARGEST_STEP)
+        if self.substeps < least:
+            raise ValueError(
+                f"substeps = {self.substeps}: expected at least {least} for damping and friction of {self.urdf}, which "
+                f"slow joints down at up to {fastest:.4g} 1/s; a higher edge_speed makes friction less steep"
+            )
+        if self.limits == "act":
+            for name, q in zip(self.joints, self.start("position"), strict=True):
+                joint = found[name]
+                if not joint.lower <= q <= joint.upper or joint.effort == 0.0:
+                    raise ValueError(
+                        f"limits: act needs joint {name} within its limits and an effort above 0: it begins at {q:g} "
+                        f"and {self.urdf} has {joint.lower:g} to {joint.upper:g} and effort {joint.effort:g}"
+                    )
+
+    def start(self, name: Literal["position", "velocity"]) -> Vector:
+        """Return q(0) or its rate, of mimic joints as their constraint has it.
+
+        Raises
+        ------
+        ValueError
+            A mimic joint is given another value.
+        """
+        given: Vector = getattr(self, name)
+        values = list(spread(name, given, len(self.joints)))
+        if not self.urdf:
+            return tuple(values)
+        from ..rigid_body import ties
+
+        for follower, leader, multiplier, offset in ties(read_urdf(self.urdf), self.joints):
+            wanted = multiplier * values[leader] + (offset if name == "position" else 0.0)
+            if len(given) > 1 and abs(values[follower] - wanted) > 1e-9 * max(1.0, abs(wanted)):
+                raise ValueError(
+                    f"{name} = {list(given)}: {self.joints[follower]} mimics {self.joints[leader]} and begins at "
+                    f"{wanted:g}; give that, or one value for all joints that follow no other"
+                )
+            values[follower] = wanted
+        return tuple(values)
 
 
 class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
@@ -77,10 +140,28 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
 
     def initial(self) -> tuple[Vector, Vector]:
         """Give q(0) and its rate."""
-        return spread("position", self.p.position, self.n), spread("velocity", self.p.velocity, self.n)
+        return self.p.start("position"), self.p.start("velocity")
+
+    def friction(self) -> Friction:
+        """Return the friction of the URDF."""
+        if not self._found:
+            return super().friction()
+        coulomb = tuple(joint.friction for joint in self._found)
+        return Friction(coulomb, coulomb, tuple(joint.damping for joint in self._found), 1.0, self.p.edge_speed)
+
+    def stops(self) -> bool:
+        """Return whether the limits of the URDF act."""
+        return bool(self._found) and self.p.limits == "act"
 
     def setup(self) -> None:
-        """Prepare the disturbance."""
+        """Read the URDF, and prepare the disturbance."""
+        self._found: tuple[Joint, ...] = ()
+        self._notes: tuple[str, ...] = ()
+        if self.p.urdf:
+            from ..urdf_file import read_robot
+
+            robot = read_robot(read_urdf(self.p.urdf), self.p.urdf)
+            self._found, self._notes = tuple(robot.joints[name] for name in self.p.joints), robot.notes
         super().setup()
         none = (0.0,) * self.n
         self._before = (none, none)
@@ -90,6 +171,47 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
     def loads(self, t: int) -> tuple[Vector, Vector]:
         """Give the disturbance voltages; no load torque."""
         return self._before if t < self._time else self._after
+
+    def outputs(self, x: Any, t: int) -> Mapping[str, Vector]:
+        """Give joint and motor states; efforts are what the drives hand over, within the limits where these act."""
+        found = super().outputs(x, t)
+        if not self.stops():
+            return found
+        n, states = self.n, found["joint_states"]
+        efforts = (min(max(f, -j.effort), j.effort) for f, j in zip(states[2 * n :], self._found, strict=True))
+        return {"joint_states": (*states[: 2 * n], *efforts), "motor_states": found["motor_states"]}
+
+    def first(self) -> Any:
+        """Report what the URDF has that has no effect, and begin."""
+        for note in self._notes:
+            self.report(Level.WARN, note, note)
+        return super().first()
+
+    def advance(self, x: Any, t: int, *, motor_command: Vector) -> Any:
+        """Move, and report limits of the URDF that are passed."""
+        x = super().advance(x, t, motor_command=motor_command)
+        if self._found:
+            self._watch(x)
+        return x
+
+    def _watch(self, x: Any) -> None:
+        """Report each limit that is passed, once a joint and kind."""
+        for name, joint, q, v, i, k in zip(
+            self.p.joints, self._found, x.q, x.v, x.i, self.torque_per_ampere, strict=True
+        ):
+            if not joint.lower <= q <= joint.upper:
+                self._passed(name, "position", q, joint.lower, joint.upper)
+            if not -joint.velocity <= v <= joint.velocity:
+                self._passed(name, "velocity", v, -joint.velocity, joint.velocity)
+            if not -joint.effort <= k * i <= joint.effort:
+                self._passed(name, "effort", k * i, -joint.effort, joint.effort)
+
+    def _passed(self, joint: str, kind: str, value: float, lower: float, upper: float) -> None:
+        self.report(
+            Level.WARN,
+            f"{kind} limit of {joint}",
+            f"{joint}: {kind} {value:.4g} is outside of {lower:g} to {upper:g}, the limits of {self.p.urdf}",
+        )
 
 
 main = executable(ManipulatorPlant)

@@ -1,0 +1,81 @@
+"""Tables of the names that a file format knows, and what softrig does with each: used, ignored, or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from ..errors import ScenarioError, closest
+
+Use = Literal["used", "ignored", "refused"]
+BELOW = "/**"  # ends a name that stands for an element and everything in it
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """Every name of a file format's standard: tags, attributes, fields, columns.
+
+    Reading a file, generating its reference page, and the tests all use this one table.
+
+    Parameters
+    ----------
+    title : str
+        Name of the format, for messages and pages.
+    standard : str
+        Where the names are defined.
+    table : mapping
+        Name to (use, explanation). The explanation of an ignored name completes "NAME is ignored: ", that of a refused
+        one "NAME is refused: ". A name that ends in ``/**`` covers an element with everything in it.
+    """
+
+    title: str
+    standard: str
+    table: Mapping[str, tuple[Use, str]]
+
+    def check(self, names: Iterable[str], where: str) -> list[str]:
+        """Check the names that a file has.
+
+        Parameters
+        ----------
+        names : iterable of str
+        where : str
+            The file, for messages.
+
+        Returns
+        -------
+        list of str
+            A note on each ignored name, once.
+
+        Raises
+        ------
+        ScenarioError
+            A refused or an unknown name; suggests the nearest one.
+        """
+        notes: dict[str, str] = {}
+        for name in names:
+            key = self.entry(name)
+            if key is None:
+                raise ScenarioError(
+                    f"{where}: {name} is no part of {self.title}{closest(name, self.known())}; "
+                    "remove it or correct its name"
+                )
+            use, text = self.table[key]
+            if use == "refused":
+                raise ScenarioError(f"{where}: {name} is refused: {text}")
+            if use == "ignored":
+                shown = key.removesuffix(BELOW)
+                notes.setdefault(shown, f"{where}: {shown} is ignored: {text}")
+        return list(notes.values())
+
+    def entry(self, name: str) -> str | None:
+        """Return the key of the table that covers a name, or None."""
+        if name in self.table:
+            return name
+        parts = name.partition("@")[0].split("/")
+        covering = ("/".join(parts[:k]) + BELOW for k in range(len(parts), 0, -1))
+        return next((key for key in covering if key in self.table), None)
+
+    def known(self) -> list[str]:
+        """Return the names that may stand in a file."""
+        return [key.removesuffix(BELOW) for key, (use, _) in self.table.items() if use != "refused"]
