@@ -773,7 +773,7 @@ def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=None, cl
     reader.table.follow_ticks(set(), lambda: None)
     planned, marked = [], []
     reader.step.changes, reader.step.plan = [Change(MS, {"k": 1.0})], planned.extend
-    reader.step.lacks, reader.block, reader.write_status = "as ever", None, lambda: None
+    reader.step.link, reader.block, reader.write_status = None, None, lambda: None
 
     def recording(of):
         known = {port.name: port for port in ports} | {"/clock": CLOCK}
@@ -795,7 +795,7 @@ def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=None, cl
         for k in range(reader.schedule.count()):
             reader.ticks = k
             assert back._drive.spoken.silent
-            if reader.step.lacks(reader.t):
+            if reader.step.link.lacks(reader.t):
                 yield None
                 return
             marked.append({name: row.stamp for name, row in rows.items()})
@@ -825,7 +825,7 @@ def test_who_comes_back_answers_the_ticks_for_which_the_others_have_said_all_and
     ]
     assert marked[4] == {"x": 40 * MS, "s": 10 * MS, "c": 40 * MS}
     assert planned == [Change(MS, {"k": 1.0})]
-    assert (reader.step.lacks, back._drive.spoken.silent) == ("as ever", False)
+    assert (reader.step.link, back._drive.spoken.silent) == (back._drive, False)
     assert reader.refusals == [("s", "q/position is nan, expected a finite number")]
     assert {name: (row.used, row.reached) for name, row in rows.items()} == {
         "x": (40 * MS, 40 * MS),

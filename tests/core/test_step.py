@@ -10,6 +10,7 @@ from conftest import make_scenario
 from faultrig import Gain, Lag, Source
 from simulated import SimulatedRig, World
 from softrig_core import Block, Recording, Rig, RunError, Signals, rig_of, run_inprocess, scalars
+from softrig_core.block.link import Link
 from softrig_core.block.runner import Runner
 from softrig_core.block.schedule import Schedule
 from softrig_core.block.step import Step
@@ -96,7 +97,7 @@ def _alone(answer):
 
     block, rows = Odd(name="odd"), []
     step = Step("odd", block, Schedule(0.1), *block.ports(block.p))
-    step.send = lambda t, said: rows.append(said)
+    Link(step).send = lambda t, said, numbers: rows.append(said)
     return step, rows
 
 

@@ -13,9 +13,10 @@ from xml.etree.ElementTree import Element, SubElement
 
 import softrig_core
 from softrig_core import Plant, Port
+from softrig_core.block.link import Link, Rows
 from softrig_core.block.params import build, declarations, flatten
 from softrig_core.block.schedule import Schedule
-from softrig_core.block.step import Rows, Step
+from softrig_core.block.step import Step
 from softrig_core.judge.units import base
 from softrig_core.rig.installed import load_block
 
@@ -33,6 +34,20 @@ LARGEST = (1 << 31) - 1  # of an Integer of FMI 2.0
 def variable(topic: str, label: str) -> str:
     """Name the variable of a signal: ``motor.state.shaft.velocity``."""
     return f"{topic}/{label}".strip("/").replace("/", ".")
+
+
+class _Shown(Link):
+    """Has the variables of the FMU be what the block publishes."""
+
+    def __init__(self, step: Step, numbers: dict[str, list[float]]) -> None:
+        super().__init__(step)
+        self._numbers = numbers
+
+    def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
+        """Take an answer."""
+        for port, row in zip(self.step.outputs, rows, strict=True):
+            if row is not None:  # none is delayed: no samples here
+                self._numbers[port.name][:] = cast(tuple[float, ...], row)
 
 
 class Node(Base):  # type: ignore[misc,unused-ignore]
@@ -149,7 +164,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         block.reset(self._what["seed"])
         self._schedule = Schedule(self._params.period)
         self._step = Step(self._what["node"], block, self._schedule, self._inputs, self._outputs)
-        self._step.send = self._take
+        _Shown(self._step, self._numbers)
         self._k = 0
         if isinstance(block, Plant):
             self._step.say(0)
@@ -168,11 +183,6 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         step.values.update(values)
         for name, row in numbers.items():
             self._numbers[name][:] = row
-
-    def _take(self, t: int, rows: Rows) -> None:
-        for port, row in zip(self._outputs, rows, strict=True):
-            if row is not None:  # none is delayed: no samples here
-                self._numbers[port.name][:] = cast(tuple[float, ...], row)
 
     def exit_initialization_mode(self) -> None:
         """Set the block up with the parameters that the tool has given."""

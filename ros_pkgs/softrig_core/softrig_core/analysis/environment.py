@@ -9,10 +9,11 @@ from typing import Any
 
 from ..block.block import Observer
 from ..block.held import ByHand
+from ..block.link import Link, Rows
 from ..block.params import flatten
 from ..block.port import Port, Sample
 from ..block.runner import Runner
-from ..block.step import Rows, Step
+from ..block.step import Step
 from ..errors import RunError, ScenarioError, closest
 from ..extras import need
 from ..rig.members import Member, signal_units
@@ -38,6 +39,33 @@ Array = NDArray[np.float64]
 Signals = Sequence[str] | Mapping[str, tuple[float, float]]
 
 
+class _Watched(Link):
+    """Keeps what a step publishes as the newest, besides what its link does with it."""
+
+    def __init__(self, step: Step, said: dict[str, Any]) -> None:
+        super().__init__(step)
+        self._said, self._topics = said, [p.topic for p in step.outputs]
+
+    def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
+        """Keep an answer."""
+        for topic, row in zip(self._topics, rows, strict=True):
+            if row is not None:
+                self._said[topic] = row
+        super().send(t, rows, numbers)
+
+
+class _Acts(Link):
+    """Has the agent wait for an action."""
+
+    def __init__(self, step: Step, waits: Callable[[], bool]) -> None:
+        super().__init__(step)
+        self._waits = waits
+
+    def lacks(self, t: int) -> bool:
+        """Return whether there is none."""
+        return self._waits()
+
+
 class Now(Mapping[str, float]):
     """The newest value of each signal of a rig, by ``topic/channel/field`` or the scenario's shared name."""
 
@@ -45,19 +73,6 @@ class Now(Mapping[str, float]):
         self._known = {f"{t}/{label}": (t, k) for t, p in rig.topics.items() for k, label in enumerate(p.labels)}
         self._shared = names_of(rig, signal_units(rig))
         self.said: dict[str, Any] = {}
-
-    def watch(self, step: Step) -> None:
-        """Keep what a step says, besides what its `send` does."""
-        topics, send = [p.topic for p in step.outputs], step.send
-
-        def keep(t: int, rows: Rows) -> None:
-            for topic, row in zip(topics, rows, strict=True):
-                if row is not None:
-                    self.said[topic] = row
-            if send is not None:
-                send(t, rows)
-
-        step.send = keep
 
     def whole(self, name: str) -> str:
         """Give the whole name of a signal, called by its own or a shared name.
@@ -209,9 +224,6 @@ class RigEnv(gym.Env[Array, Array]):
         self.steps = steps = wired(self.rig, self.blocks)
         self._agent, self.clock = steps[self._law.name], steps[self.rig.clock.name]
         self._agent.x = self._agent.x._replace(act=self._take)
-        for step in steps.values():
-            step.lacks = _never
-        self._agent.lacks = lambda t: self._action is None
         self.now = Now(self.rig)
         self.run = None
         if self._record:
@@ -219,7 +231,8 @@ class RigEnv(gym.Env[Array, Array]):
             record(self.rig, steps, recording)
             self.run = Run(self.rig, number, recording, blocks=dict(steps))
         for step in steps.values():
-            self.now.watch(step)
+            _Watched(step, self.now.said)
+        _Acts(self._agent, lambda: self._action is None)
         self._action, self._started = None, time.perf_counter()
         self.begin()
         return self.held.copy(), self._info()
@@ -350,10 +363,6 @@ class RigEnv(gym.Env[Array, Array]):
 
     def _info(self) -> dict[str, Any]:
         return {"t": self.clock.t / SECOND}
-
-
-def _never(t: int) -> bool:
-    return False
 
 
 def _law(rig: Rig, name: str) -> Member:

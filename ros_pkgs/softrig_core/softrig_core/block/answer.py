@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import accumulate
 from operator import mul
 from typing import TYPE_CHECKING, Any
 
@@ -87,6 +88,35 @@ def usual(values: tuple[Any, ...], bound: float) -> bool:
         return type(size) is float and size <= bound
     except (TypeError, OverflowError):
         return False
+
+
+Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, to; its stamp and flag, where it has them
+
+
+def places(outputs: Sequence[Port]) -> list[Where]:
+    """Return where each output stands in all that a step publishes at a tick (`part`)."""
+    at = [0, *accumulate(p.size for p in outputs)]
+    stamp = [0, *accumulate(p.delayed for p in outputs)]
+    flag = [*accumulate((p.sporadic for p in outputs), initial=at[-1])]
+    return [
+        (at[j], at[j + 1], stamp[j] if p.delayed else None, flag[j] if p.sporadic else None)
+        for j, p in enumerate(outputs)
+    ]
+
+
+def part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row | None:
+    """Return what one output publishes, of all that a step does at a tick; None: nothing."""
+    low, high, stamp, flag = where
+    if flag is not None and not numbers[flag]:
+        return None
+    row = tuple(numbers[low:high])
+    return row if stamp is None else Sample(stamps[stamp], row)
+
+
+def parted(outputs: Sequence[Port], numbers: Sequence[float], stamps: Sequence[int]) -> dict[str, Row]:
+    """Return what each output publishes that publishes something, of all numbers, flags and stamps of a tick."""
+    parts = zip(outputs, places(outputs), strict=True)
+    return {p.name: row for p, where in parts if (row := part(numbers, stamps, where)) is not None}
 
 
 Messages = Sequence[tuple[int, tuple[float, ...]]]  # (stamp in ns, values) of each, the oldest first

@@ -15,6 +15,7 @@ from typing import Any
 
 from ..errors import RunError
 from .answer import sum_of_products
+from .link import Link
 from .port import Sample
 
 Step = Any  # `softrig_core.block.step.Step`, which imports this
@@ -44,8 +45,7 @@ def advance(t, values=values):
 {failed}
     if events:
         step.tell()
-    if step.moved is not None:
-        step.moved()
+{over}
 """
 
 FAILED = """
@@ -68,15 +68,16 @@ PLAIN = """
             fits = False
         if not fits:
             {rows} = rows = step.checked(found)
+            numbers = step.numbers
 """
 
 
 def sayer(step: Step) -> Callable[[int], None]:
     """Make the function that answers a tick (ns) of a step as it is wired by now; see `Step.say`."""
-    known: dict[str, Any] = {"respond": step.respond, "send": step.send}
+    known: dict[str, Any] = {"respond": step.respond}
     rows = [f"row{k}" for k, _ in enumerate(step.outputs)]
     all_rows = "".join(f"{row}, " for row in rows)
-    checked, handed = "        rows = ()", []
+    checked, handed = "        rows = numbers = ()", []
     if step.outputs and step.plain:
         sizes = [f"type({row}) is tuple and len({row}) == {p.size}" for row, p in zip(rows, step.outputs, strict=True)]
         checked = PLAIN.format(
@@ -87,7 +88,7 @@ def sayer(step: Step) -> Callable[[int], None]:
         )
         known["bound"] = min(port.bound for port in step.outputs)
     elif step.outputs:
-        checked = f"        {all_rows} = rows = step.checked(found)"
+        checked = f"        {all_rows} = rows = step.checked(found)\n        numbers = ()"
         handed.append("    step.spoken = [s if row is None else t for s, row in zip(step.spoken, rows)]")
     for number, fill in enumerate([*step.readers, *step.doubters]):
         row, port = rows[fill.output], fill.port
@@ -97,8 +98,11 @@ def sayer(step: Step) -> Callable[[int], None]:
             handed.append(f"    {silent}reader{number}.doubt(t, port{number}, {fill.text(row)})")
         else:
             handed.append(f"    {silent}values{number}[{port.name!r}] = {fill.text(row)}")
-    if step.send is not None:
-        handed.append("    send(t, rows)")
+    if step.link is not None:
+        known["send"] = step.link.send
+        handed.append("    send(t, rows, numbers)")
+    if not step.plant:
+        handed += _over(step, known)
     inputs = _inputs(step.asked_for)
     answer, kept = ("found", "") if step.plant else ("x, found", "    step.x = x")
     text = SAY.format(answer=answer, inputs=inputs, checked=checked, failed=FAILED, kept=kept, handed="\n".join(handed))
@@ -108,7 +112,20 @@ def sayer(step: Step) -> Callable[[int], None]:
 def mover(step: Step) -> Callable[..., None]:
     """Make the function that moves a plant on; see `Step.advance`."""
     known = {"move": step.block.advance}
-    return _made("advance", ADVANCE.format(inputs=_inputs(step.values), failed=FAILED), step, known)
+    over = "\n".join(_over(step, known))
+    return _made("advance", ADVANCE.format(inputs=_inputs(step.values), failed=FAILED, over=over), step, known)
+
+
+def _over(step: Step, known: dict[str, Any]) -> list[str]:
+    """Write what is to be done when a tick is over, where there is anything."""
+    links, link = [], step.link
+    while link is not None:
+        links.append(type(link).over)
+        link = link.inner
+    if set(links) <= {Link.over}:
+        return []
+    known["over"] = step.link.over
+    return ["    over(t)"]
 
 
 def _inputs(names: Iterable[str]) -> str:

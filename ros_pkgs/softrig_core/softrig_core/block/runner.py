@@ -63,7 +63,7 @@ class Runner:
                 lacking = _say(lacking, t)
             for plant, every in plants:
                 if ticks is None or k + every <= ticks:
-                    while plant.lacks is not None and plant.lacks(t):
+                    while plant.link is not None and plant.link.lacks(t):
                         yield None
                     plant.advance(t)
             yield t
@@ -83,7 +83,7 @@ def _say(steps: Sequence[Step], t: int) -> list[Step]:
     lacking: list[Step] = []
     for step in steps:
         waits = lacking and any(fill.source in lacking for fill in step.fed.values())
-        if waits or (step.lacks is not None and step.lacks(t)):
+        if waits or (step.link is not None and step.link.lacks(t)):
             lacking.append(step)
         else:
             step.say(t)

@@ -17,11 +17,10 @@ from .bound import mover, sayer
 from .change import Change, permit, revise
 from .fill import Fill, Pick, Stamp
 from .held import Held
+from .link import Link, Rows
 from .params import flatten
 from .port import Port, Sample
 from .schedule import Schedule
-
-Rows = tuple["Row | None", ...]  # of each output: what is said; None for the silence of a sporadic one
 
 
 class Step(Held):
@@ -59,33 +58,16 @@ class Step(Held):
     say : callable
         Gets t, ns: answers that tick, hands the answer to the readers here, and sends it. A RunError whose `node` is
         the name of this step: the block failed, or gave what may not leave it. Made with the first tick (`bound.py`):
-        what is read and written must be wired by then, `send` and `respond` set.
+        what is read and written must be wired by then, `respond` set; made again when it gets another link.
     advance : callable
         Gets t, ns, and by choice the values of the inputs: moves a plant from t over one period, or a RunError.
-    send : callable or None
-        Gets (t, rows) of each answer: what carries it out of this process, or records it.
-    send_all : callable or None
-        Gets (times, numbers) of many answers at once, shapes (n,) and (n, size); see `send`. Of one that is not plain
-        flags of silence are after the numbers, and stamps of delayed outputs come, too, (n, count).
-    lacks : callable or None
-        Gets t, the tick that is to be answered: whether something that it needs has not come; None: never.
-    moved : callable or None
-        Called when a plant has moved on.
+    link : Link or None
+        What joins it to what is elsewhere; None: nothing does.
     native : (int, str)
         How many of its ticks native code answered, and why Python answered the others.
-    tell_native : callable
-        Brings `native` up to date while it runs.
-    changed : callable or None
-        Gets (t, values by name) of each tick before which parameters were changed, and how.
     """
 
-    send: Callable[[int, Rows], object] | None = None
-    send_all: Callable[..., object] | None = None
-    lacks: Callable[[int], bool] | None = None
-    moved: Callable[[], object] | None = None
-    changed: Callable[[int, Mapping[str, Any]], object] | None = None
     native: tuple[int, str] = (0, "")
-    tell_native: Callable[[], object] = bool
 
     say: Callable[[int], None]
     advance: Callable[..., None]
@@ -119,8 +101,18 @@ class Step(Held):
         if not self.plant and block.finishes():
             self.respond = self._finish_or_update
         block.ages = self.age
-        self.make_anew()  # when all is wired: with the first tick
+        self.link = None
         self.plan(changes)
+
+    @property
+    def link(self) -> Link | None:
+        """See above."""
+        return self._link
+
+    @link.setter
+    def link(self, link: Link | None) -> None:
+        self._link = link
+        self.say, self.advance = self._first_say, self._first_advance
 
     # what a tick is -----------------------------------------------------------------------------------------------
 
@@ -157,8 +149,8 @@ class Step(Held):
                 fill.reader.doubt(t, fill.port, fill.take(row))
             elif row is not None:
                 fill.bring(row)
-        if self.send is not None:
-            self.send(t, rows)
+        if self.link is not None:
+            self.link.send(t, rows, self.numbers)
 
     def age(self, name: str) -> int | None:
         """Answer `Block.age`: from the stamp of what an input holds to the tick under way, ns; None: nothing came."""
@@ -215,18 +207,9 @@ class Step(Held):
         self.change_at = self.changes[0].at if self.changes else math.inf
         revised = revise(self.params, taken)
         self.change(revised)
-        if self.changed is not None:
+        if self.link is not None:
             known = flatten(revised)
-            self.changed(t, {name: known[name] for name in taken})
-
-    def let_go(self) -> None:
-        """Keep nothing of what carried its answers away or recorded them; it may go on without."""
-        self.send = self.send_all = self.changed = None
-        self.make_anew()
-
-    def make_anew(self) -> None:
-        """Have `say` and `advance` made again with the next tick: what they are bound to has changed."""
-        self.say, self.advance = self._first_say, self._first_advance
+            self.link.changed(t, {name: known[name] for name in taken})
 
     # its parts ----------------------------------------------------------------------------------------------------
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..block.answer import Heard, Messages, Row
+from ..block.answer import Heard, Messages, Where, part, parted, places
 from ..block.block import Observer
 from ..block.fill import Fill, picked
 from ..block.port import Sample
@@ -17,33 +16,11 @@ from ..block.step import Step
 
 NEVER = -1  # of a time, ns
 
-Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, to; its stamp and flag, where it has them
-
-
-def _places(step: Step) -> list[Where]:
-    """Give where each output of a step stands in all that it says at a tick (`_part`)."""
-    at = [0, *accumulate(p.size for p in step.outputs)]
-    stamp = [0, *accumulate(p.delayed for p in step.outputs)]
-    flag = [*accumulate((p.sporadic for p in step.outputs), initial=at[-1])]
-    return [
-        (at[j], at[j + 1], stamp[j] if p.delayed else None, flag[j] if p.sporadic else None)
-        for j, p in enumerate(step.outputs)
-    ]
-
 
 def _readings(source: Step, reader: Step) -> list[tuple[Fill, Where]]:
-    """Give what of a step's answers another one reads, and which part of them (`_part`)."""
-    places = _places(source)
-    return [(fill, places[fill.output]) for fill in reader.fed.values() if fill.source is source]
-
-
-def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row | None:
-    """Give what one output says, of all that a step says at a tick; None: nothing."""
-    low, high, stamp, flag = where
-    if flag is not None and not numbers[flag]:
-        return None
-    row = tuple(numbers[low:high])
-    return row if stamp is None else Sample(stamps[stamp], row)
+    """Give what of a step's answers another one reads, and which part of them (`part`)."""
+    where = places(source.outputs)
+    return [(fill, where[fill.output]) for fill in reader.fed.values() if fill.source is source]
 
 
 def answered(
@@ -69,7 +46,7 @@ def answered(
         When each output that is silent at times spoke last, ns, by its place; `NEVER`.
     """
     step.t = step.schedule.time(number)
-    said = _parted(step, numbers, stamps)
+    said = parted(step.outputs, numbers, stamps)
     if step.outputs:
         step.said, step.numbers = said, numbers if step.plain else ()
     if not step.plain:
@@ -78,15 +55,6 @@ def answered(
     for fill in step.readers:
         if not step.outputs[fill.output].sporadic:
             fill.bring(said[step.outputs[fill.output].name])
-
-
-def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
-    """Give what each output says that says something."""
-    if step.plain:
-        ends = accumulate(p.size for p in step.outputs)
-        return {p.name: numbers[end - p.size : end] for p, end in zip(step.outputs, ends, strict=True)}
-    parts = zip(step.outputs, _places(step), strict=True)
-    return {p.name: row for p, where in parts if (row := _part(numbers, stamps, where)) is not None}
 
 
 class Answers(NamedTuple):
@@ -166,17 +134,13 @@ class Audience:
         times: dict[tuple[Any, range], Any] = {}
         for s in core:
             own = self.own(s, first, last)
-            if not own:
+            if s.link is None or not own:
                 continue
-            if s.send_all is not None:
-                if (ticks := (s.schedule.period, own)) not in times:
-                    times[ticks] = s.schedule.times(own.start, own.stop)
-                numbers = np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(own), 0))
-                s.send_all(times[ticks], numbers, *(() if s.plain else (np.asarray(rows[id(s)].stamps, np.int64),)))
-            elif s.send is not None and s.outputs:
-                for number, row, z in zip(own, *rows[id(s)].listed(), strict=True):
-                    said = _parted(s, tuple(row), z)
-                    s.send(s.schedule.time(number), tuple([said.get(p.name) for p in s.outputs]))
+            if (ticks := (s.schedule.period, own)) not in times:
+                times[ticks] = s.schedule.times(own.start, own.stop)
+            numbers = np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(own), 0))
+            stamps = np.asarray(rows[id(s)].stamps if s.outputs else (), np.int64).reshape(len(own), -1)
+            s.link.send_all(times[ticks], numbers, stamps)
 
     def watch(self, recorded: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:
         """Let those who only watch see what was said, tick after tick."""
@@ -194,12 +158,12 @@ class Audience:
                 if (at := k // every - begin) >= 0:
                     s.t = s.schedule.time(k // every)
                     if not s.plain:
-                        spoke = _parted(s, numbers[at], stamps[at])
+                        spoke = parted(s.outputs, numbers[at], stamps[at])
                         s.spoken = [s.t if p.name in spoke else t for p, t in zip(s.outputs, s.spoken, strict=True)]
                     for fill, where in readers:
-                        part = _part(numbers[at], stamps[at], where)
-                        if part is not None:
-                            fill.bring(part)
+                        row = part(numbers[at], stamps[at], where)
+                        if row is not None:
+                            fill.bring(row)
             for w, every in watchers:
                 if k % every == 0:
                     w.say(t)
@@ -226,8 +190,9 @@ class Audience:
             self.tick_by_tick.add(watcher.name)
             return False
         watcher.x, watcher.t = x, t
-        if watcher.send_all is not None:
-            watcher.send_all(watcher.schedule.times(ticks.start, ticks.stop), np.empty((len(ticks), 0)))
+        if watcher.link is not None:
+            nothing = np.empty((len(ticks), 0))
+            watcher.link.send_all(watcher.schedule.times(ticks.start, ticks.stop), nothing, nothing.astype(np.int64))
         return True
 
     def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..block.link import Link, Rows
 from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
@@ -105,11 +106,7 @@ class Engine:
         self._watchers, self._every = self._audience.watchers, self._audience.every
         self._aside: dict[str, str] = {}  # members that are seldom due, so that Python may run their ticks, and why
         self._share()
-        self._said: list[tuple[Callable[..., Any], Any, Any]] | None = None  # in a tick that is handed out later
-        for s in self.steps if self._deciding else ():
-            if s.send is not None:
-                s.send = self._held_back(s.send)
-                s.make_anew()
+        self._later = [_Later(s) for s in self.steps if self._deciding and s.link is not None]
         self._cut = False  # whether native code gave up the last tick that it began
         self._smooth = False  # whether all who watch take what is recorded at once
         self._time = self.runner.schedule.time
@@ -289,7 +286,7 @@ class Engine:
         core = self._core
         self._fits = self._forms()
         roots = [s.block for s in core]
-        recorded = [s for s in core if s.outputs and (s.send is not None or s.send_all is not None or self._watched(s))]
+        recorded = [s for s in core if s.outputs and (s.link is not None or self._watched(s))]
         kinds = (
             *(
                 (type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks, *kind)
@@ -408,16 +405,18 @@ class Engine:
             self._take(at, reached, after)
             if reached == last or not self._decided(reached):
                 break
-            said = self._said = []
+            for link in self._later:
+                link.kept = []
             try:
                 next(self._core_alone.run(reached))
             except RunError:
                 hand_out()
-                for send, t, found in said:
-                    send(t, found)
+                for link in self._later:
+                    link.hand_on()
                 raise
             finally:
-                self._said = None
+                for link in self._later:
+                    link.kept = None
             self.native.decided += 1
             for s in self._recorded:
                 if reached % self._every[id(s)] == 0:
@@ -431,12 +430,6 @@ class Engine:
                 break
         hand_out()
         return reached
-
-    def _held_back(self, send: Callable[..., Any]) -> Callable[..., Any]:
-        def later(t: int, rows: Any) -> Any:
-            return send(t, rows) if self._said is None else self._said.append((send, t, rows))
-
-        return later
 
     def _places(self, first: int, last: int) -> dict[int, Answers]:
         """Give what native code writes the answers of ticks from `first` up to `last` into, and have it handed that."""
@@ -548,6 +541,36 @@ class Engine:
                 fill = link.fill
                 if link.source == k and newest.get(fill.output, s.t) >= self._time(first):
                     fill.reader.values[fill.port.name] = unpacked(value)
+
+
+class _Later(Link):
+    """Keeps what is published in a tick of Python whose answers are handed out later, with those of native code."""
+
+    kept: list[tuple[Any, ...]] | None = None
+
+    def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
+        """Send an answer, or keep it."""
+        self._take(Link.send, t, rows, numbers)
+
+    def over(self, t: int) -> None:
+        """Take note of it, or keep that."""
+        self._take(Link.over, t)
+
+    def send_all(self, times: Any, numbers: Any, stamps: Any) -> None:
+        """Send them."""
+        assert self.inner is not None
+        self.inner.send_all(times, numbers, stamps)
+
+    def hand_on(self) -> None:
+        """Do what is kept."""
+        for call, *arguments in self.kept or ():
+            call(self, *arguments)
+
+    def _take(self, call: Any, *arguments: Any) -> None:
+        if self.kept is None:
+            call(self, *arguments)
+        else:
+            self.kept.append((call, *arguments))
 
 
 NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, NameError, TypeError)  # what gives a tick up

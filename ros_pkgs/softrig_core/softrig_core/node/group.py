@@ -61,12 +61,10 @@ class Group:
         members = [n.step for n in _in_order(nodes, links)]
         if len(nodes) > 1 and all(n.middleware.mute for n in nodes):
             self._ticks, tell = ticks_of(members, alone=lambda: all(step.alone for step in steps))
-            for member in members:
-                member.tell_native = tell
         else:
-            self._ticks = Runner(members).run()
+            self._ticks, tell = Runner(members).run(), None
         for step in steps:
-            step.join(names - {step.node.middleware.name}, self._begin, self._ticks)
+            step.join(names - {step.node.middleware.name}, self._begin, self._ticks, tell)
 
     def _begin(self) -> None:
         """Run when the peers of all nodes are there."""

@@ -11,15 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 from ..block.block import Block, Observer
 from ..block.codec import encoder
+from ..block.link import Link, Rows
 from ..block.port import CLOCK, Port, Sample
 from ..block.runner import YOUNG
-from ..block.step import Rows, Step
+from ..block.step import Step
 from ..errors import ScenarioError
 from ..native.choice import ticks_of
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..solver.solver import Solver
 from ..wire import parameter_event
+from ..wire.cdr import Layout
 from ..wire.recording import Sink
 
 if TYPE_CHECKING:
@@ -82,7 +84,7 @@ def run_inprocess(
                     due = t + end // 100
     finally:
         for step in steps.values():
-            step.let_go()
+            step.link = None  # it may go on without, and keeps nothing of the sink
             if isinstance(step.block, Solver):
                 step.block.rest()
     return steps
@@ -143,25 +145,14 @@ def record(rig: Rig, steps: Mapping[str, Step], sink: Sink, said: Mapping[str, i
     numbers = {topic: number for number, topic in enumerate(rig.topics)}
     for step in steps.values():
         ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
-        if not ports:
-            continue
-        step.send = keeper(sink, step, ports, [numbers[p.topic] for p in ports], said)
-        if step.plain:
-            step.send_all = sink.rows({numbers[p.topic]: p.layout() for p in ports})
-        elif not any(p.layout().numbered for p in ports):
-            step.send_all = many_keeper(sink, ports, [numbers[p.topic] for p in ports])
-        step.changed = noter(sink, step.name)
-
-
-def noter(sink: Sink, name: str) -> Callable[[int, Mapping[str, Any]], object]:
-    """Give what records the changes of a node's parameters."""
-    return lambda t, values: sink.note(t, parameter_event.encode(t, f"/{name}", values))
+        if ports:
+            keeper(step, sink, ports, [numbers[p.topic] for p in ports], said)
 
 
 def keeper(
-    sink: Sink, step: Step, ports: Sequence[Port], numbers: Sequence[int], said: Mapping[str, int] | None = None
-) -> Callable[[int, Rows], object]:
-    """Give what records the answers of a step.
+    step: Step, sink: Sink, ports: Sequence[Port], numbers: Sequence[int], said: Mapping[str, int] | None = None
+) -> Link:
+    """Have a sink get the messages of a step.
 
     Parameters
     ----------
@@ -172,37 +163,71 @@ def keeper(
     said : mapping of str to int, optional
         Messages that the sink has already, by topic.
     """
-    layouts = [p.layout() for p in ports]
-    if step.plain:
-        add_row = sink.row(dict(zip(numbers, layouts, strict=True)))
-        return lambda t, rows: add_row(t, step.numbers)
-    encoders = [encoder(p.layout(), (said or {}).get(p.topic, 0)) for p in ports]
-    silent = ((),) * (len(ports) - len(step.outputs))
+    layouts = dict(zip(numbers, [p.layout() for p in ports], strict=True))
+    return _RowKeeper(step, sink, layouts) if step.plain else _Keeper(step, sink, ports, layouts, said or {})
 
-    def record(t: int, rows: Rows) -> None:
-        for number, encode, row in zip(numbers, encoders, (*rows, *silent), strict=True):
+
+class _ToSink(Link):
+    """Records changes of parameters."""
+
+    def __init__(self, step: Step, sink: Sink) -> None:
+        super().__init__(step)
+        self._sink = sink
+
+    def changed(self, t: int, values: Mapping[str, Any]) -> None:
+        """Record them."""
+        self._sink.note(t, parameter_event.encode(t, f"/{self.step.name}", values))
+
+
+class _RowKeeper(_ToSink):
+    """Records a step that publishes on each output at each tick."""
+
+    def __init__(self, step: Step, sink: Sink, layouts: Mapping[int, Layout]) -> None:
+        super().__init__(step, sink)
+        self._add_row, self._add_rows = sink.row(layouts), sink.rows(layouts)
+
+    def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
+        """Record an answer."""
+        self._add_row(t, numbers)
+
+    def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
+        """Record many."""
+        self._add_rows(times, numbers)
+
+
+class _Keeper(_ToSink):
+    """Records a step some of whose outputs are silent at times, or late."""
+
+    def __init__(
+        self, step: Step, sink: Sink, ports: Sequence[Port], layouts: Mapping[int, Layout], said: Mapping[str, int]
+    ) -> None:
+        super().__init__(step, sink)
+        self._ports, self._layouts = ports, layouts
+        self._encoders = [encoder(p.layout(), said.get(p.topic, 0)) for p in ports]
+        self._silent = ((),) * (len(ports) - len(step.outputs))
+        self._numbered = any(layout.numbered for layout in layouts.values())
+
+    def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
+        """Record an answer."""
+        add = self._sink.add
+        for number, encode, row in zip(self._layouts, self._encoders, (*rows, *self._silent), strict=True):
             if row is not None:
-                sink.add(number, t, encode(row.stamp, row.data) if isinstance(row, Sample) else encode(t, row))
+                add(number, t, encode(row.stamp, row.data) if isinstance(row, Sample) else encode(t, row))
 
-    return record
-
-
-def many_keeper(sink: Sink, ports: Sequence[Port], numbers: Sequence[int]) -> Callable[..., object]:
-    """Give what records many answers of a step that is not plain at once; see `keeper` and `Step.send_all`."""
-    layouts, size = [p.layout() for p in ports], sum(p.size for p in ports)
-
-    def record(times: NDArray[np.int64], values: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
-        first, late, flag = 0, 0, size
-        for port, layout, number in zip(ports, layouts, numbers, strict=True):
-            part, marks, said = values[:, first : first + port.size], times, times
+    def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
+        """Record many; what is numbered one by one, by its encoder."""
+        if self._numbered:
+            super().send_all(times, numbers, stamps)
+            return
+        first, late, flag = 0, 0, sum(p.size for p in self._ports)
+        for port, (number, layout) in zip(self._ports, self._layouts.items(), strict=True):
+            part, marks, said = numbers[:, first : first + port.size], times, times
             first += port.size
             if port.delayed:
                 marks, late = stamps[:, late], late + 1
             if port.sporadic:
-                spoke, flag = values[:, flag] != 0.0, flag + 1
+                spoke, flag = numbers[:, flag] != 0.0, flag + 1
                 part, marks, said = part[spoke], marks[spoke], times[spoke]
             raw, n = layout.encode_block(marks, part).tobytes(), layout.length
             for k, t in enumerate(said.tolist()):
-                sink.add(number, t, raw[n * k : n * (k + 1)])
-
-    return record
+                self._sink.add(number, t, raw[n * k : n * (k + 1)])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 
 from ..block.codec import Decoder
+from ..block.link import Link
 from ..block.port import Sample
 from ..block.runner import Runner
 from ..block.step import Step
@@ -38,18 +40,25 @@ def feed(member: Member, seed: int, recording: Recording) -> Recording:
     """
     step = step_of(member, member.block(seed))
     answers = Recording((p.topic, p.msgtype) for p in member.outputs)
-    inputs = [_Input(step, member, name, recording) for name in member.links]
-
-    def bring(t: int) -> bool:
-        for item in inputs:
-            item.bring(t)
-        return False
-
-    step.lacks = bring
-    step.send = keeper(answers, step, step.outputs, range(len(step.outputs)))
+    keeper(step, answers, step.outputs, range(len(step.outputs)))
+    _Fed(step, [_Input(step, member, name, recording) for name in member.links])
     for _ in Runner([step]).run():
         pass
     return answers
+
+
+class _Fed(Link):
+    """Has a step read a recording."""
+
+    def __init__(self, step: Step, inputs: Sequence[_Input]) -> None:
+        super().__init__(step)
+        self._inputs = inputs
+
+    def lacks(self, t: int) -> bool:
+        """Bring what is recorded for a tick."""
+        for item in self._inputs:
+            item.bring(t)
+        return False
 
 
 class _Input:

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from ...block.block import Block, Level, Plant
 from ...block.change import loads
+from ...block.link import Rows
 from ...block.port import CLOCK, Port, Sample
 from ...block.schedule import Schedule
-from ...block.step import Rows, Step
+from ...block.step import Step
 from ...errors import RunError
 from ...rig.options import InputLink, Links, RunOptions
 from ...timebase import SECOND
@@ -77,6 +78,9 @@ class Drive(Protocol):
 
     def counts(self) -> dict[str, int]:
         """Give what is counted while it runs: cheap enough for every status file."""
+
+    def native(self) -> dict[str, Any]:
+        """Give what native code answers of its ticks; nothing where it cannot."""
 
     def statistics(self) -> dict[str, Any]:
         """Figures of the run for the last status file."""
@@ -140,7 +144,6 @@ class Adapter:
         self.buttons = Buttons(self.values, self._record_press)
         self.pauses = self._owns_clock or self._may_stand()  # whether people pause the run here
         self.hold = Hold(options.paused, options.pace, self._owns_clock) if self.pauses else Hold()
-        self.step.changed = self._record_change
 
     def begin(self, drive: Drive) -> None:
         """Offer and read the topics, driven by `drive`."""
@@ -231,7 +234,8 @@ class Adapter:
         if self.sink is not None and port.name in self.foreign:
             self.drive.record(self.foreign[port.name], port.layout().encode(0, (down,)))
 
-    def _record_change(self, t: int, values: Mapping[str, Any]) -> None:
+    def record_change(self, t: int, values: Mapping[str, Any]) -> None:
+        """Record parameters that have changed before tick `t`."""
         stamp = self.epoch + t
         if self.sink is not None:
             self.sink.note(stamp, encode(stamp, f"/{self.middleware.name}", values))
@@ -242,7 +246,7 @@ class Adapter:
         """Give the schedule of a peer."""
         return Schedule(link.period, self.schedule.clock, self.options.duration, link.at_end)
 
-    def publish(self, t: int, rows: Rows) -> None:
+    def publish(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Publish and record what the step has said at tick `t`, the clock if it is ours, and acknowledge the tick.
 
         All messages go out in one burst: a reader that wakes for the first finds the others already there, and
@@ -251,7 +255,7 @@ class Adapter:
         stamp = self.epoch + t
         if self._unread:  # in a container, nearly always
             if self._add_row is not None:
-                self._add_row(stamp, self.step.numbers)
+                self._add_row(stamp, numbers)
             return
         said: list[tuple[Output, int, tuple[float, ...]]] = []
         if self._plain:
@@ -264,7 +268,7 @@ class Adapter:
         if self._owns_clock:
             self.clock_output.send(stamp, ())
         if self._add_row is not None:
-            self._add_row(stamp, self.step.numbers)
+            self._add_row(stamp, numbers)
         elif self.sink is not None:
             for output, mark, values in said:
                 self.sink.add(output.number, stamp, output.layout.encode(mark, values))
@@ -390,9 +394,8 @@ class Adapter:
             "prompt": self.middleware.prompt,
             "processor": self.middleware.processor,
         }
-        if self.state != "running" and self.step.tell_native is not bool:  # its group may go natively
-            self.step.tell_native()
-            status["native"] = self.step.native
+        if self.state != "running":
+            status |= self.drive.native()
         status |= self.drive.counts()
         if self.lacking and self.state != "done":  # ROS may have been shut down by then
             status["published"] = {

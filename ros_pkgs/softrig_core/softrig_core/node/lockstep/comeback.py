@@ -15,7 +15,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from ...block.change import Change
+from ...block.link import Link
 from ...block.port import Refused
+from ...block.step import Step
 from ...solver.solver import Solver
 from ...wire.parameter_event import recorded
 from ...wire.recording import relative
@@ -106,6 +108,18 @@ class _Heard:
         return enumerate(self.data[self.next :], self.next)
 
 
+class _Returning(Link):
+    """Has a node read what is recorded in place of what comes."""
+
+    def __init__(self, step: Step, lacks: Callable[[int], bool]) -> None:
+        super().__init__(step)
+        self._lacks = lacks
+
+    def lacks(self, t: int) -> bool:
+        """Return whether that is not enough for a tick."""
+        return self._lacks(t)
+
+
 class Comeback:
     """Has a node where it was.
 
@@ -140,15 +154,15 @@ class Comeback:
         step.plan(sorted([*step.changes, *changes], key=lambda change: change.at))
         spoken = drive.spoken
         assert spoken is not None
-        lacks, step.lacks = step.lacks, self._lacks
+        _Returning(step, self.lacks)
         spoken.silent = True
         for t in ticks:
             if t is None:
                 break
-        step.lacks, spoken.silent = lacks, False
+        step.link, spoken.silent = drive, False
         self._resume()
 
-    def _lacks(self, t: int) -> bool:
+    def lacks(self, t: int) -> bool:
         """Have the inputs hold what had come up to tick t; whether something that the tick needs had not."""
         if time.monotonic() - self._told > WATCH_PERIOD * 1e-9:  # the runner sees that it lives
             self._told = time.monotonic()

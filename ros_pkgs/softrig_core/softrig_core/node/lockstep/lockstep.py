@@ -8,15 +8,15 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterator, Mapping, Set
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...block.block import Level
+from ...block.link import Link, Rows
 from ...block.port import Port
-from ...block.step import Rows
 from ...solver.solver import Solver
 from ...timebase import SECOND
 from ..adapter.adapter import Adapter
@@ -35,7 +35,7 @@ FEW = 2  # nodes that have no more to do in a tick than a loop of two
 SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin says what it lacks
 
 
-class Lockstep:
+class Lockstep(Link):
     """What makes the ticks of a node ready: the messages of its peers in other processes.
 
     Parameters
@@ -56,22 +56,25 @@ class Lockstep:
         self._over = False  # the last tick is answered
         self._awaited = 0  # tick whose wants are set
         self._last = math.inf if node.schedule.last is None else node.schedule.last
+        self._keeps = node.step.plain and (node.shard is not None or node.sink is None)  # many answers in one go
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = self._longest = 0
         self.solving: Solving | None = None
         self._comeback: Comeback | None = None
         self._stood = -1  # ticks at the last look at its progress
         self._shake: Callable[[], Handshake]  # asks who is there, as it was asked when it joined
-        step = node.step
-        step.send, step.lacks = self._send, self._lacks
-        if step.plain and (node.shard is not None or node.sink is None):
-            step.send_all = self._keep
-        if node.is_plant:
-            step.moved = self._ticked
+        super().__init__(node.step)
+        self.tell_native: Callable[[], object] | None = None
         node.begin(self)
         self.spoken = Spoken(node) if node.links.returns else None
 
-    def join(self, local: Set[str], begin: Callable[[], object], ticks: Iterator[int | None]) -> None:
+    def join(
+        self,
+        local: Set[str],
+        begin: Callable[[], object],
+        ticks: Iterator[int | None],
+        tell_native: Callable[[], object] | None,
+    ) -> None:
         """Wait for the peers that are not in this process.
 
         Parameters
@@ -82,8 +85,11 @@ class Lockstep:
             Called when all peers are there.
         ticks : iterator
             Of the runner of this process; one that comes back goes through those that it had answered.
+        tell_native : callable or None
+            Brings `Step.native` up to date; None: native code answers none of its ticks.
         """
         node, senders, links = self.node, self.senders, self.node.links
+        self.tell_native = tell_native
         senders.without(local)
         if links.clock is not None and links.clock.node not in local:
             senders.follow_clock(links.clock)
@@ -109,9 +115,6 @@ class Lockstep:
         awaited += [(busy, name) for name in solvers]
         if isinstance(node.block, Solver):
             self.solving = Solving(node.middleware, node.step, self._turn)
-        if not senders.rows and self.solving is None:
-            # all that it needs is said in this process
-            node.step.lacks = node.hold.holds if links.owns_clock else None  # type: ignore[attr-defined]
         gone: Set[str] = set()
         if node.files is not None:
             self._comeback = Comeback(self, node.files)
@@ -195,10 +198,10 @@ class Lockstep:
 
     # ticks -----------------------------------------------------------------------------------------------------
 
-    def _lacks(self, t: int) -> bool:
+    def lacks(self, t: int) -> bool:
         """Whether something that tick `t` needs has not come."""
         senders = self.senders
-        if t != self._awaited:
+        if senders.rows and t != self._awaited:
             self.await_tick(t)
         if senders.missing or self.solving is None:
             return senders.missing > 0 or self.node.hold.holds(t)
@@ -209,10 +212,10 @@ class Lockstep:
         self._awaited = t
         self.senders.await_tick(t)
 
-    def _send(self, t: int, rows: Rows) -> None:
+    def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Publish an answer; note when a plant has spoken."""
         node = self.node
-        node.publish(t, rows)
+        node.publish(t, rows, numbers)
         if node.is_plant:
             now = time.perf_counter_ns()
             if self._sent:
@@ -222,13 +225,14 @@ class Lockstep:
             else:
                 self._first = now
             self._sent = now
-        else:
-            self._ticked()
-        if t >= self._last:
-            self._leave()
+            if t >= self._last:
+                self._leave()
 
-    def _keep(self, times: NDArray[np.int64], numbers: NDArray[np.float64]) -> None:
+    def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
         """Record answers that nobody hears, given by native code."""
+        if not self._keeps:
+            super().send_all(times, numbers, stamps)
+            return
         node = self.node
         node.keep(times, numbers)
         node.ticks += len(times)
@@ -241,6 +245,19 @@ class Lockstep:
         if times[-1] >= self._last:
             self._leave()
 
+    def changed(self, t: int, values: Mapping[str, Any]) -> None:
+        """Record new parameters."""
+        self.node.record_change(t, values)
+
+    def over(self, t: int) -> None:
+        """Count a tick; one that has answered its last leaves."""
+        node = self.node
+        node.ticks += 1
+        if node.buttons.pressed:
+            node.buttons.release()
+        if not node.is_plant and t >= self._last:
+            self._leave()
+
     @property
     def alone(self) -> bool:
         """Whether no other process has a part in its ticks, nor a person."""
@@ -249,14 +266,9 @@ class Lockstep:
             node.alone
             and node.state in ("running", "done")
             and not (self.senders.rows or self.solving or node.links.returns or node.step.bad or node.buttons.pressed)
-            and (not node.step.plain or node.step.send_all is not None)
+            and (not node.step.plain or self._keeps)
             and not (node.hold.held or node.hold.pace)
         )
-
-    def _ticked(self) -> None:
-        self.node.ticks += 1
-        if self.node.buttons.pressed:
-            self.node.buttons.release()
 
     def _leave(self) -> None:
         """Finish when all who tell us of their ticks have begun: they may still wait for us to be there."""
@@ -272,6 +284,13 @@ class Lockstep:
     def counts(self) -> dict[str, int]:
         """Nothing is ever late."""
         return {}
+
+    def native(self) -> dict[str, Any]:
+        """Give what native code answers of its ticks, where it may."""
+        if self.tell_native is None:
+            return {}
+        self.tell_native()
+        return {"native": self.step.native}
 
     def statistics(self) -> dict[str, Any]:
         """Wall-clock time of a plant's ticks: all in s, each in ms; once they are over, for sorting them takes time."""

@@ -8,16 +8,16 @@ all of them that are due at its stamp are there, or, a stated part of its period
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Set
+from collections.abc import Callable, Mapping, Set
 from functools import partial
 from typing import Any
 
 from ...block.answer import Row
 from ...block.block import Level, Plant
 from ...block.fill import Pick
+from ...block.link import Link, Rows
 from ...block.port import Port
 from ...block.schedule import Schedule
-from ...block.step import Rows
 from ...errors import RunError
 from ...timebase import SECOND
 from ..adapter.adapter import Adapter
@@ -38,7 +38,7 @@ CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not
 END_GRACE = SECOND  # a node that waits for a sender ends this much after the end of the run all the same
 
 
-class Realtime:
+class Realtime(Link):
     """What makes the ticks of a node ready: the wall clock, and for a law the messages that are due.
 
     Parameters
@@ -67,7 +67,7 @@ class Realtime:
         self._period = node.schedule.time(1)
         self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
         node.epoch = node.options.epoch
-        node.step.send = node.publish
+        super().__init__(node.step)
         gather(node.step)
         node.begin(self)
         self._commands = [f for f in self.senders.rows if f.awaited and node.is_plant]
@@ -84,7 +84,6 @@ class Realtime:
     def tell(self, output: Output, reader: Realtime, row: Live, pick: Pick | None) -> None:
         """Hand what an output says to a node of this process, too."""
         self._told.setdefault(reader, []).append((output.number, row.teller(pick, output.port.unchecked)))
-        self.node.step.send = self._send
 
     def follow(self, begun: Callable[[], object]) -> None:
         """Take the ticks that a `Beat` says, which hears when it runs: its inputs are fed, nobody is waited for."""
@@ -229,13 +228,17 @@ class Realtime:
     def _excuse(self, row: Live, due: int, now: int) -> None:
         self.node.step.bad = True
 
-    def _send(self, t: int, rows: Rows) -> None:
+    def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Publish, and have the readers of this process hear it when what is under way has returned."""
         node = self.node
-        node.publish(t, rows)
+        node.publish(t, rows, numbers)
         stamp = node.epoch + t
         for reader, parts in self._told.items():
             node.middleware.post(partial(reader.hear, parts, stamp, rows))
+
+    def changed(self, t: int, values: Mapping[str, Any]) -> None:
+        """Record new parameters."""
+        self.node.record_change(t, values)
 
     def hear(self, parts: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows) -> None:
         """Take what a node of this process says at a tick: all of it, before any of it makes this one answer."""
@@ -360,6 +363,10 @@ class Realtime:
             if number := sum(getattr(item, count) for item in self.node.inputs):
                 figures[key] = number
         return figures
+
+    def native(self) -> dict[str, Any]:
+        """Native code answers none of its ticks."""
+        return {}
 
     def statistics(self) -> dict[str, Any]:
         """Give the counts, ticks begun when the next was due, lateness and round trip from output to command in ms.

@@ -1,0 +1,79 @@
+"""Links: what joins a step to what is not in its process, and to records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from .answer import Row, parted
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from .step import Step
+
+Rows = tuple["Row | None", ...]  # of each output: what is said; None for the silence of a sporadic one
+
+
+class Link:
+    """What joins a step to what is elsewhere; this one leaves all to the link that the step had before.
+
+    Parameters
+    ----------
+    step : Step
+        Has this link from now on.
+
+    Attributes
+    ----------
+    inner : Link or None
+        The one that it had.
+    """
+
+    def __init__(self, step: Step) -> None:
+        self.step, self.inner = step, step.link
+        step.link = self
+
+    def lacks(self, t: int) -> bool:
+        """Return whether something that tick `t` needs has not come; what has come is in the values of the step."""
+        return self.inner is not None and self.inner.lacks(t)
+
+    def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
+        """Take the answer of a tick.
+
+        Parameters
+        ----------
+        rows : tuple
+            What each output publishes; None: nothing.
+        numbers : tuple of float
+            All numbers of a step that is plain, one output after another.
+        """
+        if self.inner is not None:
+            self.inner.send(t, rows, numbers)
+
+    def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
+        """Take the answers of many ticks that are over, as native code has found them; by default one by one.
+
+        Parameters
+        ----------
+        times : array, shape (n,)
+        numbers : array, shape (n, size)
+            Of all outputs; after them, of each sporadic one, whether it publishes.
+        stamps : array, shape (n, count)
+            Of the delayed outputs.
+        """
+        step = self.step
+        for t, row, late in zip(times.tolist(), numbers.tolist(), stamps.tolist(), strict=True):
+            said = parted(step.outputs, tuple(row), late)
+            self.send(t, tuple([said.get(p.name) for p in step.outputs]), tuple(row) if step.plain else ())
+            self.over(t)
+
+    def changed(self, t: int, values: Mapping[str, Any]) -> None:
+        """Take the parameters that have changed before tick `t`, by name."""
+        if self.inner is not None:
+            self.inner.changed(t, values)
+
+    def over(self, t: int) -> None:
+        """Take note that the step is through with a tick: a plant has moved on, another one has answered."""
+        if self.inner is not None:
+            self.inner.over(t)
