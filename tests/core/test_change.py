@@ -214,8 +214,8 @@ def test_sets_at_the_very_moment_of_a_tick_hold_from_one_tick_and_a_repetition_h
     law = run.adapters["dc_motor_smc"]
     publish, seen = law.publish, []
 
-    def tick(t, rows):
-        publish(t, rows)
+    def tick(t, rows, numbers):
+        publish(t, rows, numbers)
         if len(seen) == 4:
             for value in (30.0, 40.0):
                 world.at(world.now + max(late, 0), lambda value=value: told.append(law.step.set({"k": value})))
