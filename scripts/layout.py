@@ -24,7 +24,7 @@ export PYTHONPATH={library}"${{PYTHONPATH:+:$PYTHONPATH}}"
 """
 EXECUTABLE = """import sys
 
-from {module} import {function}
+from {module} import {first}
 
 if __name__ == "__main__":  # processes that it starts import it
     sys.exit({function}())
@@ -57,7 +57,10 @@ def executables(name: str, config: ConfigParser) -> Iterator[tuple[str, str]]:
         executable, _, target = (part.strip() for part in line.partition("="))
         if target:
             module, _, function = target.partition(":")
-            yield f"lib/{name}/{executable}", EXECUTABLE.format(module=module, function=function)
+            yield (
+                f"lib/{name}/{executable}",
+                EXECUTABLE.format(module=module, first=function.partition(".")[0], function=function),
+            )
 
 
 def metadata(name: str, config: ConfigParser) -> Tree:

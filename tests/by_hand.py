@@ -1,6 +1,6 @@
 """A middleware that is moved by hand: nothing happens in it but what a test does; what the node does to it is kept."""
 
-from softrig_core.node.seam.middleware import Middleware, Peer
+from softrig_nodes.seam.middleware import Middleware, Peer
 
 
 class HandTimer:

@@ -32,10 +32,10 @@ import sys  # noqa: E402
 sys.path.insert(0, str(PACKAGE / "python"))
 
 from softrig_core import Recording, Scenario, Signals, rig_of, run_inprocess  # noqa: E402
-from softrig_core.processes.domain import free_domain  # noqa: E402
-from softrig_core.processes.executables import environment, find_executable  # noqa: E402
-from softrig_core.processes.fork_server import start_node  # noqa: E402
 from softrig_core.wire.recording import shard_topics  # noqa: E402
+from softrig_nodes.processes.domain import free_domain  # noqa: E402
+from softrig_nodes.processes.executables import environment, find_executable  # noqa: E402
+from softrig_nodes.processes.fork_server import start_node  # noqa: E402
 
 CLOCKS = {name: getattr(time, name) for name in ("monotonic", "perf_counter", "time", "time_ns", "sleep")}
 

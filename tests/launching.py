@@ -13,7 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from conftest import fork
-from softrig_core.processes.executables import find_executable
+from softrig_nodes.processes.executables import find_executable
 
 FILE = Path(__file__).parents[1] / "ros_pkgs" / "softrig_bringup" / "launch" / "rig.launch.py"
 

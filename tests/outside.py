@@ -6,8 +6,8 @@ What is to know nothing of softrig is started by its own interpreter.
 import os
 import signal
 
-from softrig_core.processes.executables import find_executable
-from softrig_core.processes.fork_server import start_node
+from softrig_nodes.processes.executables import find_executable
+from softrig_nodes.processes.fork_server import start_node
 
 
 def script(code, variables, *arguments, output=2):

@@ -17,13 +17,13 @@ from functools import partial
 from itertools import count
 
 from softrig_core import Recording, Solver, Work
-from softrig_core.node.adapter.adapter import Adapter
-from softrig_core.node.adapter.files import Files
-from softrig_core.node.group import Group
-from softrig_core.node.seam.middleware import Middleware, Peer
-from softrig_core.node.seam.monitor import LONG, SHORT_ONES, Monitor
-from softrig_core.processes.spawning import node_parameters
 from softrig_core.rig.options import RunOptions
+from softrig_nodes.adapter.adapter import Adapter
+from softrig_nodes.adapter.files import Files
+from softrig_nodes.group import Group
+from softrig_nodes.processes.spawning import node_parameters
+from softrig_nodes.seam.middleware import Middleware, Peer
+from softrig_nodes.seam.monitor import LONG, SHORT_ONES, Monitor
 
 
 @dataclass(eq=False)

@@ -14,13 +14,14 @@ from typing import Any
 
 from rich.table import Table
 from softrig_bags.write import write_bag
-from softrig_core import ByHand, Rig, Scenario, ScenarioError, rig_of, run_processes
+from softrig_core import ByHand, Rig, Scenario, ScenarioError, rig_of
 from softrig_core.block.codec import Decoder
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment
-from softrig_core.processes.placement import Placement
 from softrig_core.scenario.scenario import NodeEntry
 from softrig_core.wire.recording import ShardWriter
+from softrig_nodes import run_processes
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment
+from softrig_nodes.processes.placement import Placement
 
 from .console import console
 

@@ -11,11 +11,12 @@ from pathlib import Path
 
 from rich.live import Live
 from rich.table import Table
-from softrig_core import RunError, ScenarioError, rig_of, run_processes
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment
-from softrig_core.processes.placement import Placement
-from softrig_core.processes.processes import Outcome
+from softrig_core import RunError, ScenarioError, rig_of
+from softrig_nodes import run_processes
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment
+from softrig_nodes.processes.placement import Placement
+from softrig_nodes.processes.processes import Outcome
 
 from .console import console
 

@@ -17,10 +17,10 @@ from pathlib import Path
 from rich.table import Table
 from softrig_bags.stamps import stamp
 from softrig_core import SECOND
-from softrig_core.node.ros.leave import leave
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment
 from softrig_core.wire.cdr import Layout
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment
+from softrig_nodes.ros.leave import leave
 
 from .console import console
 
@@ -129,7 +129,7 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
     from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
     from softrig_bags.ros import Session
-    from softrig_core.node.ros.messages import message_class
+    from softrig_nodes.ros.messages import message_class
 
     session = Session("bench_publisher", [])
     publisher = session.node.create_publisher(message_class(STATE), TOPIC, QoSProfile(depth=10))
@@ -157,7 +157,7 @@ def _listen() -> None:
     """Count messages by stage until SIGINT."""
     from rclpy.qos import QoSProfile
     from softrig_bags.ros import Session, subscription_profile
-    from softrig_core.node.ros.messages import message_class
+    from softrig_nodes.ros.messages import message_class
 
     session = Session("bench_listener", [])
     received: Counter[int] = Counter()

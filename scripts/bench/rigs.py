@@ -11,23 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from rich.table import Table
-from softrig_core import (
-    Block,
-    Recording,
-    Rig,
-    ScenarioError,
-    list_scenarios,
-    rig_of,
-    run_inprocess,
-    run_processes,
-)
+from softrig_core import Block, Recording, Rig, ScenarioError, list_scenarios, rig_of, run_inprocess
 from softrig_core.block.port import CLOCK
 from softrig_core.block.runner import Runner
-from softrig_core.processes.placement import Placement
 from softrig_core.rig.members import Member
 from softrig_core.run.inprocess import wired
 from softrig_core.solver.rehearsal import rehearse
 from softrig_core.wire.cdr import Layout
+from softrig_nodes import run_processes
+from softrig_nodes.processes.placement import Placement
 
 from .console import console
 from .loop import dc_motor_rig

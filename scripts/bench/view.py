@@ -11,8 +11,9 @@ from typing import Any, Literal
 
 from rich.table import Table
 from softrig_bringup.view.beside import Beside, page
-from softrig_core import ScenarioError, rig_of, run_processes
-from softrig_core.processes.placement import Listener, Placement
+from softrig_core import ScenarioError, rig_of
+from softrig_nodes import run_processes
+from softrig_nodes.processes.placement import Listener, Placement
 
 from .console import console
 

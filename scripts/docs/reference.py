@@ -217,6 +217,7 @@ def front_door() -> dict[str, str]:
     modules = {
         f"softrig_core.{home}": sorted(homes[home].split(), key=lambda name: name != "simulate")
         for home in sorted(homes, key=lambda home: (home != "run.simulate", home))
+        if home != "former"  # names that are deprecated
     }
     head = "What a user needs is named by the package itself: `from softrig_core import simulate`."
     return _modules("softrig_core", head, modules, named_by="softrig_core")

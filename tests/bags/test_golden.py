@@ -21,8 +21,9 @@ from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bringup.run.run import versions
 from softrig_bringup.verbs.golden import create, line, load, main
-from softrig_core import RunError, ScenarioError, Signals, bits, load_scenario, rig_of, run_processes
-from softrig_core.processes.spawning import node_parameters
+from softrig_core import RunError, ScenarioError, Signals, bits, load_scenario, rig_of
+from softrig_nodes import run_processes
+from softrig_nodes.processes.spawning import node_parameters
 
 BAGS = Path(__file__).parents[2] / "bags"
 GOLDEN = sorted(p.parent.name for p in BAGS.glob("*/golden.yaml"))

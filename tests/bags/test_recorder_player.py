@@ -38,11 +38,11 @@ from softrig_bags.selection import Selection
 from softrig_bags.topics import BagTopic
 from softrig_bags.write import write_bag
 from softrig_core import Recording, RunError
-from softrig_core.node.ros.messages import message_class
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import PROFILE, environment, find_executable
-from softrig_core.processes.shared_memory import _judged
 from softrig_core.wire.cdr import Layout, parse
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import PROFILE, environment, find_executable
+from softrig_nodes.processes.shared_memory import _judged
+from softrig_nodes.ros.messages import message_class
 from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.processes

@@ -200,7 +200,7 @@ def test_the_command_of_a_run_repeats_it_from_any_folder(folder):
 
 def test_a_domain_that_is_none_or_taken_is_one_line(capsys):
     """Two runs in one domain would read each other's messages."""
-    from softrig_core.processes.domain import free_domain
+    from softrig_nodes.processes.domain import free_domain
 
     assert main(["run", "dc_motor_smc", "--domain", "233"]) == 2
     assert capsys.readouterr().err == "softrig: domain 233: expected 0 to 232\n"
@@ -282,8 +282,8 @@ def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):
     ("mode", "where"),
     [
         ("inprocess", "softrig_bringup.verbs.run_verb.summary"),
-        pytest.param("container", "softrig_core.processes.processes.stop", marks=pytest.mark.processes),
-        pytest.param("container", "softrig_core.processes.processes.gathered", marks=pytest.mark.processes),
+        pytest.param("container", "softrig_nodes.processes.processes.stop", marks=pytest.mark.processes),
+        pytest.param("container", "softrig_nodes.processes.processes.gathered", marks=pytest.mark.processes),
     ],
 )
 def test_a_signal_after_the_last_tick_loses_nothing(mode, where, tmp_path, monkeypatch, undrawn):

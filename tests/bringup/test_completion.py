@@ -12,10 +12,10 @@ from types import SimpleNamespace
 import pytest
 from conftest import PATIENCE, fork
 from softrig_bringup.cli import main
-from softrig_core.node.main import introduction
-from softrig_core.processes.executables import find_executable
 from softrig_core.rig.options import RunOptions
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
+from softrig_nodes.main import introduction
+from softrig_nodes.processes.executables import find_executable
 from softrig_optim.sweep import progress
 
 SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"

@@ -23,7 +23,6 @@ LAW = '''
 from softrig_core.block.block import Block
 from softrig_core.block.params import BlockParams, param
 from softrig_core.block.port import command, joint_state, reference
-from softrig_core.node import executable
 
 
 class Params(BlockParams):
@@ -45,8 +44,6 @@ class Law(Block[Params]):
         """Answer a tick."""
         return x, {"command": (self.p.k * (reference[0] - state[0]),)}
 
-
-main = executable(Law)
 '''
 BESIDE = """
 title: My law beside the paper's
@@ -113,7 +110,7 @@ def package(user):
     (folder / "heater" / "motor_law.py").write_text(LAW)
     setup = folder / "setup.cfg"
     setup.write_text(
-        setup.read_text().replace("    heater_plant =", "    motor_law = heater.motor_law:main\n    heater_plant =")
+        setup.read_text().replace("    heater_plant =", "    motor_law = heater.motor_law:Law.main\n    heater_plant =")
     )
     return folder
 

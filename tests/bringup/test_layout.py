@@ -160,8 +160,8 @@ def test_what_a_run_imports_is_not_of_the_test_set():
 EVERY_MODULE = """
 import importlib, pkgutil, sys
 from importlib.metadata import packages_distributions
-import softrig_core, softrig_control, softrig_optim, softrig_drives, softrig_power, softrig_robots, softrig_systems
-import softrig_bags, softrig_bringup
+import softrig_core, softrig_nodes, softrig_control, softrig_optim, softrig_drives, softrig_power, softrig_robots
+import softrig_systems, softrig_bags, softrig_bringup
 for package in [m for n, m in list(sys.modules.items()) if n.startswith("softrig_") and "." not in n]:
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         # the environment and the page ask for their extras when they are imported, which nothing of a run does

@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.study.definition import list_studies, make_study
 from softrig_core import ScenarioError, figures_of, list_scenarios, load_scenario, rig_of, simulate
-from softrig_core.processes.executables import find_executable
+from softrig_nodes.processes.executables import find_executable
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(p.relative_to(ROOT) for p in (*ROOT.glob("ros_pkgs/*/doc/*.md"),))

@@ -11,8 +11,8 @@ import pytest
 import yaml
 from softrig_bringup.cli import FORMER, main, make_parser
 from softrig_core import list_scenarios
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import PROFILE, find_executable
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import PROFILE, find_executable
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
@@ -72,9 +72,10 @@ def test_every_package_is_described_and_depends_one_way():
         assert used - {name} <= declared, f"{name} does not declare {used - {name} - declared}"
         allowed = {
             "softrig_core": set(),
-            "softrig_control": {"softrig_core"},
-            "softrig_optim": {"softrig_core"},
-            "softrig_bags": {"softrig_core"},
+            "softrig_nodes": {"softrig_core"},
+            "softrig_control": {"softrig_core", "softrig_nodes"},
+            "softrig_optim": {"softrig_core", "softrig_nodes"},
+            "softrig_bags": {"softrig_core", "softrig_nodes"},
         }.get(name)
         assert allowed is None or declared <= allowed, name
 

@@ -40,8 +40,8 @@ from softrig_bringup.verbs import (
     viewer,
 )
 from softrig_core import Block, NoOperatingPoint, Recording, Run, RunError, ScenarioError, rig_of, simulate
-from softrig_core.processes.placement import Listener, Placement
 from softrig_core.verdict.findings import Finding
+from softrig_nodes.processes.placement import Listener, Placement
 from told import check_told
 
 LAG = """
@@ -700,7 +700,7 @@ def test_a_new_package_is_as_told(lag, taken, monkeypatch, capsys):
             told.append(f"  {file.relative_to(folder)}{'' if file.stat().st_size else ', empty'}")
         texts = {p.name: p.read_text() for p in folder.rglob("*") if p.is_file()}
         told += [f"  depends {line.strip()}" for line in texts["package.xml"].splitlines() if "exec_depend" in line]
-        told += [f"  {line.strip()}" for line in texts["setup.cfg"].splitlines() if ":main" in line]
+        told += [f"  {line.strip()}" for line in texts["setup.cfg"].splitlines() if ".main" in line]
         told += [f"  {line.strip()}" for line in texts["README.md"].splitlines() if "softrig" in line]
         assert not [n for n, text in texts.items() if "$name" in text or "${" in text]
     check_told("verbs/new", told)
@@ -919,7 +919,7 @@ def test_the_command_line_hands_on_what_is_not_its_own(monkeypatch, capsys):
         assert main(["env", "--completion", shell]) == 0
         assert text in capsys.readouterr().out
     asked = []
-    monkeypatch.setattr("softrig_core.processes.executables.node_main", lambda *what: asked.append(what) or 6)
+    monkeypatch.setattr("softrig_nodes.processes.executables.node_main", lambda *what: asked.append(what) or 6)
     assert main(["node", "p", "e", "--ros-args", "-p", "a:=1"]) == 6
     assert asked == [("p", "e", ["--ros-args", "-p", "a:=1"])]
     listed = [name for names in cli.GROUPS.values() for name in names]

@@ -13,7 +13,7 @@ from docs.outline import KINDS, ROOT, pages
 from softrig_bringup.cli import FOREIGN, SCRIPT, make_parser
 from softrig_bringup.page.wording import accepted
 from softrig_core import list_scenarios, load_scenario, simulate
-from softrig_core.processes.domain import free_domain
+from softrig_nodes.processes.domain import free_domain
 
 GUIDES = (
     "bags_pandas",

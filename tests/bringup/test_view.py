@@ -32,8 +32,8 @@ from softrig_bringup.view.serve import OneLine
 from softrig_bringup.view.sources import Live, Recorded
 from softrig_bringup.view.tracks import Track
 from softrig_core import Recording, Session, Signals, load_scenario, rig_of, simulate
-from softrig_core.processes.placement import Placement
 from softrig_core.wire.recording import read_shards
+from softrig_nodes.processes.placement import Placement
 
 HASTY = """
 from softrig_bringup.view import serve

@@ -19,11 +19,11 @@ from softrig_bringup.view.serve import Pages, Watched, _Token, free_address, new
 from softrig_bringup.view.sources import Growing, Live, Recorded
 from softrig_bringup.view.tracks import Pane, Track
 from softrig_core import Recording, ScenarioError, Session, Signals, load_scenario, rig_of, simulate
-from softrig_core.processes.placement import Placement
 from softrig_core.timebase import SECOND
 from softrig_core.wire.parameter_event import encode
 from softrig_core.wire.recording import ShardWriter
 from softrig_core.wire.signals import Table
+from softrig_nodes.processes.placement import Placement
 from tornado.ioloop import IOLoop
 
 # what is kept ---------------------------------------------------------------------------------------------------------
@@ -863,7 +863,7 @@ def piped(monkeypatch, tmp_path):
 
 def test_answers_of_nodes_go_to_whoever_asked(piped, tmp_path):
     asks, process, (listen, daemon) = piped()
-    assert process.command[1:] == ["-P", "-m", "softrig_core.node.ros.remote"]
+    assert process.command[1:] == ["-P", "-m", "softrig_nodes.ros.remote"]
     assert process.asked["env"] == {"D": "3", "F": str(tmp_path)}
     assert (process.asked["text"], process.asked["process_group"], daemon) == (True, 0, True)
     found = []

@@ -51,7 +51,7 @@ def test_everything_is_in_it_and_nothing_of_this_machine(wheel):
         assert {str(file.relative_to(folder)) for file in folder.glob(f"{package}/**/*.py")} <= set(files)
     assert {f"share/softrig_bringup/scenarios/{f.name}" for f in ROOT.glob("config/scenarios/*.yaml")} <= data
     assert {f"share/softrig_robots/urdf/{f.name}" for f in ROOT.glob("ros_pkgs/softrig_robots/**/*.urdf")} <= data
-    assert {"softrig_core/fastdds_profile.xml", "softrig_core/fastdds_loopback.xml"} <= set(files)
+    assert {"softrig_nodes/fastdds_profile.xml", "softrig_nodes/fastdds_loopback.xml"} <= set(files)
     assert not [name for name in files if name.endswith(".pyc")]
     assert not [name for name, content in files.items() if os.fsencode(ROOT) in content]
     (metadata,) = (files[name].decode() for name in files if name.endswith(".dist-info/METADATA"))

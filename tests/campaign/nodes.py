@@ -21,11 +21,11 @@ from rclpy.node import Node
 from softrig_core import Port, Refused
 from softrig_core.block.codec import Decoder, encoder
 from softrig_core.block.params import declarations
-from softrig_core.node.ros.messages import message_class
-from softrig_core.node.ros.ros import QOS
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment, find_executable
 from softrig_core.wire.cdr import Layout
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment, find_executable
+from softrig_nodes.ros.messages import message_class
+from softrig_nodes.ros.ros import QOS
 from std_srvs.srv import Trigger
 
 from bags import damaged

@@ -11,9 +11,10 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from conftest import differences, in_process, make_scenario
-from softrig_core import Rig, rig_of, run_processes
-from softrig_core.processes.placement import Placement
+from softrig_core import Rig, rig_of
 from softrig_core.rig.installed import load_block
+from softrig_nodes import run_processes
+from softrig_nodes.processes.placement import Placement
 from traces import orphans
 
 TICKS = 1500  # of a run, at most

@@ -8,8 +8,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from softrig_core import RunError
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.shared_memory import AGE, _taken, remove_leftovers
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.shared_memory import AGE, _taken, remove_leftovers
 
 SHARED = Path("/dev/shm")
 

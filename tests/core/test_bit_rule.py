@@ -17,7 +17,7 @@ import pytest
 from softrig_core import bits
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
-DECIDING = ("core", "control", "optim", "drives", "power", "robots", "systems")
+DECIDING = ("core", "nodes", "control", "optim", "drives", "power", "robots", "systems")
 # numpy.sin and numpy.cos are the C library's at every level (test_bits.py), as are hypot, sqrt and arithmetic
 _REFUSED = """linalg dot vdot inner matmul tensordot einsum convolve correlate polyfit polyval roots poly polynomial cov
 corrcoef exp expm1 exp2 log log1p log2 log10 tan arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh arctanh
@@ -56,12 +56,12 @@ EXEMPT = {
     "softrig_core.judge.measures.growth_rate": "judges what was recorded",
     "softrig_core.native.calls": "the word itself: of whole numbers it is translated, of others it stays Python's",
     "softrig_core.native.rig_text": COUNT,
-    "softrig_core.node": COUNT,
     "softrig_core.run.inprocess.many_keeper": COUNT,
     "softrig_core.run.simulate.Run.__repr__": COUNT,
     "softrig_core.scenario.yaml_file": COUNT,
     "softrig_core.wire": COUNT,
     "softrig_drives.lsrm.profile.Quintic.speed_range": CHECK,
+    "softrig_nodes": COUNT,
     "softrig_optim.sweep": COUNT,
     "softrig_power.dispatch.baselines": SCALAR,
     "softrig_power.dispatch.certify": "seconds of the wall clock",

@@ -25,7 +25,8 @@ def python(code, **variables):
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda p: p.name)
 def test_each_package_pins_before_it_imports_anything_else(package):
     statements = ast.parse((package / package.name / "__init__.py").read_text()).body
-    first = next(s for s in statements if not isinstance(s, ast.Expr) and getattr(s, "module", "") != "__future__")
+    harmless = ("__future__", "importlib", "typing")  # nothing of numpy in them
+    first = next(s for s in statements if not isinstance(s, ast.Expr) and getattr(s, "module", "") not in harmless)
     if package.name == "softrig_core":
         stop = next(k for k, s in enumerate(statements) if ast.unparse(s) == "pin()")
         assert all(

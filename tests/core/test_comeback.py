@@ -10,9 +10,9 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from simulated import Discovery, SimulatedRig, World
 from softrig_core import ScenarioError, rig_of
-from softrig_core.processes.children import Child
-from softrig_core.processes.placement import Placement
-from softrig_core.processes.restarting import Restarts, check_restart
+from softrig_nodes.processes.children import Child
+from softrig_nodes.processes.placement import Placement
+from softrig_nodes.processes.restarting import Restarts, check_restart
 from test_discovery import BASIC, KINDS, MS, perhaps_prompt, slow
 
 

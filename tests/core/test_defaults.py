@@ -20,6 +20,7 @@ PACKAGES = (
     "softrig_core",
     "softrig_bags",
     "softrig_control",
+    "softrig_nodes",
     "softrig_optim",
     "softrig_drives",
     "softrig_power",

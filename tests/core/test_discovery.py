@@ -11,15 +11,15 @@ from conftest import differences, in_process, make_scenario
 from simulated import Discovery, SimulatedNode, SimulatedRig, SimulatedTimer, World, some
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
-from softrig_core.node.adapter.spin import conclude
-from softrig_core.node.ros.ros import QOS
-from softrig_core.node.seam.awaited import RECORDER, left_out
-from softrig_core.node.seam.endpoint import Output
-from softrig_core.node.seam.tick import TICK
-from softrig_core.processes.peers import links
-from softrig_core.processes.spawning import node_parameters
-from softrig_core.processes.supervision import blamed
 from softrig_core.rig.options import Links
+from softrig_nodes.adapter.spin import conclude
+from softrig_nodes.processes.peers import links
+from softrig_nodes.processes.spawning import node_parameters
+from softrig_nodes.processes.supervision import blamed
+from softrig_nodes.ros.ros import QOS
+from softrig_nodes.seam.awaited import RECORDER, left_out
+from softrig_nodes.seam.endpoint import Output
+from softrig_nodes.seam.tick import TICK
 from test_ports import RIGS as PORT_RIGS
 from test_processes import RIGS as PROCESS_RIGS
 

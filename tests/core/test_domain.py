@@ -8,14 +8,15 @@ import sys
 from pathlib import Path
 
 import pytest
-from softrig_core import RunError, ScenarioError, run_processes
+from softrig_core import RunError, ScenarioError
 from softrig_core.kit import compiled
-from softrig_core.processes import domain
-from softrig_core.processes.domain import free_domain
+from softrig_nodes import run_processes
+from softrig_nodes.processes import domain
+from softrig_nodes.processes.domain import free_domain
 
 HOLD = """
 import sys
-from softrig_core.processes.domain import free_domain
+from softrig_nodes.processes.domain import free_domain
 with free_domain() as d:
     print(d, flush=True)
     sys.stdin.readline()
@@ -119,7 +120,7 @@ def test_a_domain_with_a_ros_session_is_not_chosen(monkeypatch):
 
 
 def test_a_host_without_loopback_is_told_at_once(monkeypatch, tmp_path, lag_rig):
-    code = "from softrig_core.processes.domain import require_loopback; require_loopback()"
+    code = "from softrig_nodes.processes.domain import require_loopback; require_loopback()"
     if subprocess.run(["unshare", "-rn", "true"], capture_output=True).returncode:
         pytest.skip("network namespaces are not permitted here")
     done = subprocess.run(["unshare", "-rn", sys.executable, "-c", code], capture_output=True, text=True)
@@ -129,7 +130,7 @@ def test_a_host_without_loopback_is_told_at_once(monkeypatch, tmp_path, lag_rig)
     def down():
         raise RunError("lo is down")
 
-    monkeypatch.setattr("softrig_core.processes.processes.require_loopback", down)
+    monkeypatch.setattr("softrig_nodes.processes.processes.require_loopback", down)
     with pytest.raises(RunError, match="lo is down"):
         run_processes(lag_rig, 0, tmp_path)
 

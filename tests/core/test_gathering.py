@@ -4,8 +4,8 @@ import random
 
 import pytest
 from softrig_core import Sample, rig_of
-from softrig_core.node.realtime.gathering import STRETCH, gather
 from softrig_core.run.inprocess import step_of
+from softrig_nodes.realtime.gathering import STRETCH, gather
 
 PERIOD = 0.0005
 

@@ -6,7 +6,7 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from simulated import SimulatedRig, World
 from softrig_core import Signals, load_scenario, rig_of
-from softrig_core.node.seam.hold import Hold
+from softrig_nodes.seam.hold import Hold
 
 RIG = rig_of(load_scenario("dc_motor_smc_b2").changed(duration=0.6))
 CLOCK = RIG.clock.name

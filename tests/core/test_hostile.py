@@ -29,10 +29,10 @@ from softrig_core import (
 from softrig_core.block.answer import admit
 from softrig_core.block.params import LONGEST, Params, build, declarations
 from softrig_core.judge import claims, expectation, requirement_entry
-from softrig_core.processes.domain import free_domain
 from softrig_core.rig.options import RunOptions
 from softrig_core.scenario import changes, scenario
 from softrig_core.verdict.figures import figures_of
+from softrig_nodes.processes.domain import free_domain
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 
@@ -370,7 +370,7 @@ def test_a_parameter_of_an_unknown_type_is_refused_and_the_node_lives_on():
     from rcl_interfaces.srv import SetParameters
     from rclpy.context import Context
     from rclpy.executors import SingleThreadedExecutor
-    from softrig_core.node.ros.ros import ServingNode
+    from softrig_nodes.ros.ros import ServingNode
 
     with free_domain() as domain:
         context = Context()
@@ -399,7 +399,7 @@ def test_every_bound_that_a_node_tells_holds_at_its_edge():
     from rclpy.context import Context
     from rclpy.node import Node
     from rclpy.parameter import Parameter
-    from softrig_core.node.ros.messages import range_descriptor
+    from softrig_nodes.ros.messages import range_descriptor
 
     with free_domain() as domain:
         context = Context()

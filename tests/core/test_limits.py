@@ -98,6 +98,6 @@ def test_a_limit_is_what_it_is_said_to_be(where):
 
 
 def test_queues_of_ros_hold_ten_messages_and_what_a_writer_in_lockstep_keeps_is_two_hundred():
-    from softrig_core.node.ros.ros import QOS, WRITTEN
+    from softrig_nodes.ros.ros import QOS, WRITTEN
 
     assert [(q.depth, q.reliability.name) for q in (QOS, WRITTEN)] == [(10, "RELIABLE"), (200, "RELIABLE")]

@@ -11,18 +11,18 @@ from faultrig import COMMAND, STATE, Gain, Lag, Source
 from softrig_core import Block, BlockParams, Plant, RunError, Sample, array, command, joint_state, param
 from softrig_core.block.block import Level
 from softrig_core.block.schedule import Schedule
-from softrig_core.node import group as group_module
-from softrig_core.node.adapter.adapter import Adapter
-from softrig_core.node.group import Group
-from softrig_core.node.realtime.beat import Beat
-from softrig_core.node.realtime.live import Live
-from softrig_core.node.realtime.realtime import Realtime, newest
-from softrig_core.node.realtime.rivals import Rivals
-from softrig_core.node.realtime.sporadic import Sporadic
-from softrig_core.node.realtime.stand import LEAD, NEVER, Stand
-from softrig_core.node.seam.hold import Hold
-from softrig_core.node.seam.tick import TickWriter
 from softrig_core.rig.options import InputLink, Links, RunOptions
+from softrig_nodes import group as group_module
+from softrig_nodes.adapter.adapter import Adapter
+from softrig_nodes.group import Group
+from softrig_nodes.realtime.beat import Beat
+from softrig_nodes.realtime.live import Live
+from softrig_nodes.realtime.realtime import Realtime, newest
+from softrig_nodes.realtime.rivals import Rivals
+from softrig_nodes.realtime.sporadic import Sporadic
+from softrig_nodes.realtime.stand import LEAD, NEVER, Stand
+from softrig_nodes.seam.hold import Hold
+from softrig_nodes.seam.tick import TickWriter
 
 MS, SECOND = 1_000_000, 1_000_000_000
 START = 1_700_000_000 * SECOND  # a tick of every period here

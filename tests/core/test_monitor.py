@@ -6,7 +6,7 @@ import threading
 from itertools import cycle
 
 import pytest
-from softrig_core.node.seam.monitor import LONG, SHORT_ONES, Monitor
+from softrig_nodes.seam.monitor import LONG, SHORT_ONES, Monitor
 
 
 class Executor:

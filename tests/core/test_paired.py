@@ -13,17 +13,17 @@ from softrig_core import Recording, Sample, array, command, joint_state
 from softrig_core.block.change import Change
 from softrig_core.block.port import CLOCK
 from softrig_core.block.schedule import Schedule
-from softrig_core.node.adapter.files import Files
-from softrig_core.node.lockstep import comeback as comebacks, paired
-from softrig_core.node.lockstep.comeback import Comeback
-from softrig_core.node.lockstep.first import repeat_first
-from softrig_core.node.lockstep.paired import Newest, Paired, PairedSenders
-from softrig_core.node.lockstep.stalls import Stalls
-from softrig_core.node.seam.endpoint import Output
-from softrig_core.node.seam.numbering import numbered
-from softrig_core.node.seam.tick import TICK, TickWriter
 from softrig_core.rig.options import InputLink, Links
 from softrig_core.wire.cdr import Layout
+from softrig_nodes.adapter.files import Files
+from softrig_nodes.lockstep import comeback as comebacks, paired
+from softrig_nodes.lockstep.comeback import Comeback
+from softrig_nodes.lockstep.first import repeat_first
+from softrig_nodes.lockstep.paired import Newest, Paired, PairedSenders
+from softrig_nodes.lockstep.stalls import Stalls
+from softrig_nodes.seam.endpoint import Output
+from softrig_nodes.seam.numbering import numbered
+from softrig_nodes.seam.tick import TICK, TickWriter
 
 MS = 1_000_000
 

@@ -17,7 +17,6 @@ from softrig_core import (
     param,
     reference,
     rig_of,
-    run_processes,
     scalars,
     wrench,
 )
@@ -25,6 +24,7 @@ from softrig_core.block.answer import admit
 from softrig_core.block.codec import Decoder, selection
 from softrig_core.block.schedule import Schedule
 from softrig_core.wire.cdr import Layout
+from softrig_nodes import run_processes
 from typing_extensions import TypeVar
 
 DELAY = {

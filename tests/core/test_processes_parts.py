@@ -21,9 +21,9 @@ from faultrig import Gain, Lag, Source
 from rclpy.parameter import Parameter
 from softrig_core import RunError, ScenarioError, rig_of
 from softrig_core.block.params import ParameterError
-from softrig_core.node import main
-from softrig_core.node.ros import profile
-from softrig_core.processes import (
+from softrig_core.rig.options import RunOptions
+from softrig_nodes import main
+from softrig_nodes.processes import (
     children,
     executables,
     fork_server,
@@ -33,13 +33,13 @@ from softrig_core.processes import (
     spawning,
     supervision,
 )
-from softrig_core.processes.children import last_line, read_status, stop
-from softrig_core.processes.guests import Guests
-from softrig_core.processes.placement import Placement
-from softrig_core.processes.restarting import Restarts, check_restart
-from softrig_core.processes.stopping import Stopped
-from softrig_core.processes.supervision import SystemClock, idle
-from softrig_core.rig.options import RunOptions
+from softrig_nodes.processes.children import last_line, read_status, stop
+from softrig_nodes.processes.guests import Guests
+from softrig_nodes.processes.placement import Placement
+from softrig_nodes.processes.restarting import Restarts, check_restart
+from softrig_nodes.processes.stopping import Stopped
+from softrig_nodes.processes.supervision import SystemClock, idle
+from softrig_nodes.ros import profile
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import pytest
 from conftest import make_scenario
 from softrig_core import Recording, RunError, ScenarioError, rig_of
-from softrig_core.processes import domain, peers, processes, shared_memory, spawning
-from softrig_core.processes.placement import Listener, Placement
-from softrig_core.processes.stopping import Stopped
+from softrig_nodes.processes import domain, peers, processes, shared_memory, spawning
+from softrig_nodes.processes.placement import Listener, Placement
+from softrig_nodes.processes.stopping import Stopped
 from test_processes_parts import BASIC, Child
 from told import check_told
 
@@ -243,7 +243,7 @@ def test_nodes_are_started_with_files_of_their_own_by_the_server_or_else_by_them
     both = spawning.start(run, [members["plant"], members["source"]])
     assert [c.log.name for c in both] == ["plant+source.log"] * 2
     assert [c.status.name for c in both] == ["plant.status", "source.status"]
-    assert forked[-1][:2] == ("softrig_core", "container")
+    assert forked[-1][:2] == ("softrig_nodes", "container")
     assert forked[-1][2][1:3] == ["faultrig", "plant"]
 
 

@@ -7,7 +7,7 @@ import pytest
 from conftest import make_scenario
 from simulated import SimulatedRig, World
 from softrig_core import rig_of
-from softrig_core.node.ros.processor import ENOUGH, LONG, SHORT, Processor
+from softrig_nodes.ros.processor import ENOUGH, LONG, SHORT, Processor
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="Linux")
 

@@ -9,7 +9,7 @@ from conftest import differences, in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
 from simulated import SimulatedNode, SimulatedRig, World, some
 from softrig_core import Block, Rig, Signals, array, load_scenario, rig_of
-from softrig_core.node.seam.tick import TickWriter
+from softrig_nodes.seam.tick import TickWriter
 from test_ports import RIGS
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}

@@ -6,7 +6,7 @@ import math
 import pytest
 from simulated import SimulatedRig, World
 from softrig_core import SECOND, ByHand, Observer, Signals
-from softrig_core.rig.installed import load_main
+from softrig_core.rig.installed import block_of, load_main
 from softrig_core.wire.cdr import parse
 from test_outside import SYSTEMS, short
 
@@ -90,7 +90,7 @@ def test_every_observer_can_be_asked_before_its_first_tick():
     for distribution in importlib.metadata.distributions():
         package = distribution.metadata["Name"]
         for point in distribution.entry_points if package.startswith("softrig") else ():
-            block = getattr(load_main(package, point.name), "block", None)
+            block = block_of(load_main(package, point.name))
             if block is not None and issubclass(block, Observer):
                 ByHand(block()).status()
                 asked.add(block)

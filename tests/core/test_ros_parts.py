@@ -18,21 +18,21 @@ from softrig_core.block.block import Level
 from softrig_core.block.marker import Marker
 from softrig_core.block.params import Declaration, ParameterError
 from softrig_core.block.scene import Pose
-from softrig_core.node import container as containers
-from softrig_core.node.adapter.adapter import Adapter
-from softrig_core.node.container import Container
-from softrig_core.node.face import frames
-from softrig_core.node.face.faces import Faces
-from softrig_core.node.face.tuning import Tuning
-from softrig_core.node.ros import arrival, contained, remote, ros, tf_message
-from softrig_core.node.ros.contained import ContainedMiddleware
-from softrig_core.node.ros.garbage import Garbage
-from softrig_core.node.ros.messages import diagnostic_array, marker_array, message_class, range_descriptor
-from softrig_core.node.ros.ros import RosMiddleware, ServingNode, guessed, plain, quiet_after_shutdown, with_number
-from softrig_core.node.seam.exchange import Exchange
-from softrig_core.node.seam.middleware import Peer
-from softrig_core.node.seam.monitor import Monitor
 from softrig_core.rig.options import Links, RunOptions
+from softrig_nodes import container as containers
+from softrig_nodes.adapter.adapter import Adapter
+from softrig_nodes.container import Container
+from softrig_nodes.face import frames
+from softrig_nodes.face.faces import Faces
+from softrig_nodes.face.tuning import Tuning
+from softrig_nodes.ros import arrival, contained, remote, ros, tf_message
+from softrig_nodes.ros.contained import ContainedMiddleware
+from softrig_nodes.ros.garbage import Garbage
+from softrig_nodes.ros.messages import diagnostic_array, marker_array, message_class, range_descriptor
+from softrig_nodes.ros.ros import RosMiddleware, ServingNode, guessed, plain, quiet_after_shutdown, with_number
+from softrig_nodes.seam.exchange import Exchange
+from softrig_nodes.seam.middleware import Peer
+from softrig_nodes.seam.monitor import Monitor
 from test_codec import STORE
 
 NOW = 1_700_000_000_000_000_005

@@ -6,9 +6,10 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from hypothesis import given, strategies as st
 from softrig_bringup.run.run import gaps
-from softrig_core import BlockParams, ParameterError, ScenarioError, feed, rig_of, run_processes
+from softrig_core import BlockParams, ParameterError, ScenarioError, feed, rig_of
 from softrig_core.block.params import build
 from softrig_core.block.schedule import Schedule, rational
+from softrig_nodes import run_processes
 
 periods = st.builds(Fraction, st.integers(1, 1000), st.integers(1, 100_000))
 

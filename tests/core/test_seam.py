@@ -11,17 +11,17 @@ import pytest
 from by_hand import Hand
 from softrig_core import Refused, array, button, joint_state
 from softrig_core.block.schedule import Schedule
-from softrig_core.node.seam import exchange as module, health
-from softrig_core.node.seam.awaited import RECORDER, Awaited, left_out
-from softrig_core.node.seam.buttons import Buttons
-from softrig_core.node.seam.endpoint import Input, Output
-from softrig_core.node.seam.exchange import Exchange
-from softrig_core.node.seam.hold import LOOK, Hold
-from softrig_core.node.seam.middleware import Peer, other_types
-from softrig_core.node.seam.numbering import Numbering, numbered, split
-from softrig_core.node.seam.solving import BUSY, Solving, hear_busy
-from softrig_core.node.seam.tick import TICK, TickReader, TickWriter, acknowledged, needed
 from softrig_core.wire.cdr import parse
+from softrig_nodes.seam import exchange as module, health
+from softrig_nodes.seam.awaited import RECORDER, Awaited, left_out
+from softrig_nodes.seam.buttons import Buttons
+from softrig_nodes.seam.endpoint import Input, Output
+from softrig_nodes.seam.exchange import Exchange
+from softrig_nodes.seam.hold import LOOK, Hold
+from softrig_nodes.seam.middleware import Peer, other_types
+from softrig_nodes.seam.numbering import Numbering, numbered, split
+from softrig_nodes.seam.solving import BUSY, Solving, hear_busy
+from softrig_nodes.seam.tick import TICK, TickReader, TickWriter, acknowledged, needed
 
 MS = 1_000_000
 
@@ -331,7 +331,7 @@ def test_an_acknowledgement_says_its_tick_and_who_has_spoken_and_is_read_from_an
     for k in range(100):  # it knows some, and reads the others all the same
         assert read(write(k, [f"p{k}"])) == (k, frozenset([f"p{k}"]))
     assert len(read._known) == 64
-    monkeypatch.setattr("softrig_core.node.seam.tick.parse", None)  # what it knows it need not read
+    monkeypatch.setattr("softrig_nodes.seam.tick.parse", None)  # what it knows it need not read
     assert read(write(3, ["a"])) == (3, frozenset("a"))
 
 
@@ -379,7 +379,7 @@ def solving(monkeypatch):
         working=lambda x: asked.append(("working", x)) or True,
         is_ready=False,
     )
-    monkeypatch.setattr("softrig_core.node.seam.solving.Solver", SimpleNamespace)
+    monkeypatch.setattr("softrig_nodes.seam.solving.Solver", SimpleNamespace)
     step = SimpleNamespace(block=block, x="first", bad=False, values={"u": 1.0}, respond=None)
     return hand, block, step, asked, resumed, Solving(hand, step, lambda: resumed.append(hand.time))
 

@@ -7,9 +7,9 @@ import pytest
 from conftest import in_process
 from simulated import SimulatedNode, SimulatedRig, World
 from softrig_core import Level, load_scenario, rig_of
-from softrig_core.node.face import faces, simulation
-from softrig_core.node.face.simulation import FEATURES, SERVICES, Simulation, turned
-from softrig_core.node.seam.monitor import Monitor
+from softrig_nodes.face import faces, simulation
+from softrig_nodes.face.simulation import FEATURES, SERVICES, Simulation, turned
+from softrig_nodes.seam.monitor import Monitor
 
 RESULTS = {
     "RESULT_FEATURE_UNSUPPORTED": 0,

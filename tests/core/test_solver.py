@@ -14,8 +14,9 @@ import pytest
 from conftest import PATIENCE, differences, in_process, make_scenario, until
 from faultrig import Planner, Unreadable, unreadable
 from simulated import SimulatedRig, World
-from softrig_core import ByHand, RunError, Signals, Solver, rig_of, run_processes
+from softrig_core import ByHand, RunError, Signals, Solver, rig_of
 from softrig_core.solver.worker import Worker
+from softrig_nodes import run_processes
 
 
 def rig(duration=1.0, timeout=10.0, **planner):

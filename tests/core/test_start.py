@@ -11,23 +11,23 @@ from by_hand import Hand, Kept
 from faultrig import COMMAND, REFERENCE, STATE, Burst, Gain, Lag, Spread, Watcher
 from softrig_core import RunError, joint_state
 from softrig_core.block.block import Level
-from softrig_core.node import container as containers, group as group_module
-from softrig_core.node.adapter import adapter as adapters
-from softrig_core.node.adapter.adapter import Adapter
-from softrig_core.node.adapter.departure import READY, START, Departure
-from softrig_core.node.adapter.files import read_files
-from softrig_core.node.adapter.handshake import Handshake
-from softrig_core.node.adapter.spin import conclude, failure
-from softrig_core.node.container import Container, split
-from softrig_core.node.group import Group
-from softrig_core.node.lockstep import comeback as comebacks
-from softrig_core.node.lockstep.comeback import Comeback, Spoken
-from softrig_core.node.seam.endpoint import Input, Output
-from softrig_core.node.seam.exchange import Exchange
-from softrig_core.node.seam.tick import TICK, TickReader, TickWriter
 from softrig_core.rig.options import InputLink, Links, RunOptions
 from softrig_core.wire.cdr import parse
 from softrig_core.wire.recording import ShardWriter
+from softrig_nodes import container as containers, group as group_module
+from softrig_nodes.adapter import adapter as adapters
+from softrig_nodes.adapter.adapter import Adapter
+from softrig_nodes.adapter.departure import READY, START, Departure
+from softrig_nodes.adapter.files import read_files
+from softrig_nodes.adapter.handshake import Handshake
+from softrig_nodes.adapter.spin import conclude, failure
+from softrig_nodes.container import Container, split
+from softrig_nodes.group import Group
+from softrig_nodes.lockstep import comeback as comebacks
+from softrig_nodes.lockstep.comeback import Comeback, Spoken
+from softrig_nodes.seam.endpoint import Input, Output
+from softrig_nodes.seam.exchange import Exchange
+from softrig_nodes.seam.tick import TICK, TickReader, TickWriter
 
 MS, SECOND = 1_000_000, 1_000_000_000
 NOW = 1_700_000_000 * SECOND

@@ -45,7 +45,7 @@ def test_running_figures_equal_those_of_the_recording_to_the_last_bit(period):
 def test_running_figures_go_out_while_somebody_reads_them(mode):
     """Against the wall clock they are measured beside the ticks, of what there was when they were asked for."""
     import diagnostic_msgs.msg  # noqa: F401
-    from softrig_core.node.face.faces import Faces
+    from softrig_nodes.face.faces import Faces
 
     rig = Rig.from_blocks({"plant": Lag(), "source": Source(), "gain": Gain(), "eye": Eye()}, 1.0)
     eye, said, readers, held = run_inprocess(rig, 3)["eye"], [], [0], Event()

@@ -10,12 +10,13 @@ from hypothesis import given, strategies as st
 from outside import script
 from rosbags.typesys import Stores, get_typestore
 from simulated import SimulatedRig, World
-from softrig_core import Block, Level, Recording, Refused, Rig, Signals, array, pose, rig_of, run_processes
+from softrig_core import Block, Level, Recording, Refused, Rig, Signals, array, pose, rig_of
 from softrig_core.block.codec import Decoder, selection
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment
-from softrig_core.processes.placement import Listener, Placement
 from softrig_core.wire.cdr import Layout, parse
+from softrig_nodes import run_processes
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment
+from softrig_nodes.processes.placement import Listener, Placement
 
 MATRIX = array("m", "matrix", {"row": 2, "column": 3}, "kg m^2")
 POSE = pose("p", "tool_pose", "base_link")

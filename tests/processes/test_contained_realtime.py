@@ -11,22 +11,22 @@ from conftest import in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
 from simulated import _Sink
 from softrig_core import Block, Recording, Rig, Signals, command, load_scenario, rig_of
-from softrig_core.node import container as container_module
-from softrig_core.node.adapter import adapter as adapter_module
-from softrig_core.node.adapter.adapter import Adapter
-from softrig_core.node.container import Container
-from softrig_core.node.group import Group
-from softrig_core.node.realtime.answering import Answering
-from softrig_core.node.realtime.live import Live
-from softrig_core.node.ros import ros
-from softrig_core.node.ros.contained import ContainedMiddleware
-from softrig_core.node.ros.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
-from softrig_core.node.seam import exchange as exchange_module
-from softrig_core.node.seam.exchange import Exchange
-from softrig_core.node.seam.health import StatusFile
-from softrig_core.node.seam.monitor import Monitor
-from softrig_core.processes.spawning import node_parameters
 from softrig_core.rig.options import RunOptions
+from softrig_nodes import container as container_module
+from softrig_nodes.adapter import adapter as adapter_module
+from softrig_nodes.adapter.adapter import Adapter
+from softrig_nodes.container import Container
+from softrig_nodes.group import Group
+from softrig_nodes.processes.spawning import node_parameters
+from softrig_nodes.realtime.answering import Answering
+from softrig_nodes.realtime.live import Live
+from softrig_nodes.ros import ros
+from softrig_nodes.ros.contained import ContainedMiddleware
+from softrig_nodes.ros.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
+from softrig_nodes.seam import exchange as exchange_module
+from softrig_nodes.seam.exchange import Exchange
+from softrig_nodes.seam.health import StatusFile
+from softrig_nodes.seam.monitor import Monitor
 
 SECOND = 1_000_000_000
 

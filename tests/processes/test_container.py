@@ -14,16 +14,16 @@ from types import SimpleNamespace
 import pytest
 from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
 from outside import script
-from softrig_core import Recording, Signals, list_scenarios, rig_of, run_processes
-from softrig_core.node import container as containers
-from softrig_core.node.ros.profile import PROPERTY, VARIABLE, joining, own
-from softrig_core.node.seam.exchange import BURST, Exchange
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment, find_executable
-from softrig_core.processes.fork_server import start_node
-from softrig_core.processes.placement import NOBODY, Listener, Placement
-from softrig_core.processes.ports import chosen
-from softrig_core.processes.shared_memory import numbers
+from softrig_core import Recording, Signals, list_scenarios, rig_of
+from softrig_nodes import container as containers, run_processes
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment, find_executable
+from softrig_nodes.processes.fork_server import start_node
+from softrig_nodes.processes.placement import NOBODY, Listener, Placement
+from softrig_nodes.processes.ports import chosen
+from softrig_nodes.processes.shared_memory import numbers
+from softrig_nodes.ros.profile import PROPERTY, VARIABLE, joining, own
+from softrig_nodes.seam.exchange import BURST, Exchange
 from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
 pytestmark = pytest.mark.processes
@@ -219,9 +219,9 @@ def test_a_failing_node_ends_the_run_with_its_name_and_a_readable_record(how, te
 
 def container(directory, *arguments):
     """Exit status and words of a container that has something to object to."""
-    command = [find_executable("softrig_core", "container"), *arguments]
+    command = [find_executable("softrig_nodes", "container"), *arguments]
     with ExitStack() as stack:
-        process = fork(stack, "softrig_core", "container", command, environment(1, directory))
+        process = fork(stack, "softrig_nodes", "container", command, environment(1, directory))
         said = process.communicate(PATIENCE)[0]
     return process.returncode, said
 
@@ -299,7 +299,7 @@ def test_realtime_in_a_container(tmp_path):
 
 
 def test_a_container_that_is_stopped_leaves_what_it_has(tmp_path):
-    command = [str(find_executable("softrig_core", "container"))]
+    command = [str(find_executable("softrig_nodes", "container"))]
     for name in BASIC:
         command += [
             "faultrig",
@@ -312,7 +312,7 @@ def test_a_container_that_is_stopped_leaves_what_it_has(tmp_path):
             "--",
         ]
     with free_domain() as domain:
-        process = start_node("softrig_core", "container", command, environment(domain, tmp_path), 2)
+        process = start_node("softrig_nodes", "container", command, environment(domain, tmp_path), 2)
         until(lambda: all(status(tmp_path, name)["ticks"] for name in ("plant", "gain")))
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0
@@ -468,7 +468,7 @@ def test_a_number_of_which_there_is_a_file_is_chosen_last(tmp_path, monkeypatch)
     assert numbers(tmp_path) == {9236, 9237}
     assert numbers(tmp_path / "none") == set()
     whole = range(6200, 10_000)
-    monkeypatch.setattr("softrig_core.node.ros.profile.numbers", lambda: {*whole} - {6333, 7400 + 250 * 7 + 100})
+    monkeypatch.setattr("softrig_nodes.ros.profile.numbers", lambda: {*whole} - {6333, 7400 + 250 * 7 + 100})
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
     with joining():
         text = Path(os.environ[VARIABLE]).read_text()
@@ -484,7 +484,7 @@ def test_a_profile_without_a_participant_is_refused(text, why):
 
 
 def test_a_container_without_nodes_says_how_it_is_used(tmp_path):
-    done = subprocess.run([find_executable("softrig_core", "container")], capture_output=True, text=True)
+    done = subprocess.run([find_executable("softrig_nodes", "container")], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (2, "")
     assert "PACKAGE EXECUTABLE" in done.stdout
     for arguments in (["--ros-args"], ["--ros-args", "-r", "__node:=container"]):

@@ -17,17 +17,18 @@ from pathlib import Path
 import pytest
 from conftest import PATIENCE, differences, in_process, make_scenario, no_process_left, processes_of, until
 from softrig_bags.read import read_bag
-from softrig_core import Signals, rig_of, run_inprocess, run_processes
-from softrig_core.node.seam import health
-from softrig_core.processes import processes, shared_memory, spawning
-from softrig_core.processes.children import read_status
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import LOOPBACK, environment, find_executable
-from softrig_core.processes.fork_server import start_node
-from softrig_core.processes.placement import Listener, Placement
-from softrig_core.processes.shared_memory import MADE, Ears, clear_ports, lacking, remove_leftovers
-from softrig_core.processes.spawning import node_parameters, parameter_file
-from softrig_core.processes.stopping import Stopped, stoppable
+from softrig_core import Signals, rig_of, run_inprocess
+from softrig_nodes import run_processes
+from softrig_nodes.processes import processes, shared_memory, spawning
+from softrig_nodes.processes.children import read_status
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import LOOPBACK, environment, find_executable
+from softrig_nodes.processes.fork_server import start_node
+from softrig_nodes.processes.placement import Listener, Placement
+from softrig_nodes.processes.shared_memory import MADE, Ears, clear_ports, lacking, remove_leftovers
+from softrig_nodes.processes.spawning import node_parameters, parameter_file
+from softrig_nodes.processes.stopping import Stopped, stoppable
+from softrig_nodes.seam import health
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 from conftest import differences, in_process, make_scenario, no_process_left, processes_of, until
-from softrig_core import rig_of, run_processes
-from softrig_core.processes import fork_server, spawning
-from softrig_core.processes.fork_server import start_node
-from softrig_core.processes.placement import Listener
+from softrig_core import rig_of
+from softrig_nodes import run_processes
+from softrig_nodes.processes import fork_server, spawning
+from softrig_nodes.processes.fork_server import start_node
+from softrig_nodes.processes.placement import Listener
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 TOOLS = """
@@ -159,7 +160,7 @@ def test_a_node_ends_with_whoever_had_it_started(tmp_path):
     code = (
         "import os, sys; sys.path[:0] = ['tests']; from pathlib import Path; import conftest as c\n"
         "from softrig_core import rig_of, run_processes\n"
-        "from softrig_core.processes.placement import Listener\n"
+        "from softrig_nodes.processes.placement import Listener\n"
         f"rig = rig_of(c.make_scenario({BASIC!r}, 1e4))\n"
         f"run_processes(rig, 0, Path({str(tmp_path)!r}), listener=Listener(lambda t: t and os.kill(os.getpid(), 9)))"
     )

@@ -8,11 +8,11 @@ import pytest
 from conftest import PATIENCE
 from rosbags.typesys import Stores, get_typestore
 from softrig_core.block.scene import Pose
-from softrig_core.node.face.frames import encode
-from softrig_core.node.ros.tf_message import ELEMENT, HASH, SOURCE, TF
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment, find_executable
-from softrig_core.processes.fork_server import start_node
+from softrig_nodes.face.frames import encode
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment, find_executable
+from softrig_nodes.processes.fork_server import start_node
+from softrig_nodes.ros.tf_message import ELEMENT, HASH, SOURCE, TF
 from softrig_robots.manipulator.plant import ManipulatorPlant
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -28,7 +28,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
-from softrig_core.node.ros.messages import message_class
+from softrig_nodes.ros.messages import message_class
 from type_description_interfaces.srv import GetTypeDescription
 
 rclpy.init()

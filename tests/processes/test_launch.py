@@ -15,10 +15,10 @@ from softrig_bringup.cli import main
 from softrig_bringup.run.run import status_of, tripped
 from softrig_bringup.verbs.launched import strange
 from softrig_core import ScenarioError, load_scenario, rig_of, run_inprocess
-from softrig_core.node.container import split
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment, find_executable
 from softrig_core.wire.recording import relative
+from softrig_nodes.container import split
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment, find_executable
 from test_outside import SYSTEMS, short
 
 SCENARIO = """

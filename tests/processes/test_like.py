@@ -8,8 +8,8 @@ import pytest
 from conftest import SLOW_DRIVE
 from softrig_bags.read import read_bag
 from softrig_bringup.cli import main
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment
 
 pytestmark = pytest.mark.processes
 

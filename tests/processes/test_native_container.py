@@ -11,12 +11,12 @@ from softrig_core import Recording, rig_of
 from softrig_core.native import choice, engine
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine
-from softrig_core.node import group
-from softrig_core.node.adapter.adapter import Adapter
-from softrig_core.node.group import Group
-from softrig_core.processes.spawning import node_parameters
 from softrig_core.rig.options import RunOptions
 from softrig_core.wire.parameter_event import TOPIC as EVENTS
+from softrig_nodes import group
+from softrig_nodes.adapter.adapter import Adapter
+from softrig_nodes.group import Group
+from softrig_nodes.processes.spawning import node_parameters
 
 
 class Container:

@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 from conftest import in_process
 from outside import busy
-from softrig_core import Signals, rig_of, run_processes
-from softrig_core.node.seam.tick import TICK
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment
-from softrig_core.processes.placement import Listener, Placement
+from softrig_core import Signals, rig_of
 from softrig_core.rig.rig import CLOCK_NODE
+from softrig_nodes import run_processes
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment
+from softrig_nodes.processes.placement import Listener, Placement
+from softrig_nodes.seam.tick import TICK
 
 pytestmark = pytest.mark.processes
 

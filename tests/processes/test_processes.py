@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
 from outside import busy, script
-from softrig_core import ScenarioError, Signals, rig_of, run_processes
-from softrig_core.processes import children
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment, find_executable
-from softrig_core.processes.placement import Listener, Placement
+from softrig_core import ScenarioError, Signals, rig_of
+from softrig_nodes import run_processes
+from softrig_nodes.processes import children
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment, find_executable
+from softrig_nodes.processes.placement import Listener, Placement
 
 pytestmark = pytest.mark.processes
 
@@ -230,8 +231,9 @@ def test_ctrl_c_stops_all_nodes(tmp_path):
     code = textwrap.dedent(f"""
         import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
         from conftest import make_scenario
-        from softrig_core import rig_of, run_processes
-        from softrig_core.processes.placement import Listener
+        from softrig_core import (rig_of)
+        from softrig_nodes import run_processes
+        from softrig_nodes.processes.placement import Listener
         from pathlib import Path
         wired = rig_of(make_scenario({BASIC!r}, 1e5))
         run_processes(wired, 0, Path({str(tmp_path)!r}), listener=Listener(lambda t: print(t, flush=True)))
@@ -248,8 +250,9 @@ def test_nodes_die_with_a_killed_runner(tmp_path):
     code = textwrap.dedent(f"""
         import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
         from conftest import make_scenario
-        from softrig_core import rig_of, run_processes
-        from softrig_core.processes.placement import Listener
+        from softrig_core import (rig_of)
+        from softrig_nodes import run_processes
+        from softrig_nodes.processes.placement import Listener
         from pathlib import Path
         wired = rig_of(make_scenario({BASIC!r}, 1e5))
         run_processes(wired, 0, Path({str(tmp_path)!r}), listener=Listener(lambda t: print(t, flush=True)))

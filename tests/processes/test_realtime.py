@@ -13,10 +13,11 @@ from outside import SPIN, go, outside
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
-from softrig_core import Signals, rig_of, run_processes
-from softrig_core.node.ros.ros import RosMiddleware, ServingNode
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.placement import Placement
+from softrig_core import Signals, rig_of
+from softrig_nodes import run_processes
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.placement import Placement
+from softrig_nodes.ros.ros import RosMiddleware, ServingNode
 
 pytestmark = pytest.mark.processes
 

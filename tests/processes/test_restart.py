@@ -8,9 +8,10 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from softrig_bags.read import read_bag
 from softrig_bringup.cli import main
-from softrig_core import rig_of, run_processes, simulate
-from softrig_core.processes import processes
-from softrig_core.processes.placement import Listener, Placement
+from softrig_core import rig_of, simulate
+from softrig_nodes import run_processes
+from softrig_nodes.processes import processes
+from softrig_nodes.processes.placement import Listener, Placement
 from test_comeback import fieldbus
 
 pytestmark = [pytest.mark.processes, pytest.mark.long]

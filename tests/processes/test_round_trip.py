@@ -15,10 +15,10 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from softrig_core.block.params import declarations, flatten
 from softrig_core.errors import ScenarioError
-from softrig_core.node.main import make_adapter
-from softrig_core.node.ros.ros import RosMiddleware, ServingNode, plain
-from softrig_core.processes.domain import free_domain
 from softrig_core.rig.installed import load_block
+from softrig_nodes.main import make_adapter
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.ros.ros import RosMiddleware, ServingNode, plain
 
 ROOT = Path(__file__).parents[2]
 FMUS = ("fmu_law", "fmu_plant")  # nothing without a file

@@ -5,10 +5,11 @@ import threading
 
 import pytest
 from conftest import differences, in_process, until
-from softrig_core import load_scenario, rig_of, run_processes
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import PROFILE
-from softrig_core.processes.placement import Listener, Placement
+from softrig_core import load_scenario, rig_of
+from softrig_nodes import run_processes
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import PROFILE
+from softrig_nodes.processes.placement import Listener, Placement
 
 pytest.importorskip("simulation_interfaces")
 pytestmark = [pytest.mark.processes, pytest.mark.long]

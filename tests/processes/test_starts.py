@@ -16,10 +16,11 @@ from pathlib import Path
 import pytest
 from conftest import differences
 from outside import busy
-from softrig_core import rig_of, run_processes
-from softrig_core.processes.domain import DOMAINS
-from softrig_core.processes.executables import environment
-from softrig_core.processes.placement import Placement
+from softrig_core import rig_of
+from softrig_nodes import run_processes
+from softrig_nodes.processes.domain import DOMAINS
+from softrig_nodes.processes.executables import environment
+from softrig_nodes.processes.placement import Placement
 from test_discovery import KINDS, guests, rig_and_record
 from test_outside import replaced
 

@@ -14,9 +14,9 @@ from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_core import load_scenario, rig_of
 from softrig_core.block.params import flatten
-from softrig_core.node.ros.ros import Credit
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import find_executable
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import find_executable
+from softrig_nodes.ros.ros import Credit
 
 pytestmark = pytest.mark.processes
 
@@ -153,7 +153,7 @@ def test_a_flood_of_sets_does_not_keep_a_rig_from_its_ticks(mode, duration, tmp_
 
 def test_sets_may_take_a_share_of_the_time(monkeypatch):
     now = [0.0]
-    monkeypatch.setattr("softrig_core.node.ros.ros.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("softrig_nodes.ros.ros.time.monotonic", lambda: now[0])
     credit = Credit()
     for _ in range(4):
         assert credit.wanting() == 0.0

@@ -15,9 +15,16 @@ from conftest import PATIENCE, differences, in_process
 from softrig_bags.read import read_bag
 from softrig_bags.repair import repair
 from softrig_bringup.cli import main
-from softrig_core.node.ros.profile import joining
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import LOOPBACK, NETWORK, PROFILE, default_profile, environment, find_executable
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import (
+    LOOPBACK,
+    NETWORK,
+    PROFILE,
+    default_profile,
+    environment,
+    find_executable,
+)
+from softrig_nodes.ros.profile import joining
 from test_processes import BASIC, rig
 
 pytestmark = pytest.mark.processes

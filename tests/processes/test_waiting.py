@@ -17,14 +17,14 @@ from sensor_msgs.msg import JointState
 from simulated import Discovery, SimulatedNode, SimulatedRig, World
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
-from softrig_core.node import group as group_module
-from softrig_core.node.adapter.adapter import Adapter
-from softrig_core.node.group import Group
-from softrig_core.node.ros.ros import RosMiddleware, ServingNode, quiet_after_shutdown
-from softrig_core.processes import supervision
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.guests import Guests
 from softrig_core.rig.options import RunOptions
+from softrig_nodes import group as group_module
+from softrig_nodes.adapter.adapter import Adapter
+from softrig_nodes.group import Group
+from softrig_nodes.processes import supervision
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.guests import Guests
+from softrig_nodes.ros.ros import RosMiddleware, ServingNode, quiet_after_shutdown
 from test_discovery import KINDS, rig_and_record, with_guests
 
 MS, SECOND = 1_000_000, 1_000_000_000

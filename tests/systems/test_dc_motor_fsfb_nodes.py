@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from outside import go, outside
-from softrig_core import Signals, load_scenario, rig_of, run_processes
+from softrig_core import Signals, load_scenario, rig_of
 from softrig_core.judge import measures
-from softrig_core.processes.placement import Placement
+from softrig_nodes import run_processes
+from softrig_nodes.processes.placement import Placement
 
 pytestmark = pytest.mark.processes
 

@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_bringup.cli import main
-from softrig_core import ByHand, Level, ParameterError, Recording, feed, load_scenario, run_processes, simulate
+from softrig_core import ByHand, Level, ParameterError, Recording, feed, load_scenario, simulate
 from softrig_core.block.params import build
+from softrig_nodes import run_processes
 from softrig_power.fault_location import pictures, study, study_tool
 from softrig_power.fault_location.cases import PUBLISHED, Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade

@@ -16,20 +16,11 @@ import pytest
 from conftest import PATIENCE, differences, in_process, make_scenario, no_process_left, until
 from simulated import SimulatedRig, World
 from softrig_bringup.cli import main
-from softrig_core import (
-    ByHand,
-    ParameterError,
-    RunError,
-    ScenarioError,
-    Signals,
-    load_scenario,
-    rig_of,
-    run_processes,
-    simulate,
-)
+from softrig_core import ByHand, ParameterError, RunError, ScenarioError, Signals, load_scenario, rig_of, simulate
 from softrig_core.block.change import permit
-from softrig_core.processes.placement import Placement
 from softrig_drives.dc_motor.plant import DcMotorPlant
+from softrig_nodes import run_processes
+from softrig_nodes.processes.placement import Placement
 
 pytest.importorskip("fmpy")
 from fmu_build import build_fmu

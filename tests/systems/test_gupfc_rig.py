@@ -16,10 +16,11 @@ from scipy.sparse import lil_matrix
 from scipy.sparse.linalg import spsolve
 from softrig_control.filters import SecondOrderFilter
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
-from softrig_core import ByHand, Level, Signals, load_scenario, rig_of, run_processes, simulate
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment
-from softrig_core.processes.placement import Listener, Placement
+from softrig_core import ByHand, Level, Signals, load_scenario, rig_of, simulate
+from softrig_nodes import run_processes
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment
+from softrig_nodes.processes.placement import Listener, Placement
 from softrig_power.gupfc import circuit as steps
 from softrig_power.gupfc.figures import cycles
 from softrig_power.gupfc.network import BUSES, Network, NetworkParams

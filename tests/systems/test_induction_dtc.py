@@ -27,7 +27,6 @@ from softrig_core import (
 )
 from softrig_core.block.codec import Decoder
 from softrig_core.kit import compiled
-from softrig_core.processes.placement import Placement
 from softrig_core.wire.cdr import Layout
 from softrig_drives.induction_dtc.adc import ROW, AdcParams, Converter, draw
 from softrig_drives.induction_dtc.dtc import DtcController
@@ -45,6 +44,7 @@ from softrig_drives.induction_dtc.switching import (
     torque_level,
     voltage,
 )
+from softrig_nodes.processes.placement import Placement
 
 T_S = 5e-5
 Q = 1 / 32  # A

@@ -14,7 +14,7 @@ from softrig_core import (
     rig_of,
     simulate,
 )
-from softrig_core.node.live_figures import Figures
+from softrig_core.run.live_figures import Figures
 from softrig_core.verdict.watch import MANY, Kept, row_of
 
 SPEED = "motor/true_state/shaft/velocity"

@@ -6,7 +6,7 @@ from conftest import differences, in_process
 from outside import SPIN, go, outside
 from softrig_bringup.run.run import checked, execute
 from softrig_core import load_scenario, rig_of
-from softrig_core.processes.placement import Placement
+from softrig_nodes.processes.placement import Placement
 
 pytestmark = pytest.mark.processes
 

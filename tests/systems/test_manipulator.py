@@ -26,7 +26,7 @@ from softrig_core import (
 from softrig_core.judge import measures
 from softrig_core.kit import compiled
 from softrig_core.kit.floats import numbers
-from softrig_core.node.ros.messages import marker_array
+from softrig_nodes.ros.messages import marker_array
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.manipulator.controller import VcsController

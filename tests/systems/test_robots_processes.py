@@ -1,7 +1,8 @@
 """The robots through real node processes: the same bytes as in-process, and their safety behaviour."""
 
 import pytest
-from softrig_core import Signals, load_scenario, rig_of, run_processes
+from softrig_core import Signals, load_scenario, rig_of
+from softrig_nodes import run_processes
 
 pytestmark = pytest.mark.processes
 

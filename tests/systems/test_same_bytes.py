@@ -2,7 +2,8 @@
 
 import pytest
 from conftest import differences, in_process
-from softrig_core import rig_of, run_processes
+from softrig_core import rig_of
+from softrig_nodes import run_processes
 
 pytestmark = pytest.mark.processes
 

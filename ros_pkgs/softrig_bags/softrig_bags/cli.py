@@ -15,8 +15,8 @@ from typing import Any
 from softrig_core.block.params import Declaration
 from softrig_core.command_line import Number, Parser
 from softrig_core.guard import guarded, plain
-from softrig_core.node.ros.leave import leave
 from softrig_core.wire.recording import relative
+from softrig_nodes.ros.leave import leave
 
 from .errors import BagError
 

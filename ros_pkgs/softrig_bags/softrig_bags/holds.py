@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from xml.etree import ElementTree
 
-from softrig_core.processes.executables import given_profile
+from softrig_nodes.processes.executables import given_profile
 
 LEASE, ANNOUNCEMENT = 20.0, 3.0  # s: of Fast DDS, where the profile says nothing
 

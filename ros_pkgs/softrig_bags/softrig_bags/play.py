@@ -8,7 +8,7 @@ from typing import Any
 
 from softrig_core.block.params import Declaration
 from softrig_core.guard import say
-from softrig_core.node.ros.messages import message_class
+from softrig_nodes.ros.messages import message_class
 
 from .errors import BagError
 from .player import CHANGES, CLOCK, LockstepPlayer, Player, Publishers, span

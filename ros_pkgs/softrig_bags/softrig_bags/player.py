@@ -21,11 +21,11 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from softrig_core import SECOND, Recording, RunError
-from softrig_core.node.ros.messages import message_class
 from softrig_core.wire import parameter_event
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.parameter_event import decode
 from softrig_core.wire.recording import relative
+from softrig_nodes.ros.messages import message_class
 from std_srvs.srv import Trigger
 
 from .errors import BagError

@@ -11,9 +11,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import QoSSubscriptionEventType as Event, SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
 from softrig_core import RunError
-from softrig_core.node.ros.messages import message_class
-from softrig_core.node.seam.awaited import RECORDER, left_out
-from softrig_core.node.seam.tick import TICK
+from softrig_nodes.ros.messages import message_class
+from softrig_nodes.seam.awaited import RECORDER, left_out
+from softrig_nodes.seam.tick import TICK
 
 from .bag import BagWriter
 from .holds import Holds, patience

@@ -22,8 +22,8 @@ from rclpy.task import Future
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from softrig_core import SECOND
 from softrig_core.block.params import Declaration
-from softrig_core.node.ros.messages import range_descriptor
-from softrig_core.node.ros.profile import joining, look_after_ports
+from softrig_nodes.ros.messages import range_descriptor
+from softrig_nodes.ros.profile import joining, look_after_ports
 
 from .errors import BagError
 from .topics import BagTopic
@@ -53,7 +53,7 @@ class Session:
     Attributes
     ----------
     opened : Session or None
-        The session of this process; the two end together (`softrig_core.node.ros.leave`).
+        The session of this process; the two end together (`softrig_nodes.ros.leave`).
     """
 
     opened: ClassVar[Session | None] = None

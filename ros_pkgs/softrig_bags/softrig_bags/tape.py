@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Port, Recording, Sample, executable, param, to_ns
+from softrig_core import Block, BlockParams, Port, Recording, Sample, param, to_ns
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
 
@@ -116,6 +116,3 @@ class Tape(Block[TapeParams]):
             if k > before:
                 found[name] = rows[k - 1][1]
         return State(tuple(said)) if found else x, found
-
-
-main = executable(Tape)

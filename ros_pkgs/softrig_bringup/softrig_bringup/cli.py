@@ -172,7 +172,7 @@ def _late(target: str, options: argparse.Namespace) -> int:
     function = getattr(import_module(f"{__package__}.{module}"), name)
     if module not in _STOPPABLE:
         return int(function(options))
-    from softrig_core.processes.stopping import stoppable
+    from softrig_nodes.processes.stopping import stoppable
 
     with stoppable():
         return int(function(options))
@@ -196,7 +196,7 @@ def of_the_script(_: object = None) -> int:
 
 def node(options: argparse.Namespace) -> int:
     """Become an executable."""
-    from softrig_core.processes.executables import node_main
+    from softrig_nodes.processes.executables import node_main
 
     return node_main(options.package, options.executable, options.arguments)
 

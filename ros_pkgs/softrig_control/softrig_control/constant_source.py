@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
 from pydantic import model_validator
-from softrig_core import Block, Port, executable, joint_state, param
+from softrig_core import Block, Port, joint_state, param
 from typing_extensions import TypeVar
 
 from .profile import ProfileParams, StepProfile
@@ -63,7 +63,3 @@ class CommandSource(ScalarSource[CommandSourceParams]):
 
     NAME = "command"
     FIELD = "effort"
-
-
-scalar_source = executable(ScalarSource)
-command_source = executable(CommandSource)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, Level, Port, Sample, executable, jit, param, to_ns
+from softrig_core import Block, Level, Port, Sample, jit, param, to_ns
 
 from .unit_delay import LinkParams
 
@@ -302,6 +302,3 @@ def whole_periods(time: float, period: float) -> tuple[int, bool]:
     exact = time / period
     periods = math.ceil(exact - 1e-9)
     return periods, abs(periods - exact) > 1e-9 * max(1.0, exact)
-
-
-main = executable(FieldbusDelay)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, Port, Sample, button, executable, param, to_ns
+from softrig_core import Block, Port, Sample, button, param, to_ns
 from softrig_core.wire import types
 
 from .delay import Line, whole_periods
@@ -355,6 +355,3 @@ class Fault(Block[FaultParams]):
         if kind == "invalid":
             return math.nan
         return x + value  # offset, spike
-
-
-main = executable(Fault)

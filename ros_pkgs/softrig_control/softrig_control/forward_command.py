@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Port, array, command, executable, param
+from softrig_core import Block, BlockParams, Port, array, command, param
 
 
 class ForwardCommandParams(BlockParams):
@@ -50,6 +50,3 @@ class ForwardCommand(Block[ForwardCommandParams]):
     ) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Give the newest array."""
         return x, {"command": self._initial if commands is None else commands}
-
-
-main = executable(ForwardCommand)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import BlockParams, Plant, Port, executable, param
+from softrig_core import BlockParams, Plant, Port, param
 
 from .discretise import matmul
 from .predictive.carima import sample_transfer_function
@@ -77,6 +77,3 @@ class LinearPlant(Plant[LinearPlantParams]):
         """Hold u over one period."""
         moved = matmul(self._a, tuple([(xi,) for xi in x.x]))
         return State(tuple([xi[0] + b[0] * command[0] for xi, b in zip(moved, self._b, strict=True)]))
-
-
-main = executable(LinearPlant)

@@ -11,7 +11,7 @@ from types import CellType, FunctionType
 from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, ParameterError, Port, Sample, executable, param
+from softrig_core import Block, BlockParams, ParameterError, Port, Sample, param
 from softrig_core.scenario.port_text import ports_of
 
 GROUP = "softrig_policies"  # of entry points
@@ -222,6 +222,3 @@ class Policy(Block[PolicyParams]):
             silent = port.sporadic and not any(k is not None for k in places)
             said[port.name] = None if silent else Sample(t, row) if port.delayed else row
         return x, said
-
-
-main = executable(Policy)

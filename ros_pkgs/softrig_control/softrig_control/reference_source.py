@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core import Block, Port, executable, param, reference
+from softrig_core import Block, Port, param, reference
 
 from .profile import ProfileParams, StepProfile
 
@@ -65,6 +65,3 @@ class ReferenceSource(Block[ReferenceSourceParams]):
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Give the reference at t."""
         return x, self._answers.at(t)
-
-
-main = executable(ReferenceSource)

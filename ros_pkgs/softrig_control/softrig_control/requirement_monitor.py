@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, Port, RunError, Sample, ScenarioError, executable, param, scalars
+from softrig_core import Block, BlockParams, Level, Port, RunError, Sample, ScenarioError, param, scalars
 from softrig_core.judge.formula import margin_unit, read, variables
 from softrig_core.judge.live import Live, Opened
 from softrig_core.judge.robustness import truth
@@ -154,6 +154,3 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         if self.p.ends:
             raise RunError(f"{self.name}: {text}")
         self.report(Level.ERROR, "violated", text)
-
-
-main = executable(RequirementMonitor)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import BlockParams, Plant, Port, executable, param
+from softrig_core import BlockParams, Plant, Port, param
 from softrig_core.block.port import XYZ
 from softrig_core.wire import types
 
@@ -121,6 +121,3 @@ class UnitDelay(Plant[LinkParams]):
     def advance(self, x: State, t: int, *, sent: tuple[float, ...]) -> State:
         """Take in what was sent."""
         return State(sent)
-
-
-main = executable(UnitDelay)

@@ -56,14 +56,13 @@ if TYPE_CHECKING:
     from .block.scene import Pose as Pose, Scene as Scene
     from .block.state import state_type as state_type
     from .errors import RunError as RunError, ScenarioError as ScenarioError
+    from .former import executable as executable, run_processes as run_processes
     from .judge.measures import SignalMap as SignalMap, figure as figure, window as window
     from .kit.compiled import Compiled as Compiled
     from .kit.history import History as History
     from .kit.jit import jit as jit
     from .kit.ode import rk4 as rk4, rk4_loop as rk4_loop
     from .kit.resource import resource as resource
-    from .node import executable as executable
-    from .processes.processes import run_processes as run_processes
     from .rig.rig import Rig as Rig
     from .run.expand import rig_of as rig_of
     from .run.inprocess import run_inprocess as run_inprocess
@@ -99,7 +98,7 @@ else:
         "block.state": "state_type",
         "timebase": "SECOND to_ns to_s",
         "solver.worker": "Work",
-        "node": "executable",
+        "former": "executable run_processes",
         "analysis.environment": "RigEnv",
         "analysis.environments": "RigVectorEnv",
         "verdict.figures": "Figure evaluate figures_of",
@@ -107,7 +106,6 @@ else:
         "run.inprocess": "run_inprocess",
         "analysis.linear_view": "LinearView linear_view",
         "judge.measures": "SignalMap figure window",
-        "processes.processes": "run_processes",
         "run.replay": "feed",
         "rig.rig": "Rig",
         "scenario.scenario": "Scenario load_scenario",

@@ -9,7 +9,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, Port, button, command, executable, param, scalars, to_ns
+from softrig_core import Block, BlockParams, Level, Port, button, command, param, scalars, to_ns
 from softrig_core.kit.dense import total
 from typing_extensions import TypeVar
 
@@ -528,6 +528,3 @@ class Optimiser(CommandSearch[OptimiserParams]):
     def slew(self) -> float:
         """As the parameter says."""
         return self.p.max_slew
-
-
-main = executable(Optimiser)

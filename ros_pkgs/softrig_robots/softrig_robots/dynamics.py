@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, Marker, Port, array, executable, joint_state, param, pose, reference
+from softrig_core import Block, BlockParams, Level, Marker, Port, array, joint_state, param, pose, reference
 
 from .joints import PerJoint, require_positive, spread
 from .urdf import read_urdf, root_link
@@ -167,6 +167,3 @@ class RobotDynamics(Block[RobotDynamicsParams]):
             Marker(self._root, "links", "line_list", tuple(end for line in lines for end in line), 0.05),
             Marker(self._root, "joints", "sphere_list", (*places[1:], tool), 0.1, (0.9, 0.4, 0.1, 1.0)),
         )
-
-
-main = executable(RobotDynamics)

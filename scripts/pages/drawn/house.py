@@ -1,4 +1,4 @@
-"""The house: rooms of softrig_core and softrig_bringup by floors, as their imports have it."""
+"""The house: rooms of softrig_core, softrig_nodes and softrig_bringup by floors, as their imports have it."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from matplotlib.figure import Figure
 
 from ..rooms import Room, rooms
 
-PACKAGES = ("softrig_core", "softrig_bringup")
+PACKAGES = ("softrig_core", "softrig_nodes", "softrig_bringup")
 
 
 def draw(folder: Path) -> None:
     """Draw the picture into a folder."""
     houses = [rooms(package) for package in PACKAGES]
     floors = [max(r.floor for r in house.values()) + 1 for house in houses]
-    figure = Figure(figsize=(11.0, 0.85 * max(floors)), layout="constrained")
-    for axis, package, house in zip(figure.subplots(1, 2, width_ratios=(5, 4)), PACKAGES, houses, strict=True):
+    figure = Figure(figsize=(13.0, 0.85 * max(floors)), layout="constrained")
+    for axis, package, house in zip(figure.subplots(1, 3, width_ratios=(5, 3, 4)), PACKAGES, houses, strict=True):
         _house(axis, house)
         axis.set_ylim(-0.6, max(floors) - 0.4)
         axis.set_title(package, fontsize=10, loc="left")

@@ -19,7 +19,6 @@ from softrig_core import (
     array,
     button,
     command,
-    executable,
     joint_state,
     number,
     param,
@@ -345,23 +344,3 @@ def script():
     code, *arguments = sys.argv[1:]
     sys.argv = ["-c", *arguments]
     exec(compile(code, "<script>", "exec"), {"__name__": "__main__"})
-
-
-plant = executable(Lag)
-planner = executable(Planner)
-source = executable(Source)
-gain = executable(Gain)
-outer = executable(Outer)
-watcher = executable(Watcher)
-killed = executable(Killed)
-dawdler = executable(Dawdler)
-link = executable(DelayedLink)
-late_gain = executable(LateGain)
-burst = executable(Burst)
-burst_gain = executable(BurstGain)
-record = executable(Record)
-analyst = executable(Analyst)
-spread = executable(Spread)
-peaks = executable(Peaks)
-weigh = executable(Weigh)
-accumulator = executable(Accumulator)

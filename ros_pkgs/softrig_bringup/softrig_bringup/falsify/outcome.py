@@ -12,8 +12,8 @@ from typing import Any
 import yaml
 from softrig_core import Run, Scenario, figures_of, load_scenario, rig_of
 from softrig_core.command_line import named
-from softrig_core.processes.placement import Placement
 from softrig_core.scenario.scenario_file import find
+from softrig_nodes.processes.placement import Placement
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report.report import write_report

@@ -13,7 +13,7 @@ from softrig_core.command_line import Number
 
 if TYPE_CHECKING:
     from softrig_core import Scenario
-    from softrig_core.processes.placement import Placement
+    from softrig_nodes.processes.placement import Placement
 
 
 def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML file") -> None:
@@ -189,7 +189,7 @@ def begun(options: argparse.Namespace) -> dict[str, Any]:
 
 def placement_of(options: argparse.Namespace) -> Placement:
     """Give where the nodes live and what they go by."""
-    from softrig_core.processes.placement import Placement
+    from softrig_nodes.processes.placement import Placement
 
     return Placement(
         options.mode,

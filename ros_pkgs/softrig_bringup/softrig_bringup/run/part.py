@@ -7,10 +7,11 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from softrig_core import Rig, ScenarioError, run_processes
+from softrig_core import Rig, ScenarioError
 from softrig_core.errors import closest
 from softrig_core.guard import say
-from softrig_core.processes.placement import Listener
+from softrig_nodes import run_processes
+from softrig_nodes.processes.placement import Listener
 
 from ..options.run_options import placement_of
 

@@ -32,20 +32,20 @@ from softrig_core import (
     figures_of,
     rig_of,
     run_inprocess,
-    run_processes,
 )
 from softrig_core.bits import blas_core, math_digest, simd_level
 from softrig_core.block.params import declarations, flatten
 from softrig_core.block.port import CLOCK
 from softrig_core.block.step import Step
 from softrig_core.guard import naming
-from softrig_core.processes.placement import NOBODY, Listener, Placement
-from softrig_core.processes.stopping import signal_of, stoppable, unstopped
 from softrig_core.rig.code import fingerprints
 from softrig_core.timebase import SECOND
 from softrig_core.verdict.figures import Result
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import read_shards
+from softrig_nodes import run_processes
+from softrig_nodes.processes.placement import NOBODY, Listener, Placement
+from softrig_nodes.processes.stopping import signal_of, stoppable, unstopped
 
 from ..folder import ResultsFolder
 from ..options.like import from_outside, lateness

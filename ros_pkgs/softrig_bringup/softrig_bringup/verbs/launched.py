@@ -16,14 +16,14 @@ from typing import Any
 from softrig_core import Recording, Run, ScenarioError
 from softrig_core.errors import closest
 from softrig_core.interrupt import PARENT
-from softrig_core.processes.children import read_status
-from softrig_core.processes.domain import join_domain
-from softrig_core.processes.executables import default_profile, patient
-from softrig_core.processes.peers import starter
-from softrig_core.processes.processes import gathered
-from softrig_core.processes.shared_memory import remove_leftovers
-from softrig_core.processes.spawning import container_arguments, groups, node_parameters, parameter_file
 from softrig_core.rig.members import Member
+from softrig_nodes.processes.children import read_status
+from softrig_nodes.processes.domain import join_domain
+from softrig_nodes.processes.executables import default_profile, patient
+from softrig_nodes.processes.peers import starter
+from softrig_nodes.processes.processes import gathered
+from softrig_nodes.processes.shared_memory import remove_leftovers
+from softrig_nodes.processes.spawning import container_arguments, groups, node_parameters, parameter_file
 
 from ..options import run_options
 from ..run.run import checked, gaps, tripped
@@ -137,7 +137,7 @@ class Launched:
         if len(group) > 1:
             shared = moved | ({"__ns": f"/{namespace}"} if namespace else {})
             words = container_arguments(group, given, log, shared)
-            return Process("softrig_core", "container", arguments=words, variables=self._variables)
+            return Process("softrig_nodes", "container", arguments=words, variables=self._variables)
         m = group[0]
         return Process(
             m.package,

@@ -33,6 +33,7 @@ class Kind(NamedTuple):
 
 
 PLANT, LAW = "$name/plant.py", "$name/controller.py"
+CLASSES = {"plant": "Pendulum", "controller": "Controller"}  # of the templates, by module
 KINDS = {
     "both": Kind(
         "a plant and its control law",
@@ -105,7 +106,9 @@ def new_package(name: str, parent: Path, kind: str = "both") -> Path:
         "colcon": f"{command()} env colcon" if _checkout() else "colcon",
         "What": made.what.capitalize(),
         "modules": ", ".join(f"`{name}/{module}.py`" for module in modules),
-        "executables": "\n".join(f"    {name}_{module} = {name}.{module}:main" for module in sorted(modules)),
+        "executables": "\n".join(
+            f"    {name}_{module} = {name}.{module}:{CLASSES[module]}.main" for module in sorted(modules)
+        ),
         "executable": f"{name}_{modules[0]}",
         "depends": "\n".join(f"  <exec_depend>{package}</exec_depend>" for package in made.depends),
         "change": Template(made.change).substitute(name=name),

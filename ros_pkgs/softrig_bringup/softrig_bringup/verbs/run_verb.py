@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from softrig_core import Rig, Run, ScenarioError
 from softrig_core.extras import need
 from softrig_core.guard import plain, say
-from softrig_core.processes.domain import free_domain
-from softrig_core.processes.executables import environment
-from softrig_core.processes.fork_server import prepare
-from softrig_core.processes.placement import Listener
-from softrig_core.processes.stopping import stoppable, unstopped
 from softrig_core.rig.agreement import assumptions
 from softrig_core.solver.solver import UNFINISHED
+from softrig_nodes.processes.domain import free_domain
+from softrig_nodes.processes.executables import environment
+from softrig_nodes.processes.fork_server import prepare
+from softrig_nodes.processes.placement import Listener
+from softrig_nodes.processes.stopping import stoppable, unstopped
 
 from ..folder import ResultsFolder
 from ..options import packed

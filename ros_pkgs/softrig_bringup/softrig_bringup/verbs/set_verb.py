@@ -8,8 +8,8 @@ from typing import Any
 
 from softrig_core import ScenarioError
 from softrig_core.guard import say
-from softrig_core.node.ros.remote import set_parameters
 from softrig_core.scenario.yaml_file import read_yaml
+from softrig_nodes.ros.remote import set_parameters
 
 
 def set_values(options: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from softrig_core.extras import need
-from softrig_core.processes.stopping import stoppable
+from softrig_nodes.processes.stopping import stoppable
 
 from ..options.packed import is_pack
 from ..report.redraw import rig_of_run

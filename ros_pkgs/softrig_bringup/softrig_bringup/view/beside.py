@@ -13,7 +13,7 @@ from typing import Any
 
 from softrig_core import Run, Scenario, rig_of
 from softrig_core.guard import say
-from softrig_core.processes.placement import Placement
+from softrig_nodes.processes.placement import Placement
 
 from .remote import Remote, let_go
 

@@ -92,7 +92,7 @@ class Control:
     ----------
     rig : Rig
     ask : callable
-        Gets a request (`softrig_core.node.ros.remote`) and who wants its answer; None where nothing can be asked.
+        Gets a request (`softrig_nodes.ros.remote`) and who wants its answer; None where nothing can be asked.
     now : callable
         Gives the time of the run, s.
     over : callable

@@ -13,12 +13,12 @@ import yaml
 from softrig_core import Recording, Rig, Run, RunError, ScenarioError, Session
 from softrig_core.block.params import flatten
 from softrig_core.guard import say
-from softrig_core.processes.placement import Placement
-from softrig_core.processes.stopping import signal_of, unstopped
 from softrig_core.run.branch import branched
 from softrig_core.timebase import Pace, to_ns, to_s
 from softrig_core.wire.parameter_event import TOPIC as EVENTS, recorded
 from softrig_core.wire.recording import ShardWriter
+from softrig_nodes.processes.placement import Placement
+from softrig_nodes.processes.stopping import signal_of, unstopped
 
 from ..folder import ResultsFolder, replace
 from ..run.run import gaps, status_of

@@ -1,4 +1,4 @@
-"""The process that turns knobs and presses buttons for the pages: `softrig_core.node.ros.remote`."""
+"""The process that turns knobs and presses buttons for the pages: `softrig_nodes.ros.remote`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from softrig_core.processes.executables import environment
+from softrig_nodes.processes.executables import environment
 
 from .control import Answer
 
@@ -32,7 +32,7 @@ class Remote:
 
     def __init__(self, domain: int, directory: Path, call: Callable[[Callable[[], object]], object]) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "softrig_core.node.ros.remote"],
+            [sys.executable, "-P", "-m", "softrig_nodes.ros.remote"],
             env=environment(domain, directory),
             text=True,
             stdin=subprocess.PIPE,

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import Recording, Rig
-from softrig_core.processes.children import read_status
-from softrig_core.processes.peers import starter
 from softrig_core.timebase import SECOND
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import ShardTail
 from softrig_core.wire.signals import Signals, Table
+from softrig_nodes.processes.children import read_status
+from softrig_nodes.processes.peers import starter
 
 from .tracks import Pane, Track
 

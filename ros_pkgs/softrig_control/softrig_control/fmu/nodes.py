@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, ParameterError, Plant, Port, RunError, executable, param
+from softrig_core import Block, BlockParams, ParameterError, Plant, Port, RunError, param
 from softrig_core.block.schedule import Schedule, rational
 
 from .description import Description, Variable, describe, unpacked
@@ -302,7 +302,3 @@ class FmuLaw(_Fmu):
         """Answer one tick."""
         x = self._step(x, inputs)
         return x, self._said(x)
-
-
-plant = executable(FmuPlant)
-law = executable(FmuLaw)

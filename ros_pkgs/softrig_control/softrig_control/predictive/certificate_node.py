@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, Port, array, button, executable, param, scalars
+from softrig_core import Block, BlockParams, Level, Port, array, button, param, scalars
 
 from .carima import Carima
 from .certificate import Certificate, assess, certify, companion
@@ -109,6 +109,3 @@ class CertificateNode(Block[CertificateParams]):
         a, b, c = companion(model)
         terminal = [p.Qbar[k : k + len(a)] for k in range(0, len(p.Qbar), len(a))]
         return assess(a, b, [p.K], terminal, p.Q * c.T @ c, p.R)
-
-
-main = executable(CertificateNode)

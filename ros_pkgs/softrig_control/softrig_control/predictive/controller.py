@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
+from softrig_core import Block, BlockParams, Level, Port, param, scalars
 from typing_extensions import TypeVar
 
 from ..limit_cycle import Swinging, limit_cycle
@@ -242,6 +242,3 @@ class GpcController(Block[P]):
 def answer(law: GpcState, state: float, active: int, failures: int) -> Mapping[str, tuple[float, ...]]:
     """Give what the node says."""
     return {"command": (law.u,), "health": (state, float(active), float(failures))}
-
-
-main = executable(GpcController)

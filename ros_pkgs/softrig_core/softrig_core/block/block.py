@@ -6,12 +6,13 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NoReturn, get_args
 
 from typing_extensions import TypeVar
 
 from ..errors import RunError, ScenarioError
 from ..kit.draws import Draws
+from ..runners import run_node
 from .params import BlockParams, ParameterError, build, differing
 from .port import Port, Sample
 
@@ -102,6 +103,17 @@ class Block(Generic[P]):
             Exception
         ) as error:  # an overflow, a singular matrix, no memory: each value is in bounds, but not together
             raise ParameterError(f"set-up failed{differing(self.p)}: {type(error).__name__}: {error}") from error
+
+    @classmethod
+    def main(cls, args: Sequence[str] | None = None) -> NoReturn:
+        """Run the block as a node until its process ends; an executable's entry point names ``module:Class.main``.
+
+        Parameters
+        ----------
+        args : sequence of str, optional
+            Command line, the name of the executable first; that of the process when absent.
+        """
+        run_node(cls, args)
 
     @classmethod
     def ports(cls, params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -38,6 +38,15 @@ def load_main(package: str, executable: str) -> Any:
         raise ScenarioError(f"{package}/{executable} cannot be loaded: {describe(error)}") from error
 
 
+def block_of(main: Any) -> type[Block] | None:
+    """Return the block class behind an executable's main function; None for a tool.
+
+    The function is `Block.main` of that class, or what `executable` made of it in earlier versions.
+    """
+    owner = getattr(main, "__self__", None)
+    return owner if isinstance(owner, type) and issubclass(owner, Block) else getattr(main, "block", None)
+
+
 def load_block(package: str, executable: str) -> type[Block]:
     """Find the block class behind an installed executable; one that was found stays.
 
@@ -61,7 +70,7 @@ def _found(package: str, executable: str, _: tuple[str, ...]) -> type[Block]:
         raise ScenarioError(
             f"package {package} has no executable {executable!r}{closest(executable, names)}; it has {', '.join(names)}"
         )
-    block: type[Block] | None = getattr(load_main(package, executable), "block", None)
+    block = block_of(load_main(package, executable))
     if block is None:
         raise ScenarioError(f"{package}/{executable} is a tool, not the node of a block")
     return block

@@ -11,6 +11,7 @@ from ..block.answer import admit
 from ..block.block import Plant
 from ..block.held import ByHand
 from ..block.params import ParameterError, build
+from .installed import block_of
 
 GROUPS = ("console_scripts", "softrig_figures")
 
@@ -44,7 +45,7 @@ def check_entry_point(point: EntryPoint) -> str:
     target: Any = point.load()
     if not callable(target):
         raise TypeError(f"{point.name} = {point.value} is {target!r}, expected a function")
-    block_class = getattr(target, "block", None)
+    block_class = block_of(target)
     if block_class is None:
         return ""
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from softrig_core import Block, BlockParams, executable, param, to_ns
+from softrig_core import Block, BlockParams, param, to_ns
 
 from .ports import FORWARD, REVERSE
 
@@ -51,6 +51,3 @@ class StepButtons(Block[StepButtonsParams]):
         return State(zero), {
             name: (float(any(down <= since < up for down, up in presses)),) for name, presses in self._presses.items()
         }
-
-
-main = executable(StepButtons)

@@ -11,7 +11,7 @@ from softrig_control.delay import whole_periods
 from softrig_control.discretise import zero_order_hold
 from softrig_control.predictor import CommandReplay, Commands
 from softrig_control.state_feedback import Gains, StateFeedback, closed_loop_poles, place, require_stable
-from softrig_core import Block, Level, Sample, executable, param, to_ns
+from softrig_core import Block, Level, Sample, param, to_ns
 
 from .motor import MotorParams
 from .nominal import Nominal, NominalAxis
@@ -267,6 +267,3 @@ def _law(p: FsfbControllerParams) -> StateFeedback:
         kr=0.0 if p.integral else 1.0 / scale,
         anti_windup=p.aw,
     )
-
-
-main = executable(FsfbController)

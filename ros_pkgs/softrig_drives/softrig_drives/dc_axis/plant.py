@@ -9,7 +9,7 @@ from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_control.hardware import axis_urdf, hardware_tag
-from softrig_core import Plant, executable, param
+from softrig_core import Plant, param
 
 from .motor import Motion, MotorParams
 from .ports import AXIS, COMMAND, STATE, TRUE_STATE
@@ -115,6 +115,3 @@ class DcAxisPlant(Plant[DcAxisParams]):
         if v * self._motion.step(y, v, net)[1] > 0.0:
             return self._move(y, v, net)
         return self._motion.stop(y, v, net, 0.0), 0.0
-
-
-main = executable(DcAxisPlant)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from softrig_control.discretise import zero_order_hold
 from softrig_control.kalman import SteadyKalman
-from softrig_core import executable, param
+from softrig_core import param
 
 from .model import SensorConstants, state_space
 from .ports import APPLIED, REFERENCE, SENSORS
@@ -82,6 +82,3 @@ class DcMotorSmcKalman(SurfaceControl[DcMotorSmcKalmanParams]):
         w, i, _, load = estimate
         per_w, per_i, per_load = self._acceleration
         return State(r, size, estimate), self.law(size, r, w, per_w * w + per_i * i + per_load * load)
-
-
-main = executable(DcMotorSmcKalman)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from softrig_control.pid import Pid, PidParams, PidState
-from softrig_core import executable, param
+from softrig_core import param
 
 from .ports import COMMAND, REFERENCE, SPEED
 from .speed_control import SpeedControl, SpeedControlParams
@@ -54,6 +54,3 @@ class DcMotorPid(SpeedControl[DcMotorPidParams]):
         r = self.reference(x.r, reference)
         pid, u = self._pid(x.pid, r - state[0])
         return State(r, pid), {"command": (u,)}
-
-
-main = executable(DcMotorPid)

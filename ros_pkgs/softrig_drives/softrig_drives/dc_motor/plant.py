@@ -11,7 +11,7 @@ from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
 from softrig_control.hardware import axis_urdf, hardware_tag
 from softrig_control.profile import StepProfile
-from softrig_core import BlockParams, Level, Plant, Port, executable, param, to_ns
+from softrig_core import BlockParams, Level, Plant, Port, param, to_ns
 
 from .model import MotorConstants, SensorConstants, state_space
 from .ports import APPLIED, COMMAND, SENSORS, SHAFT, STATE, TRUE_STATE
@@ -151,6 +151,3 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
             w, i = a11 * w + a12 * i + b10 * v + e1 * load, a21 * w + a22 * i + b20 * v + e2 * load
             t = until
         return State(theta, w, i, applied, encoder, k)
-
-
-main = executable(DcMotorPlant)

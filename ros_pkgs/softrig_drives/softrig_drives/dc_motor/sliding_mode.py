@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from softrig_control.sliding_mode import switching
-from softrig_core import Port, executable, param
+from softrig_core import Port, param
 from typing_extensions import TypeVar
 
 from .model import MotorConstants
@@ -157,6 +157,3 @@ class DcMotorSmc(SurfaceControl[DcMotorSmcParams]):
             return x, self.law(size, r, w, self._wd_i * sensors[1] - self._wd_w * w)
         wd = x.wd if x.w is None else x.wd + self._blend * ((w - x.w) * self._rate - x.wd)
         return State(r, size, w, wd), self.law(size, r, w, wd)
-
-
-main = executable(DcMotorSmc)

@@ -7,7 +7,7 @@ from math import sqrt
 from typing import NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, Port, executable, param, to_ns, to_s
+from softrig_core import Block, BlockParams, Level, Port, param, to_ns, to_s
 
 from .estimator import EstimatorParams, Flux, make_estimator
 from .ports import CURRENTS_MEAS, DC_LINK, FLUX_ESTIMATE, SPEED, SWITCHES, TORQUE_ESTIMATE, TORQUE_REF
@@ -138,6 +138,3 @@ def _answer(vector: int, psi: complex, torque: float) -> Mapping[str, tuple[floa
         "flux_estimate": (psi.real, psi.imag, 0.0),
         "torque_estimate": (torque,),
     }
-
-
-main = executable(DtcController)

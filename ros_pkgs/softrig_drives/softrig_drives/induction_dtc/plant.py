@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
-from softrig_core import BlockParams, Compiled, Level, Plant, executable, param
+from softrig_core import BlockParams, Compiled, Level, Plant, param
 
 from .adc import AdcParams, Converter, draw
 from .machine import STATES, MachineConstants, measured, numbers, step_function
@@ -147,6 +147,3 @@ def _snap(switch: float) -> float:
     """Round a switch value that is 0 or 1 within the tolerance."""
     whole = round(switch)
     return float(whole) if abs(switch - whole) <= SWITCH_TOLERANCE else switch
-
-
-main = executable(ImPlant)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from softrig_control.pid import Pid, PidParams, PidState
-from softrig_core import Block, BlockParams, executable, param
+from softrig_core import Block, BlockParams, param
 
 from .ports import SPEED, SPEED_REF, TORQUE_REF
 
@@ -57,6 +57,3 @@ class SpeedController(Block[SpeedControllerParams]):
         pid, torque = self._pid(x.pid, reference - joint_states[0])
         u_max = self.p.u_max
         return State(pid, reference), {"torque_ref": (min(max(torque, -u_max), u_max),)}
-
-
-main = executable(SpeedController)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core import Block, BlockParams, executable, jit, param
+from softrig_core import Block, BlockParams, jit, param
 
 from .machine import N_PHASES, Array, Geometry, distance, profile
 from .ports import FORCE_CMD, MOTION, PHASE_CURRENTS, PHASE_VOLTAGE
@@ -139,6 +139,3 @@ def phase_law(
     if wanted == duty or wanted * error <= 0.0:
         z += error * period
     return z, U_dc * duty
-
-
-main = executable(CurrentController)

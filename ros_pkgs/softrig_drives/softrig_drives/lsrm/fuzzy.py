@@ -8,7 +8,7 @@ from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_control.fuzzy import And, TakagiSugeno, sum_rules
-from softrig_core import executable, param
+from softrig_core import param
 
 from .speed_control import SpeedControl, SpeedControlParams
 
@@ -81,6 +81,3 @@ class LsrmFuzzy(SpeedControl[LsrmFuzzyParams]):
         error = reference[1] - joint_states[0]
         force = self.clip(x.force + p.K_u * self._surface(error / p.K_e, (error - x.error) / p.K_de))
         return State(force, error), {"force_cmd": (force,)}
-
-
-main = executable(LsrmFuzzy)

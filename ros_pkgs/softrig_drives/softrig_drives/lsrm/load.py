@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
-from softrig_core import Block, BlockParams, executable, param
+from softrig_core import Block, BlockParams, param
 
 from .ports import LOAD
 
@@ -47,6 +47,3 @@ class LsrmLoad(Block[LsrmLoadParams]):
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Give the load at t."""
         return x, self._answers.at(t)
-
-
-main = executable(LsrmLoad)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import executable, param
+from softrig_core import param
 from softrig_core.kit.dense import total
 
 from .machine import Mechanics
@@ -87,6 +87,3 @@ class LsrmMrac(SpeedControl[LsrmMracParams]):
         )
         force = total(theta * part for theta, part in zip(theta, phi, strict=True))
         return State(theta), {"force_cmd": (self.clip(force),), "theta": theta}
-
-
-main = executable(LsrmMrac)

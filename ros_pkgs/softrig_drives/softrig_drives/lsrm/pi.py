@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from softrig_control.pid import Pid, PidParams, PidState
-from softrig_core import executable, param
+from softrig_core import param
 
 from .speed_control import SpeedControl, SpeedControlParams
 
@@ -53,6 +53,3 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
 
 def _gains(p: LsrmPiParams) -> PidParams:
     return PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max)
-
-
-main = executable(LsrmPi)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from softrig_control.hardware import axis_urdf, hardware_tag
-from softrig_core import BlockParams, Level, Marker, Plant, executable, jit, param
+from softrig_core import BlockParams, Level, Marker, Plant, jit, param
 
 from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, Vector, advance, distance, phase
 from .markers import stator, translator
@@ -176,6 +176,3 @@ def held(voltage: float, flux: float, limit: float, fault: bool) -> float:
     if fault:
         return -limit if flux > 0.0 else 0.0
     return min(max(voltage, -limit), limit)
-
-
-main = executable(LsrmPlant)

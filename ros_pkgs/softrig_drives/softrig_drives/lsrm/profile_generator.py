@@ -7,7 +7,7 @@ from functools import lru_cache
 from math import inf
 from typing import Any
 
-from softrig_core import Block, BlockParams, Level, executable, param, to_s
+from softrig_core import Block, BlockParams, Level, param, to_s
 
 from .machine import Mechanics
 from .ports import REFERENCE
@@ -93,6 +93,3 @@ def largest_force(profile: Profile, M: float, damping: float) -> float:
     if profile.t_b < inf:
         times += [profile.t_b + profile.t_db * n / SAMPLES for n in range(SAMPLES + 1)]
     return max(abs(M * a + damping * v) for _, v, a in map(profile.at, times))
-
-
-main = executable(ProfileGenerator)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import field_validator
-from softrig_core import BlockParams, Plant, Port, command, executable, joint_state, param, scalars, state_type
+from softrig_core import BlockParams, Plant, Port, command, joint_state, param, scalars, state_type
 
 from .units import Units
 
@@ -76,6 +76,3 @@ class UnitFleet(Plant[FleetParams]):
         P, wanted = np.array(x), np.clip(setpoints, self._units.p_min, self._units.p_max)
         reach = self.p.ramp * self.p.period if self.p.ramp else np.inf
         return x._make((P + np.clip(wanted - P, -reach, reach)).tolist())
-
-
-main = executable(UnitFleet)

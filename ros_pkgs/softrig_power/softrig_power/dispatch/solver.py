@@ -19,7 +19,6 @@ from softrig_core import (
     array,
     button,
     command,
-    executable,
     param,
     scalars,
 )
@@ -292,6 +291,3 @@ class DispatchSolver(Solver[DispatchParams]):
             **met,
             **figures,
         }
-
-
-main = executable(DispatchSolver)

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, Port, array, button, executable, param
+from softrig_core import Block, BlockParams, Level, Port, array, button, param
 
 from .confidence import ErrorBudget, confidence
 from .equations import TAPS, model, objectives
@@ -158,6 +158,3 @@ class FaultLocator(Block[FaultLocatorParams]):
         self.report(Level.OK if good else Level.WARN, found.status.name.lower(), text)
         if work is not None and work.warning:
             self.report(Level.WARN, "rate", work.warning)
-
-
-main = executable(FaultLocator)

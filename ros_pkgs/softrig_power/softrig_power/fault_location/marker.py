@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from softrig_core import BlockParams, Marker, Observer, Port, executable, param
+from softrig_core import BlockParams, Marker, Observer, Port, param
 
 from .ports import LOCATION, location_port
 
@@ -61,6 +61,3 @@ class LocationMarker(Observer[LocationMarkerParams]):
             place = p.scale * x[LOCATION.index("x_km")]
             found.append(Marker("line", "fault", "sphere_list", ((place, 0.0, HEIGHT),), 0.2, RED))
         return found
-
-
-main = executable(LocationMarker)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import BlockParams, Level, Plant, Port, button, executable, param, vector3
+from softrig_core import BlockParams, Level, Plant, Port, button, param, vector3
 from softrig_core.kit.draws import Draws
 
 from ..lines.modal import CLARKE
@@ -134,6 +134,3 @@ class LinePlant(Plant[LinePlantParams]):
 
 def _copied(line: LineState) -> LineState:
     return LineState._make([part.copy() for part in line])
-
-
-main = executable(LinePlant)

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import SECOND, Level, Plant, Port, array, executable, param
+from softrig_core import SECOND, Level, Plant, Port, array, param
 from softrig_core.kit import dense
 
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, Rows, State as Network, Turning, circuit, moved
@@ -196,6 +196,3 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         if k == 0:
             return Command(last.sigma, cmath.phase(self._weights(x.seen.rows.bus)[BUS1]), nominal, bad)
         return Command(0.0, angle, last.omega, bad)
-
-
-main = executable(GupfcPlant)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from softrig_core import Block, BlockParams, Level, array, button, executable, param
+from softrig_core import Block, BlockParams, Level, array, button, param
 
 from .network import BUSES, NetworkParams
 from .ports import SERIES_REFERENCE, SHUNT_REFERENCE
@@ -136,6 +136,3 @@ class PowerFlowNode(Block[PowerFlowParams]):
             found.s_sh.imag,
         )
         return {"bus": tuple(value for row in bus for value in row), "device": device}
-
-
-main = executable(PowerFlowNode)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from softrig_core import Block, BlockParams, Level, array, executable, param, scalars, vector3
+from softrig_core import Block, BlockParams, Level, array, param, scalars, vector3
 
 from . import pulses
 from .ports import converter_command
@@ -93,6 +93,3 @@ def judged(sigma: float) -> tuple[tuple[float, ...], tuple[float, float, float]]
     first, found = pulses.fundamental(sigma), pulses.harmonics(sigma, max(ORDERS))
     spectrum = tuple(part for n in ORDERS for part in (float(n), 100.0 * found[n] / first))
     return spectrum, (first, pulses.distortion(sigma), pulses.distortion(sigma, 50))
-
-
-main = executable(PulseGenerator)

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from softrig_control.filters import Filtered, SecondOrderFilter
 from softrig_control.phase_locked_loop import Locked, PhaseLockedLoop, PllParams
-from softrig_core import Block, Level, Port, executable, param
+from softrig_core import Block, Level, Port, param
 
 from .operating_point import DeviceParams, operating_point
 from .ports import SERIES, SERIES_REFERENCE, measured
@@ -148,6 +148,3 @@ class SeriesController(Block[SeriesControllerParams]):
         magnitude, angle, omega = x.command
         command = (magnitude, math.remainder(angle + self.p.period * omega, math.tau), omega)
         return x._replace(command=command), {self._name: command}
-
-
-main = executable(SeriesController)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from softrig_control.filters import Filtered, SecondOrderFilter
 from softrig_control.phase_locked_loop import Locked, PhaseLockedLoop, PllParams
 from softrig_control.pid import Pid, PidParams, PidState
-from softrig_core import Block, Level, executable, param
+from softrig_core import Block, Level, param
 
 from .operating_point import DeviceParams, operating_point
 from .ports import SHUNT, SHUNT_REFERENCE, measured
@@ -131,6 +131,3 @@ class ShuntController(Block[ShuntControllerParams]):
         sigma, angle, omega = x.command
         command = (sigma, math.remainder(angle + self.p.period * omega, math.tau), omega)
         return x._replace(command=command), {"shunt": command}
-
-
-main = executable(ShuntController)

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core import Block, BlockParams, Port, array, button, executable, param
+from softrig_core import Block, BlockParams, Port, array, button, param
 
 from .array import ArrayParams, possible, split
 from .ports import environment
@@ -73,6 +73,3 @@ class PvCurves(Block[PvCurvesParams]):
         v = np.linspace(0.0, curve.open_circuit, self.p.n_points)
         i = np.interp(v, curve.v, curve.i)
         return (*v.tolist(), *i.tolist(), *(v * i).tolist())
-
-
-main = executable(PvCurves)

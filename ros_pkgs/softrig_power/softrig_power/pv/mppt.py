@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import Port, command, executable, param
+from softrig_core import Port, command, param
 from softrig_optim.algorithms import Algorithm, make
 from softrig_optim.falling import FallingCurve
 from softrig_optim.load_line import CertifiedSearch, RampScan
@@ -86,6 +86,3 @@ class MpptOptimizer(CommandSearch[MpptParams]):
     def slew(self) -> float:
         """As the parameter says."""
         return self.p.duty_slew
-
-
-main = executable(MpptOptimizer)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import BlockParams, Level, Plant, Port, check_steps, command, executable, param, scalars
+from softrig_core import BlockParams, Level, Plant, Port, check_steps, command, param, scalars
 from softrig_core.kit.dense import total
 
 from .array import ArrayParams, possible, split
@@ -125,6 +125,3 @@ class PvPlant(Plant[PvPlantParams]):
             for _ in range(self._steps):
                 circuit = move(move(circuit, source, 1.0, on, PHASE_STEPS), source, 0.0, off, PHASE_STEPS)
         return State(*circuit, conditions, x.k + 2 if p.noise else x.k)
-
-
-main = executable(PvPlant)

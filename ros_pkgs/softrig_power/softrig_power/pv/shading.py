@@ -7,7 +7,7 @@ from typing import Self
 
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
-from softrig_core import Block, BlockParams, Port, executable, param
+from softrig_core import Block, BlockParams, Port, param
 from softrig_core.kit.newest import Newest
 
 from .array import IRRADIANCE, TEMPERATURE, refuse
@@ -95,6 +95,3 @@ class ShadingSource(Block[ShadingSourceParams]):
     def update(self, x: tuple[float, ...], t: int) -> tuple[tuple[float, ...], Mapping[str, tuple[float, ...]]]:
         """Give the pattern that holds at t."""
         return x, {"environment": self._profile(x).at(t)}
-
-
-main = executable(ShadingSource)

@@ -6,7 +6,7 @@ from typing import Literal
 
 from softrig_control.predictive.carima import Carima
 from softrig_control.predictive.controller import GpcController, GpcLawParams
-from softrig_core import executable, param
+from softrig_core import param
 
 from .models import d2, n3, seed19
 from .parameters import RectifierConstants
@@ -57,6 +57,3 @@ class RectifierGpc(GpcController[RectifierGpcParams]):
 
     A trip commands 0: the plant's switches go off, and the link stays at what the diodes hold.
     """
-
-
-main = executable(RectifierGpc)

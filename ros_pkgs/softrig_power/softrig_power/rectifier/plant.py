@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import BlockParams, Level, Plant, Port, check_steps, executable, param, to_ns
+from softrig_core import BlockParams, Level, Plant, Port, check_steps, param, to_ns
 
 from . import averaged, diodes, ports, switched
 from .circuit import INJECTION, SPWM, Circuit, Period, grid, phases, turned
@@ -291,6 +291,3 @@ class RectifierPlant(Plant[RectifierPlantParams]):
             f"load {load:g} ohm, grid {amplitude:g} V: expected both positive; the last good ones hold",
         )
         return before
-
-
-main = executable(RectifierPlant)

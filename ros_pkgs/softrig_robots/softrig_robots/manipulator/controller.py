@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Protocol, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Port, command, executable, joint_state, param, reference, scalars
+from softrig_core import Block, BlockParams, Port, command, joint_state, param, reference, scalars
 
 from ..joints import JointGains, motor_names
 from .adsmc import Adsmc, AdsmcGains
@@ -118,6 +118,3 @@ class VcsController(Block[VcsControllerParams]):
         laws, voltages = zip(*found, strict=True)
         state = (*e, *[own.s for own in laws], *[own.sigma for own in laws], *[own.f_hat for own in laws])
         return State(laws), {"motor_command": voltages, "controller_state": state}
-
-
-main = executable(VcsController)

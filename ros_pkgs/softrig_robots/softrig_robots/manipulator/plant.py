@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import model_validator
-from softrig_core import Level, Params, Port, command, executable, joint_state, param, to_ns
+from softrig_core import Level, Params, Port, command, joint_state, param, to_ns
 
 from ..driven_robot import LARGEST_STEP, DrivenRobot, DrivenRobotParams, Friction, Vector
 from ..joints import PerJoint, motor_names, spread
@@ -212,6 +212,3 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
             f"{kind} limit of {joint}",
             f"{joint}: {kind} {value:.4g} is outside of {lower:g} to {upper:g}, the limits of {self.p.urdf}",
         )
-
-
-main = executable(ManipulatorPlant)

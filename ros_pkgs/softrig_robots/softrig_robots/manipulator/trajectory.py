@@ -7,7 +7,7 @@ from math import cos, pi, sin
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Port, executable, param, reference, to_ns, to_s
+from softrig_core import Block, BlockParams, Port, param, reference, to_ns, to_s
 
 from ..joints import PerJoint, spread
 from .plant import JOINTS
@@ -52,6 +52,3 @@ class TrajectorySource(Block[TrajectoryParams]):
         c, s = cos(phase), sin(phase)
         A = self._amplitude
         return x, {"reference": (*[a * (1.0 - c) for a in A], *[a * w * s for a in A], *[a * w * w * c for a in A])}
-
-
-main = executable(TrajectorySource)

@@ -12,7 +12,6 @@ from softrig_core import (
     Level,
     Port,
     command,
-    executable,
     joint_state,
     param,
     reference,
@@ -212,6 +211,3 @@ class VoltageController(Block[VoltageControllerParams]):
         first, second = laws
         shown = [v for k in range(self._shown) for v in (first[k], second[k])]
         return State(laws, sent, errors, refusals), {"motor_command": sent, "controller_state": (*errors, *shown)}
-
-
-main = executable(VoltageController)

@@ -15,7 +15,6 @@ from softrig_core import (
     BlockParams,
     Level,
     Sample,
-    executable,
     joint_state,
     number,
     param,
@@ -171,6 +170,3 @@ def _stand(damping: Vector, stiffness: Vector, q: Vector, refusals: int) -> Answ
     """Stay where it is."""
     still = (0.0,) * len(q)
     return State(damping, stiffness, q, still, refusals), {"regenerated": (*q, *still, *still)}
-
-
-main = executable(Impedance)

@@ -7,7 +7,7 @@ from math import pi, sin
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, executable, param, to_ns, wrench
+from softrig_core import Block, BlockParams, param, to_ns, wrench
 
 FOOT = "foot"
 PATIENT_FORCE = "patient_force"
@@ -46,6 +46,3 @@ class Patient(Block[PatientParams]):
         since = t % self._cycle - self._begin
         share = sin(pi * since / self._duration) ** 2 if 0 <= since < self._duration else 0.0
         return x, {PATIENT_FORCE: (self.p.force_x * share, 0.0, self.p.force_z * share, 0.0, 0.0, 0.0)}
-
-
-main = executable(Patient)

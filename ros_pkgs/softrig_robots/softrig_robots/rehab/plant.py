@@ -7,7 +7,7 @@ from math import radians
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Level, Params, command, executable, joint_state, param, to_ns, to_s, wrench
+from softrig_core import Level, Params, command, joint_state, param, to_ns, to_s, wrench
 
 from ..driven_robot import DrivenRobot, DrivenRobotParams, Friction, Vector
 from ..joints import PerJoint, require_positive, spread
@@ -255,6 +255,3 @@ class RehabPlant(DrivenRobot[RehabParams]):
             "motor_states": x.i,
             "applied_voltage": x.applied,
         }
-
-
-main = executable(RehabPlant)

@@ -7,7 +7,7 @@ from math import exp, radians
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, executable, param, reference, to_ns, to_s
+from softrig_core import Block, BlockParams, param, reference, to_ns, to_s
 
 from ..joints import PerJoint, require_positive, spread
 from .model import JOINTS, LOWER, UPPER
@@ -74,6 +74,3 @@ def _bump(eta: float, eta1: float, eta2: float, width: float) -> Sequence[float]
         up_rate - down_rate,
         (up_rate * (1.0 - 2.0 * up) - down_rate * (1.0 - 2.0 * down)) / width,
     )
-
-
-main = executable(PromReference)

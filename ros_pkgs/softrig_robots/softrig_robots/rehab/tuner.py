@@ -20,7 +20,6 @@ from softrig_core import (
     Work,
     array,
     button,
-    executable,
     param,
     to_ns,
 )
@@ -261,6 +260,3 @@ class Tuner(Solver[TunerParams]):
         if now.best is None or math.isinf(now.best.value):
             return x, {"result": (float(now.iteration), 0.0, 0.0)}
         return x, {"result": (float(now.iteration), now.best.x[0], now.best.value)}
-
-
-main = executable(Tuner)

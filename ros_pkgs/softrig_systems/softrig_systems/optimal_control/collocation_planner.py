@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from softrig_core import Work, executable, param
+from softrig_core import Work, param
 
 from .collocation import sampled, solve
 from .mvim import END
@@ -60,6 +60,3 @@ class CollocationPlanner(Planner[CollocationParams]):
             details,
             (found.rows, request.horizon),
         )
-
-
-main = executable(CollocationPlanner)

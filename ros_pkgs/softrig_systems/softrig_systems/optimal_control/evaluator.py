@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from softrig_core import Level, Observer, Port, executable, param, scalars, to_s
+from softrig_core import Level, Observer, Port, param, scalars, to_s
 from softrig_core.kit import dense
 
 from .exact import least_cost
@@ -170,6 +170,3 @@ class OcpEvaluator(Observer[EvaluatorParams]):
     def status(self, x: State) -> Mapping[str, tuple[float, str]]:
         """Give the figures so far."""
         return {name: (value, "") for name, value in x.figures._asdict().items()}
-
-
-main = executable(OcpEvaluator)

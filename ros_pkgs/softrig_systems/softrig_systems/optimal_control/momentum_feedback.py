@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from softrig_core import Block, Port, executable, to_s
+from softrig_core import Block, Port, to_s
 
 from .parameters import ProblemParams
 from .ports import control, state
@@ -57,6 +57,3 @@ class MomentumFeedback(Block[ProblemParams]):
             return x, {"command": (0.0, 0.0, 0.0)}
         gain = -1.0 / max(left, self.p.period)
         return x, {"command": tuple(gain * moment * w for moment, w in zip(self.p.inertia, state[:3], strict=True))}
-
-
-main = executable(MomentumFeedback)

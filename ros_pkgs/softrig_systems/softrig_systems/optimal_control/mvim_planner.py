@@ -7,7 +7,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import Work, executable, param
+from softrig_core import Work, param
 
 from .mvim import Solution, enough_stages, several, solve
 from .planning import Planned, Planner, PlannerParams, Request
@@ -106,6 +106,3 @@ def _details(found: Solution, reason: str) -> dict[str, str]:
         "order of the paper's rule": str(found.seed_order),
         "reason": reason,
     }
-
-
-main = executable(MvimPlanner)

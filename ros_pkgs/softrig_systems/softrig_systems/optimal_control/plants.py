@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
 from pydantic import model_validator
-from softrig_core import Compiled, Level, Marker, Plant, Port, executable, param, rk4, state_type
+from softrig_core import Compiled, Level, Marker, Plant, Port, param, rk4, state_type
 from typing_extensions import TypeVar
 
 from .parameters import ProblemParams
@@ -141,9 +141,3 @@ class TwoStatePlant(OcpPlant[TwoStatePlantParams]):
 
     :math:`\dot x_1 = x_2 + x_1 x_2`, :math:`\dot x_2 = -x_1 + x_2 + x_2^2 + u`.
     """
-
-
-ocp_main = executable(OcpPlant)
-scalar_main = executable(ScalarPlant)
-spacecraft_main = executable(SpacecraftPlant)
-two_state_main = executable(TwoStatePlant)

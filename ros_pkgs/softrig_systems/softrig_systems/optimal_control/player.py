@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from softrig_core import Block, Level, Port, executable, param, scalars, to_s
+from softrig_core import Block, Level, Port, param, scalars, to_s
 
 from .mvim import polynomials
 from .parameters import ProblemParams
@@ -140,6 +140,3 @@ class OcpPlayer(Block[PlayerParams]):
         s = min(within / plan.horizon, 1.0)
         u = polynomials(plan.controls, s) if self.p.form == "power" else plan.controls(s)
         return {"command": tuple(map(float, u)), "progress": progress}
-
-
-main = executable(OcpPlayer)

@@ -17,7 +17,6 @@ from softrig_core import (
     Work,
     array,
     button,
-    executable,
     param,
     scalars,
 )
@@ -230,6 +229,3 @@ def _covered(found: Certificate) -> str:
 def _level(h: float, tank: Mapping[str, float]) -> Certificate:
     bound = level_bound(h, **tank)
     return Certificate(h, bound.certified, bound.lowest, {}, [], "closed form", 0.0)
-
-
-main = executable(CertificateNode)

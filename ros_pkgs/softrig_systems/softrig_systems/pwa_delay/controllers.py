@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
-from softrig_core import Block, BlockParams, History, Level, Port, executable, joint_state, param
+from softrig_core import Block, BlockParams, History, Level, Port, joint_state, param
 
 from .params import DelayParams, law_of_the_tank
 from .ports import INFLOW, LEVEL, SEEN, TORQUE
@@ -140,8 +140,3 @@ class DelayLine(Block[DelayLineParams]):
     def _out(self, delay: Delay, past: History, t: int) -> tuple[Line, Mapping[str, tuple[float, ...]]]:
         back = min(delay_at(delay.profile, t / 1e9), self._h)
         return Line(delay, past), {"delayed": past.aged(back / self.p.period)}
-
-
-tank = executable(TankController)
-pendulum = executable(PendulumController)
-delay_line = executable(DelayLine)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
+from softrig_core import Block, BlockParams, Level, Port, param, scalars
 from softrig_core.kit.dense import product
 
 from .certificate import VERDICT, CriterionParams
@@ -188,6 +188,3 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
             )
             return State(Certificate(matrices))
         return State(Certificate(matrices, m, self.p.unpad(matrices)))
-
-
-main = executable(LyapunovMonitor)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Jobs, Level, Result, Solver, SolverParams, Work, button, executable, param, scalars
+from softrig_core import Jobs, Level, Result, Solver, SolverParams, Work, button, param, scalars
 
 from .params import SystemParams
 from .profiles import profile
@@ -99,6 +99,3 @@ class MarginSearch(Solver[MarginSearchParams]):
             self.report(Level.WARN, "no_margin", str(found))
             return x, {"margin": (0.0, self.p.low, self.p.high, 0.0)}
         return x, {"margin": (found.h, found.low, found.high, found.growth.get(found.h, 0.0))}
-
-
-main = executable(MarginSearch)

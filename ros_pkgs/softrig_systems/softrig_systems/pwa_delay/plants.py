@@ -8,7 +8,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import BlockParams, Level, Plant, Port, check_steps, executable, param, state_type
+from softrig_core import BlockParams, Level, Plant, Port, check_steps, param, state_type
 from softrig_core.kit.dde import Track, trajectory
 from typing_extensions import TypeVar
 
@@ -262,8 +262,3 @@ class PendulumPlant(DelayPlant[PendulumPlantParams]):
     def advance(self, x: Any, t: int, *, torque: tuple[float, ...]) -> Any:
         """Hold the torque for one period."""
         return self.move(x, torque[0])
-
-
-switched = executable(SwitchedDelayPlant)
-tank = executable(TankPlant)
-pendulum = executable(PendulumPlant)

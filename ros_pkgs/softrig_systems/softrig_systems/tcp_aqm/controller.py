@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, History, Level, executable, param, to_ns
+from softrig_core import Block, BlockParams, History, Level, param, to_ns
 
 from .laws import INTEGRAL, LAWS, Gains, LawName, Measured
 from .model import Bottleneck, phi, psi
@@ -186,6 +186,3 @@ class AqmController(Block[AqmControllerParams]):
             self.report(Level.WARN, "deep", f"round trip {R:g} s is beyond the record of {self.p.history:g} s")
             back = self.p.history
         return past.aged(back * self._rate)
-
-
-main = executable(AqmController)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Level, check_steps, executable, param
+from softrig_core import Level, check_steps, param
 from softrig_core.kit.dde import Track, trajectory
 
 from .fluid import look_back, stepped
@@ -88,6 +88,3 @@ class TcpFluid(Network[TcpFluidParams]):
     def changed(self, x: State, net: Net) -> State:
         """Take the network as it is now."""
         return x._replace(net=net)
-
-
-main = executable(TcpFluid)

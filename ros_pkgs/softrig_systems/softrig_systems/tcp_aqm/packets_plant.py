@@ -6,7 +6,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import History, Level, executable, param
+from softrig_core import History, Level, param
 from softrig_core.kit.draws import Stream
 
 from .network import Net, Network, NetworkParams, Seen
@@ -148,6 +148,3 @@ class TcpPackets(Network[TcpPacketsParams]):
 def _mean(inside: Inside) -> tuple[float, float]:
     """Give mean window and queue, packets."""
     return mean_window(inside.sources), float(inside.counts[WAITING])
-
-
-main = executable(TcpPackets)

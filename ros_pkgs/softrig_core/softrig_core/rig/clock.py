@@ -1,0 +1,27 @@
+"""A clock that is no plant: time for rigs without one, or faster than every plant of a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..block.block import Plant
+from ..block.params import BlockParams, param
+
+
+class ClockParams(BlockParams):
+    """A period as long as that of the slowest node."""
+
+    period: float = param(0.01, "period; also a fraction as text: 1/2880", "s", gt=0.0, le=86400.0)
+
+
+class Clock(Plant[ClockParams]):
+    """Has a period and nothing else; a node of it publishes /clock."""
+
+    def outputs(self, x: Any, t: int) -> Mapping[str, Any]:
+        """Give nothing."""
+        return {}
+
+    def advance(self, x: Any, t: int, **inputs: Any) -> Any:
+        """Change nothing."""
+        return x

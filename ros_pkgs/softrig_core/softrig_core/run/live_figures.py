@@ -1,0 +1,75 @@
+"""The figures of a scenario while its rig runs, or beside hardware that speaks on the same topics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+from typing import Any, Self
+
+from pydantic import model_validator
+
+from ..block.params import param
+from ..block.port import Port
+from ..errors import ScenarioError
+from ..scenario.port_text import ports_of
+from ..verdict.figures import Figure, figures_in, told
+from ..verdict.watch import Watch, WatchParams
+from .expand import rig_of
+
+
+class FiguresParams(WatchParams):
+    """Whose figures; in a rig those of its scenario, at the period of its clock."""
+
+    scenario: str = param("", "started by hand: the scenario whose figures these are, by name or file")
+    figures: str = param(
+        '[{"name": "mean", "function": "mean", "arguments": {"signal": "state/x/position"}, "unit": "m", "scale": 1}]',
+        "without a scenario: what is measured, in JSON",
+    )
+    ports: str = param(
+        '[{"name": "state", "topic": "state", "msgtype": "sensor_msgs/msg/JointState", "channels": ["x"],'
+        ' "fields": ["position"], "units": ["m"]}]',
+        "and the topics that it is on, each as a port",
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        try:
+            figures_in(self.given()["figures"]), self.inputs()
+        except ScenarioError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def given(self) -> dict[str, str]:
+        """Give the figures and the ports as text."""
+        return _of(self.scenario) if self.scenario else {"figures": self.figures, "ports": self.ports}
+
+    def inputs(self) -> tuple[Port, ...]:
+        """Give the ports that the text describes."""
+        return ports_of(self.given()["ports"])
+
+
+class Figures(Watch[FiguresParams]):
+    """The figures of a scenario, measured of what came so far, each as soon as there are samples of it.
+
+    Those with `since` are of the newest step of their reference, and begin anew with the next; the times of others
+    count from the first tick. At a longer period than that of a topic its messages in between are not seen.
+    """
+
+    @classmethod
+    def ports(cls, params: FiguresParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Listens only."""
+        return params.inputs(), ()
+
+    def setup(self) -> None:
+        """Find the figure functions."""
+        super().setup()
+        self._figures = figures_in(self.p.given()["figures"])
+
+    def figures(self, x: Any) -> Iterable[Figure]:
+        """Those of the scenario."""
+        return self._figures
+
+
+@cache
+def _of(scenario: str) -> dict[str, str]:
+    return told(rig_of(scenario))

@@ -1,0 +1,409 @@
+"""What every node does with its step: endpoints, refusals, recording, its health, its end.
+
+When a tick is ready is said by what drives it: `lockstep.Lockstep` or `realtime.Realtime`. Nothing here knows ROS:
+messages, timers and clocks come from a `Middleware`.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.block.block import Block, Level, Plant
+from softrig_core.block.change import loads
+from softrig_core.block.link import Rows
+from softrig_core.block.port import CLOCK, Port, Sample
+from softrig_core.block.schedule import Schedule
+from softrig_core.block.step import Step
+from softrig_core.errors import RunError
+from softrig_core.rig.options import InputLink, Links, RunOptions
+from softrig_core.timebase import SECOND
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.parameter_event import encode
+from softrig_core.wire.recording import ShardWriter, Sink, relative
+
+from ..seam.buttons import Buttons
+from ..seam.endpoint import Input, Output
+from ..seam.health import StatusFile, figures, peak_memory
+from ..seam.hold import Hold
+from ..seam.middleware import Matched, Middleware, other_types
+from ..seam.numbering import Numbering
+from ..seam.tick import TICK, TickWriter, acknowledged
+from .files import Files, read_files
+
+LOOK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
+WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
+CLOCK_LAYOUT = Layout(CLOCK.msgtype)
+
+
+class Drive(Protocol):
+    """What says when the ticks of a node are ready.
+
+    Attributes
+    ----------
+    t : int
+        Time of the tick under way, ns.
+    status_every : int
+        Status files a running node writes: one in so many watch periods.
+    """
+
+    status_every: int
+
+    @property
+    def t(self) -> int:
+        """Time of the tick under way, ns."""
+
+    def row(self, port: Port) -> Input:
+        """Make the row of an input in the table of senders."""
+
+    def on_matched(self, item: Input) -> None:
+        """React to a change of the writers of an input."""
+
+    def now(self) -> int:
+        """Time of the rig, ns."""
+
+    def record(self, number: int, data: bytes) -> None:
+        """Record a message from outside, with the stamp of the tick that uses it."""
+
+    def progress(self) -> None:
+        """Check for stalls and missing peers; called every `WATCH_PERIOD`."""
+
+    def busy(self) -> bool:
+        """Whether peers that wait for this node are to be patient."""
+
+    def counts(self) -> dict[str, int]:
+        """Give what is counted while it runs: cheap enough for every status file."""
+
+    def native(self) -> dict[str, Any]:
+        """Give what native code answers of its ticks; nothing where it cannot."""
+
+    def statistics(self) -> dict[str, Any]:
+        """Figures of the run for the last status file."""
+
+
+def _by_hand(block: Block, options: RunOptions) -> Links:
+    """Give the links of a node that no rig tells of its peers: in lockstep who may be silent says its ticks."""
+    if options.mode != "lockstep":
+        return Links()
+    plant = isinstance(block, Plant)
+    silent = all(p.sporadic for p in block.ports(block.p)[1])
+    return Links(owns_clock=plant, acknowledges=silent and not plant)
+
+
+class Adapter:
+    """A block as a node.
+
+    Parameters
+    ----------
+    sink : Sink, optional
+        Gets what the node publishes, instead of the file that the options name.
+    """
+
+    drive: Drive
+
+    def __init__(self, middleware: Middleware, block: Block, options: RunOptions, sink: Sink | None = None) -> None:
+        self.middleware = middleware
+        self.block = block
+        self.options = options
+        self.links = Links.model_validate_json(options.links) if options.links else _by_hand(block, options)
+        self.schedule = Schedule(block.p.period, self.links.base or None, options.duration, block.speaks_at_end())
+        inputs, outputs = block.ports(block.p)
+        self.step = Step(middleware.name, block, self.schedule, inputs, outputs, loads(options.changes))
+        self.values = self.step.values
+        self.is_plant = isinstance(block, Plant)
+        self.namespace = middleware.full_name.rsplit("/", 1)[0]
+        self.state: Literal["starting", "running", "done", "failed"] = "starting"
+        self.ticks = 0
+        self.epoch = 0  # ns added to a block's time for the stamp on the wire
+        self.error: BaseException | None = None
+        self.waits_for: list[str] = []  # the nodes whose absence or silence ended the run
+        self.absent: list[str] = []  # what its start waits for
+        self.lacking: list[str] = []  # topics of external nodes that nobody publishes yet
+        self.files = self._files()  # of one that comes back
+        self.on_finished: Callable[[], None] = lambda: None
+        self._logged: set[str] = set()
+        self._watches = 0
+        self._status = StatusFile(options.status)
+        self.inputs: list[Input] = []  # what is read of other nodes, by the table of the drive
+        self.paces: list[Input] = []  # /clock and the ticks of other nodes
+        self.outputs = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
+        self.clock_output = Output(CLOCK, middleware.resolve(CLOCK.topic), -1)
+        self.tick_output = Output(Port("tick", "~/tick", TICK), f"{middleware.full_name}/tick", -1)
+        self.acknowledge: Callable[[int, Iterable[str]], None] | None = None
+        self._silent = any(p.sporadic for p in outputs)  # at times
+        self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
+        self._open_record(sink)
+        self._figures: dict[str, Any] = {}  # of one that is done: worked out once
+        self.alone = False  # whether nothing of what it says is read in another process, in which case it stays here
+        self._unread = False  # the same of one that says plain numbers: a look at its record is enough
+        self.buttons = Buttons(self.values, self._record_press)
+        self.pauses = self._owns_clock or self._may_stand()  # whether people pause the run here
+        self.hold = Hold(options.paused, options.pace, self._owns_clock) if self.pauses else Hold()
+
+    def begin(self, drive: Drive) -> None:
+        """Offer and read the topics, driven by `drive`."""
+        self.drive = drive
+        middleware, lockstep = self.middleware, self.options.mode == "lockstep"
+        if self.links.acknowledges if lockstep else self.links.tells:
+            self.acknowledge = self._acknowledging()
+        for port in self.step.inputs:
+            self._subscribe(drive.row(port))
+        for output in self.outputs:
+            topic, layout, matched = output.port.topic, output.layout, self._noting(output)
+            if self.links.returns and output.port.delayed:
+                output.send = Numbering(middleware.publisher(topic, layout.msgtype, matched), layout)
+            else:
+                output.send = middleware.sender(topic, layout, matched)
+        if self._owns_clock:
+            self.clock_output.send = middleware.sender(CLOCK.topic, CLOCK_LAYOUT, self._noting(self.clock_output))
+        self._look_for_readers()
+        middleware.timer(WATCH_PERIOD, self._watch)
+
+    @property
+    def t(self) -> int:
+        """Time of the tick under way, ns."""
+        return self.drive.t
+
+    def _may_stand(self) -> bool:
+        """Whether it is the node of a clock in real time that can stand: all nodes go by it, and are ours."""
+        links = self.links
+        own = links.owns_clock and links.starter == self.middleware.name and not links.guests
+        return own and self.options.mode == "realtime" and not self.options.epoch
+
+    def _files(self) -> Callable[[], Files] | None:
+        links = self.links
+        clock = [] if links.clock is None else [links.clock.node]
+        names = [*(link.node for link in links.inputs.values()), *clock, *links.acks, *links.tick_readers]
+        names += [*(name for readers in links.readers.values() for name in readers), *links.clock_readers]
+        again, peers = self.options.again, dict.fromkeys([*names, *links.solvers])
+        return (lambda: read_files(Path(again), self.middleware.name, peers)) if again else None
+
+    def _open_record(self, sink: Sink | None) -> None:
+        """Number what is recorded: outputs, what comes from outside (by its first reader), the clock."""
+        recorded = [(relative(o.topic), o.port.msgtype) for o in self.outputs]
+        records = self.links.records
+        outside = [
+            p for p in self.step.inputs if (p.name not in self.links.inputs if records is None else p.name in records)
+        ]
+        self.foreign = {port.name: len(recorded) + k for k, port in enumerate(outside)}
+        recorded += [(relative(self.middleware.resolve(p.topic)), p.msgtype) for p in outside]
+        self.extra_numbers = len(recorded)
+        row = {o.number: o.layout for o in self.outputs} if self.step.plain else {}
+        if self.links.owns_clock:
+            recorded.append((CLOCK.topic, CLOCK.msgtype))
+            if self.step.plain and self._owns_clock:
+                row[self.extra_numbers] = CLOCK_LAYOUT
+        self.recorded = recorded
+        wanted = self.options.shard and sink is None
+        self.shard = ShardWriter(Path(self.options.shard), recorded, row) if wanted else None
+        self.sink = self.shard if sink is None else sink
+        self._add_row = self.shard.add_row if self.shard is not None and row else None
+        numbered = any(o.numbered for o in self.outputs)
+        self._plain = self.step.plain and not numbered and (self._add_row is not None or self.sink is None or not row)
+
+    def _subscribe(self, item: Input) -> None:
+        def matched(count: int) -> None:
+            item.matched(count)
+            self.drive.on_matched(item)
+
+        self.inputs.append(item)
+        self.middleware.subscribe(item.port.topic, item.port.msgtype, item.receive, matched, item.numbered)
+
+    def _noting(self, output: Output) -> Matched:
+        """Give what hears how many read an output."""
+
+        def matched(count: int) -> None:
+            output.matched(count)
+            self._look_for_readers()
+
+        return matched
+
+    def _look_for_readers(self) -> None:
+        outputs = *self.outputs, self.clock_output, self.tick_output
+        # a guest gets the first message late, who comes back what was said last
+        silent = self.middleware.mute and not (self.links.guests or self.links.returns)
+        self.alone = silent and not any(o.readers for o in outputs)
+        self._unread = self.alone and self._plain
+
+    def _record_press(self, port: Port, down: bool) -> None:
+        if self.sink is not None and port.name in self.foreign:
+            self.drive.record(self.foreign[port.name], port.layout().encode(0, (down,)))
+
+    def record_change(self, t: int, values: Mapping[str, Any]) -> None:
+        """Record parameters that have changed before tick `t`."""
+        stamp = self.epoch + t
+        if self.sink is not None:
+            self.sink.note(stamp, encode(stamp, f"/{self.middleware.name}", values))
+
+    # ticks ----------------------------------------------------------------------------------------------------
+
+    def peer(self, link: InputLink) -> Schedule:
+        """Give the schedule of a peer."""
+        return Schedule(link.period, self.schedule.clock, self.options.duration, link.at_end)
+
+    def publish(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
+        """Publish and record what the step has said at tick `t`, the clock if it is ours, and acknowledge the tick.
+
+        All messages go out in one burst: a reader that wakes for the first finds the others already there, and
+        recording takes place while it works. (Each wake-up between two messages costs as much as the law.)
+        """
+        stamp = self.epoch + t
+        if self._unread:  # in a container, nearly always
+            if self._add_row is not None:
+                self._add_row(stamp, numbers)
+            return
+        said: list[tuple[Output, int, tuple[float, ...]]] = []
+        if self._plain:
+            for output, row in zip(self.outputs, rows, strict=True):
+                output.send(stamp, row)  # type: ignore[arg-type]
+        else:
+            said = self._send_each(stamp, rows)
+        if self.acknowledge is not None:
+            self.acknowledge(stamp, [o.name for o, _, _ in said if o.port.sporadic] if self._silent else ())
+        if self._owns_clock:
+            self.clock_output.send(stamp, ())
+        if self._add_row is not None:
+            self._add_row(stamp, numbers)
+        elif self.sink is not None:
+            for output, mark, values in said:
+                self.sink.add(output.number, stamp, output.layout.encode(mark, values))
+            if self._owns_clock:
+                self.sink.add(self.extra_numbers, stamp, CLOCK_LAYOUT.encode(stamp, ()))
+
+    def keep(self, times: NDArray[np.int64], numbers: NDArray[np.float64]) -> None:
+        """Record many answers that nobody hears: their ticks, shape (n,), and all their numbers, (n, size)."""
+        if self.shard is not None and numbers.shape[1]:
+            self.shard.add_rows(self.epoch + times, numbers)
+        for output in self.outputs:
+            output.said += len(times)
+
+    def _send_each(self, stamp: int, rows: Rows) -> list[tuple[Output, int, tuple[float, ...]]]:
+        """Publish what is said; gives output, stamp or number, and values of each message."""
+        said = []
+        for output, row in zip(self.outputs, rows, strict=True):
+            if row is None:
+                continue
+            mark, values = (row.stamp + self.epoch, row.data) if isinstance(row, Sample) else (stamp, row)
+            if output.numbered:
+                mark = output.said
+                output.said += 1
+            output.send(mark, values)
+            said.append((output, mark, values))
+        return said
+
+    def _acknowledging(self) -> Callable[[int, Iterable[str]], None]:
+        """Give what says that a tick is answered, and which sporadic ports have spoken at it."""
+        if self._silent:
+            write, publish = TickWriter(), self.middleware.publisher("~/tick", TICK, self._noting(self.tick_output))
+            return lambda stamp, spoken: publish(write(stamp, spoken))
+        send = self.middleware.sender("~/tick", Layout(TICK), self._noting(self.tick_output))
+        if self.options.mode != "lockstep" or self.middleware.name not in self.links.followers:
+            return lambda stamp, spoken: send(stamp, ())
+        schedule = self.schedule
+        return lambda stamp, spoken: send(stamp, ()) if acknowledged(schedule, stamp) else None
+
+    # health ----------------------------------------------------------------------------------------------------
+
+    def refuse(self, item: Input, reason: str) -> None:
+        """Count a bad message and log it once; it never reaches the block."""
+        item.refused += 1
+        if item.last_refusal != reason:
+            item.last_refusal = reason
+            kind = reason.split()[0]  # not the whole: a wrong stamp is another each time
+            self.log_once(f"{item.port.topic}: {kind}", Level.ERROR, f"refused on {item.port.topic}: {reason}")
+
+    def log_once(self, key: str, level: Level, text: str) -> None:
+        """Log a text the first time its key appears."""
+        if key not in self._logged:
+            self._logged.add(key)
+            self.middleware.log(level, text)
+
+    def fail(self, text: str) -> None:
+        """End the run with an error."""
+        if self.error is None:
+            self.error = RunError(text)
+        self.finish("failed")
+
+    def broke(self, error: RunError) -> None:
+        """End the run because the block failed or said what may not leave it: one line, the stack of a mistake."""
+        cause = error.__cause__
+        if cause is not None and not isinstance(cause, ArithmeticError):
+            traceback.print_exception(cause)
+        self.fail(str(error).removeprefix(f"{self.step.name}: "))
+
+    def finish(self, state: Literal["done", "failed"] = "done") -> None:
+        """Stop."""
+        self.state = state
+        self.on_finished()
+
+    def _notice_types(self) -> None:
+        """Name a topic that somebody publishes with another type: nothing of it ever arrives."""
+        for item in self.inputs:
+            key = f"type of {item.port.topic}"
+            if item.publishers or item.heard or key in self.block.reports:
+                continue
+            other = other_types(self.middleware, item.port)
+            if other:
+                text = f"{item.port.topic} exists with type {other}, expected {item.port.msgtype}"
+                self.block.note(Level.ERROR, key, text)
+                self.log_once(key, Level.ERROR, text)
+
+    def _watch(self) -> None:
+        if self.shard is not None:
+            self.shard.flush()
+        self._logged -= self.block.anew
+        self.block.anew.clear()
+        for key, (level, text, _) in self.block.reports.items():
+            self.log_once(key, level, text)
+        self.drive.progress()
+        if self._watches % LOOK_EVERY == 0:
+            self._notice_types()
+            if (why := self.middleware.deaf()) and self.state in ("starting", "running"):
+                self.fail(why)
+        self._watches += 1
+        if self._watches % self.drive.status_every == 0 or self.state != "running":
+            self.write_status()
+
+    def write_status(self) -> None:
+        """Write the status file, if one is wanted."""
+        if self.options.status:
+            self._status.write(self.status())
+
+    def status(self) -> dict[str, Any]:
+        """Say how it is, what it refuses, and while an outside node lacks who publishes what."""
+        refused = {i.port.topic: [i.refused, i.last_refusal] for i in self.inputs + self.paces if i.refused}
+        status: dict[str, Any] = {
+            "state": self.state,
+            "t": self.t,
+            "ticks": self.ticks,
+            "error": str(self.error) if self.error else "",
+            "waits_for": self.waits_for,
+            "lacking": self.lacking,
+            "epoch": self.epoch,
+            "refused": refused,
+            "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
+            "busy": self.drive.busy(),
+            "held": self.hold.held,
+            "pace": self.hold.pace,
+            "cpu_s": round(time.process_time(), 3),
+            "prompt": self.middleware.prompt,
+            "processor": self.middleware.processor,
+        }
+        if self.state != "running":
+            status |= self.drive.native()
+        status |= self.drive.counts()
+        if self.lacking and self.state != "done":  # ROS may have been shut down by then
+            status["published"] = {
+                t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)] for t in self.middleware.topics()
+            }
+        if self.state != "running":  # what takes longer than a tick
+            status |= {"peak_memory_mb": peak_memory()} | self.drive.statistics()
+        if self.state == "done":
+            self._figures = self._figures or figures(self.step)
+            status |= self._figures
+        return status

@@ -1,0 +1,144 @@
+"""The common start of a rig in real time: t = 0 is set when all its nodes are up and matched, outside ones included.
+
+Each node says again and again that it is ready (`READY`, a Header with its name). One of them, the starter, has heard
+all of them and is ready itself: it sets the time of t = 0 and says it (`START`, a Header with that time and that of
+its own clock), again for
+each node that still says that it is ready, or that has been started anew; whose clock differs by more than `CLOCKS`,
+since the host's was set in between, say, goes by the starter's. With it goes where the clock of the rig stands by
+somebody's hand, if it does (`node.realtime.stand`). Readiness need not arrive at the first try; the start
+is said when all nodes hear it, as the starter's writer sees them, for a run may be over before somebody asks again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence, Set
+
+from softrig_core.block.port import Port, Refused
+from softrig_core.block.schedule import Schedule
+from softrig_core.timebase import SECOND
+
+from ..seam.endpoint import Input
+from ..seam.tick import TICK, TickReader, TickWriter
+from .adapter import Adapter
+from .handshake import CHECK, Handshake
+
+READY, START = "softrig/ready", "softrig/start"
+LEAD = SECOND // 2  # from saying when to t = 0
+CLOCKS = SECOND // 2  # from which on two clocks are taken for different
+REPEAT = 5  # checks between two times that a node says it is ready
+
+
+class Departure:
+    """Waits for the common start of one node.
+
+    Parameters
+    ----------
+    local : set of str
+        Other nodes of this process.
+    begin : callable
+        Called once with the wall-clock time of t = 0 and by how much the clock of the rig is ahead of ours, ns.
+    heard : callable
+        Called with the words of whoever holds the clock of the rig, or lets it go.
+    """
+
+    def __init__(
+        self,
+        node: Adapter,
+        handshake: Handshake,
+        local: Set[str],
+        begin: Callable[[int, int], object],
+        heard: Callable[[Iterable[str]], object],
+    ) -> None:
+        self._node = node
+        self._begin = begin
+        self._heard = heard
+        self._words: Sequence[str] = ()
+        self.handshake = handshake
+        self.absent: list[str] = []  # who is not there yet
+        self.neighbours: list[Departure] = []  # those of the other nodes of this process
+        self.is_starter = node.links.starter == node.middleware.name
+        self._silent = set(node.links.starts) - {node.middleware.name}
+        self._others = len(self._silent - local)  # nodes of other processes
+        self._unheard = self._others  # those that do not hear the starter yet
+        self._epoch = 0
+        self._checks = 0
+        self._header, self._read = TickWriter(), TickReader()
+        self._since = node.middleware.steady()
+        middleware = node.middleware
+        topic = START if not self.is_starter else READY
+        self._input = Input(Port("stamp", topic, TICK))
+        node.paces.append(self._input)
+        self._send = middleware.publisher(READY if not self.is_starter else START, TICK, self._matched)
+        self.hear = self._hear_ready if self.is_starter else self._hear_start
+        middleware.subscribe(topic, TICK, self.hear, lambda count: None)
+        self._timer = middleware.timer(CHECK, self._look)
+
+    def _matched(self, count: int) -> None:
+        self._unheard = self._others - count
+
+    def _publish(self, data: bytes) -> None:
+        self._send(data)
+        for other in self.neighbours:
+            if other.is_starter is not self.is_starter:
+                self._node.middleware.post(lambda other=other: other.hear(data))  # type: ignore[misc]
+
+    def _hear_ready(self, data: bytes) -> None:
+        try:
+            _, names = self._read(data)
+        except Refused as error:
+            self._node.refuse(self._input, str(error))
+            return
+        self._silent -= names
+        if self._epoch:
+            self._say_start()  # it has not heard it yet
+
+    def _hear_start(self, data: bytes) -> None:
+        try:
+            epoch, said = self._read(data)
+        except Refused as error:
+            self._node.refuse(self._input, str(error))
+            return
+        if epoch <= 0:
+            return
+        if not self._epoch:
+            self._timer.cancel()
+            self._epoch = epoch
+            clock = next((int(word) for word in said if word.isdigit()), 0)
+            ahead = clock - self._node.middleware.now() if clock else 0
+            self._begin(epoch, ahead if abs(ahead) > CLOCKS else 0)
+        self._heard(said)
+
+    def say(self, words: Sequence[str]) -> None:
+        """Tell all nodes, those that start anew, too, that the clock of the rig is held, or let go."""
+        self._words = words
+        self._say_start()
+
+    def _say_start(self) -> None:
+        self._publish(TickWriter()(self._epoch, [str(self._node.middleware.now()), *self._words]))
+
+    def _deaf(self) -> str:
+        """Name who does not read when the run starts, as far as the graph shows it."""
+        middleware = self._node.middleware
+        there = {middleware.name, *(peer.name for peer in middleware.subscribers(middleware.resolve(START)))}
+        return ", ".join(n for n in self._node.links.starts if n not in there) or f"one of {len(there)} nodes"
+
+    def _look(self) -> None:
+        self.absent = self.handshake.absent()
+        self._checks += 1
+        if self.is_starter:
+            self.absent += [f"{name} is not ready" for name in sorted(self._silent)]
+            if self._unheard > 0:
+                self.absent.append(f"{self._deaf()} does not hear {START} yet")
+            if not self.absent:
+                self._timer.cancel()
+                grid = Schedule(self._node.links.grid)
+                self._epoch = grid.held(self._node.middleware.now() + LEAD + grid.time(1))
+                self._say_start()
+                self._begin(self._epoch, 0)
+        elif not self.absent and self._checks % REPEAT == 0:
+            self._publish(self._header(0, [self._node.middleware.name]))
+        limit = self._node.options.start_timeout
+        if limit and not self._epoch and self._node.middleware.steady() - self._since > limit:
+            waits = "; ".join(self.absent) or f"{self._node.links.starter} has not said when to start"
+            self._timer.cancel()
+            self._node.fail(f"not all peers after {limit:g} s: {waits}")

@@ -1,0 +1,50 @@
+"""What the nodes of a run have written, for one of them that comes back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from softrig_core.wire.recording import Recording, read_shards
+
+from ..processes.children import read_status
+from ..processes.spawning import DIED
+
+
+@dataclass
+class Files:
+    """What a rig has said before one of its nodes came back.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of its senders; what came from outside is in its own, and the changes of its parameters.
+    answered : mapping of str to float
+        By node: the time before which it has answered all its ticks, ns.
+    gone : set of str
+        Nodes that have answered their last tick and left.
+    """
+
+    recording: Recording
+    own: Recording
+    answered: Mapping[str, float] = field(default_factory=dict)
+    gone: frozenset[str] = frozenset()
+
+
+def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
+    """Read the files that the nodes of a run are writing.
+
+    Parameters
+    ----------
+    name : str
+        Of the node that comes back; its record is ``NAME.shard.died``.
+    peers : iterable of str
+        Nodes that it reads, or that read it.
+    """
+    status = {who: read_status(folder / f"{who}.status") for who in peers}
+    gone = frozenset(who for who, said in status.items() if said.get("state") == "done")
+    answered = {who: math.inf if who in gone else float(said.get("t", 0)) for who, said in status.items()}
+    shards = read_shards(folder / f"{who}.shard" for who in status)
+    return Files(shards, read_shards([folder / f"{name}{DIED}"]), answered, gone)

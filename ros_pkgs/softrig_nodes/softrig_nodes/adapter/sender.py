@@ -1,0 +1,112 @@
+"""The table of a node's senders: who sends what, and what of it has come for which tick.
+
+A row for each topic that the node reads. Every message goes the same way through its row; what it means for the ticks
+is said by the kind of row: `paired` for lockstep, `live` for real time.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from softrig_core.block.block import Level
+from softrig_core.block.port import Port, Refused, Sample
+
+from ..seam.endpoint import Input
+from .adapter import Adapter
+
+
+class Sender(Input):
+    """A row: who sends us something on one topic.
+
+    Parameters
+    ----------
+    node : Adapter
+        Who reads.
+    who : str
+        Node name of the sender, for errors.
+
+    Attributes
+    ----------
+    stamp : int or None
+        Of the value that the input holds, ns.
+    """
+
+    def __init__(self, node: Adapter, port: Port, who: str = "another node") -> None:
+        super().__init__(port)
+        self.node = node
+        self.who = who
+        self.stamp: int | None = None
+        self._number = node.foreign.get(port.name)
+        self._valued = port.partial or port.delayed  # what an input holds is not only what the message says
+
+    # the way of a message ------------------------------------------------------------------------------------------
+
+    def receive(self, data: bytes) -> None:
+        """Take the bytes of a message."""
+        if self.deaf():
+            return
+        self.heard = True
+        try:
+            stamp, found = self.read(data)
+        except Refused as error:
+            self.node.refuse(self, str(error))
+            self.spoilt(data)
+            return
+        self.came(stamp, found, data)
+
+    def deaf(self) -> bool:
+        """Whether no message counts any more."""
+        return self.node.state in ("done", "failed")
+
+    def read(self, data: bytes) -> tuple[int, Any]:
+        """Give stamp (or number) and values; `Refused` says what is wrong with them."""
+        return self.decode(data)
+
+    def spoilt(self, data: bytes) -> None:
+        """A message was refused: no value of it reaches the block."""
+        raise NotImplementedError
+
+    def came(self, stamp: int, found: Any, data: bytes) -> None:
+        """A good message has come."""
+        raise NotImplementedError
+
+    # what the kinds of rows have in common -------------------------------------------------------------------------
+
+    def value(self, stamp: int, values: tuple[float, ...]) -> Any:
+        """Give what the input is to hold; channels that a partial message leaves out keep what this one said."""
+        if self.port.partial:
+            self.decode.kept = values
+        return Sample(stamp - self.node.epoch, values) if self.port.delayed else values
+
+    def record(self, t: int, data: bytes) -> None:
+        """Record a message, at the time `t` (ns) from which it counts, if it comes from outside the rig."""
+        node = self.node
+        if self._number is not None and node.sink is not None:
+            node.sink.add(self._number, t, data)
+
+    def in_order(self, number: int) -> bool:
+        """Whether an array is new to an input that takes the newest; refuses one that is repeated, counts lost ones.
+
+        Number 0 may begin anew: a bag that is played in a loop.
+
+        Parameters
+        ----------
+        number : int
+            What the array says of itself; -1 when it says nothing: then it is new.
+        """
+        expected = self.following
+        if number < 0 or expected is None:
+            pass
+        elif number < expected and (number or expected == 1):
+            self.repeated(number, expected)
+            return False
+        elif number > expected:
+            self.lost += number - expected
+            text = f"{self.lost} messages of {self.who} are lost"
+            self.node.block.note(Level.WARN, f"lost {self.port.topic}", text)
+        self.following = None if number < 0 else number + 1
+        return True
+
+    def repeated(self, number: int, expected: int) -> None:
+        """Refuse an array that was there before."""
+        self.node.refuse(self, f"number {number} from {self.who}, expected {expected} (already there)")

@@ -1,0 +1,73 @@
+"""Runs the adapter of a ROS node until it has finished, failed or was stopped."""
+
+from __future__ import annotations
+
+import gc
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.task import Future
+from softrig_core.errors import RunError, describe
+from softrig_core.guard import tell
+from softrig_core.timebase import SECOND
+
+from .adapter import Adapter
+
+
+def spin(node: Node, adapter: Adapter) -> int:
+    """Spin; gives the exit status."""
+    from rclpy.experimental.events_executor import EventsExecutor
+
+    finished: Future[None] = Future()
+    adapter.on_finished = lambda: None if finished.done() else finished.set_result(None)
+    stopped = False
+    try:
+        executor = EventsExecutor()
+        executor.add_node(node)
+        gc.collect()
+        gc.freeze()
+        try:
+            while rclpy.ok() and not finished.done():
+                # without a timeout this executor never delivers anything (rclpy 7.1)
+                executor.spin_until_future_complete(finished, 5.0)
+        finally:
+            adapter.middleware.close()
+        if adapter.state == "done":
+            adapter.middleware.drain()
+        stopped = not finished.done()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        stopped = True
+    except Exception as error:  # a law or a plant that failed: the executor has printed the traceback
+        if rclpy.ok() or isinstance(error, RunError | OSError):
+            adapter.error, adapter.state = failure(adapter, error), "failed"
+        else:  # a signal has shut the context down under a callback that was about to publish
+            stopped = True
+    return conclude(adapter, stopped)
+
+
+def failure(adapter: Adapter, error: Exception) -> Exception:
+    """Give the error that ends a run when a node's code has raised one."""
+    if isinstance(error, RunError | OSError):
+        return error
+    return RunError(f"failed at t = {adapter.t / SECOND:.9g} s: {describe(error)}")
+
+
+def conclude(adapter: Adapter, stopped: bool) -> int:
+    """Leave what the node has recorded and how it ended; gives the exit status."""
+    if adapter.shard is not None:
+        try:
+            adapter.shard.close()
+        except OSError as error:
+            adapter.error, adapter.state = error, "failed"
+    if stopped and adapter.state == "starting" and adapter.absent:
+        tell(adapter.middleware.name, f"stopped before it could begin: {'; '.join(adapter.absent)}")
+    if stopped and adapter.state != "failed":
+        adapter.state = "done"  # who is stopped by a person has not failed
+    try:
+        adapter.write_status()
+    except OSError as error:
+        adapter.error, adapter.state = adapter.error or error, "failed"
+    if adapter.error is not None:
+        tell(adapter.middleware.name, adapter.error)
+    return 3 if adapter.state == "failed" else 0

@@ -1,0 +1,171 @@
+"""A container: several nodes of a rig in one process, each a real ROS node, with messages between them in memory.
+
+    ros2 run softrig_nodes container PACKAGE EXECUTABLE [--ros-args ...] -- PACKAGE EXECUTABLE [--ros-args ...] ...
+
+Each group between two ``--`` is what `ros2 run` would get. The adapters are those of the node processes.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from functools import partial
+from typing import NoReturn
+
+import rclpy
+from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.node import Node
+from softrig_core.errors import RunError
+from softrig_core.guard import secure_streams, tell
+from softrig_core.interrupt import interrupt
+from softrig_core.rig.installed import load_block
+from softrig_core.rig.options import RunOptions
+from softrig_core.timebase import SECOND
+
+from .adapter.adapter import Adapter
+from .adapter.spin import conclude, failure
+from .group import Group
+from .main import make_adapter
+from .ros.contained import ContainedMiddleware
+from .ros.garbage import Garbage
+from .ros.leave import leave
+from .ros.profile import joining
+from .ros.ros import ServingNode
+from .seam.exchange import Exchange
+
+LOOK = 100_000_000  # ns: how long a busy container leaves DDS alone: a look takes as long as some ticks
+SPIN = 300_000  # ns: a timer closer than this is waited for awake: to sleep and wake takes half as long
+GRACE = 1.0  # s: after one node gives up, how long the others may take to say what they saw
+
+
+class Container:
+    """The nodes of one process and what makes them go."""
+
+    def __init__(self) -> None:
+        self.exchange = Exchange()
+        self.nodes: list[Node] = []
+        self.adapters: list[Adapter] = []
+
+    def add(self, group: Sequence[str]) -> None:
+        """Make one node; `group` is its package, executable and ROS arguments."""
+        package, executable, *arguments = group
+        node = ServingNode(executable, cli_args=arguments, use_global_arguments=False)
+        self.nodes.append(node)
+        middleware = ContainedMiddleware(node, self.exchange)
+        with interrupt.leaving(partial(leave, self.nodes, 0)):  # to compile takes seconds
+            self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
+
+    def connect(self) -> None:
+        """Have the nodes know each other and begin; a RunError says what does not fit."""
+        for mode in ("lockstep", "realtime"):
+            if alike := [a for a in self.adapters if a.options.mode == mode]:
+                Group(alike)
+
+    def run(self) -> int:
+        """Run until all nodes have finished, one has failed, or the process is stopped; gives the exit status."""
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        executor = EventsExecutor()
+        for node in self.nodes:
+            executor.add_node(node)
+        stopped = False
+        try:
+            stopped = not self._loop(executor)
+            self.exchange.flush()
+            for adapter in self.adapters:
+                if adapter.state == "done":
+                    adapter.middleware.drain()
+        except (KeyboardInterrupt, ExternalShutdownException):
+            stopped = True
+        except Exception as error:
+            if rclpy.ok():
+                self._broke(error)
+            else:  # a signal has shut the context down under a node that was about to publish
+                stopped = True
+        return self._conclude(stopped)
+
+    def _loop(self, executor: Executor) -> bool:
+        """Turn until the end; False when the process was told to stop."""
+        exchange, garbage, limit = self.exchange, Garbage(), 0.0
+        next_step = time.monotonic_ns() + LOOK
+        while rclpy.ok():
+            # Someone outside who writes is heard as soon as nothing is left to do; everybody else now and then.
+            awake = 0 if exchange.listens else SPIN
+            rest = exchange.serve(time.monotonic_ns() + LOOK, awake)
+            states = {a.state for a in self.adapters}
+            if states <= {"done", "failed"}:
+                return True
+            if "failed" in states:
+                limit = limit or time.monotonic() + GRACE
+                if time.monotonic() > limit:
+                    return True
+            if time.monotonic_ns() >= next_step:
+                garbage.step()
+                next_step = time.monotonic_ns() + LOOK
+            executor.spin_once((rest - SPIN // 2) / SECOND if rest > SPIN else 0.0)
+        return False
+
+    def _broke(self, error: Exception) -> None:
+        """An error ends the run in the name of the node whose code was running."""
+        adapter = next((a for a in self.adapters if a.middleware.name == self.exchange.culprit()), None)
+        if adapter is None:
+            raise error
+        traceback.print_exception(error)
+        adapter.error, adapter.state = failure(adapter, error), "failed"
+
+    def _conclude(self, stopped: bool) -> int:
+        """Write what every node leaves behind and name the nodes that failed."""
+        failed = [a.middleware.name for a in self.adapters if a.state == "failed"]
+        for adapter in self.adapters:
+            if failed and adapter.state not in ("done", "failed"):
+                adapter.error, adapter.state = RunError(f"stopped: {', '.join(failed)} has failed"), "failed"
+                adapter.waits_for = failed
+        return max(conclude(a, stopped) for a in self.adapters)
+
+
+def main(args: Sequence[str] | None = None) -> NoReturn:
+    """Start the nodes that the command line names; bad parameters give one line and exit status 2."""
+    interrupt.install()
+    secure_streams()
+    arguments = list(sys.argv[1:] if args is None else args)
+    groups = split(arguments)
+    if not groups or groups[0][0].startswith("-") or {"-h", "--help"} & set(arguments):
+        print(__doc__)
+        leave([], 0 if {"-h", "--help"} & set(arguments) else 2)
+    container = Container()
+    where = "container"
+    try:
+        with joining(exclusive=True, silence=RunOptions().timeout):
+            rclpy.init(args=[])
+            interrupt.early = False
+            if "fastrtps" not in (rmw := rclpy.get_rmw_implementation_identifier()):
+                raise RunError(f"needs Fast DDS (RMW_IMPLEMENTATION=rmw_fastrtps_cpp), got {rmw}")
+            for group in groups:
+                where = " ".join(group[:2])
+                if len(group) < 2:
+                    raise RunError("expected PACKAGE EXECUTABLE [--ros-args ...]")
+                container.add(group)
+            where = "container"
+            container.connect()
+    except KeyboardInterrupt:
+        leave(container.nodes, 0)
+    except Exception as error:  # every start-up error ends in one line: what was wrong and where
+        if not interrupt.early and not rclpy.ok():  # a signal has shut the context down under them
+            leave(container.nodes, 0)
+        name = container.nodes[-1].get_name() if len(container.nodes) > len(container.adapters) else where
+        tell(name, error)
+        leave(container.nodes, 2)
+    leave(container.nodes, container.run())
+
+
+def split(arguments: Sequence[str]) -> list[list[str]]:
+    """Cut a command line at each ``--``."""
+    groups: list[list[str]] = [[]]
+    for argument in arguments:
+        if argument == "--":
+            groups.append([])
+        else:
+            groups[-1].append(argument)
+    return [g for g in groups if g]

@@ -1,0 +1,125 @@
+"""What people see of a node and do with it by usual ROS tools: diagnostics, figures, markers, texts, buttons."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from importlib.util import find_spec
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from softrig_core.block.block import Block, Level, Observer
+from softrig_core.block.port import Port
+
+from ..adapter.adapter import WATCH_PERIOD, Adapter
+from ..ros.messages import diagnostic_array, marker_array, message_class
+from ..ros.ros import QOS, ServingNode
+from ..seam.hold import offer
+from .frames import Frames
+
+
+class Faces:
+    """Publishes diagnostics each second, figures of an observer, markers and latched texts; offers buttons."""
+
+    def __init__(self, node: ServingNode, adapter: Adapter) -> None:
+        self._name = node.get_fully_qualified_name()
+        self._adapter = adapter
+        block = adapter.block
+        array = message_class("diagnostic_msgs/msg/DiagnosticArray")
+        self._diagnostics = node.create_publisher(array, "/diagnostics", QOS)
+        self._figures = node.create_publisher(array, "~/metrics", QOS) if isinstance(block, Observer) else None
+        shows = type(block).markers is not Block.markers
+        markers = message_class("visualization_msgs/msg/MarkerArray") if shows else None
+        self._markers = node.create_publisher(markers, "~/markers", QOS) if shows else None
+        _publish_latched(node, block)
+        if adapter.options.frames and (not adapter.options.links or adapter.links.public):  # else nobody else is there
+            Frames(node, adapter)
+        for port in adapter.step.inputs:
+            if port.msgtype == "std_msgs/msg/Bool" and port.name not in adapter.links.inputs:
+                node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{port.name}", self._presser(port))
+        if adapter.pauses:
+            offer(node, adapter.hold, message_class("std_srvs/srv/Trigger"))
+            if adapter.options.mode == "lockstep" and find_spec("simulation_interfaces") is not None:
+                _offer_simulation(node, adapter)
+        self._measured: Future[tuple[int, Mapping[str, tuple[float, str]]]] | None = None
+        self._beside = ThreadPoolExecutor(1) if adapter.options.mode == "realtime" else None
+        self._looks = 0
+        adapter.middleware.timer(WATCH_PERIOD, self._look)
+
+    def _presser(self, port: Port) -> Any:
+        def press(request: Any, response: Any) -> Any:
+            response.success, response.message = self._adapter.buttons.press(port)
+            return response
+
+        return press
+
+    def _look(self) -> None:
+        adapter = self._adapter
+        if self._markers is not None and _read(self._markers) and adapter.state == "running":
+            self._markers.publish(marker_array(adapter.drive.now(), adapter.step.markers()))
+        if self._measured is not None and self._measured.done():
+            self._publish_figures(*self._measured.result())
+            self._measured = None
+        self._looks += 1
+        if self._looks % 4 == 0:
+            self._publish_diagnostics()
+
+    def _publish_diagnostics(self) -> None:
+        block = self._adapter.block
+        if self._figures is not None and _read(self._figures):
+            self._measure(block)
+        if not _read(self._diagnostics):
+            return
+        adapter, reports = self._adapter, self._adapter.block.reports
+        listened = adapter.inputs + adapter.paces
+        refused = sum(i.refused for i in listened)
+        level = Level.ERROR if refused else max((r[0] for r in reports.values()), default=Level.OK)
+        text = next((i.last_refusal for i in listened if i.refused), "") or adapter.state
+        values = {"ticks": str(adapter.ticks), **{f"refused {i.port.topic}": str(i.refused) for i in adapter.inputs}}
+        values |= {f"refused {i.port.topic}": str(i.refused) for i in adapter.paces if i.refused}
+        values |= {key: f"{count} x {text}" for key, (_, text, count) in reports.items()}
+        values |= {key: str(value) for key, value in adapter.drive.statistics().items()} | dict(adapter.step.health())
+        self._diagnostics.publish(diagnostic_array(time.time_ns(), self._name, level, text, values))
+
+    def _measure(self, block: Any) -> None:
+        """Have the figures measured: of a long window they take longer than many ticks, which no wall clock waits for.
+
+        What they are of is a value, which the ticks meanwhile do not change.
+        """
+        t, x = self._adapter.t, self._adapter.step.x
+        if self._beside is None:
+            self._publish_figures(t, block.status(x))
+        elif self._measured is None:
+            self._measured = self._beside.submit(lambda: (t, block.status(x)))
+
+    def _publish_figures(self, t: int, status: Mapping[str, tuple[float, str]]) -> None:
+        figures = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in status.items()}
+        assert self._figures is not None
+        self._figures.publish(diagnostic_array(t, self._adapter.middleware.name, Level.OK, "", figures))
+
+
+def _offer_simulation(node: ServingNode, adapter: Adapter) -> None:
+    """Offer what other simulators answer; a run does not fail for a package that it could do without."""
+    from . import simulation  # imports actions, which nothing else here has
+
+    try:
+        types = simulation.types()
+    except Exception as error:  # rosidl raises a bare one
+        text = f"the services of simulation_interfaces are not offered: {error}"
+        adapter.middleware.log(Level.WARN, text)
+    else:
+        simulation.Simulation(node, adapter, types)
+
+
+def _read(publisher: Any) -> bool:
+    """Whether anybody reads a topic: what takes longer than a tick is not worked out for nobody."""
+    return bool(publisher.get_subscription_count())
+
+
+def _publish_latched(node: ServingNode, block: Block) -> None:
+    """Publish the block's texts for whoever comes, now or later."""
+    profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    string = message_class("std_msgs/msg/String")
+    for topic, text in block.latched().items():
+        node.create_publisher(string, topic, profile).publish(string(data=text))

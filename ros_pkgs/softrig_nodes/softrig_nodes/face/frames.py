@@ -1,0 +1,72 @@
+"""/tf and /tf_static of a node: where the frames are in which its messages and its drawings are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from softrig_core.block.scene import Pose, standing
+from softrig_core.timebase import SECOND
+from softrig_core.wire.stream import Writer
+
+from ..adapter.adapter import Adapter
+from ..ros.messages import message_class
+from ..ros.ros import QOS
+from ..ros.tf_message import TF
+
+PERIOD = SECOND // 30  # ns of the wall between two sets of moving frames: a viewer's pictures
+
+
+class Frames:
+    """Publishes on /tf_static, for whoever comes, the frames that stand, and on /tf, while it is read, those that move.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    """
+
+    def __init__(self, node: Node, adapter: Adapter) -> None:
+        self._adapter = adapter
+        block = adapter.block
+        scene = self._scene = block.scene(block.p)
+        still = standing(adapter.step.markers(), scene, adapter.step.outputs)
+        if still:
+            latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            node.create_publisher(message_class(TF), "/tf_static", latched).handle.publish_raw(encode(0, still))
+        if scene is None:
+            return
+        self._tf = node.create_publisher(message_class(TF), "/tf", QOS)
+        port = next(p for p in adapter.step.outputs if p.name == scene.port)
+        self._positions = [k for k, label in enumerate(port.labels) if label.endswith("/position")]
+        self._stamp = -1
+        adapter.middleware.timer(PERIOD, self._move)
+
+    def _move(self) -> None:
+        adapter, scene = self._adapter, self._scene
+        stamp = adapter.epoch + adapter.step.t
+        if adapter.state != "running" or scene is None or stamp == self._stamp or not self._tf.get_subscription_count():
+            return  # what costs something is not worked out for nobody, nor said twice: tf2 complains of that
+        said = adapter.step.said.get(scene.port)
+        if said:
+            self._stamp = stamp
+            self._tf.handle.publish_raw(encode(stamp, scene.moving([said[k] for k in self._positions])))
+
+
+def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
+    """Give the bytes of a tf2_msgs/msg/TFMessage.
+
+    Parameters
+    ----------
+    stamp : int
+        ns.
+    """
+    poses = list(poses)
+    out = Writer()
+    out.add("I", len(poses))
+    for pose in poses:
+        out.add("I", stamp // SECOND, stamp % SECOND)
+        out.text(pose.parent)
+        out.text(pose.child)
+        out.add("d", *pose.position, *pose.rotation)
+    return bytes(out.data)

@@ -1,0 +1,46 @@
+"""Parameters of a running node: what is set by the usual ROS services is checked, and holds from the next tick on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+from softrig_core.block.params import ParameterError, flatten
+
+from ..adapter.adapter import Adapter
+from ..ros.ros import ServingNode, plain
+
+
+class Tuning:
+    """Hands changed parameters to the step of a node, all of a call or none.
+
+    Parameters
+    ----------
+    node : ServingNode
+        Whose parameters are declared.
+    """
+
+    def __init__(self, node: ServingNode, adapter: Adapter) -> None:
+        self._node, self._adapter = node, adapter
+        self._own = flatten(adapter.block.p).keys()
+        node.add_on_set_parameters_callback(self._set)
+
+    def _set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        adapter = self._adapter
+        pace = next((plain(p) for p in parameters if p.name == "run.pace"), None)
+        values = {p.name: plain(p) for p in parameters if p.name in self._own}
+        try:
+            if adapter.state in ("done", "failed"):
+                raise ParameterError("the run is over")
+            removed = [p.name for p in parameters if p.name in values and p.type_ == Parameter.Type.NOT_SET]
+            if removed:
+                raise ParameterError(f"parameter {removed[0]} has no value, expected one")
+            if pace is not None and not adapter.hold.go_at(pace):
+                raise ParameterError("run.pace is that of the node of the clock, in lockstep, once it has begun")
+            replaced = adapter.step.set(values) if values else []
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        if replaced:
+            self._node.remark = f"in place of {', '.join(replaced)} that was set before and had not come into effect"
+        return SetParametersResult(successful=True)

@@ -1,0 +1,165 @@
+"""The nodes of one process: they tell each other numbers, and in lockstep one runner takes their ticks.
+
+While no other process and no person has a part in them, native code answers those ticks where it can; what is recorded
+of them is written in stretches.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+from softrig_core.block.codec import selection
+from softrig_core.block.fill import Pick
+from softrig_core.block.port import Refused
+from softrig_core.block.runner import Runner
+from softrig_core.errors import RunError
+from softrig_core.native.choice import ticks_of
+
+from .adapter.adapter import Adapter
+from .lockstep.lockstep import Lockstep
+from .realtime.beat import Beat
+from .realtime.live import Live
+from .realtime.realtime import Realtime
+from .seam.endpoint import Output
+
+SLICE = 5_000_000  # ns: how long ticks may keep a timer waiting
+
+
+class Group:
+    """Nodes of one process, driven together.
+
+    Parameters
+    ----------
+    nodes : sequence of Adapter
+        All in lockstep, or all in real time.
+    """
+
+    def __init__(self, nodes: Sequence[Adapter]) -> None:
+        self.nodes = nodes
+        names = {n.middleware.name for n in nodes}
+        if {n.options.mode for n in nodes} == {"realtime"}:
+            drives = {n: Realtime(n) for n in nodes}
+            links = _links(nodes)
+            if _whole(drives.values(), links):
+                _feed(links)
+                commands = [(k.writer.step, k.item, drives[k.reader]) for k in links if k.reader.is_plant]
+                Beat([drives[n] for n in _in_order(nodes, links)], commands)
+            else:
+                for writer, output, reader, item, pick in links:
+                    drives[writer].tell(output, drives[reader], item, pick)
+            for node, drive in drives.items():
+                drive.join(names - {node.middleware.name})
+            waiting = [d.departure for d in drives.values() if d.departure is not None]
+            for departure in waiting:
+                departure.neighbours = [d for d in waiting if d is not departure]
+            return
+        steps = [Lockstep(n, self.turn) for n in nodes]
+        links = _links(nodes)
+        _feed(links)
+        self._steps = steps
+        members = [n.step for n in _in_order(nodes, links)]
+        if len(nodes) > 1 and all(n.middleware.mute for n in nodes):
+            self._ticks, tell = ticks_of(members, alone=lambda: all(step.alone for step in steps))
+        else:
+            self._ticks, tell = Runner(members).run(), None
+        for step in steps:
+            step.join(names - {step.node.middleware.name}, self._begin, self._ticks, tell)
+
+    def _begin(self) -> None:
+        """Run when the peers of all nodes are there."""
+        if all(step.ready for step in self._steps):
+            for node in self.nodes:
+                node.state = "running"
+            self.turn()
+
+    def turn(self) -> None:
+        """Take ticks as long as nothing is missing."""
+        for node in self.nodes:
+            if node.state in ("starting", "failed"):
+                return
+        until = 0
+        try:
+            for t in self._ticks:
+                if t is None:
+                    return
+                if not until:
+                    until = time.monotonic_ns() + SLICE
+                elif time.monotonic_ns() > until:  # by hand one may wait for nobody and have no end
+                    self.nodes[0].middleware.post(self.turn)
+                    return
+        except RunError as error:
+            next(n for n in self.nodes if n.step.name == error.node).broke(error)
+
+
+class _Link(NamedTuple):
+    """An input that is written by a node of the same process."""
+
+    writer: Adapter
+    output: Output
+    reader: Adapter
+    item: Any  # the reader's row of the kind of its drive
+    pick: Pick | None
+
+
+def _links(nodes: Sequence[Adapter]) -> list[_Link]:
+    """Find who reads whom.
+
+    Raises
+    ------
+    RunError
+        Two ports of a topic do not fit, or two nodes publish it.
+    """
+    written: dict[tuple[str, str], tuple[Adapter, Output]] = {}
+    for node in nodes:
+        for output in node.outputs:
+            key = output.topic, output.port.msgtype
+            if key in written:
+                names = f"{written[key][0].middleware.full_name}, {node.middleware.full_name}"
+                raise RunError(f"2 publishers on {output.topic} ({names}), expected exactly one")
+            written[key] = node, output
+    found = []
+    for node in nodes:
+        for item in node.inputs:
+            source = written.get((node.middleware.resolve(item.port.topic), item.port.msgtype))
+            if source is None:
+                continue
+            try:
+                found.append(_Link(*source, node, item, selection(source[1].port, item.port)))
+                item.local = True
+            except Refused as error:
+                raise RunError(f"{source[1].topic} does not fit {node.middleware.name}: {error}") from None
+    return found
+
+
+def _feed(links: Sequence[_Link]) -> None:
+    """Have what is said fill the inputs at once."""
+    for writer, output, reader, item, pick in links:
+        writer.step.hands_to(output.name, reader.step, item.name, pick)
+
+
+def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
+    """Whether nodes read only each other, what is checked and of their ticks; free inputs may come from anywhere."""
+    rows = [row for drive in drives for row in drive.senders.rows]
+    fed = [row for row in rows if row.local]
+    return (
+        bool(fed)
+        and all(row.paired and type(row) is Live for row in fed)
+        and not any(row.awaited or row.schedule is not None for row in rows if not row.local)
+        and not any(k.output.port.unchecked for k in links)
+        and all(d.node.links.starter or d.node.options.epoch for d in drives)
+    )
+
+
+def _in_order(nodes: Sequence[Adapter], links: Sequence[_Link]) -> list[Adapter]:
+    """Put plants first, then each node after those that it reads."""
+    done = [n for n in nodes if n.is_plant]
+    left = [n for n in nodes if not n.is_plant]
+    while left:
+        free = [n for n in left if not any(k.reader is n and k.writer in left for k in links)]
+        if not free:
+            raise RunError(f"cycle without a plant in it: {', '.join(n.middleware.name for n in left)}")
+        done += free
+        left = [n for n in left if n not in free]
+    return done

@@ -1,0 +1,243 @@
+"""A node that comes back: it goes through the ticks that it had answered with what the files of the run hold.
+
+In a run whose nodes may come back (`Links.returns`) each of them keeps what it has said last, and says it again as long
+as the rig stands: who has it already leaves it out. A node that was killed is started anew when all others stand. It
+answers its ticks from the first one on, silently, from what its senders have recorded; what came from outside and what
+was changed is in its own record. So it has its state, its tick and all its messages. Then it is one that waits.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from softrig_core.block.change import Change
+from softrig_core.block.link import Link
+from softrig_core.block.port import Refused
+from softrig_core.block.step import Step
+from softrig_core.solver.solver import Solver
+from softrig_core.wire.parameter_event import recorded
+from softrig_core.wire.recording import relative
+
+from ..adapter.adapter import WATCH_PERIOD, Adapter
+from ..adapter.files import Files
+from ..adapter.sender import Sender
+from ..seam.numbering import Numbering
+from .paired import Counted, Pace, Paired, Ticks
+
+Drive = Any  # `lockstep.Lockstep`, which imports this
+SAID = 2  # ticks: a reader may be so many behind
+
+
+class Spoken:
+    """What a node has said last on each topic.
+
+    Parameters
+    ----------
+    node : Adapter
+
+    Attributes
+    ----------
+    silent : bool
+        Whether what it says is kept only.
+    """
+
+    def __init__(self, node: Adapter) -> None:
+        self.silent = False
+        self._kept: list[tuple[Callable[..., None], deque[tuple[Any, ...]]]] = []
+        for output in [*node.outputs, *([node.clock_output] if node.links.owns_clock else [])]:
+            if isinstance(output.send, Numbering):  # a message has its number for good
+                output.send.publish = self._keeping(output.send.publish)
+            else:
+                output.send = self._keeping(output.send)
+        if node.acknowledge is not None:
+            node.acknowledge = self._keeping(node.acknowledge)
+
+    def _keeping(self, send: Callable[..., None]) -> Callable[..., None]:
+        kept: deque[tuple[Any, ...]] = deque(maxlen=SAID)
+        self._kept.append((send, kept))
+
+        def keep(*message: Any) -> None:
+            kept.append(message)
+            if not self.silent:
+                send(*message)
+
+        return keep
+
+    def again(self) -> None:
+        """Say it again."""
+        for send, kept in self._kept:
+            for message in kept:
+                send(*message)
+
+
+class _Heard:
+    """The messages of one row, as they were recorded."""
+
+    def __init__(self, row: Sender, files: Files, outside: bool) -> None:
+        self.row, self._node = row, row.node
+        recording = files.own if outside else files.recording
+        topic = recording.topics.get(relative(row.node.middleware.resolve(row.port.topic)))
+        self.times: list[int] = [] if topic is None else topic.times
+        self.data: list[bytes] = [] if topic is None else topic.data
+        self._outside = outside
+        self.next = 0  # the first that is not used
+
+    def bring(self, t: int) -> None:
+        """Have the input hold what had come up to tick t."""
+        row, node = self.row, self._node
+        first = self.next
+        while self.next < len(self.times) and self.times[self.next] <= t:
+            self.next += 1
+        for k in range(first if row.port.partial or self._outside else max(first, self.next - 1), self.next):
+            try:
+                stamp, found = row.read(self.data[k])
+            except Refused as error:
+                node.refuse(row, str(error))
+                node.step.bad = True
+                continue
+            node.values[row.name] = row.value(stamp, found)
+            row.stamp = node.t if self._outside else self.times[k]
+            if self._outside:
+                row.record(node.t, self.data[k])
+
+    def rest(self) -> Iterator[tuple[int, bytes]]:
+        """Give number and bytes of those that are not used."""
+        return enumerate(self.data[self.next :], self.next)
+
+
+class _Returning(Link):
+    """Has a node read what is recorded in place of what comes."""
+
+    def __init__(self, step: Step, lacks: Callable[[int], bool]) -> None:
+        super().__init__(step)
+        self._lacks = lacks
+
+    def lacks(self, t: int) -> bool:
+        """Return whether that is not enough for a tick."""
+        return self._lacks(t)
+
+
+class Comeback:
+    """Has a node where it was.
+
+    Parameters
+    ----------
+    drive : Lockstep
+        Of the node; its table of senders is whole.
+    look_up : callable
+        Gives the files as they are now.
+
+    Attributes
+    ----------
+    gone : set of str
+        Nodes that have answered their last tick and left.
+    """
+
+    def __init__(self, drive: Drive, look_up: Callable[[], Files]) -> None:
+        self._drive, self._node, self._look_up = drive, drive.node, look_up
+        files = self._files = look_up()
+        self.gone = set(files.gone)
+        self._told = time.monotonic()
+        rows = [*drive.senders.rows, *drive.senders.unpaced]
+        self._paired = {row: _Heard(row, files, outside=False) for row in rows if not isinstance(row, Ticks)}
+        free = [i for i in self._node.inputs if isinstance(i, Sender) and i not in rows]
+        self._free = [_Heard(row, files, outside=True) for row in free]
+
+    def go(self, ticks: Iterator[int | None]) -> None:
+        """Answer all ticks for which everything is there; then the node waits for what it lacks, as any other."""
+        drive, node = self._drive, self._node
+        step = node.step
+        changes = [Change(t, values) for t, who, values in recorded(self._files.own) if who == node.middleware.name]
+        step.plan(sorted([*step.changes, *changes], key=lambda change: change.at))
+        spoken = drive.spoken
+        assert spoken is not None
+        _Returning(step, self.lacks)
+        spoken.silent = True
+        for t in ticks:
+            if t is None:
+                break
+        step.link, spoken.silent = drive, False
+        self._resume()
+
+    def lacks(self, t: int) -> bool:
+        """Have the inputs hold what had come up to tick t; whether something that the tick needs had not."""
+        if time.monotonic() - self._told > WATCH_PERIOD * 1e-9:  # the runner sees that it lives
+            self._told = time.monotonic()
+            self._node.write_status()
+        for heard in (*self._paired.values(), *self._free):
+            if not isinstance(heard.row, Pace):
+                heard.bring(t)
+        if any(not self._has(row, row.wanted(t)) for row in self._drive.senders.rows):
+            return True
+        solving = self._drive.solving
+        block = self._node.block
+        while solving is not None and isinstance(block, Solver) and not solving.finished(t):
+            block.worker.wait(0.1)
+        return False
+
+    def _has(self, row: Paired, want: int) -> bool:
+        """Whether a sender had spoken at one of its ticks."""
+        if want < self._files.answered.get(row.who, 0):
+            return True
+        times = self._paired[row].times if row in self._paired else []
+        return want < 0 or (not row.silent and bool(times) and times[-1] >= want)
+
+    def _resume(self) -> None:
+        """Have the table of senders go on from here."""
+        drive, node = self._drive, self._node
+        for row in (*drive.senders.rows, *drive.senders.unpaced):
+            heard = self._paired.get(row)
+            used = self._heard_of(row)
+            reached = self._answered(row) if row.silent or isinstance(row, Ticks) else used
+            row.resume(used, reached)
+            row.heard = row.who in self.gone
+            row.have = row in drive.senders.unpaced  # for which nobody waits
+            if heard is not None and isinstance(row, Counted):
+                row.count(heard.next, [t for t in heard.times[heard.next :] if t <= reached] if row.silent else [])
+            if row.port.partial:
+                row.decode.kept = node.values[row.name]
+        drive.await_tick(node.t)
+        for row, heard in self._paired.items():
+            for k, data in () if isinstance(row, Pace) else heard.rest():
+                row.recall(k, data)
+
+    def look(self) -> bool:
+        """Learn from the files, as they are now, what was said before this node was known; whether nodes have left."""
+        files = self._files = self._look_up()
+        new = files.gone - self.gone
+        self.gone |= new
+        for row in (*self._drive.senders.rows, *self._drive.senders.unpaced):
+            row.heard = row.heard or row.who in new
+            if row.have and row.who not in new:
+                continue
+            if not isinstance(row, Pace):
+                heard = _Heard(row, files, outside=False)
+                for k, (t, data) in enumerate(zip(heard.times, heard.data, strict=True)):
+                    if isinstance(row, Counted) and row.silent:
+                        row.told(t, True)
+                    if k >= row.received if isinstance(row, Counted) else t > row.used:
+                        row.recall(k, data)
+            if row.silent or isinstance(row, Pace):
+                row.learn(self._answered(row))
+        return bool(new)
+
+    def _heard_of(self, row: Paired) -> int:
+        """Give the tick of a sender whose message is the newest that was used; of who brings none, the newest."""
+        heard = self._paired.get(row)
+        if heard is None:
+            return self._answered(row)
+        if isinstance(row, Pace):
+            return heard.times[-1] if heard.times else -1
+        return heard.times[heard.next - 1] if heard.next else -1
+
+    def _answered(self, row: Paired) -> int:
+        """Give the newest tick that a sender had answered."""
+        before = self._files.answered.get(row.who, 0)
+        if math.isinf(before):
+            assert row.schedule.last is not None
+            return row.schedule.last
+        return row.schedule.before(int(before))

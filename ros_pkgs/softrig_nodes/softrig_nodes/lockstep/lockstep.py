@@ -1,0 +1,309 @@
+"""Lockstep: a node answers tick k when everything stamped t_k has arrived, at any speed of the host.
+
+Nothing here looks at a clock to decide a number; wall-clock time only ends a run that makes no progress.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Set
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.block.block import Level
+from softrig_core.block.link import Link, Rows
+from softrig_core.block.port import Port
+from softrig_core.solver.solver import Solver
+from softrig_core.timebase import SECOND
+
+from ..adapter.adapter import Adapter
+from ..adapter.handshake import CHECK, Handshake
+from ..adapter.sender import Sender
+from ..seam.endpoint import Input
+from ..seam.health import percentiles
+from ..seam.middleware import Place
+from ..seam.solving import Solving, hear_busy
+from .comeback import Comeback, Spoken
+from .first import repeat_first
+from .paired import PairedSenders
+from .stalls import Stalls
+
+FEW = 2  # nodes that have no more to do in a tick than a loop of two
+SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin says what it lacks
+
+
+class Lockstep(Link):
+    """What makes the ticks of a node ready: the messages of its peers in other processes.
+
+    Parameters
+    ----------
+    turn : callable
+        Has the runner of this process go on.
+    """
+
+    status_every = 1
+
+    def __init__(self, node: Adapter, turn: Callable[[], object]) -> None:
+        self.node = node
+        self.ready = False  # whether all peers are there
+        self._turn = turn
+        self.senders = PairedSenders(node, turn)
+        self._stalls = Stalls(self.senders)
+        self._checks = 0  # of the start
+        self._over = False  # the last tick is answered
+        self._awaited = 0  # tick whose wants are set
+        self._last = math.inf if node.schedule.last is None else node.schedule.last
+        self._keeps = node.step.plain and (node.shard is not None or node.sink is None)  # many answers in one go
+        self._durations: deque[int] = deque(maxlen=100_000)
+        self._sent = self._first = self._longest = 0
+        self.solving: Solving | None = None
+        self._comeback: Comeback | None = None
+        self._stood = -1  # ticks at the last look at its progress
+        self._shake: Callable[[], Handshake]  # asks who is there, as it was asked when it joined
+        super().__init__(node.step)
+        self.tell_native: Callable[[], object] | None = None
+        node.begin(self)
+        self.spoken = Spoken(node) if node.links.returns else None
+
+    def join(
+        self,
+        local: Set[str],
+        begin: Callable[[], object],
+        ticks: Iterator[int | None],
+        tell_native: Callable[[], object] | None,
+    ) -> None:
+        """Wait for the peers that are not in this process.
+
+        Parameters
+        ----------
+        local : set of str
+            Names of the other nodes of this process.
+        begin : callable
+            Called when all peers are there.
+        ticks : iterator
+            Of the runner of this process; one that comes back goes through those that it had answered.
+        tell_native : callable or None
+            Brings `Step.native` up to date; None: native code answers none of its ticks.
+        """
+        node, senders, links = self.node, self.senders, self.node.links
+        self.tell_native = tell_native
+        senders.without(local)
+        if links.clock is not None and links.clock.node not in local:
+            senders.follow_clock(links.clock)
+        if links.hears_clock:
+            node.middleware.subscribe("/clock", "rosgraph_msgs/msg/Clock", lambda data: None, lambda count: None)
+        if links.guests:
+            stamped = [o for o in node.outputs if o.port.stamped and not o.port.delayed]
+            first = 0 if node.is_plant else 1
+            repeat_first([*stamped, node.clock_output], lambda: node.state == "running" and node.ticks == first)
+        senders.follow_ticks({*local, node.middleware.name}, self._heard_of_tick)
+        senders.await_tick(0)
+        wanted = [(o, list(links.readers.get(o.name, []))) for o in node.outputs]
+        if links.owns_clock:
+            wanted.append((node.clock_output, links.clock_readers))
+            node.hold.begin(node.middleware, self._turn)
+        if links.acknowledges:
+            wanted.append((node.tick_output, links.tick_readers))
+        awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
+        # a node by itself hears itself, one in a container does not
+        here = {*local, node.middleware.name} if local else set()
+        solvers = [name for name in links.solvers if name not in here]
+        busy = hear_busy(node.middleware, max(1, len(solvers)), self._patient)  # an outside node may be one, too
+        awaited += [(busy, name) for name in solvers]
+        if isinstance(node.block, Solver):
+            self.solving = Solving(node.middleware, node.step, self._turn)
+        gone: Set[str] = set()
+        if node.files is not None:
+            self._comeback = Comeback(self, node.files)
+            self._comeback.go(ticks)
+            gone = self._comeback.gone
+
+        def shake() -> Handshake:
+            return Handshake(node, [(i, who) for i, who in awaited if who not in gone], wanted, {*local, *gone})
+
+        self.handshake, self._shake = shake(), shake
+        self._stalls.handshake = self.handshake
+        self._begin = begin
+        if self.solving is None:  # whose timers belong to the executor's thread
+            node.middleware.be_prompt(self._place())
+        self._starter = node.middleware.timer(CHECK, self._start)
+
+    def _place(self) -> Place:
+        """Give where the node works: of a loop of two only one works at a time, who follows works meanwhile."""
+        links = self.node.links
+        loop = set(links.starts) - set(links.followers)
+        if links.guests or len(loop) != 2 or len(links.followers) > FEW:
+            return "anywhere"
+        return "together" if self.node.middleware.name in loop else "beside"
+
+    # peers -----------------------------------------------------------------------------------------------------
+
+    def row(self, port: Port) -> Sender:
+        """Make the row of an input."""
+        return self.senders.row(port)
+
+    @property
+    def t(self) -> int:
+        """Time of the tick under way."""
+        return self.node.schedule.time(self.node.ticks)
+
+    def now(self) -> int:
+        """Time of the tick under way."""
+        return self.t
+
+    def record(self, number: int, data: bytes) -> None:
+        """Record a message from outside at the tick that uses it."""
+        if self.node.sink is not None:
+            self.node.sink.add(number, self.t, data)
+
+    def on_matched(self, item: Input) -> None:
+        """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
+        node = self.node
+        if node.links.returns:
+            return  # one of them has died, and the other is the same node
+        if item.publishers > 1 and node.state != "done" and (item.local or item in self.senders.rows):
+            self._stalls.rivals = item
+            node.state = "failed"  # from here on no message counts; `progress` ends the run when the names are known
+
+    def _start(self) -> None:
+        """Begin when every declared peer is matched, both ways."""
+        if self.ready or self.node.state != "starting":
+            return
+        self.node.absent = absent = self.handshake.absent()
+        self.node.lacking = self.handshake.lacking
+        if absent:
+            self._checks += 1
+            if self._checks == SAY_AFTER:
+                self.node.middleware.log(Level.WARN, f"cannot begin yet: {'; '.join(absent)}")
+        else:
+            self._starter.cancel()
+            self.ready = True
+            self._stalls.restart()
+            if self._comeback is not None and self.spoken is not None:
+                self.spoken.again()
+            self._begin()
+            if self._over:
+                self._leave()
+
+    def _patient(self) -> None:
+        """A solver is at work somewhere in the rig: the time without progress begins anew."""
+        self.senders.heard += 1
+
+    def _heard_of_tick(self) -> None:
+        if self._over and self.node.state == "running":
+            self._leave()
+
+    # ticks -----------------------------------------------------------------------------------------------------
+
+    def lacks(self, t: int) -> bool:
+        """Whether something that tick `t` needs has not come."""
+        senders = self.senders
+        if senders.rows and t != self._awaited:
+            self.await_tick(t)
+        if senders.missing or self.solving is None:
+            return senders.missing > 0 or self.node.hold.holds(t)
+        return not self.solving.finished(t)
+
+    def await_tick(self, t: int) -> None:
+        """Set what tick `t` needs."""
+        self._awaited = t
+        self.senders.await_tick(t)
+
+    def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
+        """Publish an answer; note when a plant has spoken."""
+        node = self.node
+        node.publish(t, rows, numbers)
+        if node.is_plant:
+            now = time.perf_counter_ns()
+            if self._sent:
+                self._durations.append(took := now - self._sent)
+                if took > self._longest:
+                    self._longest = took
+            else:
+                self._first = now
+            self._sent = now
+            if t >= self._last:
+                self._leave()
+
+    def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
+        """Record answers that nobody hears, given by native code."""
+        if not self._keeps:
+            super().send_all(times, numbers, stamps)
+            return
+        node = self.node
+        node.keep(times, numbers)
+        node.ticks += len(times)
+        if node.is_plant and self._sent:
+            now = time.perf_counter_ns()
+            share = (now - self._sent) // len(times)
+            self._durations.extend([share] * min(len(times), self._durations.maxlen or 0))
+            self._longest = max(self._longest, share)
+            self._sent = now
+        if times[-1] >= self._last:
+            self._leave()
+
+    def changed(self, t: int, values: Mapping[str, Any]) -> None:
+        """Record new parameters."""
+        self.node.record_change(t, values)
+
+    def over(self, t: int) -> None:
+        """Count a tick; one that has answered its last leaves."""
+        node = self.node
+        node.ticks += 1
+        if node.buttons.pressed:
+            node.buttons.release()
+        if not node.is_plant and t >= self._last:
+            self._leave()
+
+    @property
+    def alone(self) -> bool:
+        """Whether no other process has a part in its ticks, nor a person."""
+        node = self.node
+        return (
+            node.alone
+            and node.state in ("running", "done")
+            and not (self.senders.rows or self.solving or node.links.returns or node.step.bad or node.buttons.pressed)
+            and (not node.step.plain or self._keeps)
+            and not (node.hold.held or node.hold.pace)
+        )
+
+    def _leave(self) -> None:
+        """Finish when all who tell us of their ticks have begun: they may still wait for us to be there."""
+        self._over = True
+        if self.ready and all(row.heard for row in self.senders.rows if row.earlier):
+            self.node.finish()
+
+    def busy(self) -> bool:
+        """Whether a solver is at work, or somebody holds the run."""
+        hold = self.node.hold
+        return hold.held or hold.waits or (self.solving is not None and self.solving.working)
+
+    def counts(self) -> dict[str, int]:
+        """Nothing is ever late."""
+        return {}
+
+    def native(self) -> dict[str, Any]:
+        """Give what native code answers of its ticks, where it may."""
+        if self.tell_native is None:
+            return {}
+        self.tell_native()
+        return {"native": self.step.native}
+
+    def statistics(self) -> dict[str, Any]:
+        """Wall-clock time of a plant's ticks: all in s, each in ms; once they are over, for sorting them takes time."""
+        if self.node.state == "running":
+            return {}
+        return {"running_s": (self._sent - self._first) / 1e9} | percentiles("tick", self._durations, self._longest)
+
+    def progress(self) -> None:
+        """End the run when a peer is gone, stalls or never came; say again what may have been lost with one."""
+        if self.spoken is not None:
+            stands, self._stood = self._stood == self.node.ticks, self.node.ticks
+            if stands and self.ready:
+                self.spoken.again()
+            if stands and self._comeback is not None and self._comeback.look():
+                self._stalls.handshake = self.handshake = self._shake()  # without those who have left
+        self._stalls.look()

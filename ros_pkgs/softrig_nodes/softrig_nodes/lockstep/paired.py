@@ -1,0 +1,479 @@
+"""The table of senders in lockstep: what the tick under way needs of each, and whether it has come."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Set
+from typing import Any
+
+from softrig_core.block.codec import readable_stamp
+from softrig_core.block.port import CLOCK, Port
+from softrig_core.block.schedule import Schedule
+from softrig_core.rig.options import InputLink
+from softrig_core.timebase import SECOND
+
+from ..adapter.adapter import Adapter
+from ..adapter.sender import Sender
+from ..seam.numbering import numbered, split
+from ..seam.tick import TICK, TickReader, needed
+
+KEEP = object()  # a sporadic sender was silent at a tick
+BAD = object()  # what was said at a tick was refused
+_FOREVER = 1 << 62
+AHEAD = 100_000  # messages that a sender may be ahead
+
+
+class PairedSenders:
+    """Who sends to a lockstep node.
+
+    Parameters
+    ----------
+    turn : callable
+        Has the ticks go on; called when the tick under way lacks nothing any more.
+
+    Attributes
+    ----------
+    rows : list of Paired
+        Those that a tick waits for.
+    unpaced : list of Paired
+        To be matched before the start, but not waited for.
+    missing : int
+        Number of rows that the tick under way still lacks.
+    heard : int
+        Messages that are no step of ours: a peer is alive.
+    """
+
+    def __init__(self, node: Adapter, turn: Callable[[], object]) -> None:
+        self.node = node
+        self.turn = turn
+        self.rows: list[Paired] = []
+        self.unpaced: list[Paired] = []
+        self.missing = 0
+        self.heard = 0
+
+    def row(self, port: Port) -> Sender:
+        """Make the row of an input: paired with the ticks of its sender, or the newest value that comes."""
+        node, name = self.node, port.name
+        link = node.links.inputs.get(name)
+        by_itself = link is None and (port.held or port.sporadic) and name not in node.options.paired
+        row: Sender
+        if by_itself or name in node.links.free:
+            row = Newest(node, port)
+        else:
+            # stamps that are acquisition times, and messages without one, are paired by counting
+            late = port.delayed if link is None else link.delayed
+            kind = Counted if late or not port.stamped else Paired
+            if link is None:
+                row = kind(self, port, "another node", Schedule(node.schedule.period))
+            else:
+                row = kind(self, port, link.node, node.peer(link), silent=link.port if link.sporadic else "")
+            self.rows.append(row)
+        node.step.stamps[name] = lambda: row.stamp
+        return row
+
+    def without(self, local: Set[str]) -> None:
+        """Wait for nobody who is in the same process: the runner's order sees to that."""
+        self.rows = [r for r in self.rows if r.who not in local and not r.local]
+
+    def follow_clock(self, link: InputLink) -> None:
+        """Pace the node by /clock."""
+        self._listen(Pace(self, CLOCK, link.node, self.node.peer(link)), awaited=True)
+
+    def follow_ticks(self, local: Set[str], then: Callable[[], object]) -> None:
+        """Read the acknowledgements of nodes of other processes that we wait for or that may be silent.
+
+        Parameters
+        ----------
+        local : set of str
+            Nodes of this process.
+        then : callable
+            Called after each.
+        """
+        node, links = self.node, self.node.links
+        silent: dict[str, list[Paired]] = {}
+        for row in self.rows:
+            if row.silent:
+                silent.setdefault(row.who, []).append(row)
+        for who in [w for w in dict.fromkeys([*links.acks, *silent]) if w not in local]:
+            port, awaited = Port("stamp", f"{node.namespace}/{who}/tick", TICK), who in links.acks
+            link = InputLink(period=links.acks[who], node=who) if awaited else links.inputs[silent[who][0].name]
+            if who in links.followers:
+                self._listen(Behind(self, port, who, node.peer(link)), awaited=True)
+                continue
+            ticks = Ticks(self, port, who, node.peer(link), awaited and not links.owns_clock, silent.get(who, ()), then)
+            ticks.have = ticks.have or not awaited
+            self._listen(ticks, awaited)
+
+    def _listen(self, row: Paired, awaited: bool) -> None:
+        (self.rows if awaited else self.unpaced).append(row)
+        self.node.paces.append(row)
+        self.node.middleware.subscribe(row.port.topic, row.port.msgtype, row.receive, row.matched)
+
+    def await_tick(self, t: int) -> None:
+        """Set what tick `t` needs."""
+        self.missing = sum([row.lacks(t) for row in self.rows])
+
+
+class Newest(Sender):
+    """An input whose newest value counts, at whatever tick it comes."""
+
+    def spoilt(self, data: bytes) -> None:
+        """The next answer would have used it."""
+        self.node.step.bad = True
+
+    def came(self, stamp: int, found: Any, data: bytes) -> None:
+        """Hold it."""
+        if not (self.port.stamped or self.in_order(stamp)):
+            return
+        node = self.node
+        node.values[self.name] = self.value(stamp, found)
+        self.stamp = node.t
+        self.record(node.t, data)
+
+
+class Paired(Sender):
+    """A sender whose messages are brought to the ticks that they belong to, by their stamps.
+
+    A tick needs the newest one up to `want`. What comes before its time is kept: with several plants, and from outside
+    nodes, a sender may be ahead of us by some ticks.
+
+    Parameters
+    ----------
+    schedule : Schedule
+        Of the sender.
+    earlier : bool
+        Whether the awaited stamp is that of the last tick before ours: what a block has said about the end of the run.
+    silent : str
+        Name of the sender's port if that is sporadic: silence is told by its acknowledgement.
+
+    Attributes
+    ----------
+    want : int
+        Awaited stamp, ns.
+    have : bool
+        Whether the sender has spoken up to there.
+    used : int
+        The last awaited stamp up to which the sender had spoken.
+    reached : int
+        The tick up to which its silences and acknowledgements tell.
+    said : dict
+        What was said at ticks that are not used yet: value and bytes, `KEEP` or `BAD`.
+    excused : int
+        Stamp of the newest refused message that is answered: a better one that follows is too late.
+    """
+
+    def __init__(
+        self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool = False, silent: str = ""
+    ) -> None:
+        super().__init__(table.node, port, who)
+        self.table = table
+        self.read = self.decode  # type: ignore[method-assign]
+        self._values = table.node.values
+        self.schedule = schedule
+        self.earlier = earlier
+        self.silent = silent
+        self.used = self.reached = schedule.before(0)
+        self.want = self.used if earlier else 0
+        self.have = earlier
+        self.excused = -1
+        self.said: dict[int, Any] = {}
+        self._holds = 0  # until this time the awaited message serves
+        # with our period: due whenever we are, up to its last tick
+        alike = schedule.period == table.node.schedule.period and not earlier
+        self._alike = -1 if not alike else _FOREVER if schedule.last is None else schedule.last
+
+    # what a tick needs ---------------------------------------------------------------------------------------------
+
+    def lacks(self, t: int) -> bool:
+        """Set what tick `t` of ours needs; whether that has not come."""
+        if t < self._holds:
+            return False  # a slower sender: its last message still holds
+        want = t if t <= self._alike else self.wanted(t)
+        if want == self.want and (t or self.earlier):
+            return False  # at the end time: what came at the last tick is held
+        self.want = want
+        self.have = (want <= self.used or want <= self.reached or bool(self.said)) and self._complete()
+        if self.have:
+            self._use()
+        return not self.have
+
+    def wanted(self, t: int) -> int:
+        """Give the stamp that tick `t` needs."""
+        if self.earlier:
+            node = self.node
+            return self.schedule.before(node.schedule.next(t) if node.is_plant else t)
+        want = self.schedule.awaited(t)
+        self._holds = self.schedule.next(t)
+        return want
+
+    def resume(self, used: int, reached: int) -> None:
+        """Go on after a tick of the sender whose message is used, and one up to which its silences tell; -1: none."""
+        self.used, self.reached = max(self.used, used), max(self.reached, reached)
+        self.want, self._holds, self.have = -_FOREVER, 0, False
+
+    def learn(self, reached: int) -> None:
+        """Take it that the sender has spoken up to one of its ticks, and said nothing but what has come."""
+        self.reached = max(self.reached, reached)
+        if not self.have and self._complete():
+            self._use()
+            self._arrived()
+
+    def _complete(self) -> bool:
+        """Whether the sender has spoken up to the awaited tick."""
+        return self.want <= self.used or self.want <= self.reached or (not self.silent and self.want in self.said)
+
+    def _use(self) -> None:
+        """Take the newest of what was said up to the awaited tick; forget the rest."""
+        self.used = max(self.used, self.want)
+        found: Any = KEEP
+        for position in sorted(p for p in self.said if p <= self.want):
+            said = self.said.pop(position)
+            if said is not KEEP:
+                found = said
+                self.stamp = position if said is not BAD else self.stamp
+        if found is BAD:
+            self.node.step.bad = True
+        elif found is not KEEP:
+            self.node.values[self.name], data = found
+            self.record(self.node.t, data)
+
+    def _arrived(self) -> None:
+        """The tick under way lacks one less; go on when that was the last one."""
+        self.have = True
+        self.table.missing -= 1
+        if not self.table.missing:
+            self.table.turn()
+
+    # what has come -------------------------------------------------------------------------------------------------
+
+    def came(self, stamp: int, found: Any, data: bytes, tick: int | None = None) -> None:
+        """Take a message of a tick of its sender: that of its stamp, unless it is given."""
+        position = stamp if tick is None else tick
+        if position == self.want and not self.have and not self.said and not self.silent:  # nearly always
+            if self._number is not None:
+                self.record(self.node.t, data)
+            self._values[self.name] = self.value(stamp, found) if self._valued else found
+            self.stamp = self.used = position
+            self._arrived()
+        elif self.node.links.returns and self._again(position):
+            return
+        elif self._may_come(position):
+            self.table.heard += 1
+            self._put(position, (self.value(stamp, found), data))
+        elif position == self.excused:
+            return  # a better one is too late
+        elif position == 0 and self.node.links.guests:
+            return  # said again for somebody else
+        else:
+            got, want = position / SECOND, self.want / SECOND
+            twice = " (already there)" if self.have else ""
+            self.node.refuse(self, f"stamp {got:.9g} s from {self.who}, expected {want:.9g} s{twice}")
+
+    def recall(self, number: int, data: bytes) -> None:
+        """Take the bytes of a message from the record of its sender: its number there, from 0."""
+        self.receive(data)
+
+    def spoilt(self, data: bytes) -> None:
+        """A controller answers a tick with a bad measurement too; a plant waits for a good command."""
+        if not self.node.is_plant:
+            self._excuse(readable_stamp(data))
+
+    def told(self, position: int, spoke: bool) -> None:
+        """A sporadic sender says whether it has spoken at one of its ticks."""
+        if not spoke and self._may_come(position):
+            self._put(position, KEEP)
+
+    def _again(self, position: int) -> bool:
+        """Whether a message is one that was there before, or older than one that serves in its place."""
+        if position <= self.used or position in self.said:
+            return True
+        return not self.silent and any(position < p <= self.want for p in self.said)
+
+    def _excuse(self, position: int | None) -> None:
+        """The refused message counts as that of its tick."""
+        if position is not None and self._may_come(position):
+            self.excused = position
+            self._put(position, BAD)
+
+    def _may_come(self, position: int) -> bool:
+        """Whether a message of this tick of the sender is new and possible."""
+        last = self.schedule.last
+        return (
+            self.used < position
+            and position not in self.said
+            and self.schedule.due(position)
+            and (last is None or position <= last)
+            and len(self.said) < AHEAD
+        )
+
+    def _put(self, position: int, found: Any) -> None:
+        """Keep what was said at a tick, and use it if that completes what ours needs."""
+        if not self.silent and position < self.want:
+            # of a faster sender only the newest may serve, when the run ends before its time
+            self.said = {p: said for p, said in self.said.items() if p > position}
+        self.said[position] = found
+        # News of silence and messages overtake each other: only what is told without a gap counts.
+        while self.silent and (following := self.schedule.next(self.reached)) in self.said:
+            self.reached = following
+            if self.said[following] is KEEP:
+                del self.said[following]
+            elif following <= self.want:
+                self.said = {p: said for p, said in self.said.items() if p >= following}
+        if not self.have and self._complete():
+            self._use()
+            self._arrived()
+
+
+class Counted(Paired):
+    """A sender whose messages have no stamp of their tick: the n-th is that of its n-th tick.
+
+    Of a sporadic one, that of the n-th tick at which it says it has spoken. A plant does not count what it refuses.
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.received = 0
+        self._queue: deque[tuple[int, tuple[float, ...] | None, bytes]] = deque()  # None: refused
+        self._announced: deque[int] = deque()  # the ticks at which they were sent
+        self._told = -1  # the newest tick of which the sender has said whether it has spoken
+        self._behind = self.port.delayed and self.node.links.returns  # its number is behind a message
+
+    def resume(self, used: int, reached: int) -> None:
+        """See `Paired.resume`."""
+        super().resume(used, reached)
+        self._told = max(self._told, reached)
+
+    def count(self, received: int, announced: Iterable[int]) -> None:
+        """Go on with so many messages used, and those of some ticks told of and still to be heard."""
+        self.received = received
+        self._announced.extend(announced)
+
+    def receive(self, data: bytes) -> None:
+        """Take the bytes of a message, without the number behind them."""
+        if self._behind and not self.deaf():
+            number, data = split(data)
+            if not self._in_turn(number):
+                return
+        super().receive(data)
+
+    def recall(self, number: int, data: bytes) -> None:
+        """See `Paired.recall`."""
+        self.receive(numbered(number, data) if self._behind else data)
+
+    def came(self, stamp: int, found: Any, data: bytes) -> None:
+        """Take a message, None for a refused one, at its number."""
+        if not (self.port.stamped or self._in_turn(stamp)):
+            return
+        self._queue.append((stamp, found, data))
+        if not self.silent:
+            self._announced.append(self.schedule.time(self.received))
+        self.received += 1
+        self._serve()
+
+    def spoilt(self, data: bytes) -> None:
+        """It is counted, by who does not wait for a better one."""
+        if not self.node.is_plant:
+            self.came(self.decode.number(data), None, data)
+
+    def told(self, position: int, spoke: bool) -> None:
+        """A sporadic sender says whether it has spoken at one of its ticks."""
+        if position <= self._told:  # said again
+            return
+        self._told = position
+        if spoke:
+            self._announced.append(position)
+            self._serve()
+        else:
+            super().told(position, spoke)
+
+    def _serve(self) -> None:
+        """Bring together messages that have come and the ticks at which they were sent."""
+        while self._queue and self._announced:
+            (stamp, values, data), position = self._queue.popleft(), self._announced.popleft()
+            if values is None:
+                self._excuse(position)
+            else:
+                super().came(stamp, values, data, position)
+
+    def _in_turn(self, number: int) -> bool:
+        """Whether a message is the next one; one that is repeated is refused, one that is missing ends the run."""
+        node, expected = self.node, self.received
+        if number in (-1, expected):
+            return True
+        if number > expected and node.files is not None:
+            pass  # it has come back: those between are in the record of a sender that has, too, or are said again
+        elif number > expected:
+            lost = f"{number - expected} lost"
+            node.fail(f"{self.port.topic}: number {number} from {self.who}, expected {expected} ({lost})")
+        elif not node.links.returns and (number or not node.links.guests):  # else it is said again for somebody else
+            self.repeated(number, expected)
+        return False
+
+
+class Pace(Paired):
+    """A sender that brings nothing but its ticks: /clock."""
+
+    def came(self, stamp: int, found: Any, data: bytes) -> None:
+        """Its sender has come to a tick of its own."""
+        self.table.heard += 1
+        if stamp == self.want and not self.have:
+            self.used = self.reached = stamp
+            self._arrived()
+        elif stamp == self.schedule.next(self.reached):
+            self.reached = stamp
+
+    def spoilt(self, data: bytes) -> None:
+        """Another one follows, or the run ends for want of it."""
+
+
+class Behind(Pace):
+    """The acknowledgements of a node on which nothing depends, by which the clock does not outrun it."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.read = TickReader()  # type: ignore[method-assign]
+        self._alike = -1
+
+    def wanted(self, t: int) -> int:
+        """Give the tick of the node that must be answered before ours."""
+        return needed(self.schedule, self.node.schedule, t)
+
+    def came(self, stamp: int, found: Any, data: bytes) -> None:
+        """It has answered a tick, and those before."""
+        self.table.heard += 1
+        self.reached = max(self.reached, stamp)
+        if not self.have and stamp >= self.want:
+            self._arrived()
+
+
+class Ticks(Pace):
+    """The acknowledgements of a node: of its ticks, and of the sporadic ports that have spoken at them.
+
+    Parameters
+    ----------
+    silent_rows : iterable of Paired
+        What we read of these ports.
+    then : callable
+        Called after each.
+    """
+
+    def __init__(
+        self,
+        table: PairedSenders,
+        port: Port,
+        who: str,
+        schedule: Schedule,
+        earlier: bool,
+        silent_rows: Iterable[Paired],
+        then: Callable[[], object],
+    ) -> None:
+        super().__init__(table, port, who, schedule, earlier)
+        self._silent_rows, self._then = tuple(silent_rows), then
+        self.read = TickReader()  # type: ignore[method-assign]
+
+    def came(self, stamp: int, found: Collection[str], data: bytes) -> None:
+        """Tell the rows of its sporadic ports, then go on as after any tick."""
+        for row in self._silent_rows:
+            row.told(stamp, row.silent in found)
+        super().came(stamp, found, data)
+        self._then()

@@ -1,0 +1,107 @@
+"""A lockstep run that makes no progress ends, and says who is missing; the only use of wall-clock time in lockstep."""
+
+from __future__ import annotations
+
+import math
+
+from softrig_core.block.block import Level
+from softrig_core.timebase import SECOND
+
+from ..adapter.handshake import Handshake
+from ..seam.endpoint import Input
+from .paired import PairedSenders
+
+GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
+GOODBYE = 2.0  # s: who vanishes within them has taken leave; the graph keeps the dead for longer (a lease of 3 s)
+
+
+class Stalls:
+    """Looks, again and again, whether the run goes on.
+
+    Attributes
+    ----------
+    handshake : Handshake
+        Of the start.
+    rivals : Input or None
+        An input with more than one publisher.
+    """
+
+    handshake: Handshake
+
+    def __init__(self, senders: PairedSenders) -> None:
+        self._senders = senders
+        self._node = senders.node
+        self._middleware = senders.node.middleware
+        self._progress = (-1, 0)
+        self.rivals: Input | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Count the time from now."""
+        self._since = self._middleware.steady()
+
+    def look(self) -> None:
+        """End the run when a peer is gone, stalls or never came."""
+        node, senders = self._node, self._senders
+        waited = self._middleware.steady() - self._since
+        if self.rivals is not None:
+            self._name(self.rivals, waited)
+        elif node.state == "starting" or (node.state == "running" and not self._begun()):
+            limit = node.options.start_timeout
+            if limit and waited > limit:
+                absent = self.handshake.absent()
+                lacking = [row for row in senders.rows if not row.have]
+                node.waits_for = self.handshake.missing if absent else [row.who for row in lacking]
+                silent = [f"nothing on {row.port.topic} yet" for row in lacking]
+                node.fail(f"not all peers after {limit:g} s: {'; '.join(absent or silent)}")
+        elif node.state == "running":
+            if self._progress != (node.t, senders.heard):
+                self._progress = (node.t, senders.heard)
+                self.restart()
+            else:
+                self._judge(waited)
+
+    def _begun(self) -> bool:
+        """Whether the rig has sent anything: before that, somebody still waits for an outside node."""
+        node = self._node
+        if node.links.owns_clock or self._senders.heard:
+            return True
+        # a source of an outside plant says t = 0 unasked
+        others = [row for row in self._senders.rows if not row.earlier]
+        if not self._senders.rows:  # all that it waits for is in its own process
+            return True
+        return any(row.have for row in others) or (node.ticks > 0 and bool(others))
+
+    def _name(self, item: Input, waited: float) -> None:
+        """End the run with the names of all who publish a topic, when the graph knows them."""
+        node, topic = self._node, item.port.topic
+        rivals = self._middleware.publishers(self._middleware.resolve(topic))
+        names = sorted({p.full_name for p in rivals})
+        if not any("UNKNOWN" in n for n in names) or waited > node.options.timeout:
+            node.fail(f"{len(rivals)} publishers on {topic} ({', '.join(names)}), expected exactly one")
+
+    def _judge(self, waited: float) -> None:
+        node = self._node
+        lacking = [row for row in self._senders.rows if not row.have]
+        gone = [row for row in lacking if not row.publishers and not node.links.returns]
+        limit = node.options.timeout
+        if node.links.returns:  # who starts a node again looks whether the rig goes on
+            limit = math.inf
+        elif node.ticks <= 1:  # somebody in the rig may not have begun: as long as he may take for that
+            limit = max(limit, node.options.start_timeout)
+        if lacking and (waited > limit or (gone and waited > GONE_AFTER)):
+            if gone and waited < min(limit, GOODBYE) and not (node.options.links or node.options.duration):
+                names = ", ".join(row.port.topic for row in gone)
+                text = f"{names}: the sender has left at t = {node.t / SECOND:.9g} s, and this node with it"
+                node.middleware.log(Level.OK, text)
+                node.finish()
+                return
+            lacking = gone or lacking
+            what = ", ".join(
+                f"{row.port.topic} from {row.who}{' (gone)' if row in gone else ''}"
+                f"{'; last refused: ' + row.last_refusal if row.last_refusal else ''}"
+                f"{f'; it is ahead, at {max(row.said) / SECOND:.9g} s' if row.said else ''}"
+                for row in lacking
+            )
+            node.waits_for = [row.who for row in lacking]
+            node.fail(f"nothing stamped t = {node.t / SECOND:.9g} s within {waited:.1f} s on {what}")

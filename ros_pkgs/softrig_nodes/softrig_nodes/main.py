@@ -1,0 +1,162 @@
+"""Start of a node process: ROS parameters to a validated block, then lockstep or realtime."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NoReturn
+
+import rclpy
+from pydantic import ValidationError
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.utilities import remove_ros_args
+from softrig_core.block.block import Block, Plant
+from softrig_core.block.params import Declaration, build, declarations, flatten
+from softrig_core.guard import secure_streams, tell
+from softrig_core.interrupt import interrupt
+from softrig_core.rig.options import RunOptions
+from softrig_core.solver.rehearsal import rehearse
+
+from .adapter.adapter import Adapter
+from .adapter.spin import spin
+from .face.faces import Faces
+from .face.tuning import Tuning
+from .group import Group
+from .processes.executables import LOOPBACK, given_profile
+from .ros.leave import leave
+from .ros.messages import range_descriptor
+from .ros.profile import joining
+from .ros.ros import RosMiddleware, ServingNode
+from .seam.middleware import Middleware
+
+# read by a node and no parameters of it afterwards: what `ros2 param dump` gives is to fit another run
+RUNNERS = ("run.shard", "run.status", "run.links", "run.changes", "run.again")
+HERE = "; reached from this host only (from others with ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET)"
+ARRAYS = {
+    float: Parameter.Type.DOUBLE_ARRAY,
+    int: Parameter.Type.INTEGER_ARRAY,
+    bool: Parameter.Type.BOOL_ARRAY,
+    str: Parameter.Type.STRING_ARRAY,
+}
+
+
+def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
+    """Run a block as a node until it and the process end; bad parameters give one line and exit status 2."""
+    secure_streams()
+    name = Path(argv[0]).name
+    if {"-h", "--help"} & set(argv[1:]):
+        print(usage(name, block_class))
+        leave([], 0)
+    node = None
+    try:
+        stray = remove_ros_args(list(argv))[1:]
+        if stray:
+            raise ValueError(
+                f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
+                "--help shows the parameters"
+            )
+        with joining(silence=RunOptions().timeout):  # its own is known only when it has joined
+            rclpy.init(args=list(argv))
+            interrupt.early = False
+            node = ServingNode(name)
+        with interrupt.leaving(partial(leave, [node], 0)):  # to compile takes seconds
+            adapter = make_adapter(node, block_class, RosMiddleware(node))
+        Group([adapter])
+        if not adapter.options.links:
+            reach = HERE if given_profile() == LOOPBACK else ""
+            node.get_logger().info(introduction(adapter.block, adapter.options) + reach)
+    except KeyboardInterrupt:
+        leave([node] if node else [], 0)
+    except Exception as error:  # every start-up error ends in one line: what was wrong and where
+        if not interrupt.early and not rclpy.ok():  # a signal has shut the context down under it
+            leave([node] if node else [], 0)
+        where = node.get_name() if node is not None else name
+        tell(where, error)
+        leave([node] if node else [], 2)
+    try:
+        status = spin(node, adapter)
+    except KeyboardInterrupt:  # before the first turn, or a second one
+        status = 0
+    leave([node], status)
+
+
+def make_adapter(node: ServingNode, block_class: type[Block], middleware: Middleware) -> Adapter:
+    """Declare and validate a node's parameters, make its block and its adapter; a `Group` drives it.
+
+    Raises
+    ------
+    ParameterError
+        Bad parameters.
+    """
+    params, options = _parameters(node, block_class)
+    rehearse(block_class, params, node.get_name(), always=options.mode == "realtime")
+    block = block_class(params, node.get_name())
+    block.reset(options.seed)
+    adapter = Adapter(middleware, block, options)
+    Faces(node, adapter)
+    Tuning(node, adapter)
+    return adapter
+
+
+def introduction(block: Block, options: RunOptions) -> str:
+    """Say in one line what a node that somebody has started by hand is, and what it waits for."""
+    inputs, outputs = block.ports(block.p)
+    what = (type(block).__doc__ or type(block).__name__).strip().splitlines()[0].rstrip(".")
+    wanted = [p.topic for p in inputs if not p.held]
+    waits = f"waits for {', '.join(wanted)}" if wanted else "waits for nobody"
+    publishes = f"; publishes {', '.join(p.topic for p in outputs)}" if outputs else ""
+    return f"{what}; {options.mode}, every {block.p.period:g} s; {waits}{publishes}"
+
+
+def usage(name: str, block_class: type[Block]) -> str:
+    """Give the help text of a node: what it is, its topics, its parameters."""
+    lines = [f"{name}: {(block_class.__doc__ or '').strip().splitlines()[0]}", ""]
+    try:
+        inputs, outputs = block_class.ports(block_class.Params())
+    except ValidationError:  # a block without defaults: its ports depend on what is given
+        inputs, outputs = (), ()
+    for title, ports in (("reads", inputs), ("publishes", outputs)):
+        lines += [f"  {title} {p.topic} ({p.msgtype}: {', '.join(p.labels)})" for p in ports]
+    if inputs and not issubclass(block_class, Plant):
+        own = block_class.refused is not Block.refused
+        what = (block_class.refused.__doc__ or "").strip().splitlines()[0] if own else "What it said last is held."
+        lines += ["", f"At a tick of which an input is refused: {what}"]
+    lines += ["", "Parameters, each as `--ros-args -p NAME:=VALUE` (node name, remaps and files as in any ROS 2 node):"]
+    for d in [*declarations(block_class.Params), *declarations(RunOptions, "run.")]:
+        unit = f" {d.unit}" if d.unit else ""
+        lines.append(f"  {d.name} = {d.default!r}{unit}: {d.doc}{'; may change while running' if d.live else ''}")
+    return "\n".join(lines)
+
+
+def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
+    """Declare all parameters with descriptions and ranges, and validate the values given."""
+    # an empty list in a file has no type for rclpy, so that nothing may be declared from what is given as it is
+    absent = {d.name for d in declarations(block_class.Params) if d.default is None}  # those that may have no value
+    given = {
+        name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in node._parameter_overrides.items()
+    }
+    given = {name: value for name, value in given.items() if not (name in absent and value in ([], "null"))}
+    for name in ("use_sim_time", "start_type_description_service"):
+        given.pop(name, None)
+    given = {k: v for k, v in given.items() if not k.startswith("qos_overrides.")}
+    run = {k.removeprefix("run."): v for k, v in given.items() if k.startswith("run.")}
+    own = {k: v for k, v in given.items() if not k.startswith("run.")}
+    params: Any = build(block_class.Params, own)
+    options = build(RunOptions, run)
+    _declare(node, declarations(block_class.Params), flatten(params))
+    ours = [d for d in declarations(RunOptions, "run.") if d.name not in RUNNERS]
+    _declare(node, ours, flatten(options, "run."))
+    return params, options  # type: ignore[return-value]
+
+
+def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -> None:
+    for declaration in wanted:
+        descriptor = range_descriptor(declaration)
+        value = values.get(declaration.name)
+        # a live one that has no value yet may get one
+        if value is not None or declaration.live:
+            node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)
+        if value == []:  # rclpy takes it for bytes
+            node._parameters[declaration.name] = Parameter(declaration.name, ARRAYS[declaration.type], [])

@@ -1,0 +1,68 @@
+"""The node processes of a run: the files that they write, whether they are held, their end."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from softrig_core.rig.members import Member
+
+from .fork_server import Forked
+
+STOP_STEPS = ((signal.SIGINT, 3.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
+
+
+@dataclass
+class Child:
+    """One node; those of a container share the process and the log."""
+
+    member: Member
+    process: subprocess.Popen[bytes] | Forked
+    end: int  # process file descriptor, readable when the process has ended
+    log: Path
+    status: Path
+    shard: Path
+    interrupted: bool = False  # by this runner: how it ends then says nothing
+
+
+def is_held(child: Child) -> bool:
+    """Whether a process is held by SIGSTOP or a terminal (Linux)."""
+    with suppress(OSError):
+        return Path(f"/proc/{child.process.pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
+    return False
+
+
+def stop(children: list[Child]) -> None:
+    """Stop what still runs: SIGINT, then SIGTERM, then SIGKILL."""
+    for child in children:
+        child.interrupted = child.process.poll() is None
+    for number, patience in STOP_STEPS:
+        running = {c.process.pid: c for c in children if c.process.poll() is None}.values()
+        if not running:
+            return
+        for child in running:
+            child.process.send_signal(signal.SIGCONT)  # a stopped process could not end otherwise
+            child.process.send_signal(number)
+        deadline = time.monotonic() + patience
+        for child in running:
+            with suppress(subprocess.TimeoutExpired):
+                child.process.wait(max(0.0, deadline - time.monotonic()))
+
+
+def read_status(path: Path) -> dict[str, Any]:
+    """Read what a node says of itself; empty before it has said anything."""
+    with suppress(FileNotFoundError):
+        return json.loads(path.read_text())
+    return {}
+
+
+def last_line(log: Path) -> str:
+    """Give the last line of a log that is not empty."""
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    return lines[-1] if lines else ""

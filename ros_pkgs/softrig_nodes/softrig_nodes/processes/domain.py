@@ -1,0 +1,165 @@
+"""A DDS domain that no other run on this host uses."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import socket
+import stat
+import struct
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from softrig_core.errors import RunError, ScenarioError
+from softrig_core.kit.compiled import cache_folder
+
+from .ports import BASE, GAIN, udp_ports
+from .shared_memory import remove_leftovers
+
+DOMAINS = range(1, 101)  # 0 is everybody's default; above 101 the ports of Linux' ephemeral range begin
+BEYOND = (*range(215, 232), *range(101, 215))  # when those are taken: first what is above that range
+HIGHEST = 232  # what DDS can number
+SIOCGIFFLAGS, IFF_UP = 0x8913, 1  # of Linux: <net/if.h>
+
+
+@contextmanager
+def free_domain(wanted: int | None = None) -> Iterator[int]:
+    """Reserve a ROS_DOMAIN_ID for the length of a ``with`` block, across all processes of this host.
+
+    A domain is taken while some process holds the lock on its file in the user's cache folder or, whosever it is, its
+    name among the abstract sockets of the host; the operating system drops both of a dead process. One that a ROS
+    session of this host works in, whoever started it, is not chosen either: it holds ports of that domain. The search
+    starts at the process number, so that two runs in a row seldom share a domain and see each other's ghosts. It goes
+    on in `BEYOND` when all of `DOMAINS` are taken. What killed processes have left in shared memory is removed, with
+    all ports of a domain in which nobody is: any node takes them as they are (see `remove_leftovers`).
+
+    Parameters
+    ----------
+    wanted : int, optional
+        This one and no other.
+
+    Yields
+    ------
+    int
+        `wanted`, or 1 to 231.
+
+    Raises
+    ------
+    ScenarioError
+        `wanted` is no domain.
+    RunError
+        `wanted`, or every domain, is taken; says by whom.
+
+    Examples
+    --------
+    >>> with free_domain() as number:
+    ...     1 <= number <= 231
+    True
+    """
+    if wanted is not None and not 0 <= wanted <= HIGHEST:
+        raise ScenarioError(f"domain {wanted}: expected 0 to {HIGHEST}")
+    start = os.getpid()
+    usual = [DOMAINS[(start + i) % len(DOMAINS)] for i in range(len(DOMAINS))]
+    choice = [*usual, *BEYOND] if wanted is None else [wanted]
+    busy = set() if wanted is not None else inhabited()
+    for number in choice:
+        if number in busy:
+            continue
+        file = _open(number)
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as name:
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # also against who has joined it
+                    name.bind(f"\0softrig-domain-{number}")  # against other users and homes
+                except OSError as error:
+                    if error.errno not in (errno.EWOULDBLOCK, errno.EADDRINUSE):
+                        raise
+                    continue
+                remove_leftovers(number if wanted is None else None)
+                yield number
+        finally:
+            os.close(file)
+        return
+    names = f"domain {wanted} is" if wanted is not None else f"all DDS domains {DOMAINS[0]} to {max(choice)} are"
+    raise RunError(f"{names} in use by other runs on this host{holders(choice)}")
+
+
+def holders(domains: Iterable[int]) -> str:
+    """Say in brackets which processes hold the names of domains, as far as this user may see that; empty for none."""
+    names = {f"@softrig-domain-{number}" for number in domains}
+    with suppress(OSError):  # not Linux
+        lines = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()]
+        sockets = {f"socket:[{words[6]}]" for words in lines if words[-1] in names}
+        found: Counter[str] = Counter()
+        for entry in Path("/proc").glob("[0-9]*/fd/*") if sockets else ():
+            with suppress(OSError):  # another user's, or gone
+                if os.readlink(entry) in sockets:
+                    process = entry.parents[1]
+                    found[f"process {process.name} ({(process / 'comm').read_text().strip()})"] += 1
+        if hidden := len(sockets) - found.total():
+            found["processes of other users"] += max(0, hidden)
+        told = [f"{count} by {who}" for who, count in found.most_common(3) if count]
+        return f" ({', '.join(told)}{', ...' if len(found) > len(told) else ''})" if told else ""
+    return ""
+
+
+def join_domain(number: int) -> int:
+    """Hold a domain beside others who join it, against runs that want one for themselves, until this process ends.
+
+    Returns
+    -------
+    int
+        A file number; to close it lets go.
+
+    Raises
+    ------
+    RunError
+        A run has reserved it.
+    """
+    file = _open(number)
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(file)
+        raise RunError(f"domain {number} is in use by a run on this host; set ROS_DOMAIN_ID to another") from None
+    return file
+
+
+def require_loopback() -> None:
+    """Make sure that nodes of this host can find each other.
+
+    Raises
+    ------
+    RunError
+        The loopback interface is down: each node would wait for the others in vain.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        try:
+            request = fcntl.ioctl(any_socket, SIOCGIFFLAGS, struct.pack("256s", b"lo"))
+        except OSError:  # it has another name here
+            return
+    if not struct.unpack_from("H", request, 16)[0] & IFF_UP:
+        raise RunError("the loopback interface lo is down, and nodes find each other over it; `ip link set lo up`")
+
+
+def inhabited() -> set[int]:
+    """Give the domains in which a participant of DDS lives on this host: each holds UDP ports of its domain."""
+    return {(port - BASE) // GAIN for port in udp_ports()}
+
+
+def _open(number: int) -> int:
+    # neither a link to another file nor a pipe, which would wait for its other end, is a lock
+    try:
+        path = cache_folder() / "domains" / f"{number}.lock"
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        what = "" if isinstance(error, PermissionError) else "; expected a plain file of this user"
+        raise RunError(f"lock of domain {number}: {error.filename}: {error.strerror}{what}") from None
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise RunError(f"lock of domain {number}: {path}: expected a plain file")
+    return file

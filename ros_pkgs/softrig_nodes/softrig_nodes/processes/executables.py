@@ -1,0 +1,113 @@
+"""Executables of ROS packages: where they are, in what environment they run, and becoming one."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import sys
+from os.path import isfile
+from pathlib import Path
+
+from softrig_core.errors import ScenarioError, closest
+from softrig_core.kit.resource import prefixes
+from softrig_core.rig.installed import load_main
+
+PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
+LOOPBACK = PROFILE.with_name("fastdds_loopback.xml")  # the same for who is not to be reached from elsewhere
+NETWORK = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")  # who sets one wants other hosts
+MARGIN = 2  # s: an announcement in 0.5 s renews the lease; on a busy host it comes late
+
+
+def find_executable(package: str, executable: str) -> Path:
+    """Find ``lib/<package>/<executable>`` of a sourced workspace.
+
+    Raises
+    ------
+    ScenarioError
+        It is not there; lists what the package has.
+    """
+    installed = prefixes()
+    for prefix in installed:
+        path = prefix / "lib" / package / executable
+        if isfile(path) and os.access(path, os.X_OK):
+            return path
+    there = sorted({p.name for prefix in installed for p in (prefix / "lib" / package).glob("*") if p.is_file()})
+    if not there:
+        packages = [folder.name for prefix in installed for folder in (prefix / "lib").glob("*") if folder.is_dir()]
+        raise ScenarioError(
+            f"package {package!r} has no executables here{closest(package, packages)}; one of your own "
+            "is in the folder that --workspace DIR names before the verb"
+        )
+    raise ScenarioError(
+        f"package {package} has no executable {executable!r}{closest(executable, there)}; it has {', '.join(there)}"
+    )
+
+
+def given_profile() -> Path:
+    """Give the profile of this process: the one of its environment, or the default."""
+    return Path(os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE") or default_profile())
+
+
+def default_profile() -> Path:
+    """Give the profile of a process that is given none: only who asks for other hosts is reached from them."""
+    asked = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("SUBNET", "SYSTEM_DEFAULT")
+    return PROFILE if asked or any(map(os.environ.get, NETWORK)) else LOOPBACK
+
+
+def environment(
+    domain: int, directory: Path, *, discovery: str = "LOCALHOST", silence: float | None = None
+) -> dict[str, str]:
+    """Give the environment of a node process: its domain, as far as `discovery` reaches, its logs in a directory.
+
+    With `silence`, others take it for dead only after more than so many s; the profile for that is written there.
+    """
+    variables = dict(os.environ)
+    variables |= {
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": discovery,
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "ROS_LOG_DIR": str(directory / "log"),
+        "PYTHONUNBUFFERED": "1",
+        # one thread each: a BLAS that splits sums by the number of cores would change last bits
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    variables.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
+    profile = LOOPBACK if discovery == "LOCALHOST" else PROFILE
+    if not variables.get("FASTRTPS_DEFAULT_PROFILES_FILE"):
+        chosen = profile if silence is None else patient(profile, directory, silence)
+        variables["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(chosen)
+    return variables
+
+
+def patient(profile: Path, directory: Path, silence: float) -> Path:
+    """Write a profile of ours, ``profile.xml``, with a lease that a silence of so many s does not end."""
+    file = directory / "profile.xml"
+    file.write_text(leased(profile.read_text(), silence))
+    return file
+
+
+def leased(profile: str, silence: float) -> str:
+    """Give the text of a profile of ours with such a lease."""
+    lease = f"<leaseDuration><sec>{math.ceil(silence) + MARGIN}</sec></leaseDuration>"
+    return re.sub("<leaseDuration>.*</leaseDuration>", lease, profile)
+
+
+def node_main(package: str, executable: str, arguments: list[str]) -> int:
+    """Become an executable: what ``ros2 run`` does. One of Python runs in this process, so that what stops its module
+    from being imported is told with its place; any other replaces it.
+
+    Raises
+    ------
+    ScenarioError
+        No such executable, or its module cannot be imported.
+    """
+    path = find_executable(package, executable)
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(default_profile()))
+    main = load_main(package, executable)
+    sys.stdout.flush()
+    if main is None:
+        os.execv(path, [str(path), *arguments])
+    sys.argv = [str(path), *arguments]
+    return int(main() or 0)

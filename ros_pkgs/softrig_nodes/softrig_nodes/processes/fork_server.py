@@ -1,0 +1,330 @@
+"""The fork server: a process that has done the imports of a node, and forks one for each that is asked for.
+
+A node's imports take ten times the rest of its start. Each forked one is a process as any other: its pid, its name and
+command line in /proc, its environment, working directory and log, its own end. When it forks, the server has no thread
+that could hold a lock, and has not touched DDS; where that does not hold, the caller starts an executable by itself,
+which gives the same.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import ctypes
+import gc
+import importlib.metadata
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import sysconfig
+import threading
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from softrig_core.rig.installed import load_main
+
+LIBC = ctypes.CDLL(None)  # loaded here: between fork and exec another thread may hold the loader's lock
+PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
+LARGEST = 100_000  # bytes of a request
+ROOM = 8_000  # bytes for the command line of a node, as /proc shows it
+# what a node reads when it starts; everything else in the environment has been read by then
+OWN = (
+    "ROS_DOMAIN_ID",
+    "ROS_LOG_DIR",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "NUMBA_DISABLE_INTEL_SVML",
+    "SOFTRIG_SCENARIOS",
+    "PYTEST_CURRENT_TEST",
+    "COLUMNS",
+    "LINES",
+)
+_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
+
+
+class Forked:
+    """A process that the server has forked; what it can do is as `subprocess.Popen` has it."""
+
+    def __init__(self, pid: int, server: ForkServer) -> None:
+        self.pid = pid
+        self.returncode: int | None = None
+        self._server = server
+        self._end = os.pidfd_open(pid)  # the server keeps the process as a zombie until its status is asked for
+
+    def poll(self) -> int | None:
+        """Give the exit status, less than zero for a signal, or None while it runs."""
+        return self._ended(0.0)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end.
+
+        Raises
+        ------
+        subprocess.TimeoutExpired
+        """
+        status = self._ended(timeout)
+        if status is None:
+            raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0)
+        return status
+
+    def _ended(self, timeout: float | None) -> int | None:
+        if self.returncode is None and select.select([self._end], [], [], timeout)[0]:
+            self.returncode = self._server.status(self.pid)
+            os.close(self._end)
+        return self.returncode
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless it has ended."""
+        if self.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._end, number)
+
+    def terminate(self) -> None:
+        """Send SIGTERM."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Send SIGKILL."""
+        self.send_signal(signal.SIGKILL)
+
+
+class ForkServer:
+    """A server of this process: it ends with this process, and its nodes with it.
+
+    Parameters
+    ----------
+    variables : mapping
+        Environment of its nodes, as far as it is not in `OWN`.
+    """
+
+    def __init__(self, variables: Mapping[str, str]) -> None:
+        self._key = _key(variables)
+        self._owner = os.getpid()
+        self._lock = threading.Lock()
+        self._asked = 0
+        self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            # the last argument is room for what the nodes are called
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), "-" * ROOM],
+                env=dict(variables),
+                pass_fds=[theirs.fileno()],
+                process_group=0,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+
+    def start(
+        self, package: str, executable: str, command: Sequence[str], variables: Mapping[str, str], output: int
+    ) -> Forked | None:
+        """Fork a node.
+
+        Parameters
+        ----------
+        command : sequence of str
+            The path of the executable and its arguments.
+        variables : mapping
+            Its environment.
+        output : int
+            File descriptor for what it prints.
+
+        Returns
+        -------
+        Forked, or None
+            None when this server cannot; then another one, or the executable by itself, can.
+        """
+        request = {
+            "package": package,
+            "executable": executable,
+            "command": list(command),
+            "variables": dict(variables),
+            "directory": os.getcwd(),
+        }
+        answer = self._ask(request, output)
+        return Forked(int(answer["pid"]), self) if "pid" in answer else None
+
+    def serves(self, variables: Mapping[str, str]) -> bool:
+        """Whether it is this process's, and for such an environment."""
+        return self._owner == os.getpid() and self._key == _key(variables)
+
+    def status(self, pid: int) -> int:
+        """Give the exit status of a process that has ended; that of the server's own death if it cannot say it."""
+        return int(self._ask({"status": pid}).get("status", -signal.SIGKILL))
+
+    def __del__(self) -> None:
+        """Nobody asks any more: its nodes hold it too."""
+        self._link.close()
+        if os.getpid() == self._owner:  # and not a fork of it
+            self._process.kill()
+            self._process.wait()
+
+    def _ask(self, request: dict[str, Any], *descriptors: int) -> dict[str, Any]:
+        with self._lock:
+            self._asked += 1
+            data = json.dumps(request | {"number": self._asked}).encode()
+            if len(data) > LARGEST:
+                return {}
+            try:
+                socket.send_fds(self._link, [data], descriptors)
+                while said := self._link.recv(LARGEST):
+                    answer: dict[str, Any] = json.loads(said)
+                    if answer["number"] == self._asked:  # and not that to a question which a signal has cut off
+                        return answer
+            except OSError:
+                pass
+            return {}  # it has died
+
+
+_server: ForkServer | None = None
+_choosing = threading.Lock()
+
+
+def prepare(variables: Mapping[str, str]) -> ForkServer:
+    """Give the server of this process for an environment; started when there is none yet, and not waited for."""
+    global _server
+    with _choosing:
+        if _server is None or not _server.serves(variables):
+            _server = ForkServer(variables)
+        return _server
+
+
+def forget() -> None:
+    """Let the next node have a new server; the one there is ends with its last node."""
+    global _server
+    _server = None
+
+
+atexit.register(forget)
+
+
+def start_node(
+    package: str, executable: str, command: Sequence[str], variables: Mapping[str, str], output: int
+) -> Forked | None:
+    """Fork a node from the server of this process; see `ForkServer.start`.
+
+    A server whose modules have been edited since is replaced.
+    """
+    for _ in range(2):
+        started = prepare(variables).start(package, executable, command, variables, output)
+        if started is not None:
+            return started
+        forget()
+    return None
+
+
+def _key(variables: Mapping[str, str]) -> frozenset[tuple[str, str]]:
+    return frozenset((k, v) for k, v in variables.items() if k not in OWN)
+
+
+# ---- in the server ----
+
+
+class _Edited:
+    """Whether a module that has been imported from outside Python's libraries was changed since."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, int] = {}
+        self._look()
+
+    def __bool__(self) -> bool:
+        before = dict(self._seen)
+        self._look()
+        return any(self._seen[file] != written for file, written in before.items())
+
+    def _look(self) -> None:
+        for module in list(sys.modules.values()):
+            file = getattr(module, "__file__", None)
+            if file and not file.startswith(_LIBRARIES):
+                try:
+                    self._seen[file] = os.stat(file).st_mtime_ns
+                except OSError:
+                    self._seen[file] = 0
+
+
+def serve(link: socket.socket) -> Callable[[], Any]:
+    """Answer requests until nobody can ask any more; returns only in a process that it has forked, with its work."""
+    for point in importlib.metadata.entry_points(group="softrig_preloaded"):  # what nodes need; no ROS is known here
+        with contextlib.suppress(Exception):  # the node says itself what is wrong with it
+            point.load()
+    edited = _Edited()
+    asleep = _threads()  # listeners of rclpy's tracing (lttng), which wait on a futex without a lock
+    ended: dict[int, int] = {}
+    while True:
+        data, descriptors, _, _ = socket.recv_fds(link, LARGEST, 1)
+        if not data:
+            os._exit(0)
+        request = json.loads(data)
+        if "status" in request:
+            if (pid := request["status"]) not in ended:  # who asked last time may not have heard it
+                ended[pid] = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+            answer: dict[str, Any] = {"status": ended[pid]}
+        else:
+            pid = 0 if edited else _fork(request, asleep)
+            if pid == os.getpid():
+                return lambda: _become(link, request, descriptors[0])
+            ended.pop(pid, None)  # of one that had this number before
+            answer = {"pid": pid} if pid else {}
+            for descriptor in descriptors:
+                os.close(descriptor)
+        link.send(json.dumps(answer | {"number": request["number"]}).encode())
+
+
+def _threads() -> set[str]:
+    return set(os.listdir("/proc/self/task"))
+
+
+def _fork(request: Mapping[str, Any], asleep: set[str]) -> int:
+    """Import what the node needs and fork; gives 0 if that cannot be, its own pid in the new process."""
+    with contextlib.suppress(Exception):
+        load_main(request["package"], request["executable"])
+    if not _threads() <= asleep:  # another thread may hold a lock that the new process would wait for
+        return 0
+    gc.freeze()  # or the first search for cycles would copy every page
+    parent = os.getpid()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Python's, of any other thread
+        pid = os.fork()
+    if pid == 0:
+        LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:  # died before that
+            os._exit(0)
+        os.setpgid(0, 0)
+        return os.getpid()
+    return pid
+
+
+def _become(link: socket.socket, request: Mapping[str, Any], output: int) -> Any:
+    """Be the node that was asked for."""
+    link.close()
+    os.dup2(output, 1)
+    os.dup2(output, 2)
+    os.close(output)
+    gc.unfreeze()
+    os.environ.clear()
+    os.environ.update(request["variables"])
+    os.chdir(request["directory"])
+    sys.argv = list(request["command"])
+    sys.orig_argv = [sys.executable, *sys.argv]
+    _call_itself(sys.orig_argv)
+    return load_main(request["package"], request["executable"])()
+
+
+def _call_itself(command: Sequence[str]) -> None:
+    """Be found under the own name in /proc, by ps and by kill."""
+    LIBC.prctl(PR_SET_NAME, os.fsencode(Path(command[1]).name))
+    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+    begin, end = int(fields[45]), int(fields[46])  # arg_start and arg_end of proc(5)
+    if end - begin > ROOM:  # as it is where the kernel says it
+        text = b"\0".join(map(os.fsencode, command))[: end - begin - 1]
+        ctypes.memmove(begin, text.ljust(end - begin, b"\0"), end - begin)
+
+
+if __name__ == "__main__":
+    sys.exit(serve(socket.socket(fileno=int(sys.argv[1])))())

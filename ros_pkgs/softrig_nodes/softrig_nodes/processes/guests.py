@@ -1,0 +1,93 @@
+"""The external nodes of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Set
+from difflib import get_close_matches
+from typing import Any
+
+from softrig_core.rig.rig import Rig
+
+from .peers import ours
+
+
+class Guests:
+    """The external nodes of a run: says what they are to do, and when they have come."""
+
+    def __init__(self, rig: Rig, announce: Callable[[str], object] | None) -> None:
+        self._announce = announce
+        self._needed = {
+            m.name: {p.topic for p in m.outputs if ours(rig.readers(m, p))} for m in rig.members if m.external
+        }
+        self._rig = rig
+        self._said: set[str] = set()
+        self._awaited = [name for name, topics in self._needed.items() if topics]
+
+    def invite(self, domain: int) -> None:
+        """Say who is expected, where, and with what."""
+        if self._announce is None or not self._needed:
+            return
+        who = ", ".join(self._awaited or self._needed)
+        lines = [
+            f"waiting for {who} (as long as it takes or --wait says; Ctrl-C ends); in another terminal:",
+            f"  export ROS_DOMAIN_ID={domain} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
+        ]
+        for m in self._rig.members:
+            for p in m.outputs if m.external else ():
+                verb = "must publish" if p.topic in self._needed[m.name] else "may publish"
+                lines.append(f"  {m.name} {verb} {p.topic} ({p.msgtype}, {', '.join(p.labels)})")
+            lines += [f"  {m.name} can read {p.topic} ({p.msgtype})" for p in m.inputs if m.external]
+        self._announce("\n".join(lines))
+
+    def look(self, states: Mapping[str, Mapping[str, Any]]) -> None:
+        """Say who has come since the last look, and, once, what stands in the way of the others.
+
+        Parameters
+        ----------
+        states : mapping
+            What each node of ours has said of itself, by name (`softrig_nodes.adapter.adapter.Adapter.status`).
+        """
+        if not self._needed:
+            return
+        for name, state in states.items():
+            for topic, (_, why) in state.get("refused", {}).items():
+                self._once(f"{name} refuses {topic}", f"{name} refused a message on {topic}: {why}")
+        if not self._awaited or any("lacking" not in s for s in states.values()):
+            return  # not all of ours are there themselves
+        for state in states.values():
+            for key, (_, text, _) in state.get("reports", {}).items():
+                if key.startswith("type of "):
+                    self._once(text, text)
+        lacking = {topic for s in states.values() for topic in s["lacking"]}
+        for name in [n for n in self._awaited if not self._needed[n] & lacking]:
+            self._awaited.remove(name)
+            self._once(f"{name} is there", f"{name} is there")
+        for state in states.values():
+            self._name_strays(lacking, state.get("published", {}))
+
+    def _name_strays(self, lacking: Set[str], published: Mapping[str, list[tuple[str, str]]]) -> None:
+        """Say who publishes, under a name that the rig does not know, the type of a topic that is awaited."""
+        awaited = {
+            p.topic: (m.name, p.msgtype)
+            for m in self._rig.members
+            if m.external
+            for p in m.outputs
+            if p.topic in lacking
+        }
+        known = {f"/{topic.lstrip('/')}" for topic in self._rig.topics}
+        own = {f"/{m.name}" for m in self._rig.members if not m.external}
+        for topic, writers in published.items():
+            for msgtype, who in writers if topic not in known else ():
+                fitting = [t for t, (_, wanted) in awaited.items() if wanted == msgtype and who not in own]
+                for meant in get_close_matches(topic, fitting, 1, 0.0):
+                    self._once(
+                        f"stray {topic}",
+                        f"{who} publishes {topic}, which nobody in the rig reads; "
+                        f"{meant} is awaited from {awaited[meant][0]}",
+                    )
+
+    def _once(self, key: str, text: str) -> None:
+        if key not in self._said:
+            self._said.add(key)
+            if self._announce is not None:
+                self._announce(text)

@@ -1,0 +1,145 @@
+"""What a node must know of its peers: who sends what it reads, who waits for whom, who says what is over."""
+
+from __future__ import annotations
+
+from softrig_core.block.port import Port
+from softrig_core.rig.members import Link, Member
+from softrig_core.rig.options import InputLink, Links
+from softrig_core.rig.rig import Rig
+from softrig_core.solver.solver import Solver
+
+
+def links(rig: Rig, member: Member) -> Links:
+    """Work out what a node must know of its peers."""
+    paired = {
+        port: InputLink(
+            period=_seconds(link.source),
+            node=link.source.name,
+            at_end=link.source.schedule.at_end,
+            port=link.port.name,
+            sporadic=link.port.sporadic,
+            delayed=link.port.delayed,
+            told=_told(member, link),
+        )
+        for port, link in member.links.items()
+        if not (link.source.external and link.port.sporadic)
+    }
+    tick_readers = _tick_readers(rig, member)
+    pacers = _pacers(rig, member)
+    acknowledging = [m for m in _acknowledging(rig) if m is not member] if member is _gatherer(rig) else []
+    by_readers = rig.clock.external and bool(pacers or member.links)
+    # an outside plant that nobody commands has nothing else to pace itself by
+    unheard = rig.clock.external and _gatherer(rig) is None and member in _acknowledging(rig)
+    clocked = member in _clocked(rig)
+    return Links(
+        base=_seconds(rig.clock),
+        inputs=paired,
+        records=_recorded_inputs(rig, member),
+        readers={p.name: [m.name for m, _ in rig.readers(member, p) if not m.external] for p in member.outputs},
+        free=[name for name, k in member.links.items() if k.source.external and k.port.sporadic],
+        guests=any(m.external for m in rig.members),
+        outside=[p.topic for m in rig.members if m.external for p in m.outputs if ours(rig.readers(m, p))],
+        clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if clocked and not by_readers else None,
+        hears_clock=clocked and by_readers,
+        owns_clock=member is rig.clock,
+        acknowledges=bool(tick_readers) or unheard,
+        tick_readers=tick_readers,
+        tells=_tells(rig, member),
+        acks={m.name: _seconds(m) for m in [*acknowledging, *pacers]},
+        followers=_followers(rig),
+        clock_readers=[m.name for m in _clocked(rig) if not m.external] if member is rig.clock else [],
+        solvers=[m.name for m in rig.members if issubclass(m.block_class, Solver) and not m.external],
+        starter=starter(rig).name,
+        starts=[m.name for m in rig.members if not m.external],
+        grid=str(max(m.schedule.period for m in rig.members)),
+    )
+
+
+def starter(rig: Rig) -> Member:
+    """Give the node that says when a run in real time starts: the clock, or the first that is ours."""
+    return next((m for m in (rig.clock, *rig.members) if not m.external), rig.clock)
+
+
+def ours(readers: list[tuple[Member, Port]]) -> bool:
+    """Whether a node of ours is among the readers of a port."""
+    return any(not m.external for m, _ in readers)
+
+
+def _seconds(member: Member) -> str:
+    return str(member.schedule.period)
+
+
+def _recorded_inputs(rig: Rig, member: Member) -> list[str]:
+    """Inputs from outside the rig whose first reader this member is."""
+    first: dict[str, Member] = {}
+    for m in rig.members:
+        for port in m.inputs:
+            link = m.links.get(port.name)
+            if link is None or link.source.external:
+                first.setdefault(port.topic, m)
+    return [p.name for p in member.inputs if first.get(p.topic) is member]
+
+
+def _tick_readers(rig: Rig, member: Member) -> list[str]:
+    """Name the nodes that read what a member says of its ticks."""
+    gatherer = _gatherer(rig)
+    found = [gatherer] if gatherer not in (None, member) and member in _acknowledging(rig) else []
+    found += [m for m in rig.members if member in _pacers(rig, m)]
+    found += [m for p in member.outputs if p.sporadic for m, _ in rig.readers(member, p)]
+    return list(dict.fromkeys(m.name for m in found if not m.external))
+
+
+def _told(reader: Member, link: Link) -> bool:
+    """Whether a law in real time waits for what a sender that may be silent says of its ticks.
+
+    A plant waits for nobody; what pairs by order belongs to the tick at which it comes.
+    """
+    port = link.port
+    return port.sporadic and port.stamped and not port.delayed and not reader.is_plant and not reader.external
+
+
+def _tells(rig: Rig, member: Member) -> list[str]:
+    """Name the nodes that are told in real time at which ticks a member was silent."""
+    found = [m.name for m in rig.members for k in m.links.values() if k.source is member and _told(m, k)]
+    return [] if member.external else list(dict.fromkeys(found))
+
+
+def _clocked(rig: Rig) -> list[Member]:
+    """Members that pace themselves by /clock: sources, and plants that do not own it."""
+    return [m for m in rig.members if m is not rig.clock and (m.is_plant or not m.links)]
+
+
+def _gatherer(rig: Rig) -> Member | None:
+    """Give the member that waits for the acknowledgements: the clock, or who commands an external one."""
+    if not rig.clock.external:
+        return rig.clock
+    senders = [k.source for k in rig.clock.links.values()]
+    return next((m for m in senders if not m.external and not m.is_plant), None)
+
+
+def _pacers(rig: Rig, member: Member) -> list[Member]:
+    """Give those by whose ticks a source paces itself when the clock is outside and may publish no /clock: its readers,
+    or who commands the clock.
+    """
+    if not rig.clock.external or member.external or member.is_plant or member.links:
+        return []
+    readers = [m for p in member.outputs for m, _ in rig.readers(member, p) if not m.external]
+    gatherer = _gatherer(rig)
+    return list(dict.fromkeys(readers)) or ([gatherer] if gatherer is not None else [])
+
+
+def _followers(rig: Rig) -> list[str]:
+    """Name the nodes that read others and are read by none; nobody where a node is outside, or works for long."""
+    if any(m.external or issubclass(m.block_class, Solver) for m in rig.members):
+        return []
+    return [
+        m.name
+        for m in rig.members
+        if m.links and not m.is_plant and not any(rig.readers(m, port) for port in m.outputs)
+    ]
+
+
+def _acknowledging(rig: Rig) -> list[Member]:
+    """Members that would otherwise be left behind: those nobody waits for, and further plants."""
+    leaves = rig.leaves()
+    return [m for m in rig.members if m is not rig.clock and not m.external and (m.is_plant or m in leaves)]

@@ -1,0 +1,81 @@
+"""How a run goes, and who hears of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from softrig_core.rig.rig import Rig
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the nodes of a run live, and what they go by.
+
+    Parameters
+    ----------
+    mode : {"processes", "container", "inprocess"}
+        Each in a process of its own; together in those that the scenario names, or all in one; as blocks alone.
+    domain : int, optional
+        ROS_DOMAIN_ID; a free one when absent.
+    containers : sequence of sequences of str, optional
+        Names of nodes that share a process, instead of what `mode` says.
+    only : sequence of str
+        Names of the nodes that are started here, when the others run on another machine; all when empty.
+    wait : float, optional
+        Limit in s of the wait for all nodes, 0 for none; by default the scenario's, and none for external nodes.
+    paused : bool
+        In lockstep: the run is held at t = 0 until its clock is told to resume.
+    pace : float
+        In lockstep: simulated by wall-clock time, 0 for as fast as it goes.
+    record : bool
+        Whether nodes record what they publish; without, the recording is empty.
+    restart : int
+        In lockstep, of nodes that have a process each: how often one that was killed is started again.
+    """
+
+    mode: Literal["processes", "container", "inprocess"] = "processes"
+    clock: Literal["lockstep", "realtime"] = "lockstep"
+    domain: int | None = None
+    containers: Sequence[Sequence[str]] | None = None
+    only: Sequence[str] = ()
+    wait: float | None = None
+    paused: bool = False
+    pace: float = 0.0
+    record: bool = True
+    restart: int = 0
+
+    def __str__(self) -> str:
+        """Say in one word or two where nodes live and what they go by."""
+        if self.clock == "lockstep":
+            return self.mode
+        return f"{self.mode}, realtime" if self.mode == "container" else "realtime"
+
+    def shared(self, rig: Rig) -> Sequence[Sequence[str]]:
+        """Give the containers of a rig: all nodes together where neither this nor the scenario names any."""
+        if self.containers is not None:
+            return self.containers
+        return (rig.scenario.containers or [[m.name for m in rig.members]]) if self.mode == "container" else ()
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Who hears of a run while it lasts.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Gets the plant's time in ns.
+    announce : callable, optional
+        Gets a text when an external node is waited for, and when it has come.
+    opened : callable, optional
+        Gets the domain before the first node is started.
+    """
+
+    progress: Callable[[int], object] | None = None
+    announce: Callable[[str], object] | None = None
+    opened: Callable[[int], object] | None = None
+
+
+PROCESSES, NOBODY = Placement(), Listener()

@@ -1,0 +1,186 @@
+"""The processes runner: every node of a rig in its own OS process, over DDS, watched until all have ended."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from softrig_core.errors import ScenarioError
+from softrig_core.guard import need_ros
+from softrig_core.rig.rig import Rig
+from softrig_core.wire.recording import Recording
+
+from .children import Child, last_line, read_status, stop
+from .domain import DOMAINS, free_domain, holders, require_loopback
+from .executables import environment
+from .guests import Guests
+from .peers import starter
+from .placement import NOBODY, PROCESSES, Listener, Placement
+from .restarting import Restarts, check_restart
+from .shared_memory import lacking, remove_leftovers
+from .spawning import Started, groups, start
+from .stopping import signal_of, stoppable, undisturbed, unstopped
+from .supervision import SystemClock, idle, supervise
+
+
+@dataclass
+class Outcome:
+    """What a run through processes left behind.
+
+    Parameters
+    ----------
+    status : dict
+        Status file of each node (`adapter.Adapter.write_status`).
+    domain : int
+        ROS_DOMAIN_ID of the run.
+    epoch : int
+        Wall-clock ns of t = 0 (realtime), 0 in lockstep.
+    error : str
+        Why the run broke, naming the node; empty when it did not.
+    stopped : int
+        Number of the signal that ended it before its time; 0 when none did.
+    """
+
+    recording: Recording
+    status: dict[str, dict[str, Any]]
+    domain: int
+    epoch: int = 0
+    error: str = ""
+    stopped: int = 0
+
+
+def run_processes(
+    rig: Rig, seed: int, directory: Path, placement: Placement = PROCESSES, listener: Listener = NOBODY
+) -> Outcome:
+    """Start all nodes of a rig, wait for them, gather what they recorded.
+
+    Parameters
+    ----------
+    directory : Path
+        For logs, parameter files, shards and status files.
+
+    Returns
+    -------
+    Outcome
+        With `error` set when a node failed and `stopped` when a signal or an interrupt ended the run; what was
+        recorded up to there is in it.
+
+    Raises
+    ------
+    ScenarioError
+        A node refused its parameters, nodes of this placement could not be started again, or there is no ROS 2.
+    """
+    need_ros()
+    check_restart(rig, placement)
+    directory.mkdir(parents=True, exist_ok=True)
+    domain, only, wait = placement.domain, placement.only, placement.wait
+    if not only:  # parts on several hosts find each other over their network
+        require_loopback()
+    children: list[Child] = []
+    external = [m for m in rig.members if m.external]
+    if wait is None:
+        wait = 0.0 if external else rig.scenario.start_timeout
+    error, stopped, clock = "", 0, SystemClock()
+    with ExitStack() as stack:
+        own_domain = domain is None
+        if domain is None:
+            domain = stack.enter_context(free_domain())
+        else:
+            remove_leftovers()
+        if own_domain and domain not in DOMAINS and listener.announce is not None:
+            listener.announce(f"domain {domain}: {DOMAINS[0]} to {DOMAINS[-1]} are taken{holders(DOMAINS)}")
+        members = groups(rig, placement.shared(rig), only)
+        if listener.announce is not None and (why := lacking(len(members))):
+            listener.announce(f"{why}: what does not fit goes by UDP, which takes longer")
+        variables = environment(
+            domain, directory, discovery="SUBNET" if only else "LOCALHOST", silence=rig.scenario.timeout
+        )
+        options = {
+            "run.mode": placement.clock,
+            "run.start_timeout": wait,
+            "run.paused": placement.paused,
+            "run.pace": placement.pace,
+        }
+
+        recorders = None if own_domain else ()
+        run = Started(
+            rig, seed, directory, options, placement.record, variables, recorders, returns=placement.restart > 0
+        )
+
+        def restart(k: int) -> None:
+            with unstopped():
+                old, (children[k],) = children[k], start(run, [children[k].member], again=True)
+                os.close(old.end)
+
+        restarts = Restarts(placement.restart, restart, listener.announce)
+        guests = Guests(rig, listener.announce)
+        if listener.opened is not None:
+            listener.opened(domain)
+        try:
+            with stoppable() as stopping:
+                try:
+                    guests.invite(domain)
+                    for group in members:
+                        # A signal waits until it is known who has been started; what Python does at a fork would
+                        # swallow it with a traceback, besides.
+                        with unstopped():
+                            children += start(run, group)
+                    error = supervise(
+                        rig,
+                        children,
+                        listener.progress,
+                        guests,
+                        placement.clock == "realtime",
+                        stopping,
+                        restarts,
+                        clock,
+                    )
+                except KeyboardInterrupt as interrupt:
+                    stopped = signal_of(interrupt)
+                finally:
+                    with undisturbed() as late:
+                        stop(children)
+        finally:
+            for child in children:
+                os.close(child.end)
+        with undisturbed() as later:  # what was recorded is not lost while it is gathered
+            remove_leftovers(domain if own_domain and not external else None)
+            recording, status = gathered(rig, directory, [c.member.name for c in children])
+        for name, count in restarts.counts.items():
+            status[name]["restarts"] = count
+        stopped = next((number for number in (stopped, *late, *later) if number), 0)
+    if not (error or stopped):
+        error = idle(status)
+    error += clock.set_back() if error else ""
+    refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
+    if refused is not None:
+        raise ScenarioError(last_line(refused.log))
+    epoch = int(status.get(starter(rig).name, {}).get("epoch", 0))
+    return Outcome(recording, status, domain, epoch, error, stopped)
+
+
+def gathered(
+    rig: Rig, directory: Path, names: Iterable[str], namespace: str = ""
+) -> tuple[Recording, dict[str, dict[str, Any]]]:
+    """Give what the nodes of a run have recorded and what each said of itself.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the `FILES` that the nodes wrote.
+    names : iterable of str
+        Of the nodes.
+    namespace : str
+        See `Recording.read_shard`.
+    """
+    recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+    status = {}
+    for name in names:
+        status[name] = read_status(directory / f"{name}.status")
+        if (shard := directory / f"{name}.shard").exists():
+            recording.read_shard(shard, namespace)
+    return recording, status

@@ -1,0 +1,178 @@
+"""Watching the node processes of a run: until all have ended or one has failed, and which one is the cause."""
+
+from __future__ import annotations
+
+import math
+import select
+import signal
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from softrig_core.rig.rig import Rig
+
+from .children import Child, is_held, last_line, read_status
+from .guests import Guests
+from .peers import starter
+from .restarting import Restarts
+from .stopping import Stopping
+
+GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
+
+
+def supervise(
+    rig: Rig,
+    children: list[Child],
+    progress: Callable[[int], object] | None,
+    guests: Guests,
+    realtime: bool,
+    stopping: Stopping,
+    restarts: Restarts,
+    clock: SystemClock,
+) -> str:
+    """Wait until all have ended or one has failed; gives the reason of a failure.
+
+    A node may wait for ever for a peer that has ended: it has the scenario's timeout, in realtime from the end of the
+    run, in lockstep from the end of a node or the last progress. So has one whose process is stopped (SIGSTOP). One
+    that never says anything of itself has the scenario's time for the start: its peers may wait for an outside node.
+    Where nodes that were killed are started again, a rig that stands for longer than a start may take is lost.
+    """
+    comes_up = time.monotonic() + rig.scenario.start_timeout
+    late = math.inf if realtime else time.monotonic() + rig.scenario.timeout
+    first = starter(rig)
+    last, before = -1, dict[str, Any]()
+    while True:
+        stopping.check()
+        clock.look()
+        running = [c for c in children if c.process.poll() is None]
+        started = dict(restarts.counts)
+        if failed := restarts.look(children):
+            return _reason(children, failed, restarts)
+        if restarts.counts != started:
+            comes_up = time.monotonic() + rig.scenario.start_timeout
+        if all(c.process.poll() == 0 for c in children):
+            return ""
+        states = {c.member.name: read_status(c.status) for c in children}
+        guests.look(states)
+        if time.monotonic() > comes_up and (mute := _mute(states, rig.scenario.start_timeout)):
+            return mute
+        plant = next((c for c in children if c.member is first), children[0])  # the first may run on another machine
+        state = states[plant.member.name]
+        t = state.get("t", 0)
+        busy = any(states[c.member.name].get("busy") for c in running)
+        if realtime:
+            if late == math.inf and state.get("epoch"):
+                to_start = _to_start(state["epoch"], rig.scenario.start_timeout)
+                late = time.monotonic() + to_start + rig.scenario.duration + rig.scenario.timeout
+            if state.get("held"):
+                late = max(late, time.monotonic() + rig.scenario.duration + rig.scenario.timeout)
+        elif restarts.most:
+            if (now := {name: (s.get("t"), s.get("state")) for name, s in states.items()}) != before or busy:
+                before, late = now, time.monotonic() + max(rig.scenario.timeout, rig.scenario.start_timeout)
+        elif t != last or busy or (len(running) == len(children) and not any(is_held(c) for c in running)):
+            late = time.monotonic() + rig.scenario.timeout
+        if time.monotonic() > late:
+            names = ", ".join(c.member.name for c in running)
+            lost = f"node {names} did not reach the end of the run within {rig.scenario.timeout:g} s after it"
+            return _asleep(running) or lost
+        if t != last and progress is not None:
+            progress(t)
+        last = t
+        # A child's end wakes the wait; otherwise look at the progress ten times a second. (Popen.wait with a limit
+        # wakes up all the time, and each time takes a node's core.)
+        select.select([c.end for c in running], [], [], 0.1)
+
+
+def _to_start(epoch: int, most: float) -> float:
+    """Seconds to the start at an instant of the wall clock, ns; the system's clock may have been set since."""
+    return min(max(0.0, epoch / 1e9 - time.time()), most)
+
+
+class SystemClock:
+    """Whether the system's clock was set back.
+
+    Fast DDS waits by that clock: until it is there again nobody is found, nor is what was lost sent again.
+    """
+
+    def __init__(self) -> None:
+        self._most = self._ahead()
+        self._back = 0.0
+
+    def look(self) -> None:
+        """See how far ahead of the steady one it is, and by how much it was set back at most, s."""
+        now = self._ahead()
+        self._most = max(self._most, now)
+        self._back = max(self._back, self._most - now)
+
+    def set_back(self) -> str:
+        """Say that it was, or nothing."""
+        self.look()
+        what = f"; the system's clock was set back by {self._back:.0f} s meanwhile, and Fast DDS waits by it"
+        return what if self._back > 1.0 else ""
+
+    @staticmethod
+    def _ahead() -> float:
+        return time.time() - time.monotonic()
+
+
+def idle(states: Mapping[str, Mapping[str, Any]]) -> str:
+    """Say that a run has ended in order without one tick: in real time it may be over at once by its clocks."""
+    if any(state.get("ticks") for state in states.values()):
+        return ""
+    return "all nodes have ended, and none of them has said a tick"
+
+
+def _mute(states: Mapping[str, Mapping[str, Any]], patience: float) -> str:
+    """Name the nodes that have said nothing yet; empty without any."""
+    names = ", ".join(name for name, state in states.items() if not state)
+    return f"node {names} has said nothing of itself within {patience:g} s of its start" if names else ""
+
+
+def _asleep(children: list[Child]) -> str:
+    """Name the nodes whose processes are held; empty without any."""
+    names = ", ".join(c.member.name for c in children if is_held(c))
+    return f"node {names}: its process is stopped (SIGSTOP); it was waited for until the timeout" if names else ""
+
+
+def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> str:
+    """Say which node failed and why; a node that only waited for one that was itself waiting is not the cause."""
+    if not any((c.process.returncode or 0) < 0 for c in failed):
+        deadline = time.monotonic() + GRACE
+        while time.monotonic() < deadline and any(c.process.poll() is None for c in children):
+            time.sleep(0.02)
+        # on a busy host one that has said why takes its time to end, and is the cause all the same
+        failed = [
+            c for c in children if c.process.poll() not in (None, 0) or read_status(c.status).get("state") == "failed"
+        ]
+    # a container fails as one, but some of its nodes may have finished before
+    failed = [c for c in failed if read_status(c.status).get("state") != "done"] or failed
+    waits = {c.member.name: read_status(c.status).get("waits_for", []) for c in failed}
+    held = _asleep([c for c in children if any(c.member.name in names for names in waits.values())])
+    if held and all(waits.values()):
+        return held
+    causes = blamed(waits)
+    texts = []
+    for child in (c for c in failed if c.member.name in causes):
+        code = child.process.returncode or 0
+        name = child.member.name
+        if code < 0:
+            t = read_status(child.status).get("t", 0) / 1e9
+            killed = f"node {name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s"
+            texts.append(killed + restarts.why(child.member))
+        else:
+            said = read_status(child.status).get("error")
+            told = f"{name}: {said}" if said else last_line(child.log)
+            texts.append(f"node {told or f'{name} ended with status {code}'}")
+    return "; ".join(texts)
+
+
+def blamed(waits: Mapping[str, Sequence[str]]) -> list[str]:
+    """Give the nodes whose errors tell the cause: those that waited for none, or for one that has not failed.
+
+    Parameters
+    ----------
+    waits : by node name
+        For whom each node that failed waited.
+    """
+    causes = [n for n, senders in waits.items() if not all(sender in waits for sender in senders) or not senders]
+    return causes or list(waits)[:1]

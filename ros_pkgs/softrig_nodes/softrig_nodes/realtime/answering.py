@@ -1,0 +1,155 @@
+"""When a law in real time answers: once all that is due at a tick has come, or some time after the first of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from softrig_core.block.block import Level
+
+from .live import KEPT, Live, LiveSenders
+
+
+class Answering:
+    """The ticks of a law that have begun.
+
+    Parameters
+    ----------
+    table : LiveSenders
+    answer : callable
+        Gets the time of the tick that is to be answered now, ns from t = 0.
+    """
+
+    def __init__(self, table: LiveSenders, answer: Callable[[int], object]) -> None:
+        self._node = node = table.node
+        self._table, self._answer = table, answer
+        self.missed = 0
+        self.incomplete = 0
+        self.dropped = 0
+        self._pending: deque[int] = deque()  # stamps of ticks that have begun, oldest first
+        self._following = -1  # stamp of the tick after the newest one that has begun
+        self._refusals: list[Live] = []  # whose tick has not been answered
+        self._complete = 0  # so many of the awaited inputs are there for the oldest pending tick
+        self._last_stamp: int | None = None
+        self._unarmed = False  # whether the oldest pending tick has no limit yet
+        self._period = node.schedule.time(1)
+        self._patience = round(node.options.patience * self._period)
+        self._required = [f for f in table.rows if f.awaited]
+        self.awaited = [*self._required, *(f for f in table.rows if f.expected)]
+        self._used = [f for f in table.rows if f.awaited or f.paired or not f.port.held]
+        self._deadline = node.middleware.timer(1_000_000_000, self._give_up)
+        self._deadline.cancel()
+
+    def take(self, row: Live, stamp: int, due: int, value: object, now: int) -> None:
+        """A good message of the tick that `due` belongs to has come."""
+        if row.awaited:
+            if due >= self._following:
+                self._begin(due)
+        elif not row.paired and row.port.held:
+            self._node.values[row.name] = value
+
+    def excuse(self, row: Live, due: int, now: int) -> None:
+        """A bad one has."""
+        if not self._node.epoch:
+            return
+        row.excuse(due, now)
+        if row not in self._refusals and (row.awaited or not row.port.held):
+            self._refusals.append(row)
+        if row.awaited and due >= self._following:
+            self._begin(due)
+
+    def _begin(self, due: int) -> None:
+        """The tick that `due` belongs to is to be answered."""
+        node = self._node
+        stamp = self._table.grid_time(due)
+        if stamp >= node.epoch:
+            self._following = node.epoch + node.schedule.next(stamp - node.epoch)
+            self._unarmed = self._unarmed or not self._pending
+            self._pending.append(stamp)
+
+    def act(self) -> None:
+        """Answer what is complete, set the limit for the rest."""
+        if self._pending:
+            self._answer_complete()
+
+    def _answer_complete(self) -> None:
+        """Answer pending ticks, oldest first, as long as all that is due has come."""
+        node, awaited, pending = self._node, self.awaited, self._pending
+        if len(pending) > 1:
+            self._drop()
+        while pending and node.state == "running":
+            stamp = pending[0]
+            for k in range(self._complete, len(awaited)):
+                row = awaited[k]
+                if (row.stamp == stamp and not row.by_arrival) or stamp < row.holds:
+                    continue  # nearly always
+                if row.lacks(stamp):
+                    self._complete = k
+                    if self._unarmed:
+                        self._unarmed = False
+                        self._deadline.again(self._patience)
+                    return
+            self._complete = 0
+            self._say(pending.popleft())
+            if pending and not self._unarmed:  # the limit that runs was that of the tick before
+                self._deadline.cancel()
+                self._unarmed = True
+        if self._unarmed:
+            self._unarmed = False
+        else:
+            self._deadline.cancel()
+
+    def _drop(self) -> None:
+        """Forget ticks that are older than the window, or than what is kept: the law is far behind."""
+        kept = [f.recent[0][0] for f in self._required if len(f.recent) == KEPT and not f.by_arrival]
+        oldest, before = max([self._table.clock() - self._table.window, *kept]), self.dropped
+        while len(self._pending) > 1 and self._pending[0] < oldest:
+            self._pending.popleft()
+            self._complete = 0
+            self.dropped += 1
+        if self.dropped > before:
+            text = f"{self.dropped} ticks dropped: the law is too slow, or was held"
+            self._node.block.note(Level.ERROR, "dropped", text)
+
+    def _give_up(self) -> None:
+        """The oldest tick has waited long enough: answer with what is there."""
+        node = self._node
+        self._deadline.cancel()
+        if not self._pending or node.state != "running":
+            return
+        stamp = self._pending.popleft()
+        self._complete = 0
+        if all(f.ready(stamp) for f in self._required):  # else it lies before the first message
+            self.incomplete += 1
+            lacking = [f for f in self.awaited if not f.complete(stamp)]
+            for row in lacking:
+                row.expected = False
+            topics = ", ".join(f.port.topic for f in lacking)
+            node.block.note(Level.WARN, "incomplete", f"answered without what was due on {topics}")
+            self._say(stamp)
+        elif not self._pending:
+            self._following = stamp  # it may begin again
+        self._answer_complete()
+        if self._pending:
+            self._deadline.again(self._patience)
+
+    def _say(self, stamp: int) -> None:
+        """Answer the tick of a stamp with the newest values up to it."""
+        node, now = self._node, self._table.clock()
+        last, self._last_stamp = self._last_stamp, stamp
+        missed = 0
+        if last is not None and stamp - last > self._period + 1:
+            missed = node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1
+            self.missed += missed
+        for row in self._used:
+            if (value := row.take(stamp)) is not None:
+                node.values[row.name] = value
+            if row.awaited:
+                row.silent(now)
+        if self._refusals:
+            for row in self._refusals:
+                if row.bad is not None and row.bad <= stamp:
+                    node.step.bad, row.bad = True, None
+            self._refusals = [row for row in self._refusals if row.bad is not None]
+        node.block.unanswered = missed
+        self._answer(stamp - node.epoch)

@@ -1,0 +1,80 @@
+"""The ticks of nodes of one process that read only each other, in real time: at each all that are due answer in order.
+
+They need not wait for messages: what one says is in the inputs of the others before these answer, as in process.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from softrig_core.block.schedule import Schedule
+from softrig_core.block.step import Step
+from softrig_core.timebase import SECOND
+
+from .live import Live
+from .realtime import SOON, Realtime, newest
+
+BEHIND = SECOND // 20  # ns; who is further behind leaves ticks out
+
+
+class Beat:
+    """Says the ticks of some nodes by one timer.
+
+    Parameters
+    ----------
+    drives : sequence of Realtime
+        Plants first, then each after those that it reads, which are all among them.
+    commands : sequence of (step, Live, plant)
+        What the plants read, and whose it is.
+    """
+
+    def __init__(self, drives: Sequence[Realtime], commands: Sequence[tuple[Step, Live, Realtime]]) -> None:
+        self._drives, self._commands = drives, commands
+        schedule = drives[0].node.schedule
+        stride = math.gcd(*(d.node.schedule.every for d in drives))
+        self._grid = Schedule(schedule.clock * stride)
+        self._members = [(d, d.node.schedule.every // stride) for d in drives]
+        self._number = -1
+        self._timer = drives[0].node.middleware.timer(SOON, self._tick)
+        self._timer.cancel()
+        for drive in drives:
+            drive.follow(self._begin)
+
+    def _begin(self) -> None:
+        """Beat when all nodes run."""
+        if all(d.node.state == "running" for d in self._drives):
+            self._timer.again(SOON)
+
+    def _tick(self) -> None:
+        """Have those answer that are due; who is late does so first, with what was said before."""
+        first, grid = self._drives[0], self._grid
+        if first.node.state != "running" and not any(d.node.state == "running" for d in self._drives):
+            self._timer.cancel()
+            return
+        now, epoch = first.clock(), first.node.epoch
+        t = newest(self._timer, grid, now - epoch)
+        number = grid.tick(t)
+        if number <= self._number:
+            return
+        if t - grid.time(self._number + 1) <= BEHIND:  # late, but in order: what is said is what it would have been
+            for k in range(self._number + 1, number):
+                self._say(k, grid.time(k), first.clock())
+        else:
+            for drive in self._drives:
+                schedule = drive.node.schedule
+                if (own := schedule.held(t)) < t:
+                    drive.tick(schedule.tick(own), own, now)
+        self._say(number, t, first.clock())
+
+    def _say(self, number: int, t: int, now: int) -> None:
+        """Have those answer who are due at a tick."""
+        self._number = number
+        for drive, every in self._members:
+            if number % every == 0:
+                drive.tick(number // every, t, now)
+        now = self._drives[0].clock()
+        for law, command, plant in self._commands:
+            if law.t == t:
+                command.fed(now)
+                plant.commanded(plant.node.epoch + t, now)

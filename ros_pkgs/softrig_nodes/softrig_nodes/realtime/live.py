@@ -1,0 +1,374 @@
+"""The table of senders in real time: the newest messages of each, and whether those of a tick are there."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from softrig_core.block.answer import Row
+from softrig_core.block.block import Block, Level
+from softrig_core.block.codec import readable_stamp
+from softrig_core.block.fill import Pick, picked
+from softrig_core.block.port import Port, Refused, Sample
+from softrig_core.timebase import SECOND, to_ns
+
+from ..adapter.adapter import Adapter
+from ..adapter.sender import Sender
+from .rivals import Rivals
+
+KEPT = 64  # messages of a faster sender that may come before our tick is complete
+GONE = SECOND  # of several writers one may be late for so long without another one being believed
+
+
+class LiveSenders:
+    """Who sends to a node in real time.
+
+    Parameters
+    ----------
+    node : Adapter
+    clock : callable
+        Gives the wall-clock time, ns.
+
+    Attributes
+    ----------
+    rows : list of Live
+    stale : set of str
+        Inputs whose senders have been silent for too long.
+    window : int
+        ns from now within which a stamp is believed.
+    least : int
+        ns after which a sender may be stale.
+    watchdog : int
+        ns after which a command is; 0: so many intervals of its sender.
+    unrecorded : list of (due, number, message)
+        What has come from outside and no tick has used: it is recorded at the first one that is not before `due`, ns.
+    take : callable
+        Gets (row, stamp, time of the tick that it belongs to, value, now) of each good message.
+    excuse : callable
+        Gets (row, time of its tick, now) of each bad one whose tick is known.
+    act : callable
+        Does what is to be done once all that has come together has been taken or excused.
+    """
+
+    take: Callable[[Live, int, int, Any, int], object]
+    excuse: Callable[[Live, int, int], object]
+    act: Callable[[], object]
+
+    def __init__(self, node: Adapter, clock: Callable[[], int]) -> None:
+        self.node = node
+        self.clock = clock
+        self.rows: list[Live] = []
+        self.stale: set[str] = set()
+        self.unrecorded: list[tuple[int, int, bytes]] = []
+        self.window = to_ns(node.options.stamp_window)
+        self.watchdog = to_ns(node.options.watchdog) if node.is_plant else 0
+        self.least = self.watchdog or node.schedule.time(node.block.STALE_PERIODS)
+
+    def row(self, port: Port, kind: type[Live]) -> Live:
+        """Make the row of an input."""
+        row = kind(self, port)
+        self.rows.append(row)
+        self.node.step.stamps[port.name] = row.held_stamp
+        return row
+
+    def record(self, stamp: int) -> None:
+        """Record what the tick of a stamp uses, with that stamp: at it a repetition must bring the same."""
+        sink = self.node.sink
+        if sink is not None:
+            for due, number, data in self.unrecorded:
+                if due <= stamp:
+                    sink.add(number, stamp, data)
+            self.unrecorded = [entry for entry in self.unrecorded if entry[0] > stamp]
+
+    def believe(self, stamp: int, delayed: bool = False) -> None:
+        """Make sure that a stamp is near enough to now.
+
+        Raises
+        ------
+        Refused
+            It is not.
+        """
+        off = stamp - self.clock()
+        if off > self.window or (-off > self.window and not delayed):
+            most = f"expected at most {self.window / SECOND:g} s"
+            raise Refused(f"stamp is {off / SECOND:+.3g} s from now, {most}")
+
+    def grid_time(self, now: int) -> int:
+        """Give the newest tick of ours at a time, both in ns of the wall clock."""
+        epoch = self.node.epoch
+        return epoch + self.node.schedule.held(now - epoch)
+
+
+class Live(Sender):
+    """A sender whose newest messages count.
+
+    Parameters
+    ----------
+    table : LiveSenders
+    port : Port
+
+    Attributes
+    ----------
+    schedule : Schedule or None
+        Of the sender, when the rig says who it is; otherwise its interval is learned from its stamps.
+    awaited : bool
+        Whether a tick waits for it: required, and the sender is never silent or says when it was.
+    by_arrival : bool
+        Whether its messages belong to the tick at which they come: they do not say of which they are.
+    paired : bool
+        Whether a node of the rig sends it: its value at a tick is then the newest stamped up to there, as in lockstep.
+    expected : bool
+        Whether a law waits for it although it is optional: it is paired and its sender speaks at each of its ticks. One
+        that has been waited for in vain is expected again when it has come.
+    answered : int
+        Stamp of the newest tick that has used it, ns.
+    stamp : int or None
+        Of the newest message, ns since the Unix epoch.
+    arrived : int or None
+        Wall-clock time at which it came.
+    fresh : bool
+        Whether something has come since the last answer.
+    bad : int or None
+        Stamp of a refused message.
+    recent : deque of (stamp, value)
+        The newest messages; those that no tick needs any more fall out when it is full.
+    holds : int
+        For ticks stamped before it what is due is there.
+    """
+
+    def __init__(self, table: LiveSenders, port: Port) -> None:
+        node = table.node
+        link = node.links.inputs.get(port.name)
+        super().__init__(node, port, link.node if link else "another node")
+        self.table = table
+        self.schedule = node.peer(link) if link else None
+        untold = link is None or not link.told
+        silent = untold and (port.sporadic or (link is not None and link.sporadic) or port.name in node.links.free)
+        self.awaited = not port.held and not silent
+        at_tick = link is not None and not link.delayed
+        self.by_arrival = not port.stamped or (port.delayed and not at_tick)
+        self.paired = link is not None and not self.by_arrival
+        self._optional = self.expected = self.paired and not self.awaited and not silent
+        self.answered = -1
+        self.arrived: int | None = None
+        self.fresh = False
+        self.bad: int | None = None
+        self.recent: deque[tuple[int, Any]] = deque(maxlen=KEPT)
+        self.holds = 0
+        self._used: int | None = None  # stamp of the value that the last tick used
+        self._interval = 0 if self.schedule is None else self.schedule.time(1)
+        self._rivals = Rivals()
+        if self.awaited and untold:
+            self.numbered = self._numbered
+
+    # what has come -------------------------------------------------------------------------------------------------
+
+    def receive(self, data: bytes) -> None:
+        """Take the bytes of a message, and do what they make due."""
+        super().receive(data)
+        self.table.act()
+
+    def _numbered(self, number: int | None) -> None:
+        """Who should speak at each tick and has been silent for too long does not keep another from being believed."""
+        if self.outside < 2:
+            return
+        before, silence = self._rivals.alone, max(self._silence(), GONE)
+        self._rivals.hear(number, self.table.clock(), silence)
+        if self._rivals.alone and not before and not self.local:
+            text = f"of {self.publishers} publishers one alone has spoken for {silence / SECOND:g} s: it is believed"
+            self.node.block.note(Level.WARN, f"rivals {self.port.topic}", text)
+
+    @property
+    def disputed(self) -> bool:
+        """Whether several write it of whom nobody knows whom to believe."""
+        return self.publishers > 1 and (self.local or not self._rivals.alone)
+
+    def deaf(self) -> bool:
+        """Whether no message counts: not before the start, and of two publishers neither is believed."""
+        return self._refuses() or self.node.state != "running"
+
+    def read(self, data: bytes) -> tuple[int, Any]:
+        """Give stamp and values; a stamp of 0 means: no stamp, now."""
+        stamp, values = self.decode(data)
+        if self.port.stamped and stamp:
+            self.table.believe(stamp, self.port.delayed)
+        return stamp, values
+
+    def spoilt(self, data: bytes) -> None:
+        """It counts as that of its tick, which the block then answers by `Block.refused`."""
+        table, now = self.table, self.table.clock()
+        if self.node.is_plant:
+            return
+        stamp = 0 if self.by_arrival else readable_stamp(data) or 0
+        if not stamp or abs(stamp - now) <= table.window:  # else nobody knows of which tick it is
+            table.excuse(self, stamp or table.grid_time(now), now)
+
+    def came(self, stamp: int, found: Any, data: bytes) -> None:
+        """Keep it by its stamp; one that comes after a newer one, or twice, is left out: the newest stamp counts."""
+        if not (self.port.stamped or self.in_order(stamp)):
+            return
+        now = self.table.clock()
+        # A delayed message tells when it was measured, one without a stamp nothing: the answer is due now.
+        due = stamp if stamp and not self.by_arrival else self.table.grid_time(now)
+        self._begin(due)
+        if self._number is not None:
+            used_at_once = self.port.held and not self.paired
+            self.table.unrecorded.append((0 if used_at_once else due, self._number, data))
+        self._keep(stamp, due, self.value(stamp, found), now)
+
+    def teller(self, pick: Pick | None, unchecked: bool) -> Callable[[int, Row | None, int], None]:
+        """Give what takes the rows of a node of this process, checked by who says them or not: stamp, row, now."""
+        delayed = self.port.delayed
+
+        def tell(stamp: int, row: Row | None, now: int) -> None:
+            if row is None:
+                self.told(stamp, False)
+                return
+            if self.outside and self._refuses():
+                return
+            sampled, values = row if isinstance(row, Sample) else (stamp - self.node.epoch, row)
+            values = picked(pick, values)
+            if not self.node.epoch:
+                self._begin(stamp)
+            due = self.table.grid_time(now) if self.by_arrival else stamp
+            if unchecked and (reason := self.port.beyond(values)):
+                self.node.refuse(self, reason)
+                if not self.node.is_plant:
+                    self.table.excuse(self, due, now)
+                return
+            self._keep(stamp, due, Sample(sampled, values) if delayed else values, now)
+
+        return tell
+
+    def fed(self, now: int) -> None:
+        """A neighbour has put something into the input."""
+        self.arrived = now
+        if self.table.stale:
+            self._recovered()
+
+    def told(self, stamp: int, spoke: bool) -> None:
+        """The sender has answered a tick, and spoken or not: nobody waits for that here."""
+
+    def _begin(self, stamp: int) -> None:
+        """By hand a law's t = 0 is the tick of the first message."""
+        node = self.node
+        if not node.epoch and not node.is_plant:
+            node.epoch = node.schedule.held(stamp)
+
+    def _keep(self, stamp: int, due: int, value: Any, now: int) -> None:
+        newest = self.stamp
+        if newest is None or due > newest:
+            if self.schedule is None and newest is not None:
+                self._interval = due - newest
+            self.stamp = due
+        elif stamp > 0 and not self.by_arrival and due != self.bad:
+            self.late += 1
+            return
+        self.arrived = now
+        self.fresh = True
+        self.expected = self._optional
+        self.recent.append((due, value))
+        if due <= self.answered and self.paired:
+            self.overdue += 1
+        if self.table.stale:
+            self._recovered()
+        self.table.take(self, stamp, due, value, now)
+
+    def excuse(self, stamp: int, now: int) -> None:
+        """Note a refused message: its tick need not wait for another."""
+        self.stamp = stamp if self.stamp is None else max(stamp, self.stamp)
+        self.arrived = now
+        self.fresh = True
+        self.bad = stamp
+
+    # what a tick needs ---------------------------------------------------------------------------------------------
+
+    def lacks(self, stamp: int) -> bool:
+        """Whether something that the tick of a stamp waits for is not there."""
+        return not (self.complete(stamp) and (self.ready(stamp) or not self.awaited))
+
+    def complete(self, stamp: int) -> bool:
+        """Whether what is due at the tick of a stamp is there."""
+        epoch, period = self.node.epoch, self.node.schedule.time(1)
+        if not self.awaited and not self.expected:
+            return True
+        if self.stamp is None:
+            return False
+        if self.by_arrival:
+            return self.fresh or self._interval > period
+        if self.schedule is not None:
+            there = self.stamp >= epoch + self.schedule.held(stamp - epoch)
+            if there and self.ready(stamp):
+                self.holds = epoch + self.schedule.next(stamp - epoch)
+            return there
+        # by hand: a sender whose interval is not known yet is not waited for
+        return self._interval == 0 or stamp - self.stamp < self._interval - 2 - period // 1000
+
+    def ready(self, stamp: int) -> bool:
+        """Whether there is a value for the tick of a stamp."""
+        return bool(self.recent) and (self.by_arrival or self.recent[0][0] <= stamp)
+
+    def take(self, stamp: int) -> Any:
+        """Give the value of the tick of a stamp: the newest one not after it; None when there is none."""
+        self.fresh = False
+        self.answered = stamp
+        recent = self.recent
+        if self.by_arrival:
+            stamp = max(stamp, self.stamp or 0)
+        while len(recent) > 1 and recent[1][0] <= stamp:
+            recent.popleft()
+        if not recent or recent[0][0] > stamp:
+            return None
+        self._used = recent[0][0]
+        return recent[0][1]
+
+    def held_stamp(self) -> int | None:
+        """Give the stamp of what the block gets, ns from its t = 0."""
+        stamp = self._used if self._used is not None else self.stamp
+        return None if stamp is None else stamp - self.node.epoch
+
+    # silence, and too many -----------------------------------------------------------------------------------------
+
+    def silent(self, now: int) -> bool:
+        """Whether the sender has been silent for too long; reports it once."""
+        node, table = self.node, self.table
+        if self.arrived is None or now - self.arrived <= table.least:
+            return False
+        limit = self._silence()
+        if now - self.arrived <= limit:
+            return False
+        if self.name not in table.stale:
+            table.stale.add(self.name)
+            kind, rest = ("command", "safe input") if node.is_plant else ("message", "the last one is held")
+            text = f"no {kind} on {self.port.topic} for {limit / SECOND:g} s: {rest}"
+            node.block.note(Level.ERROR, f"stale {self.port.topic}", text)
+        return True
+
+    def _silence(self) -> int:
+        """Give the longest silence that is not too long, ns."""
+        node, table = self.node, self.table
+        learned = self.schedule is not None or not node.is_plant
+        slower = min(Block.STALE_PERIODS, node.block.STALE_PERIODS) * self._interval
+        return table.watchdog or max(table.least, slower if learned else 0)
+
+    def _recovered(self) -> None:
+        if self.name in self.table.stale:
+            self.table.stale.discard(self.name)
+            what = "commands are" if self.node.is_plant else "messages are"
+            self.node.block.note(Level.WARN, f"recovered {self.port.topic}", f"{what} back")
+
+    def on_matched(self) -> None:
+        """Two publishers on one input: neither is believed until one of them has gone, or has been silent for long."""
+        self._rivals.change()
+        if not self.port.held and self._refuses():
+            self.node.values[self.name] = self.port.safe
+            self.arrived = None
+
+    def _refuses(self) -> bool:
+        if not self.disputed:
+            return False
+        middleware = self.node.middleware
+        who = ", ".join(sorted({p.name for p in middleware.publishers(middleware.resolve(self.port.topic))}))
+        self.node.refuse(self, f"{self.publishers} publishers at once ({who}), expected one")
+        return True

@@ -1,0 +1,392 @@
+"""Realtime: a node against the wall clock, for people, hardware and other people's nodes.
+
+Stamps are ROS time: t_k = k * period counted from the Unix epoch, so all nodes of a host tick on one grid. A plant
+moves by its timer and holds the newest command. A source has a timer. A block with required inputs answers a tick when
+all of them that are due at its stamp are there, or, a stated part of its period after the first, with what it has.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Set
+from functools import partial
+from typing import Any
+
+from softrig_core.block.answer import Row
+from softrig_core.block.block import Level, Plant
+from softrig_core.block.fill import Pick
+from softrig_core.block.link import Link, Rows
+from softrig_core.block.port import Port
+from softrig_core.block.schedule import Schedule
+from softrig_core.errors import RunError
+from softrig_core.timebase import SECOND
+
+from ..adapter.adapter import Adapter
+from ..adapter.departure import Departure
+from ..adapter.handshake import Handshake
+from ..seam.endpoint import Input, Output
+from ..seam.health import percentiles
+from ..seam.middleware import Timer
+from .answering import Answering
+from .gathering import gather
+from .live import Live, LiveSenders
+from .sporadic import Sporadic, listen
+from .stand import Stand
+
+AGAIN = 10.0  # s between two times that a silence which lasts is told
+SOON = SECOND // 1000  # ns from the beginning to the first look at the clock
+CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
+END_GRACE = SECOND  # a node that waits for a sender ends this much after the end of the run all the same
+
+
+class Realtime(Link):
+    """What makes the ticks of a node ready: the wall clock, and for a law the messages that are due.
+
+    Parameters
+    ----------
+    node : Adapter
+    """
+
+    status_every = 4  # a file takes longer than a tick
+
+    def __init__(self, node: Adapter) -> None:
+        self.node = node
+        self._started = node.middleware.now()
+        node.block.realtime = True
+        self.clock = node.middleware.now
+        self._stand = Stand(node, self._go_by)
+        self.senders = LiveSenders(node, self.now)
+        self._sent: deque[tuple[int, int]] = deque(maxlen=2 * node.block.STALE_PERIODS)  # stamp, when it went out
+        # the newest: they are sorted for each status file, between two ticks
+        self._round_trip: deque[int] = deque(maxlen=5_000)
+        self._lateness: deque[int] = deque(maxlen=5_000)
+        self._longest = self._latest = -CATCH_UP
+        self.tick_number = -1
+        self.skipped = 0
+        self._silence_told = 0.0
+        self._missed = self._late = 0
+        self._period = node.schedule.time(1)
+        self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
+        node.epoch = node.options.epoch
+        super().__init__(node.step)
+        gather(node.step)
+        node.begin(self)
+        self._commands = [f for f in self.senders.rows if f.awaited and node.is_plant]
+        block = node.block
+        self._idle = isinstance(block, Plant) and block.AWAITS_COMMAND and not node.options.links
+        self.senders.take, self.senders.excuse, self.senders.act = self._take, self._excuse, lambda: None
+        self._answering: Answering | None = None
+        self._paired: list[Live] = []  # what it takes by stamp; a law does when it answers
+        self._fed: list[Live] = []  # inputs that neighbours fill
+        self._rivals: list[Live] = []  # those of them that others write, too
+        self._begun: Callable[[], object] | None = None
+        self.departure: Departure | None = None
+
+    def tell(self, output: Output, reader: Realtime, row: Live, pick: Pick | None) -> None:
+        """Hand what an output says to a node of this process, too."""
+        self._told.setdefault(reader, []).append((output.number, row.teller(pick, output.port.unchecked)))
+
+    def follow(self, begun: Callable[[], object]) -> None:
+        """Take the ticks that a `Beat` says, which hears when it runs: its inputs are fed, nobody is waited for."""
+        self._begun = begun
+        self._fed = [f for f in self.senders.rows if f.local]
+
+    def _by_itself(self) -> Callable[[], object]:
+        """Answer when what is due has come, or go by a timer; gives what begins that."""
+        node, senders = self.node, self.senders
+        if not node.is_plant and any(f.awaited for f in senders.rows):
+            self._answering = answering = Answering(senders, self._answer)
+            senders.take, senders.excuse, senders.act = answering.take, answering.excuse, answering.act
+            return lambda: None
+        self._paired = [f for f in senders.rows if f.paired]
+        self._timer = node.middleware.timer(SOON, self._tick)
+        self._timer.cancel()
+        return lambda: self._timer.again(SOON)
+
+    def join(self, local: Set[str]) -> None:
+        """Begin, or wait for the others if t = 0 is to be said; `local` are the other nodes of this process."""
+        node = self.node
+        self._begun = self._begun or self._by_itself()
+        told = listen(self.senders, [r for r in self.senders.rows if isinstance(r, Sporadic) and r.who not in local])
+        if node.links.starter and not node.epoch:
+            readers, inputs = node.links.readers, node.links.inputs
+            wanted = [(o, list(readers.get(o.name, []))) for o in node.outputs]
+            awaited = [(i, inputs[i.name].node) for i in node.inputs if i.name in inputs]
+            awaited += [(i, i.who) for i in told]
+            wanted.append((node.tick_output, node.links.tells))
+            shake = Handshake(node, awaited, wanted, local)
+            self.departure = Departure(node, shake, local, self._begin_at, self._stand.hear)
+        else:
+            self._begin_at(node.epoch, 0)
+
+    # start and end ---------------------------------------------------------------------------------------------
+
+    def _begin_at(self, epoch: int, ahead: int) -> None:
+        """Run from now on; t = 0 is at `epoch`, or with the first tick when that is 0.
+
+        The clock of the rig is `ahead` of ours, ns.
+        """
+        if ahead:
+            self._stand.follow(ahead)
+            text = f"the clock of the rig is {ahead / SECOND:+.3f} s from this one: followed"
+            self.node.block.note(Level.WARN, "clock", text)
+        self.node.epoch = epoch
+        self.node.step.make()
+        self.node.state = "running"
+        self._silence_told = self.node.middleware.steady()
+        if self._idle:
+            topics = ", ".join(row.port.topic for row in self._commands)
+            self.node.middleware.log(Level.OK, f"stays at t = 0 until it is commanded on {topics}")
+        assert self._begun is not None
+        self._begun()
+        if self.node.pauses and self.departure is not None:
+            self._stand.serve(self.departure.say)
+
+    def progress(self) -> None:
+        """Tell a silence again while it lasts; end a node whose senders have ended before it, after the run."""
+        node = self.node
+        if self.departure is not None:
+            node.lacking = self.departure.handshake.lacking
+        if not node.ticks and self._answering is not None and node.state == "running":
+            self._tell_unheard()
+        if self.senders.stale and node.middleware.steady() > self._silence_told + AGAIN:
+            self._silence_told = node.middleware.steady()
+            for row in sorted(self.senders.rows, key=lambda row: row.name):
+                if row.name in self.senders.stale:
+                    node.middleware.log(Level.ERROR, node.block.reports[f"stale {row.port.topic}"][1])
+        end, begun = node.schedule.end, self._started if self._idle else node.epoch or self._started
+        if end is not None and node.state == "running" and self.now() > begun + end + END_GRACE:
+            node.finish()
+
+    def _tell_unheard(self) -> None:
+        """Name what a law has waited for in vain since it began although somebody publishes it."""
+        node, now = self.node, self.node.middleware.steady()
+        unheard = sorted(r.port.topic for r in self.senders.rows if r.awaited and r.stamp is None and r.publishers)
+        if not unheard:
+            self._silence_told = now
+        elif now > self._silence_told + AGAIN:
+            self._silence_told = now
+            text = f"has heard nothing on {', '.join(unheard)} for {AGAIN:g} s, which is published: no tick without it"
+            node.middleware.log(Level.ERROR, text)
+
+    def now(self) -> int:
+        """Wall-clock time."""
+        return self.clock()
+
+    def record(self, number: int, data: bytes) -> None:
+        """Record a message from outside at the tick that uses it."""
+        self.senders.unrecorded.append((0, number, data))
+
+    @property
+    def t(self) -> int:
+        """Time of the newest tick."""
+        return self.node.step.t
+
+    @property
+    def missed(self) -> int:
+        """Ticks that were not answered at their time."""
+        return self._missed if self._answering is None else self._answering.missed
+
+    @property
+    def incomplete(self) -> int:
+        """Ticks that were answered without all that was due."""
+        return 0 if self._answering is None else self._answering.incomplete
+
+    def _go_by(self, clock: Callable[[], int]) -> None:
+        self.clock = clock
+
+    def busy(self) -> bool:
+        """Whether somebody holds the clock of the rig."""
+        return self.node.hold.held
+
+    # messages --------------------------------------------------------------------------------------------------
+
+    def row(self, port: Port) -> Live:
+        """Make the row of an input: it keeps the good values by stamp; what is due makes a block answer."""
+        link = self.node.links.inputs.get(port.name)
+        return self.senders.row(port, Sporadic if link is not None and link.told else Live)
+
+    def on_matched(self, item: Input) -> None:
+        """Two publishers on one input: neither is believed until one of them has gone, or has been silent for long."""
+        assert isinstance(item, Live)
+        item.on_matched()
+        self._rivals = [f for f in self._fed if f.outside]
+
+    def _take(self, row: Live, stamp: int, due: int, value: Any, now: int) -> None:
+        if not row.paired:
+            self.node.values[row.name] = value
+        self.commanded(stamp, now)
+
+    def commanded(self, stamp: int, now: int) -> None:
+        """The command of a plant's tick is there."""
+        for said, sent in reversed(self._sent):
+            if said <= stamp:
+                if said == stamp:
+                    self._round_trip.append(now - sent)
+                    self._longest = max(self._longest, now - sent)
+                return
+
+    def _excuse(self, row: Live, due: int, now: int) -> None:
+        self.node.step.bad = True
+
+    def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
+        """Publish, and have the readers of this process hear it when what is under way has returned."""
+        node = self.node
+        node.publish(t, rows, numbers)
+        stamp = node.epoch + t
+        for reader, parts in self._told.items():
+            node.middleware.post(partial(reader.hear, parts, stamp, rows))
+
+    def changed(self, t: int, values: Mapping[str, Any]) -> None:
+        """Record new parameters."""
+        self.node.record_change(t, values)
+
+    def hear(self, parts: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows) -> None:
+        """Take what a node of this process says at a tick: all of it, before any of it makes this one answer."""
+        if self.node.state != "running":
+            return
+        now = self.clock()
+        for k, tell in parts:
+            tell(stamp, rows[k], now)
+        self.senders.act()
+
+    # ticks -----------------------------------------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        """Take the newest tick by the timer of a plant or a source."""
+        node, schedule = self.node, self.node.schedule
+        if node.state != "running":
+            self._timer.cancel()
+            return
+        now = self.clock()
+        # The first tick is the next point of the grid, or the common start that the runner gave.
+        node.epoch = node.epoch or schedule.next(now)
+        self._idle = self._idle and any(row.stamp is None for row in self._commands)
+        if self._idle:  # what it says at t = 0, again and again
+            node.epoch, self.tick_number = schedule.held(now), -1
+        due = newest(self._timer, schedule, now - node.epoch)
+        self.tick(schedule.tick(due), due, now)
+
+    def tick(self, number: int, due: int, now: int) -> None:
+        """Move a plant, or let another node speak, at its newest tick: its number and time (ns from t = 0), now."""
+        node, end = self.node, self.node.schedule.end
+        if end is not None and due > end:  # it was held over the end of the run
+            due = node.schedule.held(end)
+            number = node.schedule.tick(due)
+            if number <= self.tick_number:
+                node.finish()
+        if number <= self.tick_number or node.state != "running":
+            return
+        if self._rivals and any(f.deaf() for f in self._rivals) and not node.is_plant:
+            return  # neither of two publishers is believed
+        late = now - node.epoch - due
+        self._lateness.append(late)
+        if late > self._latest:
+            self._latest = late
+        if late >= self._period:
+            self._late += 1
+        behind = number - self.tick_number if self.tick_number >= 0 else 0
+        unanswered = max(behind - 1, 0)
+        if behind > 1:
+            self._missed += behind - 1
+            if node.schedule.time(behind) > CATCH_UP:
+                self.skipped += behind - 1
+                behind = 1
+        self.tick_number = number
+        if not node.is_plant:
+            node.block.unanswered = unanswered
+            self._answer(due)
+            return
+        try:
+            for k in range(number - behind, number):
+                t = node.schedule.time(k)
+                self._use(t)
+                node.step.advance(t, self._fresh_inputs(node.epoch + node.schedule.time(k + 1)))
+            node.step.say(due)
+        except RunError as error:
+            node.broke(error)
+            return
+        self._sent.append((node.epoch + due, self.clock()))
+        self._ticked(due)
+
+    def _use(self, t: int) -> None:
+        """Have the values of tick `t`, and record those from outside."""
+        if self._paired or self.senders.unrecorded:
+            stamp = self.node.epoch + t
+            for row in self._paired:
+                if (value := row.take(stamp)) is not None:
+                    self.node.values[row.name] = value
+            if self.senders.unrecorded:
+                self.senders.record(stamp)
+
+    def _fresh_inputs(self, now: int) -> dict[str, Any]:
+        """Live commands; the safe value in place of one that is stale at the time of a tick, said late or not."""
+        inputs = self.node.values
+        for row in self._commands:
+            if row.disputed or row.silent(now):
+                inputs = inputs | {row.name: row.port.safe}
+        return inputs
+
+    def _answer(self, t: int) -> None:
+        """Publish the answer of tick `t`; the safe values when the law overflows or gives what nobody may send."""
+        node, step = self.node, self.node.step
+        self._use(t)
+        try:
+            step.say(t)
+        except RunError as error:
+            if not isinstance(error.__cause__, ArithmeticError | ValueError | None):
+                node.broke(error)  # a mistake in its code
+                return
+            text = str(error).removeprefix(f"{step.name}: ")
+            node.block.note(Level.ERROR, "failed", f"{text}; safe output")
+            step.said = {}
+            step.hand_on(t, step.checked(step.held()))
+        self._ticked(t)
+
+    def _ticked(self, t: int) -> None:
+        node = self.node
+        node.ticks += 1
+        if node.buttons.pressed:
+            node.buttons.release()
+        if node.schedule.end is not None and t >= node.schedule.end:
+            node.finish()
+
+    def counts(self) -> dict[str, int]:
+        """Missed deadlines, incomplete and dropped ticks, lost and late messages so far."""
+        figures: dict[str, Any] = {"missed_deadlines": self.missed}
+        if self._answering is not None:
+            figures["incomplete_ticks"] = self._answering.incomplete
+            if self._answering.dropped:
+                figures["dropped_ticks"] = self._answering.dropped
+        if self.skipped:
+            figures["skipped_periods"] = self.skipped
+        for key, count in (("lost_arrays", "lost"), ("late_messages", "late"), ("overdue_messages", "overdue")):
+            if number := sum(getattr(item, count) for item in self.node.inputs):
+                figures[key] = number
+        return figures
+
+    def native(self) -> dict[str, Any]:
+        """Native code answers none of its ticks."""
+        return {}
+
+    def statistics(self) -> dict[str, Any]:
+        """Give the counts, ticks begun when the next was due, lateness and round trip from output to command in ms.
+
+        The largest is of all ticks, the percentiles are of the newest.
+        """
+        figures: dict[str, Any] = {**self.counts()} | ({"late_ticks": self._late} if self._late else {})
+        figures |= percentiles("lateness", self._lateness, self._latest)
+        figures |= percentiles("round_trip", self._round_trip, self._longest)
+        if self._lateness:
+            figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]
+        return figures
+
+
+def newest(timer: Timer, schedule: Schedule, t: int) -> int:
+    """Give the newest tick at a time t (both ns from t = 0), and have the timer fire at the next one.
+
+    It is aimed at that point of the wall clock's grid each time, so that no error adds up.
+    """
+    due = schedule.held(t)
+    timer.again(schedule.next(due) - t, schedule.time(1))
+    return due

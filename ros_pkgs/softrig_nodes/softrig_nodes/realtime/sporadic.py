@@ -1,0 +1,118 @@
+"""A sender in real time that may be silent: what it says of its ticks tells at which, so that a law can wait for it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Iterable, Sequence
+
+from softrig_core.block.port import Port
+
+from ..adapter.sender import Sender
+from ..seam.tick import TICK, TickReader
+from .live import KEPT, Live, LiveSenders
+
+
+class Sporadic(Live):
+    """A row of a law that is told at which of its ticks the sender was silent.
+
+    What comes on the topic and what tells of silence overtake each other: what is said to have been sent is waited for.
+    """
+
+    def __init__(self, table: LiveSenders, port: Port) -> None:
+        super().__init__(table, port)
+        self._told = -1  # stamp of the newest tick of the sender of which we know whether it spoke
+        self._sent: deque[int] = deque(maxlen=KEPT)  # stamps of what has been sent and has not come
+
+    def told(self, stamp: int, spoke: bool) -> None:
+        """The sender has answered the tick of a stamp, and said something on this topic or not."""
+        if self.deaf() or stamp <= self._told:
+            return
+        self._begin(stamp)
+        self._told = stamp
+        if spoke:
+            self._sent.append(stamp)
+            return
+        now = self.table.clock()
+        self.arrived = now
+        self.expected = self._optional
+        if self.table.stale:
+            self._recovered()
+        self.table.take(self, stamp, stamp, None, now)
+
+    def complete(self, stamp: int) -> bool:
+        """Whether the sender has spoken or was silent at what is due at the tick of a stamp."""
+        if not self.awaited and not self.expected:
+            return True
+        assert self.schedule is not None
+        t = stamp - self.node.epoch
+        want = self.node.epoch + self.schedule.awaited(t)
+        newest = -1 if self.stamp is None else self.stamp
+        while self._sent and self._sent[0] <= newest:
+            self._sent.popleft()
+        there = newest >= want or (self._told >= want and not (self._sent and self._sent[0] <= want))
+        if there:
+            self.holds = self.node.epoch + self.schedule.next(t)
+        return there
+
+    def ready(self, stamp: int) -> bool:
+        """There need not be a value: before the first one it is that of the port."""
+        return True
+
+    def take(self, stamp: int) -> object:
+        """Give the newest value up to a tick; what has been sent for it and has not come is waited for no more."""
+        while self._sent and self._sent[0] <= stamp:
+            self._sent.popleft()
+        return super().take(stamp)
+
+    def held_stamp(self) -> int | None:
+        """Give the stamp of what the block gets, ns from its t = 0; None before the first message is used."""
+        return None if self._used is None else self._used - self.node.epoch
+
+
+class Acknowledgements(Sender):
+    """What a node says of its ticks, for those of its ports that may be silent.
+
+    Parameters
+    ----------
+    table : LiveSenders
+    who : str
+        The node.
+    rows : sequence of (Sporadic, str)
+        What we read of it, and the name of its port.
+    """
+
+    def __init__(self, table: LiveSenders, who: str, rows: Sequence[tuple[Sporadic, str]]) -> None:
+        super().__init__(table.node, Port("stamp", f"{table.node.namespace}/{who}/tick", TICK), who)
+        self._table, self._rows, self._reader = table, rows, TickReader()
+
+    def deaf(self) -> bool:
+        """Before the start and after the end nothing counts."""
+        return self.node.state != "running"
+
+    def read(self, data: bytes) -> tuple[int, Collection[str]]:
+        """Give the stamp and the ports that have spoken."""
+        stamp, spoken = self._reader(data)
+        self._table.believe(stamp)
+        return stamp, spoken
+
+    def spoilt(self, data: bytes) -> None:
+        """Another one follows."""
+
+    def came(self, stamp: int, found: Collection[str], data: bytes) -> None:
+        """Tell the rows."""
+        for row, name in self._rows:
+            row.told(stamp, name in found)
+        self._table.act()
+
+
+def listen(table: LiveSenders, rows: Iterable[Sporadic]) -> list[Acknowledgements]:
+    """Read what the senders of some rows say of their ticks."""
+    node = table.node
+    by_sender: dict[str, list[tuple[Sporadic, str]]] = {}
+    for row in rows:
+        by_sender.setdefault(row.who, []).append((row, node.links.inputs[row.name].port))
+    found = [Acknowledgements(table, who, told) for who, told in by_sender.items()]
+    for one in found:
+        node.paces.append(one)
+        node.middleware.subscribe(one.port.topic, TICK, one.receive, one.matched)
+    return found

@@ -1,0 +1,77 @@
+"""The clock of a rig in real time that a person holds: all its nodes stand at one time, and go on from there.
+
+Their clocks stay at a time that is said some way ahead, and lag behind the wall's from then on by as long as they
+stood. Ticks, stamps and patience go by this clock, so nothing is late or stale for it. It is told with the start of the
+run (`node.adapter.departure`), as words: ``ahead=NS`` (of the wall's clock), ``from=NS`` and ``until=NS``, between
+which it stays. Hardware does not stand: a rig with a node that is not ours has no such clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from softrig_core.timebase import SECOND
+
+from ..adapter.adapter import Adapter
+
+LEAD = SECOND // 20  # from saying that the clock stands or goes on to when it does: as long as a message may take
+NEVER = 2**63 - 1
+
+
+class Stand:
+    """What holds the clock of a node.
+
+    Parameters
+    ----------
+    node : Adapter
+    goes_by : callable
+        Gets the clock that the node goes by from now on: a function that gives ns.
+    """
+
+    def __init__(self, node: Adapter, goes_by: Callable[[Callable[[], int]], object]) -> None:
+        self._node, self._goes_by = node, goes_by
+        self._own = self._clock = node.middleware.now
+        self._ahead, self._until = 0, NEVER
+        self._say: Callable[[Sequence[str]], object]
+
+    def follow(self, ns: int) -> None:
+        """Go by the clock of the rig, which is so far ahead of this host's."""
+        host = self._own
+        self._own = lambda: host() + ns
+        self._go_by(self._own)
+
+    def _go_by(self, clock: Callable[[], int]) -> None:
+        self._clock = clock
+        self._goes_by(clock)
+
+    def serve(self, say: Callable[[Sequence[str]], object]) -> None:
+        """Hold the rig when its node of the clock is asked to (`seam.hold`); `say` tells the others."""
+        self._say = say
+        node = self._node
+        node.hold.begin(node.middleware, self._turn)
+        if node.hold.held:
+            self._turn()
+
+    def hear(self, words: Iterable[str]) -> None:
+        """Stand, or go on, as is said."""
+        said = {key: int(value) for key, _, value in (word.partition("=") for word in words) if value}
+        if not said.keys() >= {"ahead", "from", "until"}:
+            return
+        own, ahead, first, until = self._own, said["ahead"], said["from"], said["until"]
+        self._ahead, self._until = ahead, until
+        self._go_by(lambda: min(max(own() + ahead, first), until))
+
+    def _turn(self) -> None:
+        """Have the rig do what its `Hold` says."""
+        node, now, ahead = self._node, self._clock(), self._ahead
+        hold, epoch, schedule = node.hold, node.epoch, node.schedule
+        if now >= self._until and (hold.steps or not hold.held):  # it stands: from there on
+            ahead = now - self._own() - LEAD
+        soon = schedule.next(now + LEAD - epoch) if now + LEAD > epoch else 0
+        until = min(self._until, epoch + soon) if hold.held else NEVER
+        if hold.steps:
+            until = epoch + schedule.time(schedule.tick(until - epoch) + hold.steps)
+        hold.steps = 0
+        words = [f"ahead={ahead}", f"from={now}", f"until={until}"]
+        self.hear(words)
+        self._say(words)

@@ -1,0 +1,47 @@
+"""Keeps Python's search for reference cycles out of the loop of a container, and out of threads of the middleware.
+
+A search takes 50 ns an object: after 200,000 new ones 11 ms, 220 ticks at 20 kHz. What a loop makes and keeps is
+mostly numbers, in which there are no cycles; so that is set aside unseen, which takes 5 us. Whether it still holds
+is looked at now and then, with what a tenth of a second has made.
+"""
+
+from __future__ import annotations
+
+import gc
+from typing import Any
+
+from softrig_core.block.runner import YOUNG
+
+CLEAN, UNCLEAN = 100, 10  # steps to the next look, after one without and with a cycle
+
+
+class Garbage:
+    """Searches for cycles seldom while none come about, and as usual while some do.
+
+    Parameters
+    ----------
+    collector : module
+        `gc`, or what stands in for it.
+    off : bool
+        Never search but in `step`: what is found may be what no other thread may destroy.
+    """
+
+    def __init__(self, collector: Any = gc, *, off: bool = False) -> None:
+        self._gc = collector
+        self._clean = False
+        self._left = UNCLEAN
+        collector.collect()
+        collector.freeze()
+        collector.set_threshold(YOUNG)
+        self._of = 2 if off else 0  # generation: nobody else looks at what has become old
+        if off:
+            collector.disable()
+
+    def step(self) -> None:
+        """Set aside what has been made since the last step; to be called about ten times a second."""
+        self._left -= 1
+        if self._left <= 0:
+            self._clean = self._gc.collect(self._of) == 0
+            self._left = CLEAN if self._clean else UNCLEAN
+        if self._clean:
+            self._gc.freeze()

@@ -1,0 +1,106 @@
+"""How a process of ours joins a domain: with a Fast DDS profile of its own, made of the one that it is given.
+
+Its ports are such that nobody who was killed just now had them (see `processes.ports` for why), and in a container it
+does not match its own writers with its own readers: what two nodes of one process say to each other goes by memory, DDS
+would deliver it a second time. With the property `fastdds.ignore_local_endpoints` the endpoints stay in the graph and
+are matched with other processes only.
+"""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from contextlib import contextmanager
+from tempfile import NamedTemporaryFile
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from ..processes.executables import LOOPBACK, PROFILE, given_profile, leased
+from ..processes.ports import chosen
+from ..processes.shared_memory import Ears, clear_ports, domain_id, numbers
+
+PROPERTY = "fastdds.ignore_local_endpoints"
+VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+SPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
+
+
+@contextmanager
+def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterator[None]:
+    """Within the block a participant may begin: no damaged port is in its way, and its profile is made.
+
+    Parameters
+    ----------
+    exclusive : bool
+        Whether its endpoints are matched with other processes only.
+    silence : float, optional
+        Where nobody has given a profile: others take it for dead only after more than so many s.
+
+    Raises
+    ------
+    OSError
+        The profile of the environment cannot be read.
+    ValueError
+        It is no XML, or has no participant.
+    """
+    clear_ports(domain_id())
+    before = os.environ.get(VARIABLE)
+    given = given_profile()
+    text = given.read_bytes()
+    if silence is not None and given in (PROFILE, LOOPBACK):
+        text = leased(text.decode(), silence).encode()
+    profile = own(text, exclusive=exclusive)
+    with NamedTemporaryFile(prefix="softrig-", suffix=".xml") as file:
+        file.write(profile)
+        file.flush()
+        os.environ[VARIABLE] = file.name
+        try:
+            yield
+        finally:  # as it was: a run that this process starts later makes one that fits it
+            if before is None:
+                del os.environ[VARIABLE]
+            else:
+                os.environ[VARIABLE] = before
+
+
+def look_after_ports(node: Node) -> None:
+    """Have a tool's node look at its ports each second: who opens one then need not wait to see whether it lives."""
+    node.create_timer(1.0, Ears().lost, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def own(profile: bytes, *, exclusive: bool = False) -> bytes:
+    """Give a profile file whose participants have ports, unless it names some, and if `exclusive` the property.
+
+    Raises
+    ------
+    ValueError
+        No XML, or no participant in it.
+    """
+    try:
+        root = ElementTree.fromstring(profile)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"{VARIABLE}: not XML: {error}") from None
+    space = f"{{{SPACE}}}" if root.tag.startswith("{") else ""
+    ElementTree.register_namespace("", SPACE)
+    participants = list(root.iter(f"{space}participant"))
+    if not participants:
+        raise ValueError(f"{VARIABLE}: no participant in the profile, expected one")
+    for participant in participants:
+        rtps = _within(participant, f"{space}rtps")
+        if rtps.find(f"{space}port") is None:
+            ports = ElementTree.SubElement(rtps, f"{space}port")
+            for name, number in chosen(domain_id(), numbers()).items():
+                ElementTree.SubElement(ports, space + name).text = str(number)
+        if exclusive:
+            properties = _within(_within(rtps, f"{space}propertiesPolicy"), f"{space}properties")
+            entry = ElementTree.SubElement(properties, f"{space}property")
+            ElementTree.SubElement(entry, f"{space}name").text = PROPERTY
+            ElementTree.SubElement(entry, f"{space}value").text = "true"
+    return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+
+
+def _within(element: ElementTree.Element, tag: str) -> ElementTree.Element:
+    """Give the child of a tag, made where it is not there."""
+    found = element.find(tag)
+    return ElementTree.SubElement(element, tag) if found is None else found

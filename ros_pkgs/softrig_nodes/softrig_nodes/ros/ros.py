@@ -1,0 +1,507 @@
+"""ROS 2 behind the seam `Middleware`: one rclpy node."""
+
+from __future__ import annotations
+
+import time
+from ast import literal_eval
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from copy import copy
+from functools import wraps
+from inspect import signature
+from typing import Any, ParamSpec
+
+import rclpy
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.logging import LoggingSeverity
+from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.parameter import Parameter, get_parameter_value
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
+from softrig_core.block.block import Level
+from softrig_core.errors import RunError, closest
+from softrig_core.wire.cdr import Layout
+from yaml import YAMLError
+
+from ..processes.shared_memory import Ears, domain_id
+from ..seam.middleware import Matched, Middleware, Numbered, Peer, Place, Receive, Send
+from ..seam.monitor import Monitor
+from .arrival import Arrival, library
+from .garbage import Garbage
+from .messages import message_class
+from .processor import Processor
+
+# Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
+QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+# A writer of Fast DDS whose history is full asks all readers at each message what they have, and they answer; by itself
+# it asks every 50 ms, in which a lockstep loop sends some hundred: a seventh of the processor time of a tick.
+WRITTEN = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
+
+POLICIES = (
+    QoSPolicyKind.HISTORY,
+    QoSPolicyKind.DEPTH,
+    QoSPolicyKind.RELIABILITY,
+    QoSPolicyKind.DURABILITY,
+    QoSPolicyKind.LIFESPAN,
+    QoSPolicyKind.DEADLINE,
+)
+
+LOOK = 20_000_000  # ns: between two looks at who writes
+SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have left
+PATIENCE = 2.0  # s: for a tick under way in another thread at the end
+LAST = 10.0  # s: for readers to have the last messages, which go with their writer; a busy host keeps them waiting
+
+PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is always due
+
+# A number without a point, as 1e-05, is text for YAML 1.1; a list with one of them is one text.
+NUMBERS = (Parameter.Type.INTEGER, Parameter.Type.STRING)
+LISTS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.STRING_ARRAY, Parameter.Type.STRING)
+ARRAYS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.DOUBLE_ARRAY, Parameter.Type.STRING_ARRAY)
+
+SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
+
+
+class Credit:
+    """Wall-clock time that sets of parameters may still take: a share of what passes, at most some in a row."""
+
+    SHARE, MOST = 0.2, 2.0  # s; a timeout of a rig is longer
+
+    def __init__(self) -> None:
+        self.left, self._since = self.MOST, time.monotonic()
+
+    def wanting(self) -> float:
+        """Give how long to wait until there is some again, s; zero if there is."""
+        now = time.monotonic()
+        self.left = min(self.MOST, self.left + self.SHARE * (now - self._since))
+        self._since = now
+        return max(0.0, -self.left / self.SHARE)
+
+    @contextmanager
+    def spent(self) -> Iterator[None]:
+        """Take off what the block within takes."""
+        start = time.monotonic()
+        try:
+            yield
+        finally:
+            self._since = time.monotonic()
+            self.left = max(-self.MOST, self.left - (self._since - start))
+
+
+class ServingNode(Node):  # type: ignore[misc]
+    """A node whose services outlive what they are asked: rclpy's own end it at a parameter of an unknown type.
+
+    What is set together is taken together where all of it fits, each by itself where not all does (`ros2 param load` of
+    a whole file); a whole number stands for a real one, and what a read-only parameter is already may be set again.
+    The ticks of the nodes go first: who sets more than fits beside them is refused and told when to come back.
+
+    Attributes
+    ----------
+    remark : str
+        What whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
+    monitor : Monitor
+        Of whatever calls the node: no service is answered while a tick is under way.
+    """
+
+    remark = ""
+    _credit = Credit()  # one for all nodes of a process
+
+    def __init__(self, *names: Any, **options: Any) -> None:
+        self.monitor = Monitor(self._wake)
+        super().__init__(*names, **options)
+
+    def _wake(self) -> None:
+        if (executor := self.executor) is not None:
+            executor.create_task(self.monitor.serve)
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
+        """Offer a service; a call that fails is refused with the reason."""
+
+        def answer(request: Any, response: Any) -> Any:
+            with self.monitor:
+                return answered(request, response)
+
+        def answered(request: Any, response: Any) -> Any:
+            try:
+                if srv_type is SetParameters:
+                    with self._credit.spent():
+                        response.results = self._set(request.parameters)
+                elif srv_type is SetParametersAtomically:
+                    with self._credit.spent():
+                        response.result = self._set_together([self._meant(p) for p in request.parameters])
+                else:
+                    return callback(request, response)
+                return response
+            except Exception as error:
+                self.get_logger().error(f"{srv_name}: {type(error).__name__}: {error}", once=True)
+                refusal = SetParametersResult(successful=False, reason=str(error))
+                if srv_type is SetParameters:
+                    response.results = [refusal] * len(request.parameters)
+                elif srv_type is SetParametersAtomically:
+                    response.result = refusal
+                return response
+
+        return super().create_service(srv_type, srv_name, answer, **options)
+
+    def _set(self, messages: Sequence[Any]) -> list[SetParametersResult]:
+        wanted = [self._meant(message) for message in messages]
+        together = self._set_together(wanted)
+        if together.successful or len(wanted) < 2:
+            return [together] * len(wanted)
+        return [self._set_together([one]) for one in wanted]
+
+    def _set_together(self, wanted: Sequence[Parameter]) -> SetParametersResult:
+        if wait := self._credit.wanting():
+            text = f"more is set than fits between the ticks, expected a pause of {wait:.1f} s"
+            return SetParametersResult(successful=False, reason=text)
+        now = {p.name: self._parameters[p.name] for p in wanted if p.name in self._parameters}
+        strange = next((p.name for p in wanted if p.name not in self._descriptors), None)
+        if strange is not None:  # rclpy would not name it
+            reason = f"{strange} is no parameter of {self.get_name()}{closest(strange, self._descriptors)}"
+            return SetParametersResult(successful=False, reason=reason)
+        new = [p for p in wanted if p.name not in now or now[p.name].type_ != p.type_ or plain(now[p.name]) != plain(p)]
+        self.remark = ""
+        result = self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
+        result.reason = result.reason or self.remark
+        return result
+
+    def _meant(self, message: Any) -> Parameter:
+        """Give what is to be set: numbers as real ones where these are expected, whatever they were taken for."""
+        given = Parameter.from_parameter_msg(message)
+        known = self._parameters.get(given.name, given)
+        if given.name in self._parameters and message.value == guessed(plain(known)):
+            return known
+        real = known.type_ == Parameter.Type.DOUBLE or (
+            known.type_ == Parameter.Type.NOT_SET and self._descriptors[given.name].floating_point_range
+        )
+        with suppress(ValueError, TypeError, SyntaxError):
+            if real and given.type_ in NUMBERS:
+                return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
+            if known.type_ == Parameter.Type.DOUBLE_ARRAY and given.type_ in LISTS:
+                values = literal_eval(given.value) if isinstance(given.value, str) else given.value
+                return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, values)])
+            if known.type_ in ARRAYS and given.type_ == Parameter.Type.BOOL_ARRAY and not given.value:
+                return Parameter(given.name, known.type_, [])
+        return given
+
+
+def plain(parameter: Parameter) -> Any:
+    """Give a value as the block's parameters take it: arrays of any kind as lists."""
+    value = parameter.value
+    return value if value is None or isinstance(value, bool | int | float | str) else list(value)
+
+
+def guessed(value: Any) -> Any:
+    """Give what `ros2 param load` makes of a value's text: of no value 'None', of an empty list one of bools."""
+    with suppress(YAMLError, AssertionError):
+        return get_parameter_value(str(value))
+    return None
+
+
+def _peer(endpoint: Mapping[str, Any]) -> Peer:
+    return Peer(endpoint["node_name"], endpoint["node_namespace"], endpoint["topic_type"])
+
+
+Arguments = ParamSpec("Arguments")
+
+
+def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
+    """Let a callback end without a word in which a signal has shut the context down; the executor would log its stack.
+
+    Parameters
+    ----------
+    callback : callable
+        Of a timer or a subscription; it may publish.
+    """
+
+    @wraps(callback)  # rclpy asks for the signature
+    def call(*data: Arguments.args, **named: Arguments.kwargs) -> None:
+        try:
+            callback(*data, **named)
+        except RCLError:
+            if rclpy.ok():
+                raise
+
+    return call
+
+
+def with_number(receive: Receive, numbered: Numbered) -> Callable[..., None]:
+    """Give a callback of a subscription that tells the number of each message before it hands the message over."""
+
+    def take(*said: Any) -> None:
+        # this executor hands both over as one (rclpy 7.1), which is not what it asks the signature for
+        data, info = said if len(said) == 2 else said[0]
+        numbered(info["publication_sequence_number"])
+        receive(data)
+
+    take.__signature__ = signature(lambda data, info: None)  # type: ignore[attr-defined]
+    return take
+
+
+class _RosTimer:
+    def __init__(self, timer: Any) -> None:
+        self._timer, self._period = timer, 0
+
+    def again(self, ns: int, period: int = 0) -> None:
+        # A reset makes rclpy's executor look at the timers once more (7.1 to 10: `UpdateTimers` of its timers manager),
+        # each look that finds one due calls it, and each call looks once more by itself: a late one was called for ever
+        # more often, and no message came through. One that has the period already is thus not reset but drawn along.
+        timer = self._timer
+        left = timer.time_until_next_call() if period and period == self._period else None
+        if left is not None:
+            timer.timer_period_ns = period + (ns - left + period // 2) % period - period // 2
+            return
+        self._period = period
+        timer.timer_period_ns = max(1000, ns)
+        timer.reset()
+        if period:
+            timer.timer_period_ns = period
+
+    def cancel(self) -> None:
+        self._timer.cancel()
+
+
+class RosMiddleware(Middleware):
+    """One rclpy node; see `Middleware` for the methods."""
+
+    _ears = Ears()  # one for all nodes of a process
+
+    def __init__(self, node: ServingNode) -> None:
+        self.node = node
+        # else a late reader may be owed what was published before
+        self.mute = not any(name.startswith("qos_overrides.") for name in node._parameter_overrides)
+        self.monitor = node.monitor
+        mode = node._parameter_overrides.get("run.mode")
+        self._written = WRITTEN if mode is not None and mode.value == "lockstep" else QOS
+        self._read: list[tuple[Any, Receive, Matched]] = []  # subscriptions
+        self._arrivals: list[Arrival] = []
+        self.name: str = node.get_name()
+        self.full_name: str = node.get_fully_qualified_name()
+        self._processor: Processor | None = None
+        self._posted: list[Callable[[], object]] = []
+        self._poster: _RosTimer | None = None
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._behind = time.time_ns() - time.monotonic_ns()  # once: a system clock that is set later stalls nothing
+
+    @property
+    def processor(self) -> int | None:  # type: ignore[override]
+        """The processor on which the node works; None: any."""
+        return None if self._processor is None else self._processor.number
+
+    def resolve(self, topic: str) -> str:
+        """Give the full name of a topic, remapping applied."""
+        return str(self.node.resolve_topic_name(topic))
+
+    def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
+        """Offer a topic."""
+        events = PublisherEventCallbacks(matched=self._counting(matched))
+        with self._deaf():
+            made = self.node.create_publisher(
+                message_class(msgtype),
+                topic,
+                copy(self._written),
+                event_callbacks=events,
+                qos_overriding_options=self._overrides(topic),
+            )
+        # what publish(bytes) ends in, without its type checks: worth 5 % of a lockstep loop
+        publish: Callable[[bytes], None] = made.handle.publish_raw
+        return publish
+
+    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
+        """Offer a topic; its messages become bytes only while somebody in another process reads it."""
+        if not self.mute:
+            return super().sender(topic, layout, matched)
+        readers = 0
+
+        def count(number: int) -> None:
+            nonlocal readers
+            readers = number
+            matched(number)
+
+        publish, encode = self.publisher(topic, layout.msgtype, count), layout.encode
+
+        def send(mark: int, values: tuple[float, ...]) -> None:
+            if readers:
+                publish(encode(mark, values))
+
+        return send
+
+    def subscribe(
+        self, topic: str, msgtype: str, receive: Receive, matched: Matched, numbered: Numbered | None = None
+    ) -> None:
+        """Read the bytes of a topic."""
+        events = SubscriptionEventCallbacks(matched=self._counting(matched))
+        take = self._in_turn(receive if numbered is None else with_number(receive, numbered))
+        with self._deaf():
+            made = self.node.create_subscription(
+                message_class(msgtype),
+                topic,
+                take,
+                copy(QOS),
+                raw=True,
+                event_callbacks=events,
+                qos_overriding_options=self._overrides(topic),
+            )
+        self._read.append((made, receive, matched))
+
+    def _counting(self, matched: Matched) -> Callable[[Any], None]:
+        """Give what takes news of who is matched."""
+        call = self._in_turn(matched)
+        return lambda status: call(status.current_count)
+
+    def _in_turn(self, callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
+        """Have a callback of the executor's wait for the end of a tick in another thread."""
+
+        @wraps(callback)
+        def call(*data: Arguments.args, **named: Arguments.kwargs) -> None:
+            with self.monitor:
+                callback(*data, **named)
+
+        return quiet_after_shutdown(call)
+
+    # answers where messages arrive -------------------------------------------------------------------------------
+
+    def be_prompt(self, place: Place) -> None:
+        """Take the messages of what is subscribed so far in the thread that receives them."""
+        rcl = library()
+        if rcl is None:
+            return
+        own = {p.topic_name for p in self.node.publishers}  # what one says to oneself arrives while it is published
+        for subscription, receive, matched in self._read:
+            if subscription.topic_name in own:
+                continue
+            self.node._subscriptions.remove(subscription)  # the executor would ask for its messages and events, too
+            for handler in subscription.event_handlers:
+                self.node.remove_waitable(handler)
+            self._arrivals.append(Arrival(rcl, subscription, receive, matched, self.monitor.arrive))
+        self.prompt = bool(self._arrivals)
+        if self.prompt:
+            self.timer(LOOK, self._look)
+            self.timer(SEARCH, Garbage(off=True).step)
+            if place != "anywhere":
+                self._processor = Processor(domain_id(), place == "beside", lambda: self.monitor.done)
+                self.timer(SEARCH, self._processor.step)
+        for arrival in self._arrivals:
+            arrival.begin()
+
+    def _look(self) -> None:
+        for arrival in self._arrivals:
+            arrival.look()
+
+    @contextmanager
+    def _deaf(self) -> Iterator[None]:
+        """Be told of no message for the length of a ``with`` block: see `arrival` for why."""
+        for arrival in self._arrivals:
+            arrival.end()
+        try:
+            yield
+        finally:
+            for arrival in self._arrivals:
+                arrival.begin()
+
+    def close(self) -> None:
+        """Hand over nothing more; a RunError when a tick does not come to its end."""
+        if not self.monitor.close(PATIENCE):
+            raise RunError(f"a tick has not come to its end within {PATIENCE:g} s")
+        while self._arrivals:
+            arrival = self._arrivals.pop()
+            arrival.end()
+            self.node._subscriptions.append(arrival.subscription)
+            for handler in arrival.subscription.event_handlers:
+                self.node.add_waitable(handler)
+        self.monitor.serve()
+
+    def _overrides(self, topic: str) -> QoSOverridingOptions | None:
+        """Have rclpy read what is given of a topic's profile, into the profile that it got: a copy is made for each.
+
+        Without anything given there are no six parameters for each.
+        """
+        prefix = f"qos_overrides.{self.resolve(topic)}."
+        given = any(name.startswith(prefix) for name in self.node._parameter_overrides)
+        return QoSOverridingOptions(POLICIES) if given else None
+
+    def post(self, call: Callable[[], object]) -> None:
+        """Call a function when whatever is under way has returned: a node by itself has that only of a person's."""
+        self._posted.append(call)
+        if self._poster is None:
+            self._poster = self.timer(PAUSE, self._call_posted)
+        self._poster.again(PAUSE)
+
+    def _call_posted(self) -> None:
+        assert self._poster is not None
+        self._poster.cancel()
+        posted, self._posted = self._posted, []
+        for call in posted:
+            call()
+
+    def timer(self, ns: int, callback: Callable[[], None]) -> _RosTimer:
+        """Call back every `ns`."""
+        fire = self._in_turn(callback)
+        return _RosTimer(self.node.create_timer(ns / 1e9, fire, clock=self._steady))
+
+    def now(self) -> int:
+        """Wall-clock time in ns."""
+        return self._behind + time.monotonic_ns()
+
+    def steady(self) -> float:
+        """Monotonic time in s."""
+        return time.monotonic()
+
+    def publishers(self, topic: str) -> list[Peer]:
+        """Writers of a topic, as the graph shows them."""
+        return [_peer(i) for i in self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)]
+
+    def subscribers(self, topic: str) -> list[Peer]:
+        """Readers of a topic, as the graph shows them."""
+        return [_peer(i) for i in self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic)]
+
+    def unfit(self, topic: str, msgtype: str) -> list[tuple[str, str]]:
+        """Name the readers of a topic of ours that ask for more than it offers."""
+        writers = self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)
+        offered = [QoSProfile(**i["qos_profile"]) for i in writers if _peer(i).full_name == self.full_name]
+        found = []
+        for reader in self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic) if offered else ():
+            fits, why = qos_check_compatible(offered[0], QoSProfile(**reader["qos_profile"]))
+            if fits == QoSCompatibility.ERROR and reader["topic_type"] == msgtype:
+                found.append((_peer(reader).name, str(why).replace("ERROR: ", "").strip("; ")))
+        return found
+
+    def _endpoints(self, ask: Callable[..., list[dict[str, Any]]], topic: str) -> list[dict[str, Any]]:
+        # rclpy's own method would apply this node's remaps to a name that is one already
+        with self.node.handle:
+            return ask(self.node.handle, topic, False)
+
+    def subscriptions_of(self, peer: Peer) -> list[str]:
+        """Topics that a node reads."""
+        with suppress(NodeNameNonExistentError, RCLError):  # discovery knows a topic before its node
+            return [t for t, _ in self.node.get_subscriber_names_and_types_by_node(peer.name, peer.namespace)]
+        return []
+
+    def topics(self) -> dict[str, list[str]]:
+        """Message types under which each topic exists."""
+        return dict(self.node.get_topic_names_and_types())
+
+    def deaf(self) -> str:
+        """Say that a port in shared memory was taken away."""
+        lost = self._ears.lost()
+        return f"hears nobody any more: its port {lost} in shared memory was removed by another process" if lost else ""
+
+    def log(self, level: Level, text: str) -> None:
+        """Log by the node's logger: terminal, log file and /rosout."""
+        logger, severity = self.node.get_logger(), SEVERITY[level]
+        if logger.is_enabled_for(severity):
+            # what logger.error(text) ends in; on the way there rclpy reads source files to name the caller: 13 to 30 ms
+            # at the first text, 0.25 ms at each other one, and a node says something when it is late already
+            _rclpy.rclpy_logging_rcutils_log(severity, logger.name, text, "", "", 0)
+
+    def drain(self) -> None:
+        """Wait until every reader has the last messages, but not for ever: one may be held."""
+        until = time.monotonic() + LAST
+        for publisher in self.node.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, until - time.monotonic())))

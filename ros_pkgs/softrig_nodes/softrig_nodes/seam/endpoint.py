@@ -1,0 +1,109 @@
+"""The endpoints of a node: a subscribed port and a published one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from softrig_core.block.codec import Decoder
+from softrig_core.block.port import Port
+
+from .middleware import Numbered, Send
+
+
+class Input:
+    """A topic that is read: decoder, writers and what was refused.
+
+    Attributes
+    ----------
+    outside : int
+        Writers in other processes that are matched.
+    local : bool
+        Whether a node of this process writes it.
+    following : int or None
+        Of arrays: the number after that of the newest one; None when any may come, as from a new writer.
+    lost : int
+        Arrays that were sent, as the numbers of others say, and did not come.
+    late : int
+        Messages that came after a newer one, or twice, and were left out.
+    overdue : int
+        Messages of the rig that came after the tick that should have used them.
+    heard : bool
+        Whether a message has come.
+    refused : int
+        Messages that never reached the block.
+    last_refusal : str
+    numbered : callable or None
+        Gets the number of each message before `receive` gets that: see `Middleware.subscribe`.
+    """
+
+    numbered: Numbered | None = None
+
+    def __init__(self, port: Port) -> None:
+        self.port = port
+        self.name = port.name
+        self.decode = Decoder(port)
+        self.outside = 0
+        self.local = False
+        self.following: int | None = None
+        self.lost = 0
+        self.late = 0
+        self.overdue = 0
+        self.heard = False
+        self.refused = 0
+        self.last_refusal = ""
+
+    def receive(self, data: bytes) -> None:
+        """Take the bytes of a message."""
+        raise NotImplementedError
+
+    @property
+    def publishers(self) -> int:
+        """Number of writers."""
+        return self.outside + self.local
+
+    def matched(self, count: int) -> None:
+        """Note how many writers there are in other processes."""
+        if count != self.outside:
+            self.following = None
+        self.outside = count
+
+
+class Output:
+    """A published port.
+
+    Attributes
+    ----------
+    readers : int
+        Readers in other processes that are matched, as the writer sees them.
+    numbered : bool
+        Whether its messages have no stamp but a number.
+    said : int
+        Of these: the number of the next one.
+    """
+
+    def __init__(self, port: Port, topic: str, number: int) -> None:
+        self.port = port
+        self.name = port.name
+        self.topic = topic
+        self.number = number
+        self.layout = port.layout()
+        self.numbered = self.layout.numbered
+        self.said = 0
+        self.send: Send = _unbound
+        self.readers = 0
+        self.joined: Callable[[], object] = _nobody  # called when a reader has come
+
+    def matched(self, count: int) -> None:
+        """Note how many readers there are in other processes."""
+        more = count > self.readers
+        self.readers = count
+        if more:
+            self.joined()
+
+
+def _nobody() -> None:
+    pass
+
+
+def _unbound(mark: int, values: tuple[float, ...]) -> None:
+    raise RuntimeError("output is not advertised yet")

@@ -1,0 +1,136 @@
+"""A run held by a person, or slowed to a pace: the node of the clock stays at a tick, all others wait for it.
+
+What is held is only when a tick is taken, never what is in it: the numbers are those of a run that nobody held. In real
+time nobody waits for anybody: there the clock of the rig stands (`node.realtime.stand`), and there is no pace.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from softrig_core.timebase import SECOND, Pace
+
+from .middleware import Middleware, Timer
+from .solving import BUSY, TOLD_EVERY
+from .tick import TICK, TickWriter
+
+SERVICES = ("pause", "resume", "step")  # std_srvs/Trigger, below the name of the node
+LOOK = SECOND // 100  # ns between two looks at the wall clock: ticks come in bursts as long as this
+
+
+class Hold:
+    """Whether the node of the clock may go on.
+
+    Parameters
+    ----------
+    held : bool
+        From the start.
+    pace : float
+        Simulated time by wall-clock time; 0: as fast as it goes.
+    paced : bool
+        Whether it can have one: in lockstep, where those who wait are told to be patient, too.
+
+    Attributes
+    ----------
+    steps : int
+        That it may take all the same.
+    waits : bool
+        Whether a tick waits for the wall clock.
+    """
+
+    def __init__(self, held: bool = False, pace: float = 0.0, paced: bool = True) -> None:
+        self.held, self.waits = held, False
+        self._pace = Pace(pace)
+        self._paced = paced
+        self.steps = 0
+        self._turn: Callable[[], object] | None = None
+        self._tells = False
+        self._until = 0  # ns up to which the wall clock need not be asked
+        self._timer: Timer | None = None
+
+    @property
+    def pace(self) -> float:
+        """As it is now."""
+        return self._pace.pace
+
+    def begin(self, middleware: Middleware, turn: Callable[[], object]) -> None:
+        """Serve a node that owns the clock; `turn` has its ticks go on, or stay."""
+        self._turn, self._middleware = turn, middleware
+        if self.held:
+            self._tell()
+        self.go_at(self.pace)
+
+    def go_at(self, pace: float) -> bool:
+        """Take another pace from now on; whether this node has one: that of the clock, in lockstep, begun."""
+        if self._turn is None or not self._paced:
+            return False
+        self._pace.change(pace, self._middleware.steady())
+        self._until = 0
+        if pace:
+            self._tell()
+            if self._timer is None:
+                self._timer = self._middleware.timer(LOOK, self._look)
+            self._timer.again(LOOK)
+        elif self._timer is not None:
+            self._timer.cancel()
+            self._middleware.post(self._look)
+        return True
+
+    def _look(self) -> None:
+        """Try again what waits for the wall clock."""
+        if self.waits:
+            self.waits = False
+            assert self._turn is not None
+            self._turn()
+
+    def _tell(self) -> None:
+        """Have the peers be patient while it is held."""
+        if self._tells or not self._paced:
+            return
+        self._tells = True
+        header = TickWriter()(0, [self._middleware.full_name])
+        publish = self._middleware.publisher(BUSY, TICK, lambda count: None)
+        self._middleware.timer(round(TOLD_EVERY * SECOND), lambda: publish(header) if self.held or self.waits else None)
+
+    def holds(self, t: int) -> bool:
+        """Whether the step from tick `t` (ns) to the next one has to wait; a single step is used up by it."""
+        if self.held:
+            self.steps -= (single := self.steps > 0)
+            return not single
+        if not self.pace or t < self._until:
+            return False
+        reached = self._pace.reach(self._middleware.steady(), t)
+        self.waits = reached is None
+        self._until = reached or 0
+        return self.waits
+
+    def ask(self, what: str, steps: int = 1) -> tuple[bool, str]:
+        """Pause, resume or take steps; gives whether that could be done, and what to say."""
+        if self._turn is None:
+            return False, "this node has not begun"
+        if what == "pause":
+            self.held = True
+            self._pace.stop(self._middleware.steady())
+            self._tell()
+        elif what == "step":
+            if not self.held:
+                return False, "it runs: pause it first"
+            self.steps += steps
+            self._pace.begin()
+        else:
+            self.held, self.steps, self._until = False, 0, 0
+            self._pace.go_on(self._middleware.steady())
+        self._middleware.post(self._turn)
+        return True, {"pause": "paused", "step": "one step"}.get(what, "goes on")
+
+
+def offer(node: Any, hold: Hold, trigger: Any) -> None:
+    """Offer the services of a node; `trigger` is the class of std_srvs/Trigger."""
+    for name in SERVICES:
+
+        def answer(request: Any, response: Any, name: str = name) -> Any:
+            response.success, response.message = hold.ask(name)
+            return response
+
+        node.create_service(trigger, f"~/{name}", answer)

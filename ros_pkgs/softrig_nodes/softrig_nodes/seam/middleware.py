@@ -1,0 +1,144 @@
+"""The seam between a node's logic and what carries its messages.
+
+Nodes know nothing but this: bytes out, bytes in, who is matched, timers and two clocks. ROS stands
+behind it in `ros.RosMiddleware`; a test, a simulation or a container hands over its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple, Protocol
+
+from softrig_core.block.block import Level
+from softrig_core.block.port import Port
+from softrig_core.wire.cdr import Layout
+
+Receive = Callable[[bytes], None]
+Matched = Callable[[int], None]
+Numbered = Callable[[int | None], None]
+Place = Literal["together", "beside", "anywhere"]
+Send = Callable[[int, tuple[float, ...]], None]  # gets the stamp in ns, or the number of an array, and all numbers
+
+
+class Peer(NamedTuple):
+    """An endpoint as the graph shows it."""
+
+    name: str
+    namespace: str
+    msgtype: str
+
+    @property
+    def full_name(self) -> str:
+        """Namespace and name."""
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
+
+class Timer(Protocol):
+    """A timer that repeats until it is cancelled."""
+
+    def again(self, ns: int, period: int = 0) -> None:
+        """Fire after `ns`, counted from now, and then with a period, that time if it is 0."""
+
+    def cancel(self) -> None:
+        """Never fire again, unless `again` is called."""
+
+
+class Middleware(Protocol):
+    """What one node needs of the world.
+
+    No method calls back before it returns: a message that is sent reaches its reader, be it in the same process, only
+    after whatever is under way in the reader's node has returned. That is what keeps a tick from running inside
+    another one.
+
+    Attributes
+    ----------
+    mute : bool
+        Whether what is published goes nowhere while the number of readers that `matched` has got is 0.
+    prompt : bool
+        Whether messages are taken in the thread that receives them (see `be_prompt`).
+    processor : int or None
+        The one on which the node works; None: where there is room.
+    """
+
+    name: str
+    full_name: str
+    mute: bool = False
+    prompt: bool = False
+    processor: int | None = None
+
+    def resolve(self, topic: str) -> str:
+        """Give the full name of a topic, remapping applied."""
+
+    def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
+        """Offer a topic and give the function that publishes; `matched` gets the number of readers at each change."""
+
+    def subscribe(
+        self, topic: str, msgtype: str, receive: Receive, matched: Matched, numbered: Numbered | None = None
+    ) -> None:
+        """Read a topic; `matched` gets the number of writers at each change.
+
+        `numbered` gets, before `receive` gets the message, its number as its writer counts, or None if nobody says it.
+        """
+
+    def be_prompt(self, place: Place) -> None:
+        """Take messages of what is subscribed so far where they arrive, if that is possible; for ticks of some us.
+
+        They come one at a time, and never while anything else calls the node.
+
+        Parameters
+        ----------
+        place : {"together", "beside", "anywhere"}
+            Where the node works: with the one other that waits for it, and for which it waits; not where such two are;
+            or where there is room.
+        """
+
+    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
+        """Offer a topic all of whose messages have one layout."""
+        publish, encode = self.publisher(topic, layout.msgtype, matched), layout.encode
+        return lambda mark, values: publish(encode(mark, values))
+
+    def post(self, call: Callable[[], object]) -> None:
+        """Call a function when whatever is under way has returned: how nodes of one process follow each other."""
+
+    def timer(self, ns: int, callback: Callable[[], None]) -> Timer:
+        """Call back every `ns`."""
+
+    def now(self) -> int:
+        """Wall-clock time in ns: the stamps of real time."""
+
+    def steady(self) -> float:
+        """Time in s that nobody sets, for limits."""
+
+    def publishers(self, topic: str) -> list[Peer]:
+        """Writers of a topic, by its full name, as the graph shows them."""
+
+    def subscribers(self, topic: str) -> list[Peer]:
+        """Readers of a topic, by its full name, as the graph shows them."""
+
+    def unfit(self, topic: str, msgtype: str) -> list[tuple[str, str]]:
+        """Name the readers of a topic of ours that are never matched, with why: they ask for more than it offers."""
+        return []
+
+    def subscriptions_of(self, peer: Peer) -> list[str]:
+        """Topics that a node reads; empty while the graph does not know the node."""
+
+    def topics(self) -> dict[str, list[str]]:
+        """Message types under which each topic exists, by its full name."""
+
+    def deaf(self) -> str:
+        """Say why what others send cannot arrive any more; empty while it can."""
+
+    def log(self, level: Level, text: str) -> None:
+        """Say something to whoever operates the node."""
+
+    def close(self) -> None:
+        """Hand over nothing more; what is under way returns first, or a RunError. Raises what nobody has seen yet."""
+
+    def drain(self) -> None:
+        """Wait, in bounded time, until every reader has what was sent."""
+
+
+def other_types(middleware: Middleware, port: Port) -> str:
+    """Name the types other than a port's own under which its topic exists: such endpoints never match."""
+    there = middleware.topics().get(middleware.resolve(port.topic), ())
+    return ", ".join(t for t in there if t != port.msgtype)

@@ -1,0 +1,45 @@
+"""Numbers behind messages that are counted, in a rig whose nodes come back: what is said again is known by its number.
+
+The stamp of such a message is another time than that of its tick. Its number on its topic, from 0, stands in eight
+bytes behind its end: who reads CDR stops there, and a record never has them.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from itertools import count
+
+from softrig_core.wire.cdr import Layout
+
+_NUMBER = struct.Struct("<Q")
+
+
+class Numbering:
+    """Publishes messages of one topic, each with its number.
+
+    Parameters
+    ----------
+    publish : callable
+        Gets the bytes.
+    layout : Layout
+        Of the messages.
+    """
+
+    def __init__(self, publish: Callable[[bytes], None], layout: Layout) -> None:
+        self.publish: Callable[..., None] = publish
+        self._encode, self._numbers = layout.encode, count()
+
+    def __call__(self, mark: int, values: tuple[float, ...]) -> None:
+        """Publish the next message: its stamp in ns and all numbers."""
+        self.publish(numbered(next(self._numbers), self._encode(mark, values)))
+
+
+def numbered(number: int, data: bytes) -> bytes:
+    """Give a message with its number behind it."""
+    return data + _NUMBER.pack(number)
+
+
+def split(data: bytes) -> tuple[int, bytes]:
+    """Give the number of a message and the message without it."""
+    return int.from_bytes(data[-_NUMBER.size :], "little"), data[: -_NUMBER.size]

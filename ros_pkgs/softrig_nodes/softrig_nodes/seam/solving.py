@@ -1,0 +1,93 @@
+"""Lockstep of a solver node: its executor goes on turning while the work is under way, and the peers are told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from softrig_core.block.port import Port
+from softrig_core.block.step import Step
+from softrig_core.solver.solver import Solver
+
+from .endpoint import Input
+from .middleware import Middleware
+from .tick import TICK, TickWriter
+
+BUSY = "/softrig/busy"  # std_msgs/Header, frame_id = the node: who waits for progress is to be patient
+TOLD_EVERY = 0.5  # s
+LOOK = 2_000_000  # ns
+
+
+class Solving:
+    """One solver block between the begin of a tick and its answer.
+
+    Parameters
+    ----------
+    step : Step
+        Of the solver: its x holds the requests that a tick has begun.
+    resume : callable
+        Called when the answer that was waited for is there.
+    """
+
+    def __init__(self, middleware: Middleware, step: Step, resume: Callable[[], object]) -> None:
+        assert isinstance(step.block, Solver)
+        self._step, self._block = step, step.block
+        step.respond = lambda x, t, **inputs: self._block.end(x, t)
+        self._middleware = middleware
+        self._header = TickWriter()(0, [middleware.full_name])
+        self._publish = middleware.publisher(BUSY, TICK, lambda count: None)
+        self._resume = resume
+        self._tick: int | None = None  # whose begin the block has seen and whose end not yet
+        self._told = 0.0
+        self._timer = middleware.timer(LOOK, self._look)
+        self._timer.cancel()
+        self._waits = False
+
+    @property
+    def working(self) -> bool:
+        """Whether a request is under way or waits."""
+        return self._block.working(self._step.x)
+
+    def finished(self, t: int) -> bool:
+        """Begin a tick (ns) if that is not done; tell whether its answer can be given."""
+        step, block = self._step, self._block
+        if self._tick != t:
+            self._tick = t
+            step.x = block.carry_on(step.x, t) if step.bad else block.begin(step.x, t, **step.values)
+        if block.ready(step.x, t):
+            self._rest()
+            return True
+        if not self._waits:
+            self._waits = True
+            self._told = self._middleware.steady()
+            self._timer.again(LOOK)
+        return False
+
+    def _rest(self) -> None:
+        self._timer.cancel()
+        self._waits = False
+
+    def _look(self) -> None:
+        assert self._tick is not None
+        if self._block.ready(self._step.x, self._tick):
+            self._rest()
+            self._resume()
+        elif self._middleware.steady() - self._told > TOLD_EVERY:
+            self._told = self._middleware.steady()
+            self._publish(self._header)
+
+
+def hear_busy(middleware: Middleware, solvers: int, heard: Callable[[], None]) -> Input:
+    """Call a function whenever a solver of the rig says that it is at work.
+
+    Parameters
+    ----------
+    solvers : int
+        How many there are, this node included: the input has a publisher when all of them are matched.
+    """
+    item = Input(Port("busy", BUSY, TICK))
+
+    def matched(count: int) -> None:
+        item.outside = count // solvers
+
+    middleware.subscribe(BUSY, TICK, lambda data: heard(), matched)
+    return item
