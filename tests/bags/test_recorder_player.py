@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from types import SimpleNamespace
 import pytest
 import rclpy
 from conftest import PATIENCE, differences, ears, fork, until
+from mcap.reader import make_reader
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.duration import Duration
@@ -289,10 +291,31 @@ def test_messages_that_wait_while_qos_is_adapted_are_kept(recorder, listener, tm
     assert "lost" not in recorder._writer.custom_data
 
 
+def test_a_topic_that_comes_back_with_another_type_is_recorded_with_both(recorder, rig, tmp_path):
+    context = rclpy.Context()  # a participant of its own: one has a topic with one type only
+    context.init(domain_id=rig.domain)
+    other = Node("other", context=context)
+    for msgtype, count in ((STATE, 5), ("std_msgs/msg/Header", 4), (STATE, 3)):
+        kind = message_class(msgtype)
+        publisher = other.create_publisher(kind, "/late", 10)
+        until(lambda p=publisher: recorder._discover() or p.get_subscription_count(), f"match of {msgtype}")
+        for _ in range(count):
+            publisher.publish(kind())
+        assert publisher.wait_for_all_acked(Duration(seconds=10))
+        other.destroy_publisher(publisher)
+    context.shutdown()
+    recorder._drain()
+    assert recorder.losses() == "none lost"
+    recorder._writer.close()
+    with (tmp_path / "bag/bag_0.mcap").open("rb") as file:
+        counts = Counter((schema.name, channel.topic) for schema, channel, _ in make_reader(file).iter_messages())
+    assert counts == {(STATE, "/late"): 8, ("std_msgs/msg/Header", "/late"): 4}
+
+
 def test_topics_without_header_get_the_newest_stamp(recorder, tmp_path):
     stamped, bare = BagTopic.known("/stamped", STATE), BagTopic.known("/bare", "std_msgs/msg/Float64")
     for topic in (stamped, bare):
-        recorder._numbers[topic.name] = recorder._writer.add_topic(topic)
+        recorder._numbers[topic.name, topic.msgtype] = recorder._writer.add_topic(topic)
     for t in (5, 3):
         recorder._receiver(stamped)(Layout(STATE).encode(t, ()))
     recorder._receiver(bare)(Layout("std_msgs/msg/Float64").encode(0, (1.0,)))
@@ -307,7 +330,7 @@ def test_a_recorder_that_was_held_does_not_say_that_nothing_was_lost(listener, t
     writer = BagWriter(tmp_path / "bag")
     made = Recorder(SimpleNamespace(node=listener), writer, Selection(("/late",)), holds=Holds(2.5, lambda: now[0]))
     topic = BagTopic.known("/late", STATE)
-    made._numbers["/late"] = writer.add_topic(topic)
+    made._numbers["/late", STATE] = writer.add_topic(topic)
     for pause in (0.1, 2.4, 0.1):  # a slow machine, but nobody minds
         now[0] += pause
         made._discover()
@@ -532,7 +555,7 @@ def test_bad_arguments_of_play(tmp_path, monkeypatch, capsys, arguments, text):
         (main_compare, ["bag", "none"], "does not exist"),
         (main_compare, ["bag", "bag", "--field", "x"], "expected PATTERN=ABS"),
         (main_compare, ["bag", "bag", "--topics", "x"], "no topic x to compare"),
-        (main_bag, ["repair", "."], "no .mcap"),
+        (main_bag, ["repair", "bag/metadata.yaml"], "no .mcap"),
         (main_bag, ["info", "."], "not a bag"),
     ],
 )

@@ -69,7 +69,8 @@ class Node:
         return list(self.topics.items())
 
     def get_publishers_info_by_topic(self, topic):
-        return [SimpleNamespace(node_name=n, qos_profile=p) for n, p in self.publishers.get(topic, ())]
+        known = self.publishers.get(topic, ())
+        return [SimpleNamespace(node_name=n, qos_profile=p, topic_type=t) for n, p, t in known]
 
     def create_subscription(self, kind, topic, receive, profile, raw, event_callbacks):
         assert raw
@@ -82,8 +83,9 @@ class Node:
         del self.subscriptions[subscription.topic]
 
     def publish(self, topic, msgtype, node="law", profile=None):
-        self.topics.setdefault(topic, [msgtype])
-        self.publishers.setdefault(topic, []).append((node, profile or QoSProfile(depth=10)))
+        types = self.topics.setdefault(topic, [])
+        self.topics[topic] = sorted({*types, msgtype})
+        self.publishers.setdefault(topic, []).append((node, profile or QoSProfile(depth=10), msgtype))
 
 
 class Events:
@@ -129,27 +131,64 @@ def test_what_is_selected_is_subscribed_as_it_comes_and_what_cannot_be_is_said(m
     node.publish("/a", HEADER, profile=QoSProfile(depth=3, durability=LATCHED))
     node.publish("/left", HEADER)
     node.topics["/b"] = [HEADER]  # nobody publishes it yet
-    node.topics["/two"] = [HEADER, FLOAT]
+    node.publish("/two", HEADER)
+    node.publish("/two", FLOAT)
     node.publish("/odd", "odd_msgs/msg/Odd")
     node.publish("/own", HEADER, node="recorder")
     recorder._discover()
-    assert list(node.subscriptions) == ["/a"]
-    assert (node.subscriptions["/a"].profile.durability, node.infos) == (LATCHED, [f"recording /a [{HEADER}]"])
+    assert list(node.subscriptions) == ["/a", "/two"]
+    assert (node.subscriptions["/a"].profile.durability, node.infos) == (
+        LATCHED,
+        [f"recording /a [{HEADER}]", f"recording /two [{HEADER}]"],
+    )
     assert node.errors == [
-        f"/two is not recorded: it is published with 2 types: {HEADER}, {FLOAT}",
-        "/odd is not recorded: it is of type odd_msgs/msg/Odd, which is not installed here",
+        f"/two is not recorded as {FLOAT}: it is published as {HEADER} at the same time",
+        "/odd is not recorded as odd_msgs/msg/Odd: this type is not installed here",
     ]
-    assert node.asked == [" ".join(f"/recorder:{name}" for name in ("/left", "/odd", "/own", "/two"))]
+    assert recorder.losses() == (
+        f"none counted as lost, but NOT RECORDED: /two as {FLOAT}: it is published as {HEADER} at the same time; "
+        "/odd as odd_msgs/msg/Odd: this type is not installed here"
+    )
+    assert node.asked == [" ".join(f"/recorder:{name}" for name in ("/left", "/odd", "/own"))]
     node.publish("/b", HEADER, node="recorder")
     recorder._discover()
-    assert list(node.subscriptions) == ["/a"]  # its own
+    assert list(node.subscriptions) == ["/a", "/two"]  # its own
     node.publish("/b", HEADER, profile=QoSProfile(depth=10, reliability=BEST))
     recorder._discover()
-    assert list(node.subscriptions) == ["/a", "/b"]
+    assert list(node.subscriptions) == ["/a", "/two", "/b"]
     assert node.subscriptions["/b"].profile.reliability == BEST  # of others alone
     assert len(node.errors) == 2  # each once
-    assert [t.name for t in writer.topics] == ["/a", "/b"]
+    assert [t.name for t in writer.topics] == ["/a", "/two", "/b"]
     assert writer.topics[0].offered[0].durability == QosDurability.TRANSIENT_LOCAL
+
+
+def test_a_topic_whose_publisher_changes_its_type_is_subscribed_anew(made, tmp_path):
+    recorder, node, writer = made(stamped=True)
+    node.publish("/a", HEADER)
+    node.topics["/a"] = [HEADER, FLOAT]  # somebody waits for another type
+    recorder._discover()
+    node.subscriptions["/a"].callback(header(0))
+    node.subscriptions["/a"].handle.waiting.append(header(20))
+    node.publishers["/a"] = []
+    recorder._discover()
+    assert recorder._types == {"/a": HEADER}
+    node.publish("/a", FLOAT)
+    recorder._discover()
+    node.subscriptions["/a"].callback(Layout(FLOAT).encode(0, (1.0,)))
+    node.publishers["/a"] = []
+    node.publish("/a", "odd_msgs/msg/Odd")
+    recorder._discover()  # keeps what it has
+    node.publish("/a", HEADER)
+    recorder._discover()
+    node.subscriptions["/a"].callback(header(30))
+    assert node.infos == [f"recording /a [{HEADER}]", f"recording /a [{FLOAT}]"]
+    recorder._session.stopped = True
+    recorder.run()
+    assert [(t.name, t.msgtype) for t in writer.topics] == [("/a", HEADER), ("/a", FLOAT)]
+    text = "/a as odd_msgs/msg/Odd: this type is not installed here"
+    assert recorder.losses() == f"none counted as lost, but NOT RECORDED: {text}"
+    assert writer.custom_data["not_recorded"] == text
+    assert writer.count == 4
 
 
 @pytest.mark.parametrize("stamped", [True, False])
@@ -303,7 +342,7 @@ def test_a_recorder_asks_for_what_all_publishers_offer_and_a_player_offers_what_
         HistoryPolicy.KEEP_LAST,
         RELIABLE if RELIABLE in reliability else BEST,
         LATCHED if latched else VOLATILE,
-        max(latched, default=1000),
+        max(10, sum(latched)) if latched else 1000,
     )
 
 
@@ -322,7 +361,20 @@ def test_what_a_publisher_offers_is_kept_as_a_bag_has_it():
     unknown = ros.publisher_profile(BagTopic("/x", HEADER))
     assert (unknown.reliability, unknown.durability, unknown.depth) == (RELIABLE, VOLATILE, 1000)
     zero = ros.publisher_profile(BagTopic("/x", HEADER, offered=(qos(QosDurability.TRANSIENT_LOCAL, depth=0),)))
-    assert zero.depth == 1
+    assert zero.depth == 10
+
+
+@pytest.mark.parametrize(
+    ("publishers", "kept"),
+    [([(1, "last")] * 3, 10), ([(1, "last")] * 12, 12), ([(7, "last"), (8, "last")], 15), ([(0, "last")] * 11, 11),
+     ([(1, "last"), (1, "all")], 1001)],
+)  # fmt: skip
+def test_latched_publishers_become_one_that_keeps_what_they_kept_together(publishers, kept):
+    """At least the 10 of rosbag2's offer, which would lose the first two of twelve static transforms."""
+    offers = [qos(QosDurability.TRANSIENT_LOCAL, depth=depth) for depth, _ in publishers]
+    offers = [q._replace(history=QosHistory.KEEP_ALL) if h == "all" else q for q, (_, h) in zip(offers, publishers)]
+    given = ros.publisher_profile(BagTopic("/tf_static", HEADER, offered=tuple(offers)))
+    assert (given.depth, given.durability, given.history) == (kept, LATCHED, HistoryPolicy.KEEP_LAST)
 
 
 # sessions --------------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import QoSSubscriptionEventType as Event, SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from softrig_core import RunError
 from softrig_nodes.ros.messages import message_class
 from softrig_nodes.seam.awaited import RECORDER, left_out
@@ -54,10 +55,11 @@ class Recorder:
         self._stamped = stamped
         self._newest = 0
         self._subscriptions: dict[str, Subscription] = {}
-        self._numbers: dict[str, int] = {}
-        self._refused: set[str] = set()
+        self._types: dict[str, str] = {}  # of the subscriptions
+        self._numbers: dict[tuple[str, str], int] = {}  # by topic and type
+        self._refused: dict[tuple[str, str], str] = {}  # topic and type to the reason
         self._left_out: set[str] = set()
-        self._joins: dict[str, Join] = {}
+        self._joins: dict[tuple[str, str], Join] = {}
         self._events = EventPoll(self._node)
         self._lost: dict[str, int] = {}
         self._lost_before: dict[str, int] = {}
@@ -70,23 +72,34 @@ class Recorder:
     @property
     def lost(self) -> dict[str, int]:
         """Number of messages lost by topic."""
-        return {t: n for t in self._numbers if (n := self._lost.get(t, 0) + self._lost_before.get(t, 0))}
+        topics = dict.fromkeys(name for name, _ in self._numbers)
+        return {t: n for t in topics if (n := self._lost.get(t, 0) + self._lost_before.get(t, 0))}
 
     @property
     def missed(self) -> dict[str, int]:
         """Number of messages by topic that were published before this recorder joined, as stamps and numbers tell."""
-        return {topic: n for topic, join in self._joins.items() if (n := join.missed)}
+        found: dict[str, int] = {}
+        for (name, _), join in self._joins.items():
+            found[name] = found.get(name, 0) + join.missed
+        return {name: n for name, n in found.items() if n}
+
+    @property
+    def refused(self) -> list[str]:
+        """Topics that were published and not recorded, with the reason."""
+        return [f"{name} {reason}" for (name, _), reason in self._refused.items()]
 
     def losses(self) -> str:
         """Tell in a few words what is missing."""
         lost, missed = self.lost, self.missed
-        told = f"LOST {sum(lost.values())}: {self._writer.custom_data['lost']}" if lost else ""
+        counted = [f"LOST {sum(lost.values())}: {_listed(lost)}"] if lost else []
         if missed:
-            told += f"{'; ' if told else ''}JOINED LATE, MISSED {sum(missed.values())}: {_listed(missed)}"
+            counted.append(f"JOINED LATE, MISSED {sum(missed.values())}: {_listed(missed)}")
+        uncounted = [f"NOT RECORDED: {'; '.join(self.refused)}"] if self._refused else []
         if self.holds.found:
-            held = f"HELD for {self.holds}: what was sent then may be missing"
-            return f"{told}; {held}" if told else f"none counted as lost, but {held}"
-        return told or "none lost"
+            uncounted.append(f"HELD for {self.holds}: what was sent then may be missing")
+        if uncounted and not counted:
+            return f"none counted as lost, but {'; '.join(uncounted)}"
+        return "; ".join([*counted, *uncounted]) or "none lost"
 
     def run(self) -> None:
         """Record until a signal comes, then take what has arrived and close the bag.
@@ -109,6 +122,8 @@ class Recorder:
             self._note_holds()
             if self.missed:
                 self._writer.custom_data["missed"] = _listed(self.missed)
+            if self._refused:
+                self._writer.custom_data["not_recorded"] = "; ".join(self.refused)
             self._writer.close()
         except OSError as error:
             unwritten = self._writer.salvage()
@@ -120,40 +135,60 @@ class Recorder:
     def _discover(self) -> None:
         self._note_holds()
         for name, types in self._node.get_topic_names_and_types():
-            if name in self._subscriptions or name in self._refused:
-                continue
             if name not in self._selection:
                 self._left_out.add(name)
-            elif len(types) > 1:
-                self._refuse(name, f"is published with {len(types)} types: {', '.join(types)}")
-            else:
-                self._subscribe(name, types[0])
-        self._asks.publish(left_out(self._node.get_fully_qualified_name(), sorted(self._left_out | self._refused)))
+            elif self._types.get(name) is None or len(types) > 1:
+                self._follow(name)
+        unread = self._left_out | {name for name, _ in self._refused if name not in self._types}
+        self._asks.publish(left_out(self._node.get_fully_qualified_name(), sorted(unread)))
 
-    def _refuse(self, name: str, reason: str) -> None:
-        self._refused.add(name)
-        self._node.get_logger().error(f"{name} is not recorded: it {reason}")
+    def _follow(self, name: str) -> None:
+        """Subscribe a topic with the type of its publishers, which may be another one than before.
+
+        The middleware has one type for a topic in a process: of publishers of two types at a time one is recorded.
+        """
+        types = list(dict.fromkeys(p.topic_type for p in self._publishers(name)))
+        usable = [t for t in types if self._is_usable(name, t)]
+        if not usable:
+            return
+        if self._types.get(name) not in usable:
+            if name in self._types:
+                self._unsubscribe(name)
+            self._subscribe(name, usable[0])
+        for other in usable:
+            if other != self._types[name]:
+                self._refuse(name, other, f"as {other}: it is published as {self._types[name]} at the same time")
+
+    def _is_usable(self, name: str, msgtype: str) -> bool:
+        try:
+            message_class(msgtype)
+        except (ImportError, AttributeError):
+            self._refuse(name, msgtype, f"as {msgtype}: this type is not installed here")
+            return False
+        return True
+
+    def _refuse(self, name: str, msgtype: str, reason: str) -> None:
+        if (name, msgtype) not in self._refused:
+            self._refused[name, msgtype] = reason
+            self._node.get_logger().error(f"{name} is not recorded {reason}")
+
+    def _publishers(self, name: str) -> list[TopicEndpointInfo]:
+        own = self._node.get_name()
+        return [p for p in self._node.get_publishers_info_by_topic(name) if p.node_name != own]
 
     def _subscribe(self, name: str, msgtype: str) -> None:
-        own = self._node.get_name()
-        publishers = [p for p in self._node.get_publishers_info_by_topic(name) if p.node_name != own]
-        if not publishers:
-            return
-        try:
-            kind = message_class(msgtype)
-        except (ImportError, AttributeError):
-            self._refuse(name, f"is of type {msgtype}, which is not installed here")
-            return
+        publishers = [p for p in self._publishers(name) if p.topic_type == msgtype]
         topic = BagTopic.known(name, msgtype, [offered(p.qos_profile) for p in publishers])
-        if name not in self._numbers:
-            self._numbers[name] = self._writer.add_topic(topic)
+        if (name, msgtype) not in self._numbers:
+            self._numbers[name, msgtype] = self._writer.add_topic(topic)
             self._node.get_logger().info(f"recording {name} [{msgtype}]")
+        self._types[name] = msgtype
 
         def lost(event: Any) -> None:
             self._lost[name] = event.total_count
 
         subscription = self._subscriptions[name] = self._node.create_subscription(
-            kind,
+            message_class(msgtype),
             name,
             self._receiver(topic),
             subscription_profile([p.qos_profile for p in publishers]),
@@ -173,16 +208,21 @@ class Recorder:
 
         What is sent while the publishers match the new subscription (some ms) is lost without being counted.
         """
+        self._unsubscribe(name)
+        if any(p.topic_type == msgtype for p in self._publishers(name)):
+            self._subscribe(name, msgtype)
+
+    def _unsubscribe(self, name: str) -> None:
         subscription = self._subscriptions.pop(name)
+        del self._types[name]
         self._events.remove(subscription)
         self._take(subscription)
         self._node.destroy_subscription(subscription)
         self._lost_before[name] = self._lost_before.get(name, 0) + self._lost.pop(name, 0)
-        self._subscribe(name, msgtype)
 
     def _receiver(self, topic: BagTopic) -> Callable[[bytes], None]:
-        write, number, now = self._writer.write, self._numbers[topic.name], time.time_ns
-        join = self._joins.setdefault(topic.name, Join(topic))
+        write, number, now = self._writer.write, self._numbers[topic.name, topic.msgtype], time.time_ns
+        join = self._joins.setdefault((topic.name, topic.msgtype), Join(topic))
         if not self._stamped:
 
             def by_arrival(data: bytes) -> None:

@@ -31,6 +31,8 @@ from .topics import BagTopic
 WaitSet = rclpy_implementation.WaitSet
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 SLICE = 0.1  # s: longest wait before a signal is noticed
+_ADAPTED = 10  # depth of `rmw_qos_profile_default`
+_QUEUE = 1000
 
 
 class Session:
@@ -190,12 +192,20 @@ def subscription_profile(publishers: Sequence[QoSProfile]) -> QoSProfile:
 
 
 def publisher_profile(topic: BagTopic) -> QoSProfile:
-    """Give the strongest profile that the recorded publishers offered: it serves everyone whom they served."""
+    """Return the strongest profile that the recorded publishers offered: it serves everyone whom they served.
+
+    Several latched publishers become one. It keeps as many messages for a late subscriber as they kept together, and
+    not fewer than the 10 of the offer to which rosbag2 adapts theirs (`Rosbag2QoS::adapt_offer_to_recorded_offers`).
+    """
     unreliable = topic.offered and all(q.reliability == QosReliability.BEST_EFFORT for q in topic.offered)
     latched = [q for q in topic.offered if q.durability == QosDurability.TRANSIENT_LOCAL]
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=max([q.depth for q in latched] + [1]) if latched else 1000,
+        depth=max(_ADAPTED, sum(map(_kept, latched))) if latched else _QUEUE,
         reliability=ReliabilityPolicy.BEST_EFFORT if unreliable else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
+
+
+def _kept(latched: Qos) -> int:
+    return latched.depth or 1 if latched.history == QosHistory.KEEP_LAST else _QUEUE
