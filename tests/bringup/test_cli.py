@@ -728,11 +728,11 @@ def test_a_full_disk_names_the_folder(folder):
 
 
 @pytest.mark.parametrize(("limit", "words", "path"), [
-    pytest.param(100, ["study", "lag", "--seeds", "3", "--workers", "1", "--out", "a"], "a/study.json",
+    pytest.param(100, ["study", "lag", "--seeds", "3", "--force", "--workers", "1", "--out", "a"], "a/study.json",
                  marks=pytest.mark.long),
-    pytest.param(3000, ["study", "lag", "--seeds", "60", "--workers", "1", "--out", "a"], "a/rows.jsonl",
+    pytest.param(3000, ["study", "lag", "--seeds", "60", "--force", "--workers", "1", "--out", "a"], "a/rows.jsonl",
                  marks=pytest.mark.long),
-    (5000, ["study", "lag", "--seeds", "3", "--workers", "1", "--out", "a"], "a/.new/report.html"),
+    (5000, ["study", "lag", "--seeds", "3", "--force", "--workers", "1", "--out", "a"], "a/.new/report.html"),
     (100_000, ["bag", "record", "--output", "a", "/x"], "a"),
 ])  # fmt: skip
 def test_a_full_disk_names_the_file_and_nothing_half_stays(limit, words, path, folder):

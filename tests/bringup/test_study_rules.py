@@ -15,6 +15,7 @@ from softrig_bringup.study import engine, options, page, pictures, table, work
 from softrig_bringup.study.batch import Batch, Log, _row
 from softrig_bringup.study.definition import Distribution, make_study
 from softrig_bringup.study.draw import Case, _values, cases, count, draw, size
+from softrig_bringup.study.statistics import Statistics
 from softrig_core import RunError, ScenarioError
 from softrig_core.judge.expectation import Expectation
 from told import page_lines
@@ -288,12 +289,13 @@ def test_a_run_leaves_its_figures_in_its_row(monkeypatch):
     results = [SimpleNamespace(name=n, number=v) for n, v in
                (("a", 1.5), ("b", math.inf), ("c", math.nan), ("d", -math.inf))]  # fmt: skip
     t = np.array([0.0, 0.1, 0.3, 0.4])
-    ran = done(results, missed=[1], signals={"s": (t, 10.0 * t), "none": (t[:0], t[:0])})
+    ran = done(results, missed=results[:1], signals={"s": (t, 10.0 * t), "none": (t[:0], t[:0])})
     asked = {}
     monkeypatch.setattr(work, "simulate", lambda scenario, **given: asked.update(given, scenario=scenario) or ran)
     whole = work.run(work.Work(case(3, 2.0), 0.4, (), ("s", "none"), 5, 9))
-    assert {k: whole[k] for k in ("number", "figures", "never", "passed", "error", "signals")} == {
-        "number": 3, "figures": {"a": 1.5, "b": None, "c": None, "d": None}, "never": ["b"], "passed": False,
+    assert {k: whole[k] for k in ("number", "figures", "never", "missed", "passed", "error", "signals")} == {
+        "number": 3, "figures": {"a": 1.5, "b": None, "c": None, "d": None}, "never": ["b"],
+        "missed": ["a"], "passed": False,
         "error": "", "signals": {"s": {"end": 0.4, "x": [0.0, 1.0, 1.0, 3.0, 4.0]}, "none": {"end": 0.0, "x": []}},
     }  # fmt: skip
     assert whole["wall_s"] >= 0.0
@@ -402,10 +404,11 @@ def test_summaries_are_held_to_what_is_expected_and_published():
         summaries={"a": about, "b": about, "c": {"figure": "g"}}, expect={"a": "at most 1", "c": "at most 9"},
         claims={"a": claim, "other": claim | {"figure": "b", "published": 7.0}},
     )  # fmt: skip
-    found = {r.name: r for r in table.results(given, [row(figures={"f": 2.0})])}
+    found = {r.name: r for r in table.results(given, [row(figures={"f": 2.0})], {"f": "s"})}
     assert {n: (r.value, r.published, r.passed, r.error) for n, r in found.items()} == {
         "a": (2.0, 2.0, False, ""), "b": (2.0, 7.0, True, ""), "c": (None, None, False, "the result is nan"),
     }  # fmt: skip
+    assert [r.unit for r in found.values()] == ["s", "s", ""]
     assert (found["a"].at_most, found["b"].at_most) == (1.0, None)
     held = {f.key: f.holds for f in table.claims(given, list(found.values()))}
     assert held == {"a": True, "other": False}
@@ -442,10 +445,10 @@ def test_a_run_is_labelled_by_what_was_changed():
     drawn = study(draws={"count": 1, "parameters": {"b.y": {"uniform": [0, 1]}}}, grid={"a.x": [1]})
     found = row(case="one", overrides={"a.x": 1, "b.y": 0.123456, "c.z": "w"})
     assert page._changes(drawn, found) == "one, x 1, y 0.1235, z w"
-    assert pictures.label(drawn, found) == "one, x 1"
+    assert table.label(drawn, found) == "one, x 1"
     gridded = study(grid={"a.x": [1], "b.y": [2]})
-    assert page._changes(gridded, found) == pictures.label(gridded, found) == "one, x 1, y 0.1235"
-    assert pictures.label(study(), row(overrides={"a.x": 1})) == "all runs"
+    assert page._changes(gridded, found) == table.label(gridded, found) == "one, x 1, y 0.123456"
+    assert table.label(study(), row(overrides={"a.x": 1})) == "all runs"
     assert page._changes(study(search={"figure": "f", "count": 1, "parameters": {"a": {"uniform": [0, 1]}}}),
                          row(overrides={"a.x": [1, 2]})) == "x [1, 2]"  # fmt: skip
 
@@ -525,7 +528,7 @@ def told(monkeypatch):
     monkeypatch.setattr(page, "load_scenario", lambda name: SimpleNamespace(cites=()))
 
     def lines(rows, held=(), **keys):
-        body = page._page(study(**keys), rows, [], held, [], {"f": "s"})
+        body = page._page(study(**keys), rows, [], held, Statistics(), [], {"f": "s"})
         return [line.strip() for line in page_lines(make_page("t", body))]
 
     return lines
@@ -584,7 +587,6 @@ def test_options_of_a_study_are_its_keys(words, found):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--subject-to g<=5", "--subject-to: goes with --search FIGURE"),
         ("--search f --subject-to g=5", "--subject-to 'g=5': expected FIGURE <= NUMBER or FIGURE >= NUMBER"),
         ("--draw a.x=1..2~3", "a.x=1..2~3: a parameter has no course, expected LOW..HIGH*N for a list"),
     ],

@@ -171,6 +171,7 @@ _KINDS: dict[str, type | tuple[type, ...]] = {
     "overrides": dict,
     "figures": dict,
     "never": list,
+    "missed": list,
     "passed": bool,
     "error": str,
     "wall_s": (int, float),
@@ -184,7 +185,7 @@ def _row(line: bytes) -> dict[str, Any] | None:
         row = json.loads(line)
     except ValueError:
         return None
-    if not isinstance(row, dict) or not _KINDS.keys() - {"signals", "never"} <= row.keys() <= _KINDS.keys():
+    if not isinstance(row, dict) or not _KINDS.keys() - {"signals", "never", "missed"} <= row.keys() <= _KINDS.keys():
         return None
     right = all(isinstance(v, _KINDS[k]) for k, v in row.items())
     return row if right and all(v is None or isinstance(v, float | int) for v in row["figures"].values()) else None

@@ -53,12 +53,23 @@ def _flat(values: Any) -> list[float]:
 
 
 class Draws(Entry):
-    """Random parameters: `count` points by a generator of its own seed."""
+    """Drawn parameters: `count` points by a generator of its own seed.
+
+    ``sobol`` is a scrambled Sobol' sequence. ``sensitivity`` takes two sets of `count` points of one, and for each
+    drawn number the first set with that number of the second: count (numbers + 2) points.
+    """
 
     count: int = Field(ge=1, le=MOST)
     seed: int = Field(0, ge=0)
-    method: Literal["random", "latin_hypercube"] = "latin_hypercube"
+    method: Literal["random", "latin_hypercube", "sobol", "sensitivity"] = "latin_hypercube"
     parameters: dict[str, Distribution] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _balanced(self) -> Draws:
+        if self.method in ("sobol", "sensitivity") and self.count & (self.count - 1):
+            near = 2 ** (self.count.bit_length() - 1)
+            raise ValueError(f"{self.method}: expected a power of two, as {near} or {2 * near}, got {self.count} draws")
+        return self
 
 
 class Search(Entry):
@@ -90,7 +101,8 @@ class Summary(Entry):
     of : Expectation
         Of ``share``: ``at least 99``.
     where : dict
-        Only the runs whose case (key ``case``) or parameters have these values.
+        Only the runs whose case (key ``case``) or parameters have these values. Over several cases that it does not
+        choose from, it is a number of each.
     """
 
     figure: str
@@ -129,6 +141,8 @@ class Study(Entry):
         Which figures are kept; all when empty.
     signals : list of str
         Signals that are kept, at `samples` times, and drawn with bands over the seeds.
+    require : dict of str to Expectation
+        Figures and what is required of them: how often it holds is estimated.
     summaries, expect, claims
         Numbers over the runs, what they should be, what the paper says of them.
     """
@@ -146,6 +160,7 @@ class Study(Entry):
     figures: list[str] = []
     signals: list[str] = []
     samples: int = Field(200, ge=2, le=10_000)
+    require: dict[str, Expected] = {}
     summaries: dict[str, Summary] = {}
     expect: dict[str, Expected] = {}
     claims: dict[str, Claim] = {}
@@ -159,7 +174,15 @@ class Study(Entry):
                 if name not in self.summaries and not (kind == "claims" and not name):
                     known = ", ".join(self.summaries) or "none"
                     raise ValueError(f"{kind}: no summary {name!r}; the summaries are {known}")
+        mixed = [name for name, s in self.summaries.items() if self.each_case(s)]
+        for key, claim in self.claims.items():
+            if (name := claim.figure or key) in mixed:
+                raise ValueError(f"claims: {name} is of {len(self.cases)} cases; choose one: where: {{case: ...}}")
         return self
+
+    def each_case(self, summary: Summary) -> bool:
+        """Whether a summary is a number of each case."""
+        return len(self.cases) > 1 and not {"case", "scenario"} & summary.where.keys()
 
 
 def study_folders() -> list[Path]:

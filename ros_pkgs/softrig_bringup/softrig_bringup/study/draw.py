@@ -1,4 +1,4 @@
-"""Points of a study: grids, random and Latin hypercube draws."""
+"""Points of a study: grids, random draws and such that fill space evenly."""
 
 from __future__ import annotations
 
@@ -64,24 +64,38 @@ def count(study: Study) -> int:
     if study.search:
         return study.search.count * len(study.seeds or [0])
     grid = int(np.prod([len(v) for v in study.grid.values()], dtype=int)) if study.grid else 1
-    points = study.draws.count if study.draws else 1
-    return max(1, len(study.cases)) * grid * points * len(study.seeds or [0])
+    return max(1, len(study.cases)) * grid * points_of(study) * len(study.seeds or [0])
+
+
+def points_of(study: Study) -> int:
+    """Give the number of drawn points."""
+    if study.draws is None:
+        return 1
+    numbers = sum(map(size, study.draws.parameters.values()))
+    return study.draws.count * (numbers + 2 if study.draws.method == "sensitivity" else 1)
 
 
 def draw(draws: Draws) -> list[dict[str, Any]]:
     """Draw the points; the same every time."""
     sizes = {name: size(d) for name, d in draws.parameters.items()}
-    dimensions = sum(sizes.values())
-    generator = np.random.default_rng(draws.seed)
-    if draws.method == "latin_hypercube":  # as scipy's `qmc.LatinHypercube` gives it, whose import takes 0.7 s
-        (generator,) = generator.spawn(1)
-    unit = generator.random((draws.count, dimensions))
-    if draws.method == "latin_hypercube":
-        cells = np.tile(np.arange(1, draws.count + 1), (dimensions, 1))
-        for row in cells:
-            generator.shuffle(row)
-        unit = (cells.T - unit) / draws.count
+    unit = _unit(draws, sum(sizes.values()))
     return [_point(draws.parameters, sizes, row) for row in unit]
+
+
+def _unit(draws: Draws, dimensions: int) -> Array:
+    """Draw points of the unit cube, shape (points, dimensions)."""
+    if draws.method == "random":
+        return np.random.default_rng(draws.seed).random((draws.count, dimensions))
+    from scipy.stats import qmc
+
+    rng = np.random.default_rng(draws.seed)
+    if draws.method == "latin_hypercube":
+        return np.asarray(qmc.LatinHypercube(dimensions, rng=rng).random(draws.count))
+    if draws.method == "sobol":
+        return np.asarray(qmc.Sobol(dimensions, rng=rng).random(draws.count))
+    first, second = np.hsplit(qmc.Sobol(2 * dimensions, rng=rng).random(draws.count), 2)
+    mixed = [np.where(np.arange(dimensions) == k, second, first) for k in range(dimensions)]
+    return np.vstack([first, second, *mixed])
 
 
 def size(d: Distribution) -> int:

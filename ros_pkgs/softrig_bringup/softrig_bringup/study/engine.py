@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from softrig_core import Rig, Scenario, ScenarioError, figures_of, rig_of
+from softrig_core import Rig, RunError, Scenario, ScenarioError, figures_of, rig_of
 from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.judge.expectation import Expectation
@@ -22,10 +22,12 @@ from ..folder import STUDY, ResultsFolder, replace
 from .batch import Batch, Log
 from .definition import Search, Study
 from .draw import Case, _values, cases, count, drafts_of, seeds_of
-from .work import Work, repeating, value_of
+from .work import Work, recorded, repeating, value_of
 
 
-def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> Log:
+def run_study(
+    study: Study, out: Path, *, workers: int | None = None, scheduler: str = "", distinct: bool = False
+) -> Log:
     """Run what is not yet done of a study.
 
     Parameters
@@ -34,6 +36,8 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
         Gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
     workers, scheduler
         See `softrig_optim.sweep.Workers`.
+    distinct : bool
+        Refuse several seeds that are one run, see `check_seeds`, before the first row.
 
     Returns
     -------
@@ -49,10 +53,12 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
     folder = ResultsFolder(out, STUDY)
     drafts = drafts_of(study)  # an edit while it runs does not change it
     rigs = _check(study, drafts)
-    free = {"title", "source", "summaries", "expect", "claims", "name"}  # what the rows do not depend on
+    free = {"title", "source", "require", "summaries", "expect", "claims", "name"}  # what the rows do not depend on
     scenarios = {name: draft.filled() for name, draft in drafts.items()}
-    given = study.model_dump(mode="json", exclude=free) | made_of(scenarios, rigs)
+    given = study.model_dump(mode="json", exclude=free) | {"figures": _kept(study)} | made_of(scenarios, rigs)
     same(given, out / "study.json", "study")
+    if distinct and not (out / "study.json").exists():
+        check_seeds(study, drafts)
     if study.search:
         repeating(_work(study, next(_first(study, study.search, drafts)), drafts))
     with folder.alone():
@@ -69,17 +75,47 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
             folder.close()
 
 
+def check_seeds(study: Study, drafts: Mapping[str, Draft]) -> None:
+    """Refuse several seeds of a study in whose first runs no node draws a random number: they are one run.
+
+    Raises
+    ------
+    ScenarioError
+        Two seeds of each case give the same bytes.
+    """
+    if len(study.seeds or ()) < 2:
+        return
+    for case in _firsts(study, drafts):
+        work = _work(study, case, drafts)
+        try:
+            one, other = (recorded(work, seed) for seed in (study.seeds or ())[:2])
+        except RunError:
+            return  # its row says why
+        if any(topic.data != other[name].data for name, topic in one.items()):
+            return
+    raise ScenarioError(
+        f"{study.name}: {len(study.seeds or ())} seeds are one run, as no node draws a random number that reaches a "
+        "message; expected draws (--draw), or one seed; --force runs them all the same"
+    )
+
+
 def _work(study: Study, case: Case, drafts: Mapping[str, Draft]) -> Work:
-    sought = (study.search.figure, *study.search.subject_to) if study.search and study.figures else ()
     return Work(
         case,
         study.duration,
-        tuple(dict.fromkeys((*study.figures, *sought))),
+        tuple(_kept(study)),
         tuple(study.signals),
         study.samples,
         count(study) // max(1, len(study.cases)),
         drafts[case.scenario],
     )
+
+
+def _kept(study: Study) -> list[str]:
+    """Give the figures that a row keeps; all when empty."""
+    sought = [study.search.figure, *study.search.subject_to] if study.search else []
+    sought += [*study.require, *(summary.figure for summary in study.summaries.values())]
+    return list(dict.fromkeys([*study.figures, *sought])) if study.figures else []
 
 
 class OtherContentError(ScenarioError):
@@ -137,14 +173,12 @@ def _changed(there: dict[str, Any], here: dict[str, Any]) -> str:
 
 def _check(study: Study, drafts: Mapping[str, Draft]) -> list[Rig]:
     """Build the rig of the first run of each case, so that what is misspelt is said at once; give them."""
-    seen: dict[str, Rig] = {}
-    first = _first(study, study.search, drafts) if study.search else cases(study, drafts)
-    for case in first:
-        if case.case in seen:
-            continue
-        rig = seen[case.case] = rig_of(drafts[case.scenario], duration=study.duration, overrides=case.overrides)
+    rigs = []
+    for case in _firsts(study, drafts):
+        rig = rig_of(drafts[case.scenario], duration=study.duration, overrides=case.overrides)
+        rigs.append(rig)
         known = [f.name for f in figures_of(rig)]
-        wanted = {*study.figures, *(s.figure for s in study.summaries.values())}
+        wanted = {*study.figures, *study.require, *(s.figure for s in study.summaries.values())}
         wanted |= {study.search.figure, *study.search.subject_to} if study.search else set()
         unknown = sorted(wanted - set(known))
         if unknown:
@@ -157,9 +191,18 @@ def _check(study: Study, drafts: Mapping[str, Draft]) -> list[Rig]:
                 raise ScenarioError(
                     f"{study.name}: no signal {name!r}{closest(name, topics)}; {case.scenario} has {', '.join(topics)}"
                 )
+    return rigs
+
+
+def _firsts(study: Study, drafts: Mapping[str, Draft]) -> Iterator[Case]:
+    """Give the first run of each case."""
+    seen = set()
+    for case in _first(study, study.search, drafts) if study.search else cases(study, drafts):
+        if case.case not in seen:
+            seen.add(case.case)
+            yield case
         if len(seen) == max(1, len(study.cases)):
-            break
-    return list(seen.values())
+            return
 
 
 def _first(study: Study, search: Search, drafts: Mapping[str, Draft]) -> Iterator[Case]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from argparse import Namespace
+from collections.abc import Mapping
 from os.path import isfile
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,11 @@ from softrig_core.command_line import named
 from softrig_core.scenario.scenario_file import find, locate
 from softrig_core.scenario.yaml_file import read_yaml
 
-from ..options.grammar import NUMBER, span, values
+from ..options.grammar import NUMBER, settings, span, values
 from .definition import Study, list_studies, load_study, make_study
 
-LONGEST = 120  # letters of a folder's name
+LONGEST = 80  # letters of a folder's name
+DRAWN, BALANCED = 100, 128  # draws by default; of methods that need a power of two
 
 
 def study_of(options: Namespace) -> Study:
@@ -44,12 +46,17 @@ def study_of(options: Namespace) -> Study:
 
 def folder_name(name: str, options: Namespace) -> str:
     """Name the folder of a study by what is varied, so that studies that differ do not meet in one."""
-    draws = [f"{options.method}_{options.draws}"] if options.draw else []
+    draws = [f"{_method(options)}_{_draws(options)}"] if options.draw else []
     search = [f"{'max' if options.maximise else 'min'}_{options.search}", *options.subject_to] if options.search else []
-    parts = [f"study_{name}", *options.grid, *options.draw, *draws, *search]
+    against = [f"against_{other}" for other in options.against]
+    parts = [f"study_{name}", *against, *options.grid, *options.draw, *draws, *search]
     parts += [f"{key}_{value}" for key in ("seeds", "duration") if (value := getattr(options, key)) is not None]
-    found = re.sub(r"[^A-Za-z0-9_.,:=+-]+", "_", "-".join(parts))
-    return found if len(found) <= LONGEST else f"{found[:LONGEST]}-{hashlib.sha256(found.encode()).hexdigest()[:8]}"
+    parts += [*options.figures, *options.signals]
+    whole = "-".join(parts)
+    found = re.sub(r"[^A-Za-z0-9_.,:=+-]+", "_", whole)
+    if found == whole and len(found) <= LONGEST:
+        return found
+    return f"{found[:LONGEST].rstrip('-_.,')}-{hashlib.sha256(whole.encode()).hexdigest()[:8]}"
 
 
 def _changes(options: Namespace) -> dict[str, Any]:
@@ -65,15 +72,48 @@ def _changes(options: Namespace) -> dict[str, Any]:
         changes["search"] = {
             "figure": options.search,
             "aim": aim,
-            "count": options.draws,
+            "count": _draws(options),
             "parameters": drawn,
             "subject_to": dict(map(_constraint, options.subject_to)),
         }
-    elif options.subject_to:
-        raise ScenarioError("--subject-to: goes with --search FIGURE")
-    elif drawn:
-        changes["draws"] = {"count": options.draws, "method": options.method, "parameters": drawn}
+    else:
+        changes |= {"require": dict(map(_constraint, options.subject_to))} if options.subject_to else {}
+        changes |= {"draws": _drawn_points(options, drawn)} if drawn else {}
+    if options.sensitivity and (options.search or not drawn):
+        why = "goes with no --search" if options.search else "of what --draw names, expected --draw NAME=LOW..HIGH"
+        raise ScenarioError(f"--sensitivity: {why}")
+    if options.against:
+        changes["cases"] = _cases(options)
     return changes
+
+
+def _method(options: Namespace) -> str:
+    return "sensitivity" if options.sensitivity else str(options.method)
+
+
+def _draws(options: Namespace) -> int:
+    count: int | None = options.draws
+    return count or (BALANCED if options.draw and _method(options) in ("sobol", "sensitivity") else DRAWN)
+
+
+def _drawn_points(options: Namespace, drawn: Mapping[str, Any]) -> dict[str, Any]:
+    return {"count": _draws(options), "method": _method(options), "parameters": drawn}
+
+
+def _cases(options: Namespace) -> dict[str, dict[str, Any]]:
+    """Give the cases: the scenario as it is, and what it is held against."""
+    found: dict[str, dict[str, Any]] = {_slug(options.study): {}}
+    for text in options.against:
+        change = settings([text]) if "=" in text else {"scenario": text}
+        name = text if "=" in text else _slug(text)
+        if name in found:
+            raise ScenarioError(f"--against {text}: it is that scenario itself, or there twice")
+        found[name] = change
+    return found
+
+
+def _slug(name: str) -> str:
+    return locate(name)[0]
 
 
 def _drawn(name: str, text: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from softrig_core import figures_of, load_scenario, rig_of
+from softrig_core import ScenarioError, figures_of, load_scenario, rig_of
 from softrig_core.block.params import declarations
 from softrig_core.extras import need
 from softrig_core.judge.units import pretty_unit
@@ -28,11 +28,14 @@ from ..terminal.tables import Cell, print_columns, print_judged
 from .definition import Study, list_studies
 from .engine import beyond, run_study
 from .options import folder_name, study_of
-from .pictures import chosen, draw_study, in_short, label
-from .table import Row, claims, command, results, without_signals, write_table
+from .pictures import chosen, draw_study
+from .statistics import Statistics, statistics
+from .table import Row, claims, command, in_short, label, results, without_signals, write_table
+from .tabled import Tabled, tables
 from .work import absent, value_of
 
 FEW = 20  # runs whose figures are printed where a study has no summaries
+MOST = 60  # rows of statistics that are printed
 LONGEST = 200  # rows on the page; the table files have them all
 
 
@@ -43,32 +46,45 @@ def main(options: argparse.Namespace) -> int:
         return 0
     study = study_of(options)
     out = options.out or Path("runs") / folder_name(study.name, options)
+    widths = dict(map(_width, options.width))
     need("pyarrow", "the table of a study")  # before hours of runs, not after
-    log = run_study(study, out, workers=options.workers, scheduler=options.scheduler)
+    log = run_study(study, out, workers=options.workers, scheduler=options.scheduler, distinct=not options.force)
     rows = without_signals(log.rows())
-    found = results(study, rows)
+    units = units_of(rows)
+    found = results(study, rows, units)
     held = claims(study, found)
-    units = _units(rows)
+    over = statistics(study, rows, units, widths)
     content = {
         "study": study.name,
         "runs": len(rows),
         "broken": sum(bool(r["error"]) for r in rows),
         "summaries": [r.model_dump(by_alias=True) for r in found],
         "claims": [c.model_dump() for c in held],
-    }
+    } | over.content()
     folder = ResultsFolder(out, STUDY)
     with folder.alone(), folder.anew() as new:
         write_table(rows, new, study.duration)
         pictures = draw_study(study, rows, log.rows() if study.signals else (), new, units)
         (new / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
-        write_page(new / "report.html", study.title, list(_page(study, rows, found, held, pictures, units)))
-    _print(study, rows, found, held, out)
+        write_page(new / "report.html", study.title, list(_page(study, rows, found, held, over, pictures, units)))
+    _print(study, rows, found, held, over, out)
     if any(row["error"] for row in rows):
         return 3
     return 0 if all(r.passed for r in found) and all(c.holds is not False for c in held) else 1
 
 
-def _units(rows: Sequence[Row]) -> dict[str, str]:
+def _width(text: str) -> tuple[str, float]:
+    name, _, width = text.rpartition("=")
+    try:
+        found = float(width) if name else math.nan
+    except ValueError:
+        found = math.nan
+    if not 0.0 < found < math.inf:
+        raise ScenarioError(f"--width {text!r}: expected FIGURE=W, a width above 0")
+    return name.strip(), found
+
+
+def units_of(rows: Sequence[Row]) -> dict[str, str]:
     """Units of figures, parameters (``node.name``) and signals, from the scenarios that the study runs."""
     units: dict[str, str] = {}
     for scenario in dict.fromkeys(row["scenario"] for row in rows):
@@ -112,20 +128,29 @@ def _figure(row: Row, name: str) -> str:
     return f"{value:.6g}" if math.isfinite(value) else NEVER if value == math.inf else "" if row["error"] else NONE
 
 
-def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], out: Path) -> None:
+def _print(
+    study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], over: Statistics, out: Path
+) -> None:
     console = make_console()
     console.print(styled((study.title, "italic")))
     cells: list[list[Cell]] = []
     for r in found:
         verdict = styled(("pass" if r.judged else "", "green")) if r.passed else styled(("MISS", "red"), f" {r.error}")
-        cells.append([r.name, short(r.value), accepted(r), short(r.published), verdict])
+        cells.append([r.name, short(r.value), accepted(r), short(r.published), r.unit, verdict])
     if found:
-        print_judged(console, ("summary", "value", "expected", "published", ""), cells)
+        print_judged(console, ("summary", "value", "expected", "published", "unit", ""), cells)
     elif len(rows) <= FEW:
         varied, figures = (list(dict.fromkeys(n for row in rows for n in row[k])) for k in ("overrides", "figures"))
         for row in rows:
             cells.append([*(_cell(row["overrides"].get(n)) for n in varied), *(_figure(row, n) for n in figures)])
         print_columns(console, [*varied, *figures], cells, len(varied))
+    for written in tables(over):
+        console.print(styled((written.title, "bold")))
+        print_columns(console, written.heads, written.rows[:MOST], written.keys)
+        if len(written.rows) > MOST:
+            console.print(f"the first {MOST} of {len(written.rows)} rows; summaries.json has them all")
+    for note in over.notes:
+        console.print(note, soft_wrap=True)
     for claim in held:
         if claim.holds is False:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))
@@ -153,6 +178,7 @@ def _page(
     rows: Sequence[Row],
     found: Sequence[Result],
     held: Sequence[Finding],
+    over: Statistics,
     pictures: Sequence[Path],
     units: dict[str, str],
 ) -> list[Element]:
@@ -177,12 +203,16 @@ def _page(
                 r.name.replace("_", " "),
                 short(r.published),
                 short(r.value),
+                pretty_unit(r.unit),
                 accepted(r),
                 mark(r.passed, "pass" if r.passed else "miss") if r.judged else "",
             )
             for r in found
         ]
-        body += [e("h2", "Over all runs"), table(("Summary", "Published", "Value", "Accepted", ""), lines, " nnn ")]
+        body += [
+            e("h2", "Over all runs"),
+            table(("Summary", "Published", "Value", "Unit", "Accepted", ""), lines, " nn n "),
+        ]
     if held:
         lines = [
             (
@@ -203,6 +233,9 @@ def _page(
             e("h2", "Claims"),
             table(("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict"), lines, "  n n "),
         ]
+    for written in tables(over):
+        body += [e("h2", written.title), _statistics(written)]
+    body += [e("p", f"{note[0].upper()}{note[1:]}.", class_="note") for note in over.notes]
     winners = best(study, rows)
     if winners:
         about = [
@@ -237,6 +270,15 @@ def _page(
         note = f"The first {LONGEST} of {len(rows)} runs. {note}"
     body.append(e("p", note, class_="note"))
     return [*body, *([e("h2", "Sources")] if papers else []), *sources(papers)]
+
+
+def _statistics(written: Tabled) -> Element:
+    words = {k for k, head in enumerate(written.heads) if k < written.keys or head == "unit"}
+    lines = [
+        [pretty_unit(cell) if head == "unit" else cell for head, cell in zip(written.heads, row, strict=True)]
+        for row in written.rows[:LONGEST]
+    ]
+    return table(written.heads, lines, "".join(" " if k in words else "n" for k in range(len(written.heads))))
 
 
 def _changes(study: Study, row: Row) -> str:

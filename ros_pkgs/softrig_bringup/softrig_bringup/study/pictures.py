@@ -13,6 +13,7 @@ from ..plots.overlay import BAND
 from ..plots.pictures import note, places, plot_name, save_figure
 from ..plots.style import COLOURS, DPI, WIDTH, axis_title, quantity, style
 from .definition import Search, Study
+from .table import label
 from .work import absent, value_of
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ Row = Mapping[str, Any]
 Array = NDArray[np.float64]
 TICKS = 12  # values of a parameter that get a tick each
 LOST = "#b3261e"  # of what has no value
+FEW = 3  # histograms that can be told apart over one another
 MOST = 6  # figures, and groups of curves, that a picture can hold
 
 
@@ -69,7 +71,7 @@ def _figures(
         yield f"Figures over {parameter}", _over(rows, parameter, names, units, banded=parameter in study.grid)
     if len(varied) == 2:
         yield f"Map of {names[0].replace('_', ' ')}", _map(rows, varied, names[0], units)
-    if len(rows) > 4 and not study.search and (not varied or study.grid):
+    if len(rows) > 4 and not study.search and (not varied or study.grid or study.draws):
         yield "Distribution over the runs", _distribution(study, rows, names, units)
     if study.signals:
         yield from _bands(study, signals, units)
@@ -94,22 +96,6 @@ def numeric(rows: Sequence[Row]) -> list[str]:
             number = isinstance(value, int | float) and not isinstance(value, bool)
             seen.setdefault(name, set()).add(value if number else None)
     return [name for name, values in seen.items() if None not in values and len(values) > 1]
-
-
-def label(study: Study, row: Row) -> str:
-    """Say what was changed in a run, but its seed and what was drawn at random."""
-    drawn = study.draws.parameters if study.draws else {}
-    changes = [
-        f"{k.rpartition('.')[2]} {in_short(v)}"
-        for k, v in row["overrides"].items()
-        if k in study.grid and k not in drawn
-    ]
-    return ", ".join(([row["case"]] if row["case"] else []) + changes) or "all runs"
-
-
-def in_short(value: Any) -> str:
-    """Write a value of a parameter."""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _axes(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:
@@ -141,13 +127,14 @@ def _over(
     most = 1
     for ax, name in zip(axes, names, strict=True):
         for case, mine in list(groups.items())[:MOST]:
+            named = f"{case}, n = {len(mine)}" if case else None
             x, y = _columns(mine, parameter, name)
             at = np.unique(x)
             sure = np.isfinite(y)
             if banded:
                 most = max(most, *(int((x == v).sum()) for v in at))
                 middle = np.array([_median(y[x == v]) for v in at])
-                (line,) = ax.plot(at, middle, "o-", markersize=3, label=case or None)
+                (line,) = ax.plot(at, middle, "o-", markersize=3, label=named)
                 ends = [(v, y[(x == v) & sure]) for v in at if ((x == v) & sure).any()]
                 ax.fill_between(
                     [v for v, _ in ends],
@@ -164,7 +151,7 @@ def _over(
                     ax.set_xticks(at)
                     ax.minorticks_off()
             else:
-                ax.plot(x[sure], y[sure], ".", markersize=3, alpha=0.6, label=case or None)
+                ax.plot(x[sure], y[sure], ".", markersize=3, alpha=0.6, label=named)
                 _lost(ax, x[~sure], "")
         every = [value_of(row, name) for row in rows]
         if lost := absent(every):
@@ -211,32 +198,53 @@ def _lost(ax: Axes, x: Sequence[float] | Array, text: str) -> None:
 
 
 def _map(rows: Sequence[Row], varied: Sequence[str], name: str, units: Mapping[str, str]) -> Figure:
-    figure, (ax,) = _axes(1, 4.5)
-    sure = [row for row in rows if row["figures"].get(name) is not None and all(p in row["overrides"] for p in varied)]
-    x, y = (np.array([row["overrides"][p] for row in sure], float) for p in varied)
-    z = np.array([row["figures"][name] for row in sure], float)
+    """Draw a figure over two parameters, a map a case, all of one scale."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row["case"], []).append(row)
+    several = len(groups) > 1
+    figure, axes = _axes(min(MOST, len(groups)), 3.0 if several else 4.5)
+    known = [v for row in rows if (v := row["figures"].get(name)) is not None]
+    scale = {"cmap": "viridis", "vmin": min(known), "vmax": max(known)}
+    for ax, (case, mine) in zip(axes, groups.items(), strict=False):
+        drawn = _map_of(ax, mine, varied, name, scale)
+        ax.set_xlabel(axis_title(varied[0], units.get(varied[0], "")))
+        ax.set_ylabel(axis_title(varied[1], units.get(varied[1], "")))
+        if several:
+            lost = absent(value_of(row, name) for row in mine)
+            ax.set_title(f"{case}, {len(mine)} runs" + (f", ×: {lost}" if lost else ""), loc="left", fontsize=9)
+    lost = absent(value_of(row, name) for row in rows)
+    said = [f"×: {lost}"] if lost and not several else []
+    said += [f"the first {MOST} of {len(groups)} cases"] if len(groups) > MOST else []
+    if said:
+        note(figure, ", ".join(said))
+    figure.colorbar(drawn, ax=axes, label=_name(name, units))
+    return figure
+
+
+def _map_of(ax: Axes, rows: Sequence[Row], varied: Sequence[str], name: str, scale: Mapping[str, Any]) -> Any:
+    """Draw the map of one case, what has no value as crosses; give what a bar of colours is made of."""
+    placed = [row for row in rows if all(p in row["overrides"] for p in varied)]
+    sure = [row["figures"].get(name) is not None for row in placed]
+    x, y = (np.array([row["overrides"][p] for row in placed], float) for p in varied)
+    z = np.array([row["figures"].get(name) for row in placed], float)
     at_x, at_y = np.unique(x), np.unique(y)
     if at_x.size * at_y.size <= 4 * x.size:  # a grid
         mean = np.full((at_y.size, at_x.size), np.nan)
         for i, v in enumerate(at_y):
             for j, u in enumerate(at_x):
-                here = z[(x == u) & (y == v)]
+                here = z[(x == u) & (y == v) & sure]
                 mean[i, j] = here.mean() if here.size else np.nan
-        drawn: Any = ax.pcolormesh(at_x, at_y, mean, shading="nearest", cmap="viridis")
+        drawn: Any = ax.pcolormesh(at_x, at_y, mean, shading="nearest", **scale)
         for axis, at in ((ax.xaxis, at_x), (ax.yaxis, at_y)):
             if len(at) <= TICKS:
                 axis.set_ticks(at)
     else:
-        drawn = ax.scatter(x, y, c=z, s=8, cmap="viridis")
-    lost = [row for row in rows if row not in sure and all(p in row["overrides"] for p in varied)]
-    if lost:
-        ax.plot(*([row["overrides"][p] for row in lost] for p in varied), "x", color=LOST, markersize=7, clip_on=False)
-        note(figure, f"×: {absent(value_of(row, name) for row in rows)}")
+        drawn = ax.scatter(x[sure], y[sure], c=z[sure], s=8, **scale)
+    if not all(sure):
+        ax.plot(x[~np.array(sure)], y[~np.array(sure)], "x", color=LOST, markersize=7, clip_on=False)
     ax.grid(False)
-    ax.set_xlabel(axis_title(varied[0], units.get(varied[0], "")))
-    ax.set_ylabel(axis_title(varied[1], units.get(varied[1], "")))
-    figure.colorbar(drawn, ax=ax, label=_name(name, units))
-    return figure
+    return drawn
 
 
 def _distribution(study: Study, rows: Sequence[Row], names: Sequence[str], units: Mapping[str, str]) -> Figure:
@@ -249,20 +257,29 @@ def _distribution(study: Study, rows: Sequence[Row], names: Sequence[str], units
         lost = {group: absent(value_of(row, name) for row in mine) for group, mine in groups.items()}
         if said := absent(value_of(row, name) for row in rows):
             ax.set_title(said, loc="right", fontsize=9, color=LOST)
-        if len(groups) == 1:
-            ax.hist(values[0], bins=min(40, max(8, len(values[0]) // 10)), color=COLOURS[0])
+        if len(groups) == 1 or (study.draws and len(groups) <= FEW and any(values)):
+            edges = np.histogram_bin_edges(np.concatenate(values), min(40, max(8, max(map(len, values)) // 10)))
+            several = len(groups) > 1
+            for k, (group, own) in enumerate(zip(groups, values, strict=True)):
+                named = f"{group}, n = {len(own)}" if several else None
+                ax.hist(own, bins=edges.tolist(), color=COLOURS[k], label=named, alpha=0.6 if several else None)
             ax.set_xlabel(_name(name, units))
             ax.set_ylabel("Runs")
         else:
             ax.boxplot(
                 values,
                 orientation="horizontal",
-                tick_labels=[f"{g} ({t})" if t else g for g, t in lost.items()],
+                tick_labels=[
+                    f"{g}, n = {len(v)}" + (f" ({lost[g]})" if lost[g] else "")
+                    for g, v in zip(groups, values, strict=True)
+                ],
                 flierprops={"markersize": 3},
             )
             ax.set_xlabel(_name(name, units))
             ax.tick_params(axis="y", labelsize=7)
         ax.margins(x=0.03)
+    if axes[0].get_legend_handles_labels()[0]:
+        axes[0].legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return figure
 
 

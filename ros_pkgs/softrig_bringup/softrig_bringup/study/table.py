@@ -18,6 +18,7 @@ from ..options.repeat import joined, scenario_word, words
 from .definition import Study, Summary
 
 Row = Mapping[str, Any]
+ALL = "all runs"  # label of a run of a study without cases and grid
 
 
 def without_signals(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -71,6 +72,22 @@ def _commands(rows: Iterable[Row], duration: float | None) -> Iterator[str]:
         yield joined(found)
 
 
+def label(study: Study, row: Row) -> str:
+    """Say what was changed in a run, but its seed and what was drawn at random."""
+    drawn = study.draws.parameters if study.draws else {}
+    changes = [
+        f"{k.rpartition('.')[2]} {in_short(v, 10)}"
+        for k, v in row["overrides"].items()
+        if k in study.grid and k not in drawn
+    ]
+    return ", ".join(([row["case"]] if row["case"] else []) + changes) or ALL
+
+
+def in_short(value: Any, digits: int = 4) -> str:
+    """Write a value of a parameter."""
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+
 def summarise(rows: Sequence[Row], summary: Summary) -> float:
     """Compute a number over the runs; NaN without runs, or when one it needs could not be measured."""
     chosen = [row for row in rows if all(_value(row, k) == v for k, v in summary.where.items())]
@@ -102,19 +119,31 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def results(study: Study, rows: Sequence[Row]) -> list[Result]:
-    """Judge the summaries of a study."""
-    found = []
+def each_case(study: Study) -> Iterator[tuple[str, str, Summary]]:
+    """Give name, entry and content of each summary; one that chooses from no case is one of each."""
     for name, summary in study.summaries.items():
+        if not study.each_case(summary):
+            yield name, name, summary
+            continue
+        for case in study.cases:
+            yield f"{name} ({case})", name, summary.model_copy(update={"where": summary.where | {"case": case}})
+
+
+def results(study: Study, rows: Sequence[Row], units: Mapping[str, str]) -> list[Result]:
+    """Judge the summaries of a study; `units` has those of figures."""
+    found = []
+    for name, entry, summary in each_case(study):
         value = summarise(rows, summary)
-        limits = study.expect.get(name)
+        limits = study.expect.get(entry)
         published = next((c.published for k, c in study.claims.items() if (c.figure or k) == name), None)
         sure = math.isfinite(value)
+        pure = summary.statistic in ("share", "count")
         found.append(
             Result(
                 name=name,
                 value=value if sure else None,
                 number=value,
+                unit="" if pure else units.get(summary.figure, ""),
                 published=published,
                 passed=limits is None or limits.holds(value),
                 error="" if sure else f"the result is {value}",

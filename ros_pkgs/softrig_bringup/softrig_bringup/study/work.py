@@ -108,15 +108,7 @@ def repeating(work: Work) -> dict[str, Any]:
 
 
 def _parting(work: Work) -> str:
-    first, second = (
-        simulate(
-            work.scenario or work.case.scenario,
-            seed=work.case.seed,
-            duration=work.duration,
-            overrides=work.case.overrides,
-        ).recording.topics
-        for _ in range(2)
-    )
+    first, second = (recorded(work, work.case.seed) for _ in range(2))
     found = [
         (topic.times[k], name)
         for name, topic in first.items()
@@ -124,6 +116,12 @@ def _parting(work: Work) -> str:
         if one != two
     ]
     return f", first on {min(found)[1]} at t = {min(found)[0] / SECOND:.9g} s" if found else ""
+
+
+def recorded(work: Work, seed: int) -> Mapping[str, Any]:
+    """Run a case with a seed and give what it recorded, by topic."""
+    scenario, overrides = work.scenario or work.case.scenario, work.case.overrides
+    return simulate(scenario, seed=seed, duration=work.duration, overrides=overrides, runs=work.runs).recording.topics
 
 
 def _figures(done: Run, work: Work) -> dict[str, Any]:
@@ -135,6 +133,7 @@ def _figures(done: Run, work: Work) -> dict[str, Any]:
     return {
         "figures": {r.name: r.number if np.isfinite(r.number) else None for r in wanted},
         "never": [r.name for r in wanted if r.number == np.inf],
+        "missed": [r.name for r in done.missed],
         "passed": not done.missed,
     } | ({"signals": sampled} if sampled else {})
 

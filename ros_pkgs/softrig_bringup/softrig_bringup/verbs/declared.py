@@ -152,18 +152,43 @@ def _vary(verb: Verb) -> None:
         metavar="NAME=LOW..HIGH",
         help="drawn uniformly; also 'log LOW..HIGH', of a list LOW..HIGH*N, one of A,B,C",
     )
-    study.add_argument("--draws", type=Number(int, 1), default=100, metavar="N", help="how many points are drawn (100)")
-    study.add_argument("--method", choices=("random", "latin_hypercube"), default="latin_hypercube")
+    study.add_argument(
+        "--against",
+        action="append",
+        default=[],
+        metavar="SCENARIO|NAME=VALUE",
+        help="held against the same draws and seeds of another scenario, or of this one changed",
+    )
+    study.add_argument("--draws", type=Number(int, 1), metavar="N", help="how many points are drawn (100)")
+    study.add_argument(
+        "--method",
+        choices=("random", "latin_hypercube", "sobol"),
+        default="latin_hypercube",
+        help="how; sobol: a power of two of them (128)",
+    )
+    study.add_argument(
+        "--sensitivity",
+        action="store_true",
+        help="Sobol' indices of what --draw names, by N (names + 2) runs; N is a power of two (128)",
+    )
     study.add_argument("--search", metavar="FIGURE", help="minimise this figure over what --draw names")
     study.add_argument(
         "--subject-to",
         action="append",
         default=[],
         metavar="'FIGURE <= X'",
-        help="with --search: only runs that keep to it; also >=",
+        help="how often it holds; with --search: only runs that keep to it; also >=",
     )
     study.add_argument("--maximise", action="store_true", help="with --search: maximise instead")
     study.add_argument("--seeds", type=Number(int, 1), metavar="N", help="rig seeds 0 to N - 1 of each point")
+    study.add_argument(
+        "--width",
+        action="append",
+        default=[],
+        metavar="FIGURE=W",
+        help="how many runs its 95 %% interval needs to be so wide; also of a requirement or a --subject-to",
+    )
+    study.add_argument("--force", action="store_true", help="also seeds of a rig that draws no random number")
     study.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
     study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")

@@ -182,7 +182,7 @@ def study_findings(
             ResultsFolder(out / study.name, STUDY).clear()  # of another scenario or other code: all can be run again
             log = run_study(study, out / study.name, workers=workers)
         done = without_signals(log.rows())
-        rows += claims(study, results(study, done))
+        rows += claims(study, results(study, done, {}))
         scenarios.append(scenario.model_copy(update={"name": study.name, "source": study.source or scenario.source}))
     return scenarios, rows
 

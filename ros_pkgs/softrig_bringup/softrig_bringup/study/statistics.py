@@ -1,0 +1,332 @@
+"""What the runs of a study say together: statistics of each case, cases held against each other, sensitivities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core import load_scenario
+from softrig_core.errors import ScenarioError, closest
+from softrig_core.judge.expectation import Expectation
+
+from . import estimate
+from .definition import Study
+from .draw import points_of, size
+from .estimate import Estimate
+from .table import Row, label
+from .work import absent, value_of
+
+Array = NDArray[np.float64]
+
+
+class Line(NamedTuple):
+    """A figure over the runs of a case and grid point: `n` independent ones have a number, `lost` tells of the rest."""
+
+    group: str
+    figure: str
+    unit: str
+    n: int
+    lost: str
+    mean: Estimate
+    deviation: Estimate
+    low: Estimate
+    median: Estimate
+    high: Estimate
+
+
+class Share(NamedTuple):
+    """How often a requirement holds; a run that broke or that could not be judged does not count as one."""
+
+    group: str
+    requirement: str
+    held: int
+    n: int
+    share: Estimate
+
+
+class Difference(NamedTuple):
+    """A figure of two cases at the same draws and seeds.
+
+    Parameters
+    ----------
+    group, base : str
+        What is compared with what: group minus base.
+    n : int
+        Pairs, of which both have a number.
+    smaller : Estimate
+        Share of the pairs in which the figure of `group` is smaller; equal ones count half.
+    effect : float
+        Mean difference by its standard deviation, Cohen's d_z.
+    p : float
+        Of the paired t test, adjusted by Holm's rule over all differences of the study.
+    """
+
+    group: str
+    base: str
+    figure: str
+    unit: str
+    n: int
+    difference: Estimate
+    smaller: Estimate
+    effect: float
+    p: float
+
+
+class Index(NamedTuple):
+    """Sobol' indices of a figure: the share of its variance that a parameter explains alone, and with all others."""
+
+    group: str
+    figure: str
+    parameter: str
+    n: int
+    first: Estimate
+    total: Estimate
+
+
+class Statistics(NamedTuple):
+    """All of a study, and sentences about it."""
+
+    lines: Sequence[Line] = ()
+    shares: Sequence[Share] = ()
+    differences: Sequence[Difference] = ()
+    indices: Sequence[Index] = ()
+    notes: Sequence[str] = ()
+
+    def content(self) -> dict[str, Any]:
+        """Give it as JSON holds it: what is not finite is None."""
+        return {
+            key: [_plain(entry) if isinstance(entry, tuple) else entry for entry in entries]
+            for key, entries in self._asdict().items()
+        }
+
+
+def _plain(entry: Any) -> Any:
+    if isinstance(entry, tuple):
+        return {key: _plain(value) for key, value in entry._asdict().items()}  # type: ignore[attr-defined]
+    return entry if not isinstance(entry, float) or math.isfinite(entry) else None
+
+
+class Sample:
+    """The runs of one case and grid point: what differs between them is drawn.
+
+    Parameters
+    ----------
+    rows : sequence
+        By number: the seeds of the first draw, of the second, ...
+    seeds : int
+        Of each draw.
+
+    Attributes
+    ----------
+    one_run : bool
+        Whether the seeds of each draw are one run, with the same figures.
+    """
+
+    def __init__(self, rows: Sequence[Row], seeds: int) -> None:
+        self.rows, self.seeds = rows, seeds if len(rows) % seeds == 0 else 1
+        said = [(row["figures"], row.get("never"), bool(row["error"])) for row in rows]
+        self.one_run = self.seeds > 1 and all(said[k] == said[k - k % self.seeds] for k in range(len(said)))
+
+    def table(self, value: Callable[[Row], float], one_run: bool | None = None) -> Array:
+        """Give a number of each run, shape (independent runs, runs that belong to one of them)."""
+        values = np.array([value(row) for row in self.rows], float).reshape(-1, self.seeds)
+        values = values[:, :1] if (self.one_run if one_run is None else one_run) else values
+        return values.T if len(values) == 1 else values  # of a single draw the seeds are independent
+
+
+def statistics(
+    study: Study, rows: Sequence[Row], units: Mapping[str, str], widths: Mapping[str, float] | None = None
+) -> Statistics:
+    """Compute what the runs of a study say together; nothing of a search, whose runs are no sample.
+
+    Parameters
+    ----------
+    rows : sequence
+        By number.
+    units : mapping
+        Of figures.
+    widths : mapping, optional
+        Of a figure, requirement or share, how wide its interval is to be; the notes say how many runs that needs.
+
+    Raises
+    ------
+    ScenarioError
+        A width of what the study does not estimate.
+    """
+    if study.search or not rows:
+        return Statistics()
+    samples = samples_of(study, rows)
+    figures = list(dict.fromkeys(name for row in rows for name, value in row["figures"].items() if value is not None))
+    lines = [_line(group, name, units.get(name, ""), s) for group, s in samples.items() for name in figures]
+    found = Statistics(
+        [line for line in lines if line is not None],
+        [share for group, sample in samples.items() for share in _shares(study, group, sample)],
+        _adjusted([d for name in figures for d in _differences(study, samples, name, units.get(name, ""))]),
+        [*_indices(study, rows, figures)],
+    )
+    return found._replace(notes=[*_notes(study, samples, found), *_needed(found, widths or {})])
+
+
+def samples_of(study: Study, rows: Sequence[Row]) -> dict[str, Sample]:
+    """Give the runs of each case and grid point, those that are independent draws."""
+    seeds = len(study.seeds or [0])
+    sets = 2 * study.draws.count * seeds if study.draws and study.draws.method == "sensitivity" else None
+    return {group: Sample(own[:sets], seeds) for group, own in _groups(study, rows).items()}
+
+
+def _groups(study: Study, rows: Sequence[Row]) -> dict[str, list[Row]]:
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(label(study, row), []).append(row)
+    return found
+
+
+def _line(group: str, figure: str, unit: str, sample: Sample) -> Line | None:
+    """Estimate over a sample; nothing where it is one run."""
+    table = sample.table(lambda row: value_of(row, figure))
+    known = table[~np.isnan(table).any(axis=1)]  # what was not measured is not known to be small or large
+    finite = known[np.isfinite(known).all(axis=1)]
+    if table.size < 2 or not known.size:
+        return None
+    nothing = Estimate(math.nan)
+    single = finite.mean(axis=1)
+    tails = (partial(_at, known, q) for q in (0.05, 0.5, 0.95))
+    return Line(
+        group,
+        figure,
+        unit,
+        len(finite),
+        absent(table.ravel()),
+        estimate.mean(single) if single.size else nothing,
+        _over(finite, estimate.deviation, partial(np.std, ddof=1)) if finite.size else nothing,
+        *(tail() for tail in tails),
+    )
+
+
+def _at(values: Array, q: float) -> Estimate:
+    return _over(values, lambda x: estimate.quantile(x, q), lambda x, axis: estimate.at_quantile(x, q, axis))
+
+
+def _over(table: Array, independent: Callable[[Array], Estimate], statistic: estimate.Statistic) -> Estimate:
+    """Estimate over single runs by the rule for those, over runs that belong together by a bootstrap."""
+    return independent(table.ravel()) if table.shape[1] == 1 else estimate.clustered(table, statistic)
+
+
+def _shares(study: Study, group: str, sample: Sample) -> Iterator[Share]:
+    """How often the scenario's requirements hold, and what the study requires of figures."""
+    if len(sample.rows) < 2:
+        return
+    asked: dict[str, Callable[[Row], float]] = {}
+    if all("missed" in row for row in sample.rows):  # rows of an older version do not say
+        for name in load_scenario(sample.rows[0]["scenario"]).requirements:
+            asked[name] = lambda row, name=name: not row["error"] and name not in row["missed"]  # type: ignore[misc]
+    for figure, limits in study.require.items():
+        asked[bound_text(figure, limits)] = lambda row, f=figure, of=limits: of.holds(value_of(row, f))  # type: ignore[misc]
+    for name, holds in asked.items():
+        held = sample.table(holds)
+        yield Share(group, name, round(held.sum()), held.size, estimate.share(float(held.mean()), len(held)))
+
+
+def bound_text(figure: str, limits: Expectation) -> str:
+    """Write what is expected of a figure: ``overshoot <= 5``."""
+    parts = [f"= {limits.expected:g} +- {limits.tolerance or 0.0:g}"] if limits.expected is not None else []
+    parts += [f">= {limits.at_least:g}"] if limits.at_least is not None else []
+    return " ".join([figure, *parts, *([f"<= {limits.at_most:g}"] if limits.at_most is not None else [])])
+
+
+def _differences(study: Study, samples: Mapping[str, Sample], figure: str, unit: str) -> Iterator[Difference]:
+    """Hold each case against the first one, at the same grid point, run by run."""
+    from scipy import stats
+
+    first = next(iter(study.cases), "")
+    for group, sample in samples.items():
+        case = sample.rows[0]["case"]
+        other = samples.get(first + group[len(case) :])
+        if case == first or other is None or len(sample.rows) != len(other.rows) or len(sample.rows) < 2:
+            continue
+        both = [s.table(lambda row: value_of(row, figure), sample.one_run and other.one_run) for s in (sample, other)]
+        own, base = both
+        known = ~(np.isnan(own) | np.isnan(base)).any(axis=1)
+        finite = known & np.isfinite(own).all(axis=1) & np.isfinite(base).all(axis=1)
+        pairs = (own[finite] - base[finite]).mean(axis=1)
+        less = ((own[known] < base[known]) + 0.5 * (own[known] == base[known])).mean(axis=1)
+        if not less.size:
+            continue
+        middle = float(pairs.mean()) if pairs.size else math.nan
+        spread = float(np.std(pairs, ddof=1)) if pairs.size > 1 else math.nan
+        yield Difference(
+            group,
+            first + group[len(case) :],
+            figure,
+            unit,
+            len(pairs),
+            estimate.difference(pairs) if pairs.size else Estimate(math.nan),
+            estimate.share(float(less.mean()), len(less)),
+            middle / spread if spread > 0.0 else math.nan,
+            float(stats.ttest_1samp(pairs, 0.0).pvalue) if spread > 0.0 else 1.0 if middle == 0.0 else math.nan,
+        )
+
+
+def _adjusted(found: Sequence[Difference]) -> list[Difference]:
+    return [d._replace(p=p) for d, p in zip(found, estimate.holm([d.p for d in found]), strict=True)]
+
+
+def _indices(study: Study, rows: Sequence[Row], figures: Sequence[str]) -> Iterator[Index]:
+    """Sobol' indices of each figure that every run has; the seeds of a point count by their mean."""
+    if study.draws is None or study.draws.method != "sensitivity":
+        return
+    n, seeds = study.draws.count, len(study.seeds or [0])
+    drawn = [
+        name if size(d) == 1 else f"{name}[{k}]" for name, d in study.draws.parameters.items() for k in range(size(d))
+    ]
+    for group, own in _groups(study, rows).items():
+        for figure in figures:
+            values = np.array([value_of(row, figure) for row in own], float)
+            if values.size != n * seeds * (len(drawn) + 2) or not np.isfinite(values).all() or not np.ptp(values):
+                continue
+            a, b, *mixed = values.reshape(-1, n, seeds).mean(axis=2)
+            for name, (first, total) in zip(drawn, estimate.sobol(a, b, np.array(mixed)), strict=True):
+                yield Index(group, figure, name, n, first, total)
+
+
+def _notes(study: Study, samples: Mapping[str, Sample], found: Statistics) -> Iterator[str]:
+    """Say what n counts, and what the intervals assume."""
+    seeds = len(study.seeds or [0])
+    if same := [group for group, sample in samples.items() if sample.one_run]:
+        where = "" if len(same) == len(samples) else f" of {', '.join(same)}"
+        yield f"the {seeds} seeds{where} are one run: its nodes draw no random number that a figure depends on"
+    if any(sample.seeds > 1 and not sample.one_run and len(sample.rows) > sample.seeds for sample in samples.values()):
+        yield f"n counts draws: the {seeds} seeds of a draw belong together, and the intervals go by draws"
+    if study.draws and study.draws.method != "random" and found.lines:
+        yield "the draws fill the space evenly; the intervals are those of independent draws, which are no narrower"
+    if study.draws and study.draws.method == "sensitivity":
+        left = {line.figure for line in found.lines} - {index.figure for index in found.indices}
+        yield f"statistics are over the {2 * study.draws.count} independent of {points_of(study)} points"
+        if left:
+            yield f"no sensitivity of {', '.join(sorted(left))}: not every run has a number, or all have the same one"
+
+
+def _needed(found: Statistics, widths: Mapping[str, float]) -> Iterator[str]:
+    """Say how many runs intervals of given widths need."""
+    known = {line.figure for line in found.lines} | {share.requirement for share in found.shares}
+    for name, width in widths.items():
+        if name not in known:
+            raise ScenarioError(f"--width {name}: nothing of that name is estimated{closest(name, known)}")
+        for line in (line for line in found.lines if line.figure == name):
+            n = estimate.runs_for_mean(line.deviation.value, width)
+            yield _more(f"mean {name} of {line.group}", line.mean, line.n, n, width)
+        for share in (share for share in found.shares if share.requirement == name):
+            n = estimate.runs_for_share(share.share.value, width)
+            yield _more(f"share of {name} of {share.group}", share.share, share.n, n, width)
+        for d in (d for d in found.differences if d.figure == name and d.effect):
+            n = estimate.runs_for_mean(abs(d.difference.value / d.effect), width)
+            yield _more(f"{name} of {d.group} less that of {d.base}", d.difference, d.n, n, width)
+
+
+def _more(what: str, now: Estimate, n: int, needed: int, width: float) -> str:
+    more = f"some {needed}, {needed - n} more" if needed > n else "no more"
+    return f"{what}: the interval is {now.high - now.low:.3g} wide after {n}; a width of {width:g} needs {more}"

@@ -1,0 +1,109 @@
+"""Statistics of a study as tables of words, for the terminal and the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from ..page.html import NONE
+from ..page.wording import NEVER
+from .estimate import Estimate
+from .statistics import Statistics
+from .table import ALL
+
+DIGITS = 2  # of the width of an interval that are written
+
+
+class Tabled(NamedTuple):
+    """A table; of its columns the first `keys` say of what a row is."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    keys: int
+
+
+def tables(found: Statistics) -> list[Tabled]:
+    """Write statistics as tables, those that have rows."""
+    written = [
+        Tabled(
+            "Statistics, 95 % intervals",
+            ("case", "figure", "unit", "n", "mean", "deviation", "5 %", "median", "95 %"),
+            [
+                (x.group, x.figure, x.unit, str(x.n) + (f", {x.lost}" if x.lost else ""), *map(written_estimate, x[5:]))
+                for x in found.lines
+            ],
+            2,
+        ),
+        Tabled(
+            "How often requirements hold, 95 % intervals",
+            ("case", "requirement", "held", "n", "share"),
+            [(x.group, x.requirement, str(x.held), str(x.n), written_estimate(x.share)) for x in found.shares],
+            2,
+        ),
+        Tabled(
+            "Differences at the same draws and seeds, 95 % intervals",
+            ("case", "less", "figure", "unit", "pairs", "mean difference", "smaller in", "effect d", "p (Holm)"),
+            [
+                (
+                    *(x.group, x.base, x.figure, x.unit, str(x.n)),
+                    *(written_estimate(x.difference), written_estimate(x.smaller), _short(x.effect)),
+                    NONE if math.isnan(x.p) else f"{x.p:.2g}" if x.p >= 1e-4 else "<0.0001",
+                )
+                for x in found.differences
+            ],
+            3,
+        ),
+        Tabled(
+            "Sensitivity: share of the variance, 95 % intervals",
+            ("case", "figure", "parameter", "alone", "with others"),
+            [
+                (x.group, x.figure, x.parameter, written_estimate(x.first), written_estimate(x.total))
+                for x in found.indices
+            ],
+            3,
+        ),
+    ]
+    return [_without_case(table) for table in written if table.rows]
+
+
+def _without_case(table: Tabled) -> Tabled:
+    """Leave out the column of cases where there is but one."""
+    if any(row[0] != ALL for row in table.rows):
+        return table
+    return Tabled(table.title, table.heads[1:], [row[1:] for row in table.rows], table.keys - 1)
+
+
+def written_estimate(found: Estimate) -> str:
+    """Write a number and its interval, no finer than two digits of the interval's half width."""
+    if math.isinf(found.value):
+        return NEVER
+    if math.isnan(found.value):
+        return NONE
+    ends = [end for end in found[1:] if math.isfinite(end)]
+    half = max((abs(end - found.value) for end in ends), default=0.0)
+    decimals = DIGITS - 1 - math.floor(math.log10(half)) if half else None
+    value = _rounded(found.value, decimals)
+    if math.isnan(found.low) and math.isnan(found.high):
+        return value
+    low, high = (
+        NEVER if math.isinf(end) else NONE if math.isnan(end) else _rounded(end, decimals) for end in found[1:]
+    )
+    return f"{value} [{low}, {high}]"
+
+
+def _rounded(value: float, decimals: int | None) -> str:
+    if decimals is None:
+        return _short(value)
+    if not -2 <= decimals <= 6:  # of much smaller or larger numbers a power of ten says more than zeros do
+        return f"{value:.{max(0, decimals + _exponent(value))}e}" if value else "0"
+    return f"{round(value, decimals):.{max(0, decimals)}f}"
+
+
+def _exponent(value: float) -> int:
+    return math.floor(math.log10(abs(value)))
+
+
+def _short(value: float) -> str:
+    return NONE if math.isnan(value) else f"{value:.3g}"
