@@ -29,8 +29,8 @@ from softrig_bags.bag import STORAGES, BagWriter
 from softrig_bags.cli import main_bag
 from softrig_bags.compare import Tolerance, compare
 from softrig_bags.errors import BagError
-from softrig_bags.mcap_recover import LIMIT
-from softrig_bags.read import export, read_bag, signals
+from softrig_bags.export import export
+from softrig_bags.read import read_bag, signals
 from softrig_bags.repair import repair
 from softrig_bags.stamps import is_stamped
 from softrig_bags.topics import BagTopic, qos
@@ -45,6 +45,7 @@ else:
     from backports import zstd
 
 STATE = "sensor_msgs/msg/JointState"
+LIMIT = 1 << 24  # bytes of a chunk, in place of the 2 GB
 FORMATS = [("mcap", "none"), ("mcap", "zstd"), ("sqlite3", "none")]
 
 
@@ -978,9 +979,9 @@ def test_a_file_is_full_when_it_has_just_so_much(tmp_path, storage, each):
 def test_metadata_may_be_just_as_long_as_the_limit(tmp_path, monkeypatch):
     write_bag(tmp_path / "bag", recording())
     size = (tmp_path / "bag/metadata.yaml").stat().st_size
-    monkeypatch.setattr("softrig_bags.reader.METADATA_LIMIT", size)
+    monkeypatch.setattr("softrig_bags.metadata.LIMIT", size)
     assert read_bag(tmp_path / "bag").topics
-    monkeypatch.setattr("softrig_bags.reader.METADATA_LIMIT", size - 1)
+    monkeypatch.setattr("softrig_bags.metadata.LIMIT", size - 1)
     with pytest.raises(BagError, match=f"metadata.yaml is longer than {size - 1} bytes"):
         read_bag(tmp_path / "bag")
 
@@ -1025,7 +1026,9 @@ def test_what_is_whole_inside_a_cut_chunk_is_recovered(tmp_path, compression):
     assert done.files[0].lost == ["the end of a chunk that was cut"]
 
 
-def test_a_chunk_that_would_fill_the_memory_is_left_out(tmp_path):
+def test_a_chunk_that_would_fill_the_memory_is_left_out(tmp_path, monkeypatch):
+    for module in ("mcap_recover", "compressed"):
+        monkeypatch.setattr(f"softrig_bags.{module}.LIMIT", LIMIT)
     write_bag(tmp_path / "bag", recording())
     file = tmp_path / "bag/bag_0.mcap"
     content = file.read_bytes()
@@ -1060,8 +1063,15 @@ def test_a_definition_that_cannot_be_read_is_named(tmp_path):
     database.execute("UPDATE message_definitions SET encoded_message_definition = 'float64[ x'")
     database.commit()
     database.close()
-    with pytest.raises(BagError, match=r"the definition of .* cannot be read|is damaged"):
-        signals(tmp_path / "bag")
+    found = signals(tmp_path / "bag")
+    assert found.decodable == []
+    assert (
+        "the definition of sensor_msgs/msg/JointState cannot be read: 'float64[ x'" in found.left_out["command"].reason
+    )
+    with pytest.raises(BagError, match=r"the definition of .* cannot be read"):
+        found.table("command")
+    with pytest.raises(BagError, match="not one topic of it can be decoded"):
+        export(tmp_path / "bag", tmp_path / "out", "csv")
 
 
 @pytest.mark.parametrize(

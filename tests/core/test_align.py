@@ -62,8 +62,18 @@ def test_the_time_shift_is_found(tmp_path, late):
 
 
 @pytest.mark.parametrize(
-    ("left", "epoch"), [("9" * 19, 10**19 - 1), ("1" + "0" * 19, 0), ("-5", 0), ("1.5", 0), ("", 0), ("0", 0), ("7", 7)]
-)
+    ("left", "epoch"),
+    [
+        ("9" * 19, 0),
+        ("9223372036854775807", 2**63 - 1),
+        ("1" + "0" * 19, 0),
+        ("-5", 0),
+        ("1.5", 0),
+        ("", 0),
+        ("0", 0),
+        ("7", 7),
+    ],
+)  # fmt: skip
 def test_an_epoch_is_a_whole_number_that_64_bits_may_hold(tmp_path, left, epoch):
     """As a bag has it; anything else is none, and times count as they stand."""
     found = Recording([("plant/state", STATE)])

@@ -273,7 +273,7 @@ def main_bag(argv: list[str]) -> int:
 
         print(repair(options.bag, options.out))
     else:
-        from .read import export
+        from .export import export
 
         bag = options.bag.resolve()
         out = options.out or bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_{options.format}")

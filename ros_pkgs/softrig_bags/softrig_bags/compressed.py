@@ -7,13 +7,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import BinaryIO
 
-from .mcap_recover import inflate
+import numpy as np
+
+from .block import Block, packed, rows_of
+from .mcap_recover import LIMIT, inflate
+from .source import Damaged
 
 if sys.version_info >= (3, 14):
-    from compression.zstd import ZstdDecompressor, ZstdError
+    from compression.zstd import ZstdDecompressor, ZstdError, decompress, get_frame_info
 else:
-    from backports.zstd import ZstdDecompressor, ZstdError
+    from backports.zstd import ZstdDecompressor, ZstdError, decompress, get_frame_info
 
 _MAGIC = b"\x28\xb5\x2f\xfd"  # no CDR message begins so
 _PIECE = 1 << 20
@@ -41,19 +46,49 @@ def expanded(path: Path, scratch: Path) -> Iterator[tuple[Path, list[str]]]:
         return
     with TemporaryDirectory(dir=scratch, prefix=".expand-") as directory:
         copy = Path(directory) / plain(path).name
-        stream = ZstdDecompressor()
-        with path.open("rb") as source, copy.open("wb") as target, suppress(ZstdError):
-            while not stream.eof:  # in pieces, so that what comes before the damage is not lost
-                piece = source.read(_PIECE) if stream.needs_input else b""
-                if stream.needs_input and not piece:
-                    break
-                target.write(stream.decompress(piece, max_length=_PIECE))
-        yield (
-            copy,
-            []
-            if stream.eof
-            else [f"what follows byte {copy.stat().st_size} of {copy.name}, the compressed file ends there"],
-        )
+        with path.open("rb") as source, copy.open("wb") as target:
+            whole = _expand(source, target)
+        lost = f"what follows byte {copy.stat().st_size} of {copy.name}, the compressed file ends there"
+        yield copy, [] if whole else [lost]
+
+
+class Expanded:
+    """A file that is compressed whole, as a copy that is not; `close` takes it away.
+
+    Raises
+    ------
+    Damaged
+        The compressed file is cut or damaged.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._folder = TemporaryDirectory(prefix="softrig-bag-")
+        self.path = Path(self._folder.name) / plain(file).name
+        with file.open("rb") as source, self.path.open("wb") as target:
+            whole = _expand(source, target)
+        if not whole:
+            self.close()
+            raise Damaged(f"{file.name} cannot be decompressed to its end")
+
+    def close(self) -> None:
+        """Take the copy away."""
+        self._folder.cleanup()
+
+
+def _expand(source: BinaryIO, target: BinaryIO) -> bool:
+    """Decompress a file of one or several frames, in pieces; return whether it ends with the end of a frame."""
+    stream = ZstdDecompressor()
+    with suppress(ZstdError):  # what comes before the damage is not lost
+        while True:
+            piece = b""
+            if stream.eof:
+                piece, stream = stream.unused_data or source.read(_PIECE), ZstdDecompressor()
+                if not piece:
+                    return True
+            elif stream.needs_input and not (piece := source.read(_PIECE)):
+                break
+            target.write(stream.decompress(piece, max_length=_PIECE))
+    return False
 
 
 def expanded_message(data: bytes) -> bytes | None:
@@ -62,3 +97,62 @@ def expanded_message(data: bytes) -> bytes | None:
         return data
     whole, complete = inflate(data, "zstd")
     return whole if complete else None
+
+
+def decompressed(data: bytes, compression: str, size: int) -> bytes:
+    """Return the content of a chunk.
+
+    Parameters
+    ----------
+    data : bytes
+        As stored.
+    compression : str
+        As MCAP names it: empty, ``zstd`` or ``lz4``.
+    size : int
+        Bytes of the content, as the chunk claims.
+
+    Raises
+    ------
+    Damaged
+        The claim is wrong, too large to be believed, or the data cannot be decompressed.
+    """
+    told = None
+    if compression == "zstd":
+        with suppress(ZstdError):
+            told = get_frame_info(data).decompressed_size
+    if size > LIMIT or (told or 0) > size:
+        raise Damaged(
+            f"a chunk of {len(data)} bytes claims {size} uncompressed, expected the truth and at most {LIMIT}"
+        )
+    if compression not in ("", "zstd", "lz4"):
+        raise Damaged(f"a chunk is compressed by {compression!r}, expected zstd or lz4")
+    try:
+        content, whole = (decompress(data), True) if told == size else inflate(data, compression, size)
+    except ZstdError as error:
+        raise Damaged(f"a chunk cannot be decompressed: {error}") from None
+    if not whole or len(content) != size:
+        raise Damaged(f"a chunk of {len(data)} bytes does not have the {size} uncompressed that it claims")
+    return content
+
+
+def plain_messages(block: Block) -> Block:
+    """Return messages that are not compressed: those of mode message are expanded, whatever the metadata says.
+
+    Raises
+    ------
+    Damaged
+        One of them cannot be expanded.
+    """
+    long = np.flatnonzero(block.size >= 4)
+    heads = rows_of(block.raw, block.at[long], 4)
+    packed_rows = long[(heads == np.frombuffer(_MAGIC, np.uint8)).all(axis=1)]
+    if not len(packed_rows):
+        return block
+    view = memoryview(block.raw)
+    data = [bytes(view[a : a + n]) for a, n in zip(block.at.tolist(), block.size.tolist(), strict=True)]
+    for i in packed_rows.tolist():
+        whole = expanded_message(data[i])
+        if whole is None:
+            raise Damaged(f"the compressed message at {int(block.t[i])} ns cannot be decompressed")
+        data[i] = whole
+    return packed(data, block)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from softrig_core import SECOND
 
+from .definitions import UnknownType
 from .read import WALL_CLOCK
 from .reader import BagReader
 
@@ -20,6 +21,7 @@ def describe(path: Path | str) -> str:
         No bag there, or it is damaged.
     """
     with BagReader(path) as bag:
+        counts = bag.counts
         size = sum(f.stat().st_size for f in bag.files)
         lines = [f"{bag.path}: {', '.join(f.name for f in bag.files)}, {size / 1e6:.3g} MB"]
         start = f"{bag.start / SECOND:.9g} s"
@@ -27,9 +29,14 @@ def describe(path: Path | str) -> str:
             start = datetime.fromtimestamp(bag.start / SECOND, UTC).isoformat(" ", "milliseconds")
         lines.append(f"{bag.count} messages in {(bag.end - bag.start) / SECOND:.9g} s from {start}")
         width = max((len(t.name) for t in bag.topics), default=0)
-        for topic, count in zip(bag.topics, bag.counts, strict=True):
+        for i, (topic, count) in enumerate(zip(bag.topics, counts, strict=True)):
             profiles = {(q.reliability.name.lower(), q.durability.name.lower()) for q in topic.offered}
             offered = "; ".join(" ".join(p) for p in sorted(profiles)) or "QoS unknown"
             lines.append(f"  {topic.name:{width}}  {count:8}  {topic.msgtype}  ({offered})")
+            try:
+                bag.types(i)
+            except UnknownType as error:
+                lines.append(f"  {'':{width}}            cannot be decoded: {error}")
+        lines += [f"  attachment {name}: {length} bytes" for name, length in bag.attachments]
         lines += [f"  {key}: {value}" for key, value in bag.custom_data.items()]
         return "\n".join(lines)

@@ -29,7 +29,7 @@ from softrig_nodes.ros.messages import message_class
 from std_srvs.srv import Trigger
 
 from .errors import BagError
-from .reader import BagReader
+from .reader import LATEST, BagReader
 from .ros import Session, publisher_profile
 from .stamps import is_stamped, stamp
 from .topics import BagTopic
@@ -126,12 +126,12 @@ def span(bag: BagReader, offset: float, duration: float | None) -> Span:
     BagError
         The bag is empty, or the offset lies behind its end.
     """
-    if not bag.count:
+    if bag.is_empty:
         raise BagError(f"{bag.path} is empty")
     start = bag.start + round(offset * SECOND)
     if start > bag.end:
         raise BagError(f"start offset {offset:g} s: the bag is only {(bag.end - bag.start) / SECOND:g} s long")
-    return Span(start, bag.end if duration is None else start + round(duration * SECOND))
+    return Span(start, LATEST if duration is None else start + round(duration * SECOND))
 
 
 class Player:

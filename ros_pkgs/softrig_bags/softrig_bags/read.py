@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from rosbags.typesys.store import Typestore
 from softrig_core import SECOND, Recording, Signals
-from softrig_core.extras import need
-from softrig_core.wire.recording import Topic, relative
+from softrig_core.guard import incomplete, say
+from softrig_core.wire.recording import Topic
 from softrig_core.wire.signals import Table
-from softrig_core.wire.types import TYPES
 
 from .errors import BagError
 from .reader import BagReader
+from .tables import Columns, Piece, stacked
 
 EPOCH = "epoch"  # under which a run in real time leaves, in a bag's metadata, the ns that its stamps count from
 WALL_CLOCK = 10**18  # ns; bag times after September 2001 are wall-clock times, simulated ones begin near zero
@@ -38,74 +38,87 @@ def read_bag(path: Path | str) -> Recording:
         No bag there, or it is damaged.
     """
     with BagReader(path) as bag:
-        return _load(bag)
-
-
-def _load(bag: BagReader) -> Recording:
-    recording = Recording([(relative(t.name), t.msgtype) for t in bag.topics])
-    add = recording.add
-    for topic, t, data in bag.messages():
-        add(topic, t, data)
-    return recording
+        found: dict[int, tuple[list[int], list[bytes]]] = {}
+        for topic, t, data in bag.messages():
+            times, messages = found.setdefault(topic, ([], []))
+            times.append(t)
+            messages.append(data)
+        recording = Recording(zip(bag.labels, (t.msgtype for t in bag.topics), strict=True))
+        for i, (times, messages) in found.items():
+            topic_of_it = recording.topics[bag.labels[i]]
+            topic_of_it.times.extend(times)
+            topic_of_it.data.extend(messages)
+        return recording
 
 
 class BagSignals(Signals):
     """Signals of a bag by name ``topic/channel/field``; of foreign message types by the path of the field.
 
-    sensor_msgs/Imu on ``/imu`` gives ``imu/angular_velocity/x`` and ``imu/orientation_covariance/0``. Elements that
-    shorter arrays lack are NaN; strings and arrays of bytes are no signals.
+    sensor_msgs/Imu on ``/imu`` gives ``imu/angular_velocity/x`` and ``imu/orientation_covariance/0``. What a message
+    lacks that others of its topic have is NaN: elements of shorter arrays, channels of another publisher. Strings and
+    long arrays of bytes are no signals.
 
     Attributes
     ----------
+    path : Path
+        Of the bag.
+    recording : Recording
+        The messages as bytes; they are read when first asked for.
     from_start : bool
         Whether time is known to count from the start of the run: it is simulated, or the run has left its epoch.
+    left_out : dict of str to Left
+        By topic: what has not become signals, and why.
     """
 
-    def __init__(self, recording: Recording, epoch: int, stores: dict[str, Typestore | None], from_start: bool) -> None:
+    def __init__(self, path: Path, bag: BagReader, columns: Columns, pieces: dict[int, list[Piece]]) -> None:
+        self.path = path
+        epoch, self.from_start = epoch_of(bag)
+        recording = Recording(zip(bag.labels, (t.msgtype for t in bag.topics), strict=True))
         super().__init__(recording, epoch)
-        self._stores = stores
-        self.from_start = from_start
+        for topic in recording.topics.values():
+            topic.settle = self._load
+        for i, label in enumerate(bag.labels):
+            if columns.decoder(i) is not None and not columns.reason(i):
+                piece = stacked(pieces.pop(i, []))
+                t, stamp = ((x - epoch) / SECOND for x in (piece.t, piece.stamp))
+                self._tables[label] = Table(t, stamp, piece.columns)
+        self.left_out = {bag.labels[i]: left for i, left in columns.left.items()}
+
+    def _load(self) -> None:
+        for topic in self.recording.topics.values():
+            topic.settle = lambda: None
+        for name, found in read_bag(self.path).topics.items():
+            self.recording.topics[name].times.extend(found.times)
+            self.recording.topics[name].data.extend(found.data)
 
     def store(self, msgtype: str) -> Typestore | None:
         """Give what deserialises a message type, None if it is not defined in the bag nor here."""
-        return self._stores.get(msgtype)
+        with BagReader(self.path) as bag:
+            return bag.typestore(msgtype)
 
     def table(self, topic: str) -> Table:
         """Give all columns of a topic."""
-        found = self.recording.topics.get(topic)
-        if found is not None and found.msgtype not in TYPES and topic not in self._tables:
-            self._tables[topic] = self._foreign(topic)
-        try:
-            return super().table(topic)
-        except ValueError:  # of a known type, but used in another way than the suite does
-            self._tables[topic] = self._foreign(topic)
-            return self._tables[topic]
-
-    def _foreign(self, topic: str) -> Table:
-        found = self.recording.topics[topic]
-        store = self._stores[found.msgtype]
-        if store is None:
-            raise BagError(f"{topic}: the bag has no definition of {found.msgtype} and none is installed")
-        t = (np.array(found.times, dtype=np.int64) - self._epoch) / SECOND
-        rows, stamps = [], t.copy()
-        for i in range(len(found.data)):
-            message = deserialised(store, found, i)
-            if hasattr(message, "header"):
-                stamps[i] = (message.header.stamp.sec * SECOND + message.header.stamp.nanosec - self._epoch) / SECOND
-            values = flatten(message)
-            rows.append({k: float(v) for k, v in values if not isinstance(v, str | bytes) and k[:7] != "header/"})
-        labels = dict.fromkeys(label for row in rows for label in row)
-        return Table(t, stamps, {k: np.array([row.get(k, np.nan) for row in rows], dtype=np.float64) for k in labels})
+        if topic not in self._tables and topic in self.recording.topics:
+            reason = self.left_out[topic].reason
+            raise BagError(f"{topic} ({self.recording.topics[topic].msgtype}) cannot be decoded: {reason}")
+        return super().table(topic)
 
     @property
     def decodable(self) -> list[str]:
-        """Topics whose message type is defined in the bag or here."""
-        topics = self.recording.topics.values()
-        return [t.name for t in topics if t.msgtype in TYPES or self._stores[t.msgtype] is not None]
+        """Topics of which the messages can be decoded, by a definition in the bag or here."""
+        return [name for name in self.recording.topics if name in self._tables]
 
     def __iter__(self) -> Iterator[str]:
         for topic in self.decodable:
             yield from (f"{topic}/{label}" for label in self.table(topic).columns)
+
+
+def epoch_of(bag: BagReader) -> tuple[int, bool]:
+    """Return the ns that become 0 s, and whether they are known to be the start of the run."""
+    left = bag.custom_data.get(EPOCH, "")
+    own = int(left) if left.isdecimal() and len(left) < 20 and int(left) < 1 << 63 else 0
+    epoch = own or (bag.start if bag.start >= WALL_CLOCK else 0)
+    return epoch, bool(own) or not epoch
 
 
 def deserialised(store: Typestore, topic: Topic, i: int) -> Any:
@@ -165,50 +178,16 @@ def signals(path: Path | str) -> BagSignals:
     >>> list(found)  # doctest: +SKIP
     """
     with BagReader(path) as bag:
-        left = bag.custom_data.get(EPOCH, "")
-        own = int(left) if left.isdecimal() and len(left) < 20 else 0
-        epoch = own or (bag.start if bag.start >= WALL_CLOCK else 0)
-        stores = {t.msgtype: bag.typestore(t.msgtype) for t in bag.topics}
-        return BagSignals(_load(bag), epoch, stores, from_start=bool(own) or not epoch)
+        columns, pieces = Columns(bag), dict[int, list[Piece]]()
+        for block in bag.blocks():
+            for topic, piece in columns.pieces(block):
+                pieces.setdefault(topic, []).append(piece)
+        columns.finish()
+        say_left_out(path, columns)
+        return BagSignals(Path(path), bag, columns, pieces)
 
 
-def export(path: Path | str, directory: Path | str, file_format: str) -> list[Path]:
-    """Write each topic's signals as a table: columns time, stamp (s), then one a signal.
-
-    Parameters
-    ----------
-    path : Path or str
-        Bag.
-    directory : Path or str
-        Where the files go; is created.
-    file_format : str
-        ``csv`` or ``parquet``.
-
-    Returns
-    -------
-    list of Path
-        The files; a topic of an undefined message type has none.
-
-    Raises
-    ------
-    BagError
-        Bad bag or unknown format.
-    """
-    need("pyarrow", "an export")
-    import pyarrow  # half a second, only here
-    import pyarrow.csv
-    import pyarrow.parquet
-
-    write = {"csv": pyarrow.csv.write_csv, "parquet": pyarrow.parquet.write_table}.get(file_format)
-    if write is None:
-        raise BagError(f"format {file_format!r}: expected csv or parquet")
-    found = signals(path)
-    Path(directory).mkdir(parents=True, exist_ok=True)
-    written = []
-    for topic in found.decodable:
-        table = found.table(topic)
-        columns = {"time": table.t, "stamp": table.stamp} | table.columns
-        file = Path(directory) / f"{topic.strip('/').replace('/', '.')}.{file_format}"
-        write(pyarrow.table(columns), str(file))
-        written.append(file)
-    return written
+def say_left_out(path: Path | str, columns: Columns) -> None:
+    """Say what of a bag has not become numbers."""
+    for line, lost in columns.lines():
+        (incomplete if lost else say)(f"{path}: {line}")

@@ -1,36 +1,65 @@
-"""A bag being read: its topics and its messages in the order in which they were written."""
+"""A bag being read: its topics, its messages by time, and an account of what was read against what was claimed.
+
+Topics are mapped by name and type. Counts, times and order come from the files; what metadata.yaml and the statistics
+in the files claim is held against that, and a difference is said by topic and count.
+"""
 
 from __future__ import annotations
 
-import struct
+from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import suppress
+from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import NamedTuple
 
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
-from rosbags.rosbag2 import Reader, ReaderError
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
+from softrig_core.guard import incomplete
+from softrig_core.wire.recording import relative
 
-from .compressed import SUFFIXES, plain
+from .block import Block, joined
+from .compressed import SUFFIXES, Expanded, plain, plain_messages
+from .definitions import Types, UnknownType, complete, distribution_of, full_type, types_of
 from .errors import BagError
-from .mcap_recover import check_sizes
-from .topics import BagTopic, custom_data, typestore
+from .layouts import Decoder
+from .mcap_file import MAGIC
+from .mcap_source import McapSource
+from .metadata import Metadata, embedded, profiles, read_metadata
+from .source import Damaged, Source, SourceTopic
+from .sqlite_source import SqliteSource
+from .topics import BagTopic
 
-METADATA_LIMIT = 1 << 24
+BATCH = 1 << 23  # bytes of messages that are given at a time, about
+_SQLITE = b"SQLite format 3\0"
+LATEST = 2**63 - 1
+
+
+class _Waiting(NamedTuple):
+    """Messages that are read, but before which others may come; rank says in which order they were written."""
+
+    rank: tuple[int, int]
+    block: Block
 
 
 class BagReader:
-    """Context manager around a rosbag2 bag: MCAP or sqlite3, split or not, compressed or not, metadata versions to 9.
+    """Context manager around a rosbag2 bag: MCAP or sqlite3, split or not, compressed or not, any metadata version.
 
     Parameters
     ----------
     path : Path or str
-        Bag directory, or a single .mcap or .db3 file.
+        Bag directory, or a single .mcap or .db3 file, also compressed whole (.zstd).
+
+    Attributes
+    ----------
+    topics : list of BagTopic
+        In the order of the metadata, then of the files. A name may be there twice: of two types.
+    labels : list of str
+        A name for each topic that no other has, relative as in scenario files.
+    metadata : Metadata
+        What metadata.yaml says; of a single file what its writer left in it, without counts.
 
     Raises
     ------
@@ -40,96 +69,246 @@ class BagReader:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self._reader: Any = None
         self.topics: list[BagTopic] = []
-        self.counts: list[int] = []
+        self.labels: list[str] = []
+        self.metadata = Metadata()
+        self._sources: list[Source] = []
+        self._expanded: list[Expanded] = []
+        self._numbers: list[dict[int, int]] = []  # of each file: number of its topic there to that here
+        self._types: dict[int, Types] = {}
+        self._counts: list[int] | None = None
+        self._start: int | None = None
+        self._end = 0
+        self._said: set[str] = set()
 
     def __enter__(self) -> BagReader:
-        if self.path.is_dir() and not (self.path / "metadata.yaml").exists():
-            if any(p.suffix in SUFFIXES for p in map(plain, self.path.iterdir())):
-                raise BagError(
-                    f"{self.path} has no metadata.yaml: the recording was cut off; "
-                    f"`softrig bag repair {self.path}` restores it"
-                )
-            raise BagError(f"{self.path} is not a bag: no metadata.yaml, no .mcap and no .db3 file in it")
         try:
-            if self.path.is_dir() and (self.path / "metadata.yaml").stat().st_size > METADATA_LIMIT:
-                raise BagError(f"{self.path}/metadata.yaml is longer than {METADATA_LIMIT} bytes")
-            for file in (self.path,) if self.path.is_file() else self.path.glob("*.mcap"):
-                if file.suffix == ".mcap":
-                    check_sizes(file)
-            self._reader = Reader(self.path)
-            self._reader.open()
-        except BagError:
+            self._open()
+        except BaseException:
+            self._close()
             raise
-        except (FileNotFoundError, ReaderError) as error:
-            raise BagError(f"{self.path}: {error}") from None
-        except Exception as error:  # a damaged file makes the library raise whatever its bytes lead to
-            raise self._damaged(error) from error
-        self._connections: list[Connection] = list(self._reader.connections)
-        try:
-            self._check_metadata()
-        except Exception as error:
-            raise self._damaged(error) from error
-        for connection in self._connections:
-            if any(t.name == connection.topic for t in self.topics):
-                raise BagError(f"{self.path}: two types on topic {connection.topic}")
-            try:
-                self.topics.append(_topic(connection))
-            except Exception as error:  # a damaged definition or profile
-                raise self._damaged(error) from error
-            self.counts.append(connection.msgcount)
         return self
-
-    def _check_metadata(self) -> None:
-        """Make sure that what the metadata says is of the right kinds: the library takes what stands there."""
-        for connection in self._connections:
-            if not isinstance(connection.topic, str) or not isinstance(connection.msgtype, str):
-                what = f"topic {connection.topic!r} of type {connection.msgtype!r}"
-                raise ValueError(f"{what[:100]}, expected names")
-            _check_number(f"messages on {connection.topic}", connection.msgcount)
-        for name, number in (("messages", self.count), ("start", self.start), ("end", self.end + 1)):
-            _check_number(name, number)
-        if not isinstance(custom := self.custom_data, dict):
-            raise ValueError(f"custom_data is {custom!r}"[:100] + ", expected a mapping")
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with suppress(AttributeError):  # what it closes is what the metadata says
-            self._reader.close()
+        self._close()
+
+    def _close(self) -> None:
+        for source in self._sources:
+            source.close()
+        for copy in self._expanded:
+            copy.close()
+
+    # Opening ----------------------------------------------------------------------------------------------------------
+
+    def _open(self) -> None:
+        if not self.path.exists():
+            raise BagError(f"{self.path} does not exist")
+        if self.path.is_dir():
+            self._check_directory()
+            try:
+                self.metadata = read_metadata(self.path / "metadata.yaml")
+            except Damaged as error:
+                raise self._damaged(error) from error
+            self.files = [self._file(name) for name in self.metadata.files]
+            if not self.files:
+                raise BagError(f"{self.path}: metadata.yaml names no storage file")
+        else:
+            self.files = [self.path]
+        for file in self.files:
+            try:
+                self._sources.append(self._source(file))
+            except Damaged as error:
+                raise self._damaged(error, file) from error
+        if not self.path.is_dir():
+            found = embedded(self._sources[0].metadata)
+            self.metadata = Metadata(
+                version=found.version, custom_data=found.custom_data, distribution=found.distribution
+            )
+        self._map_topics()
+
+    def _check_directory(self) -> None:
+        if (self.path / "metadata.yaml").exists():
+            return
+        if any(p.suffix in SUFFIXES for p in map(plain, self.path.iterdir())):
+            raise BagError(
+                f"{self.path} has no metadata.yaml: the recording was cut off; "
+                f"`softrig bag repair {self.path}` restores it"
+            )
+        raise BagError(f"{self.path} is not a bag: no metadata.yaml, no .mcap and no .db3 file in it")
+
+    def _file(self, name: str) -> Path:
+        """Return a file of the bag: older versions name it with its folder, and it may be compressed since."""
+        found = [self.path / name, self.path / Path(name).name]
+        found += [p.with_name(p.name + ".zstd") for p in found] + [plain(p) for p in found]
+        for path in found:
+            if path.is_file():
+                return path
+        raise BagError(
+            f"{self.path}: {name} is in metadata.yaml, but not in the folder; bring it there, or leave it out by "
+            f"`softrig bag repair`"
+        )
+
+    def _source(self, file: Path) -> Source:
+        with file.open("rb") as opened:
+            head = opened.read(16)
+        if head[:4] == b"\x28\xb5\x2f\xfd":
+            self._expanded.append(Expanded(file))
+            file = self._expanded[-1].path
+            with file.open("rb") as opened:
+                head = opened.read(16)
+        if head[:8] == MAGIC:
+            return McapSource(file)
+        if head == _SQLITE:
+            return SqliteSource(file)
+        raise Damaged(f"{file.name} is neither an MCAP file nor one of SQLite")
+
+    def _map_topics(self) -> None:
+        """Make one topic of all that have a name and a type, whichever file or channel they are in."""
+        for stated in self.metadata.topics:
+            found = SourceTopic(stated.name, stated.msgtype, "", "", stated.digest, stated.offered, "")
+            self._add(found)
+        for source in self._sources:
+            self._numbers.append({number: self._add(topic) for number, topic in source.topics.items()})
+
+    def _add(self, found: SourceTopic) -> int:
+        """Return the number of a topic, which may be a new one."""
+        msgtype = full_type(found.msgtype) if "/" in found.msgtype else found.msgtype
+        new = BagTopic(
+            found.name, msgtype, found.definition, found.digest, profiles(found.offered), found.language, found.encoding
+        )
+        for i, old in enumerate(self.topics):
+            if _is_same(old, new):
+                offered = (*old.offered, *(q for q in new.offered if q not in old.offered))
+                told = old if old.definition or not new.definition else new
+                self.topics[i] = replace(
+                    told, digest=old.digest or new.digest, offered=offered, wire=old.wire or new.wire
+                )
+                return i
+        self.topics.append(new)
+        label = relative(found.name)
+        choices = chain((label, f"{label} ({msgtype})"), (f"{label} ({msgtype}) {k}" for k in count(2)))
+        self.labels.append(next(x for x in choices if x not in self.labels))
+        return len(self.topics) - 1
+
+    # What is there ----------------------------------------------------------------------------------------------------
 
     @property
     def start(self) -> int:
-        """Bag time of the first message in ns; 0 in an empty bag."""
-        return self._reader.start_time if self.count else 0
+        """Bag time of the first message in ns, as the files have it; 0 in an empty bag."""
+        if self._start is None:
+            first = next((int(block.t[0]) for block in self._by_time([Counter() for _ in self._sources])), 0)
+            self._start = first
+        return self._start
 
     @property
     def end(self) -> int:
-        """Bag time of the last message in ns; 0 in an empty bag."""
-        return self._reader.end_time - 1 if self.count else 0
+        """Bag time of the last message in ns, as the files have it; 0 in an empty bag."""
+        return self._end if self._counts is not None else max((s.last for s in self._sources), default=0)
+
+    @property
+    def counts(self) -> list[int]:
+        """Number of messages of each topic: all of them are read once to count them."""
+        if self._counts is None:
+            for _ in self.blocks():
+                pass
+        assert self._counts is not None
+        return self._counts
 
     @property
     def count(self) -> int:
         """Number of messages."""
-        return self._reader.message_count
+        return sum(self.counts)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the files have no message."""
+        return all(s.first == LATEST for s in self._sources)
 
     @property
     def custom_data(self) -> dict[str, str]:
-        """Give what the writer left in the metadata; a single MCAP file has a copy of it."""
-        if self.path.suffix == ".mcap" and self.path.is_file():
-            return _of_mcap(self.path)
-        return self._reader.storage.metadata.custom or {}
+        """What the writer left in the metadata; a single file has a copy of it."""
+        return self.metadata.custom_data
 
     @property
-    def files(self) -> list[Path]:
-        """Storage files."""
-        if self.path.is_dir():
-            return [s.path for s in self._reader.storage.storages]
-        return [self.path]
+    def attachments(self) -> list[tuple[str, int]]:
+        """Name and size of what is in MCAP files beside messages."""
+        return [a for s in self._sources for a in s.attachments]
+
+    # Reading ----------------------------------------------------------------------------------------------------------
+
+    def blocks(self, topics: Collection[int] | None = None, start: int = 0) -> Iterator[Block]:
+        """Return all messages in blocks, by time, equal times as written; see `Block`.
+
+        A complete reading is held against what the metadata and the files claim.
+
+        Parameters
+        ----------
+        topics : collection of int, optional
+            Numbers of the topics; default all.
+        start : int
+            First bag time in ns.
+        """
+        counted: list[Counter[int]] = [Counter() for _ in self._sources]
+        chosen = None if topics is None else np.array(sorted(topics), np.int64)
+        last = 0
+        for block in self._by_time(counted, start):
+            last = int(block.t[-1])
+            rows = block.t >= start
+            if chosen is not None:
+                rows &= np.isin(block.topic, chosen)
+            found = block if rows.all() else block.take(rows)
+            if len(found):
+                try:
+                    yield plain_messages(found)
+                except Damaged as error:
+                    raise self._damaged(error) from error
+        if start <= (self._start or 0):  # all of it
+            self._end = last
+            self._account(counted)
+
+    def _by_time(self, counted: list[Counter[int]], start: int = 0) -> Iterator[Block]:
+        """Merge the files, which give their blocks by time, and give what can be given: nothing earlier follows."""
+        streams = {i: source.blocks(start) for i, source in enumerate(self._sources)}
+        bounds = {i: source.first for i, source in enumerate(self._sources)}
+        waiting: list[_Waiting] = []
+        size = 0
+        while streams:
+            i = min(streams, key=lambda k: (bounds[k], k))
+            try:
+                place, block, bounds[i] = next(streams[i])
+            except StopIteration:
+                del streams[i], bounds[i]
+                continue
+            except Damaged as error:
+                raise self._damaged(error, self.files[i]) from error
+            numbers, n = np.unique(block.topic, return_counts=True)
+            counted[i].update(dict(zip(numbers.tolist(), n.tolist(), strict=True)))
+            waiting.append(_Waiting((i, place), self._renumbered(i, block, numbers.tolist())))
+            size += int(block.size.sum())
+            if size >= BATCH and (bound := min(bounds.values())) > np.min(waiting[0].block.t, initial=LATEST):
+                ready, waiting = _parted(waiting, bound)
+                size = sum(int(w.block.size.sum()) for w in waiting)
+                yield ready
+        ready, _ = _parted(waiting, LATEST + 1)
+        if len(ready):
+            yield ready
+
+    def _renumbered(self, i: int, block: Block, numbers: Collection[int]) -> Block:
+        """Put the topics' numbers of the bag in place of those of a file."""
+        known = self._numbers[i]
+        for number in numbers:
+            if number not in known:
+                known[number] = self._add(
+                    self._sources[i].topics.get(number) or SourceTopic(f"topic {number} without a name", "")
+                )
+        table = np.zeros(max(known, default=0) + 1, np.int64)
+        table[list(known)] = list(known.values())
+        return replace(block, topic=table[block.topic])
 
     def messages(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[tuple[int, int, bytes]]:
-        """Give (index into `topics`, bag time in ns, bytes) by time, equal times as written.
+        """Return (index into `topics`, bag time in ns, bytes) by time, equal times as written.
 
         Parameters
         ----------
@@ -138,63 +317,122 @@ class BagReader:
         start : int
             First bag time in ns.
         """
-        index = {t.name: i for i, t in enumerate(self.topics)}
-        chosen = [c for c in self._connections if topics is None or c.topic in topics]
-        if not chosen:
-            return
-        try:
-            for connection, t, data in self._reader.messages(chosen, start=start or None):
-                if not isinstance(data, bytes | memoryview) or not isinstance(t, int):
-                    found = f"{type(data).__name__} at {t!r}"
-                    raise ValueError(f"a message on {connection.topic} is {found}, expected bytes at a whole number")
-                message: Any = data
-                yield index[connection.topic], t, message
-        except Exception as error:  # a damaged file makes the library raise whatever its bytes lead to
-            raise self._damaged(error) from error
+        numbers = None if topics is None else [i for i, t in enumerate(self.topics) if t.name in topics]
+        for block in self.blocks(numbers, start):
+            yield from block.messages()
 
-    def _damaged(self, error: Exception) -> BagError:
-        return BagError(f"{self.path} is damaged: {error}; `softrig bag repair` saves what is readable")
+    # Accounting -------------------------------------------------------------------------------------------------------
+
+    def _account(self, counted: list[Counter[int]]) -> None:
+        """Hold what was read against what was claimed, and say what differs."""
+        self._counts = [0] * len(self.topics)
+        for numbers, found in zip(self._numbers, counted, strict=True):
+            for number, n in found.items():
+                self._counts[numbers[number]] += n
+        for line in self.differences(counted):
+            if line not in self._said:
+                self._said.add(line)
+                incomplete(f"{self.path}: {line}")
+
+    def differences(self, counted: list[Counter[int]]) -> Iterator[str]:
+        """Say where what was read is not what metadata.yaml and the statistics of the files claim."""
+        assert self._counts is not None
+        for source, file, found in zip(self._sources, self.files, counted, strict=True):
+            for number, described in source.topics.items():
+                claimed = source.stated.get(number, 0)
+                if source.stated and claimed != found[number]:
+                    yield f"{described.name}: {found[number]} messages in {file.name}, its statistics claim {claimed}"
+            total = sum(found.values())
+            if source.stated_count is not None and not source.stated and source.stated_count != total:
+                yield f"{total} messages in {file.name}, its statistics claim {source.stated_count}"
+        if not self.path.is_dir():
+            return
+        for stated in self.metadata.topics:
+            read = sum(n for t, n in zip(self.topics, self._counts, strict=True) if _is_stated(t, stated))
+            claimed = sum(s.count for s in self.metadata.topics if (s.name, s.msgtype) == (stated.name, stated.msgtype))
+            if claimed != read:
+                yield f"{stated.name}: {read} messages in the files, metadata.yaml claims {claimed}"
+        for topic, n in zip(self.topics, self._counts, strict=True):
+            if n and not any(_is_stated(topic, stated) for stated in self.metadata.topics):
+                yield f"{topic.name}: {n} messages in the files, metadata.yaml does not name the topic"
+        total = sum(self._counts)
+        if self.metadata.count not in (None, total):
+            yield f"{total} messages in the files, metadata.yaml claims {self.metadata.count}"
+        named = {plain(file) for file in self.files}
+        for file in sorted(self.path.iterdir()):
+            if plain(file).suffix in SUFFIXES and plain(file) not in named:
+                yield f"{file.name} is in the folder, but not in metadata.yaml: it was not read"
+
+    def _damaged(self, error: Exception, file: Path | None = None) -> BagError:
+        where = self.path if file in (None, self.path) else f"{self.path}: {file.name}"  # type: ignore[union-attr]
+        return BagError(f"{where} is damaged: {error}; `softrig bag repair` saves what is readable")
+
+    # Types ------------------------------------------------------------------------------------------------------------
+
+    def types(self, i: int) -> Types:
+        """Return the definitions of a topic's type and of all types in it.
+
+        Raises
+        ------
+        UnknownType
+            There are none, they cannot be read, or its messages are in another encoding than CDR; says why.
+        """
+        if i not in self._types:
+            topic = self.topics[i]
+            if topic.wire not in ("cdr", ""):
+                raise UnknownType(f"its messages are in {topic.wire}, expected cdr")
+            own = types_of(topic.msgtype, topic.definition, topic.encoding) if topic.definition.strip() else {}
+            distribution = distribution_of(self.metadata.distribution, self.metadata.version)
+            self._types[i] = complete(topic.msgtype, own, distribution)
+        return self._types[i]
+
+    def decoder(self, i: int) -> Decoder:
+        """Return what makes columns of a topic's messages; raises as `types`."""
+        return Decoder(self.topics[i].msgtype, self.types(i))
 
     def typestore(self, msgtype: str) -> Typestore | None:
-        """Give a store that can deserialise a type, from the bag's own definition if it has one."""
-        for connection in self._connections:
-            if connection.msgtype == msgtype and connection.msgdef.format != MessageDefinitionFormat.NONE:
-                try:
-                    return _store(connection)
-                except Exception as error:  # a damaged text makes the parser raise whatever it leads to
-                    raise BagError(f"{self.path}: the definition of {msgtype} cannot be read: {error}") from error
-        return typestore() if BagTopic.known("", msgtype).definition else None
+        """Return a store that can deserialise a type, by the bag's own definition if it has one; else None."""
+        i = next((k for k, t in enumerate(self.topics) if t.msgtype == msgtype), None)
+        if i is None:
+            return None
+        try:
+            types = self.types(i)
+        except UnknownType:
+            return None
+        store = get_typestore(Stores.EMPTY)
+        store.register({name: found for name, found in types.items() if name not in store.fielddefs})
+        return store
 
 
-def _of_mcap(path: Path) -> dict[str, str]:
-    found: dict[str, str] = {}
-    with path.open("rb") as file, suppress(McapError, EOFError, ValueError, struct.error):
-        for record in make_reader(file).iter_metadata():
-            if record.name == "rosbag2":
-                found = custom_data(record.metadata.get("serialized_metadata", "")) or found
-    return found
+def _is_same(old: BagTopic, new: BagTopic) -> bool:
+    """Return whether two descriptions are of one topic: name, type and encoding, and no other definition."""
+    if (old.name, old.msgtype) != (new.name, new.msgtype) or (old.wire and new.wire and old.wire != new.wire):
+        return False
+    if not old.definition or not new.definition or old.definition == new.definition:
+        return True
+    try:
+        one, two = (types_of(t.msgtype, t.definition, t.encoding).get(t.msgtype, (0, 0))[1] for t in (old, new))
+    except UnknownType:
+        return True  # said when it is to be decoded
+    return bool(one == two)
 
 
-def _check_number(name: str, number: object) -> None:
-    if not isinstance(number, int) or not 0 <= number < 1 << 63:
-        raise ValueError(f"{name}: {number!r}"[:100] + ", expected a whole number of 64 bits")
+def _is_stated(topic: BagTopic, stated: object) -> bool:
+    return (topic.name, topic.msgtype) == (stated.name, full_type(stated.msgtype))  # type: ignore[attr-defined]
 
 
-def _topic(connection: Connection) -> BagTopic:
-    assert isinstance(connection.ext, ConnectionExtRosbag2)
-    known = BagTopic.known(connection.topic, connection.msgtype, connection.ext.offered_qos_profiles, connection.digest)
-    if connection.msgdef.format == MessageDefinitionFormat.NONE:
-        return known
-    encoding = "ros2msg" if connection.msgdef.format == MessageDefinitionFormat.MSG else "ros2idl"
-    return BagTopic(known.name, known.msgtype, connection.msgdef.data, known.digest, known.offered, encoding)
-
-
-def _store(connection: Connection) -> Typestore:
-    store = get_typestore(Stores.EMPTY)
-    text = connection.msgdef.data
-    if connection.msgdef.format == MessageDefinitionFormat.MSG:
-        store.register(get_types_from_msg(text, connection.msgtype))
-    else:
-        for part in text.split("=" * 80 + "\n"):
-            store.register(get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part))
-    return store
+def _parted(waiting: list[_Waiting], bound: int) -> tuple[Block, list[_Waiting]]:
+    """Return the messages before a time in their order, and what is left."""
+    ready, left = [], []
+    for rank, block in sorted(waiting, key=lambda w: w.rank):
+        early = block.t < bound if bound <= LATEST else np.ones(len(block), bool)
+        if early.all():
+            ready.append(block)
+        else:
+            ready.append(block.take(early))
+            rest = block.take(~early)
+            left.append(_Waiting(rank, rest.compact() if 2 * rest.size.sum() < len(rest.raw) else rest))
+    whole = joined([b for b in ready if len(b)])
+    if len(whole) and (np.diff(whole.t) < 0).any():
+        whole = whole.take(np.argsort(whole.t, kind="stable"))
+    return whole, left

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from ruamel.yaml import YAML
 from ruamel.yaml.resolver import implicit_resolvers
@@ -44,6 +44,8 @@ class BagTopic:
         One profile a publisher.
     encoding : str
         Language of the definition: ros2msg or ros2idl.
+    wire : str
+        Encoding of the messages: cdr.
     """
 
     name: str
@@ -52,6 +54,7 @@ class BagTopic:
     digest: str = ""
     offered: tuple[Qos, ...] = ()
     encoding: str = "ros2msg"
+    wire: str = "cdr"
 
     @classmethod
     def known(cls, name: str, msgtype: str, offered: Sequence[Qos] = (), digest: str = "") -> BagTopic:
@@ -141,9 +144,17 @@ def typestore() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
+def is_known(msgtype: str) -> bool:
+    """Return whether a type is defined here: in the library of the Jazzy types, or installed."""
+    try:
+        return _register(msgtype)
+    except (TypesysError, OSError, ValueError):  # an installed text that the library does not read
+        return False
+
+
 @cache
 def _definition(msgtype: str) -> tuple[str, str]:
-    if not _register(msgtype):
+    if not is_known(msgtype):
         return "", ""
     return typestore().generate_msgdef(msgtype, ros_version=2)[0], typestore().hash_rihs01(msgtype)
 

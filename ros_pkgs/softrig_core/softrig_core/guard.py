@@ -21,6 +21,7 @@ from .errors import RunError, ScenarioError
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
 LINE = 1000  # characters of a failure that are shown
 _quiet = False
+_incomplete = False
 # where its wheels are not to be had (they are for Linux on x86-64), everything else is as it is anywhere
 WITHOUT_ROS = (
     "nodes, topics, recording and playing need ROS 2 (rclpy), which is not here: source a Jazzy installation; runs "
@@ -41,14 +42,18 @@ def guarded(work: Callable[[], int]) -> int:
     Returns
     -------
     int
-        That of `work`; 2 bad input, 3 it broke, 4 an error of softrig itself (its traceback is in a file), 128
-        and the number of the signal that stopped it, 141 nobody reads the output any more.
+        That of `work`, but 1 in place of 0 after `incomplete`; 2 bad input, 3 it broke, 4 an error of softrig itself
+        (its traceback is in a file), 128 and the number of the signal that stopped it, 141 nobody reads the output any
+        more.
     """
+    global _incomplete
     secure_streams()
+    _incomplete = False
     try:
         try:
             _need_directory()
-            return work()
+            status = work()
+            return 1 if _incomplete and not status else status
         finally:
             _flush()  # while there is still somebody to tell that the disk is full
     except ScenarioError as error:
@@ -125,6 +130,13 @@ def is_quiet() -> bool:
 def say(what: object) -> None:
     """Print one line about what happens, short enough to read."""
     tell("softrig", what)
+
+
+def incomplete(what: object) -> None:
+    """Print one line about input that was not read whole: the command's result is about less, and its status not 0."""
+    global _incomplete
+    _incomplete = True
+    say(what)
 
 
 def tell(who: str, what: object) -> None:

@@ -1,0 +1,107 @@
+"""Many messages at once: one buffer, and arrays that say of each message its topic, time, place and length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Messages in the order in which they are listed; no message is a Python object.
+
+    Parameters
+    ----------
+    raw : array of uint8
+        The buffer in which all of them are.
+    topic : array of int64, shape (n,)
+        Number of the topic of each message.
+    t : array of int64, shape (n,)
+        Bag time, ns.
+    at, size : array of int64, shape (n,)
+        Where the bytes of a message begin in the buffer, and how many there are.
+    """
+
+    raw: Bytes
+    topic: Ints
+    t: Ints
+    at: Ints
+    size: Ints
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Block:
+        """Return some of the messages; they share the buffer."""
+        return Block(self.raw, self.topic[rows], self.t[rows], self.at[rows], self.size[rows])
+
+    def compact(self) -> Block:
+        """Return the messages in a buffer of their own that holds nothing else."""
+        return packed([self.raw[a : a + n] for a, n in zip(self.at.tolist(), self.size.tolist(), strict=True)], self)
+
+    def data(self, i: int) -> bytes:
+        """Return the bytes of one message."""
+        at = int(self.at[i])
+        return self.raw[at : at + int(self.size[i])].tobytes()
+
+    def messages(self) -> Iterator[tuple[int, int, bytes]]:
+        """Return topic number, bag time and bytes of each message."""
+        view = memoryview(self.raw)
+        rows = zip(self.topic.tolist(), self.t.tolist(), self.at.tolist(), self.size.tolist(), strict=True)
+        for topic, t, at, size in rows:
+            yield topic, t, bytes(view[at : at + size])
+
+
+_NONE = np.empty(0, np.int64)
+EMPTY = Block(np.empty(0, np.uint8), _NONE, _NONE, _NONE, _NONE)
+
+
+def packed(data: Sequence[bytes | Bytes], like: Block) -> Block:
+    """Return messages with other bytes, one after the other in a new buffer."""
+    size = np.fromiter(map(len, data), np.int64, len(data))
+    raw = np.frombuffer(b"".join(data), np.uint8)  # type: ignore[arg-type]
+    return Block(raw, like.topic, like.t, np.cumsum(size) - size, size)
+
+
+def joined(blocks: Sequence[Block]) -> Block:
+    """Return the messages of several blocks, one block after the other."""
+    if len(blocks) == 1:
+        return blocks[0]
+    if not blocks:
+        return EMPTY
+    starts = np.cumsum([0, *(len(b.raw) for b in blocks[:-1])])
+    at = np.concatenate([b.at + start for b, start in zip(blocks, starts.tolist(), strict=True)])
+    raw, topic, t, size = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("raw", "topic", "t", "size"))
+    return Block(raw, topic, t, at, size)
+
+
+def rows_of(raw: Bytes, at: Ints, length: int) -> Bytes:
+    """Return pieces of equal length as the rows of an array, a view where they are evenly spaced.
+
+    Parameters
+    ----------
+    raw : array of uint8
+        Buffer.
+    at : array of int64, shape (n,)
+        Where the pieces begin; all of them are inside of the buffer.
+    length : int
+        Bytes of a piece.
+
+    Returns
+    -------
+    array of uint8, shape (n, length)
+        Not to be written to.
+    """
+    n = len(at)
+    if not n or not length:
+        return np.empty((n, length), np.uint8)
+    step = int(at[1] - at[0]) if n > 1 else length
+    if step > 0 and (n < 3 or bool((np.diff(at) == step).all())):
+        return np.lib.stride_tricks.as_strided(raw[int(at[0]) :], (n, length), (step, 1), writeable=False)
+    return np.lib.stride_tricks.sliding_window_view(raw, length)[at]

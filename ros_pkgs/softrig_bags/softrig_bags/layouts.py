@@ -1,0 +1,424 @@
+"""Messages of any type as columns: where in its bytes a message has its numbers and texts, and which others are alike.
+
+A template is made from one message by its definition. It fits every other message that has the same lengths in the same
+places, and then gives the numbers of all of them at once. Bytes are checked before they are numbers: encapsulation,
+byte order, lengths, and that the definition ends where the message does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+from softrig_core.wire.types import TYPES
+
+from .block import Bytes, Ints, rows_of
+from .definitions import Types
+
+LONGEST = 4096  # elements of an array that become columns of their own
+LONGEST_OCTETS = 64  # elements of arrays of uint8, byte or char, which are images and other files more often
+MANY = 20_000  # values of a message; more make no table
+PADDING = 3  # bytes that may follow the last field: DDS fills up to four
+_KINDS = {
+    "bool": "u1", "byte": "u1", "octet": "u1", "char": "u1", "wchar": "u2", "int8": "i1", "uint8": "u1", "int16": "i2",
+    "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_OCTETS = {"byte", "octet", "char", "uint8"}
+_ORDERS = {b"\0\0": ">", b"\0\1": "<"}
+_STAMPS = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+
+
+class Undecodable(Exception):
+    """Bytes that are not what the definition of their type says; the text says why."""
+
+
+class Leaf(NamedTuple):
+    """A number, an array of numbers, or a text: path below the topic, numpy's type, first byte, number of elements.
+
+    ``text`` is ``utf-8`` or, of wide characters, ``utf-16`` or ``utf-32``; empty for numbers.
+    """
+
+    path: str
+    kind: str
+    at: int
+    n: int
+    flag: bool = False
+    octets: bool = False
+    text: str = ""
+
+
+@dataclass
+class Template:
+    """What messages of one shape have in common.
+
+    Attributes
+    ----------
+    length : int
+        Bytes of a message.
+    order : str
+        ``<`` or ``>``.
+    fixed : list of (int, bytes)
+        Places and bytes that every message of this shape has: encapsulation, lengths, and texts that name columns.
+    leaves : list of Leaf
+        All values, in wire order.
+    labels : list of (str, Leaf, int)
+        Name of each column, its leaf and which element of that.
+    """
+
+    length: int
+    order: str
+    fixed: list[tuple[int, bytes]] = field(default_factory=list)
+    leaves: list[Leaf] = field(default_factory=list)
+    labels: list[tuple[str, Leaf, int]] = field(default_factory=list)
+    omitted: list[str] = field(default_factory=list)
+    stamp_at: int = 0  # where the stamp of its header is; 0 where it has none
+
+    def fits(self, rows: Bytes) -> NDArray[np.bool_]:
+        """Return which rows of shape (n, length) are messages of this shape."""
+        good = np.ones(len(rows), bool)
+        for at, expected in self.fixed:
+            good &= (rows[:, at : at + len(expected)] == np.frombuffer(expected, np.uint8)).all(axis=1)
+        return good
+
+    def values(self, rows: Bytes, leaf: Leaf) -> NDArray[Any]:
+        """Return the numbers of a leaf, shape (n, elements), of the type that they have in the message."""
+        width = int(leaf.kind[1:]) * leaf.n
+        part = np.ascontiguousarray(rows[:, leaf.at : leaf.at + width])
+        found = part.view(self.order + leaf.kind) if width else np.empty((len(rows), 0), leaf.kind)
+        return found != 0 if leaf.flag else found
+
+    def stamps(self, rows: Bytes) -> Ints:
+        """Return the header stamps of messages, ns, shape (n,)."""
+        at = self.stamp_at
+        parts = (rows[:, a : a + 4].copy().view(self.order + k)[:, 0] for a, k in ((at, "i4"), (at + 4, "u4")))
+        seconds, rest = (part.astype(np.int64) for part in parts)
+        return seconds * 10**9 + rest
+
+    def columns(self, rows: Bytes) -> dict[str, NDArray[np.float64]]:
+        """Return the numbers of messages as float64 columns by label, each of shape (n,)."""
+        found: dict[str, NDArray[np.float64]] = {}
+        blocks: dict[int, NDArray[np.float64]] = {}
+        for label, leaf, k in self.labels:
+            if leaf.at not in blocks:
+                blocks[leaf.at] = np.array(self.values(rows, leaf).T, np.float64, order="C")
+            found[label] = blocks[leaf.at][k]
+        return found
+
+    def texts(self, rows: Bytes, leaf: Leaf) -> list[str]:
+        """Return a text of each message; what is not of its encoding is kept as escapes."""
+        coding, width = leaf.text, {"utf-8": 1, "utf-16": 2, "utf-32": 4}[leaf.text]
+        if width > 1:
+            coding += "-le" if self.order == "<" else "-be"
+        part = np.ascontiguousarray(rows[:, leaf.at : leaf.at + width * leaf.n])
+        return [bytes(row).decode(coding, "backslashreplace") for row in part]
+
+
+def stamped(msgtype: str, types: Types) -> bool:
+    """Return whether messages of a type begin with a header or a time."""
+    fields = types[msgtype][1]
+    kind, detail = fields[0][1] if fields else (None, "")
+    return msgtype == _STAMPS[1] or (kind == Nodetype.NAME and detail in _STAMPS)
+
+
+def _has_stamp(i: int, name: str, msgtype: str) -> bool:
+    """Return whether a field of a message is what stamps it."""
+    return (i == 0 and msgtype in _STAMPS) or (name == "header" and msgtype == _STAMPS[0])
+
+
+def stamps_of(raw: Bytes, at: Ints) -> Ints:
+    """Return the stamps in ns of messages that begin with one; all of them have at least 12 bytes."""
+    rows = rows_of(raw, at, 12)
+    found = np.empty(len(at), np.int64)
+    little = (rows[:, 1] & 1).astype(bool)
+    for order, chosen in (("<", little), (">", ~little)):
+        part = np.ascontiguousarray(rows[chosen, 4:])
+        seconds, rest = (part[:, a : a + 4].copy().view(order + k)[:, 0] for a, k in ((0, "i4"), (4, "u4")))
+        found[chosen] = seconds.astype(np.int64) * 10**9 + rest
+    return found
+
+
+class _Maker:
+    """Walks through one message by its definition."""
+
+    def __init__(self, types: Types, data: bytes, wide: int) -> None:
+        order = _ORDERS.get(data[:2])
+        if order is None or len(data) < 4:
+            raise Undecodable(f"its bytes begin with {data[:4].hex() or 'nothing'}, which is no CDR of ROS 2")
+        self._types, self._data, self._wide = types, data, wide
+        self._at = 4
+        self.found = Template(len(data), order, [(0, data[:2])])
+        self.names: dict[str, tuple[int, str]] = {}  # texts by path: where they are
+
+    def make(self, msgtype: str) -> Template:
+        if msgtype == _STAMPS[1]:
+            self.found.stamp_at = self._at
+        self._struct(msgtype, "")
+        left = len(self._data) - self._at
+        if left > PADDING:
+            raise Undecodable(f"it is {left} bytes longer than its definition")
+        return self.found
+
+    def _align(self, n: int) -> None:
+        self._at += -(self._at - 4) % n
+
+    def _move(self, n: int, path: str) -> int:
+        """Go on by some bytes; return where they begin."""
+        at = self._at
+        self._at += n
+        if self._at > len(self._data):
+            raise Undecodable(f"it ends within {path.removeprefix('/') or 'its first field'}")
+        return at
+
+    def _length(self, path: str) -> int:
+        self._align(4)
+        at = self._move(4, path)
+        self.found.fixed.append((at, self._data[at : at + 4]))
+        return int.from_bytes(self._data[at : at + 4], "little" if self.found.order == "<" else "big")
+
+    def _struct(self, msgtype: str, path: str) -> None:
+        fields = self._types[msgtype][1]
+        if not fields:  # there is one on the wire, for IDL has no empty structures
+            self._move(1, path)
+        for i, (name, kind) in enumerate(fields):
+            if not path and kind[0] == Nodetype.NAME and _has_stamp(i, name, kind[1]):
+                self._align(4)
+                self.found.stamp_at = self.found.stamp_at or self._at
+            if name == "structure_needs_at_least_one_member":
+                self._move(1, path)
+            else:
+                self._item(kind, f"{path}/{name}")
+
+    def _item(self, description: Any, path: str) -> None:
+        kind, detail = description
+        if kind == Nodetype.NAME:
+            self._struct(detail, path)
+        elif kind == Nodetype.BASE:
+            self._base(detail[0], path, 1, single=True)
+        else:
+            inner, n = detail
+            if kind == Nodetype.SEQUENCE:
+                n = self._length(path)
+                if n > len(self._data):
+                    raise Undecodable(f"{path[1:]} claims {n} elements, more than its {len(self._data)} bytes hold")
+            if inner[0] == Nodetype.BASE and inner[1][0] in _KINDS:
+                self._base(inner[1][0], path, n, single=False)
+            else:
+                for i in range(n):
+                    self._item(inner, f"{path}/{i}")
+
+    def _base(self, name: str, path: str, n: int, *, single: bool) -> None:
+        if len(self.found.leaves) > MANY:
+            raise Undecodable(f"it has more than {MANY} fields")
+        if name in ("string", "wstring"):
+            self._text(name, path)
+            return
+        kind = _KINDS.get(name)
+        if kind is None:
+            raise Undecodable(f"{path[1:]} is of type {name}, which ROS 2 does not have")
+        if name == "wchar" and self._wide == 4:
+            kind = "u4"
+        width = int(kind[1:])
+        if n:
+            self._align(width)
+        at = self._move(n * width, path)
+        leaf = Leaf(path[1:], kind, at, n, name == "bool", name in _OCTETS and not single)
+        self.found.leaves.append(leaf)
+        if n > (LONGEST_OCTETS if leaf.octets else LONGEST):
+            self.found.omitted.append(f"{leaf.path} of {n} elements")
+        elif single:
+            self.found.labels.append((leaf.path, leaf, 0))
+        else:
+            self.found.labels += [(f"{leaf.path}/{i}", leaf, i) for i in range(n)]
+
+    def _text(self, name: str, path: str) -> None:
+        n = self._length(path)
+        if name == "wstring":
+            at = self._move(n * self._wide, path)
+            self.found.leaves.append(Leaf(path[1:], "u1", at, n, text="utf-16" if self._wide == 2 else "utf-32"))
+            return
+        at = self._move(n, path)
+        ends = n > 0 and self._data[at + n - 1] == 0
+        self.found.leaves.append(Leaf(path[1:], "u1", at, n - ends, text="utf-8"))
+
+
+def template(msgtype: str, types: Types, data: bytes) -> Template:
+    """Return the template of messages that are like one.
+
+    Parameters
+    ----------
+    msgtype : str
+        Its type.
+    types : Types
+        Definitions of the type and of all in it.
+    data : bytes
+        The message, encapsulation included.
+
+    Raises
+    ------
+    Undecodable
+        The message is not what the definition says.
+    """
+    try:
+        made = _Maker(types, data, 4).make(msgtype)
+    except Undecodable:
+        if not _is_wide(types):
+            raise
+        made = _Maker(types, data, 2).make(msgtype)  # a wide character has had four bytes, and then two
+    _name_columns(msgtype, made, data)
+    return made
+
+
+def _is_wide(types: Types) -> bool:
+    def wide(description: Any) -> bool:
+        kind, detail = description
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            return wide(detail[0])
+        return kind == Nodetype.BASE and detail[0] in ("wchar", "wstring")
+
+    return any(wide(kind) for _, fields in types.values() for _, kind in fields)
+
+
+def _name_columns(msgtype: str, made: Template, data: bytes) -> None:
+    """Name the columns of the suite's own types as it does, by channels or dimensions; leave out stamps."""
+    stamp = (made.stamp_at, made.stamp_at + 4) if made.stamp_at else ()
+    made.labels = [row for row in made.labels if row[1].at not in stamp]
+    if msgtype not in TYPES:
+        return
+    texts = {leaf.path: leaf for leaf in made.leaves if leaf.text}
+    rows = np.frombuffer(data, np.uint8)[None]
+    read = {path: made.texts(rows, leaf)[0] for path, leaf in texts.items()}
+    renamed = _RENAMED.get(msgtype, lambda labels, *_: labels)([label for label, _, _ in made.labels], read, made, rows)
+    if renamed is None or len(set(renamed)) != len(renamed):
+        return
+    made.labels = [
+        (new, leaf, k) for new, (_, leaf, k) in zip(renamed, made.labels, strict=True) if not new.startswith("\0")
+    ]
+    for path in _NAMING.get(msgtype, ()):
+        for at in (leaf for p, leaf in texts.items() if p.startswith(path)):
+            made.fixed.append((at.at, data[at.at : at.at + at.n]))
+    if msgtype == "std_msgs/msg/Float64MultiArray":
+        made.fixed += [
+            (leaf.at, data[leaf.at : leaf.at + 4])
+            for leaf in made.leaves
+            if leaf.path.startswith("layout/dim/") and leaf.path.endswith("/size")
+        ]
+
+
+def _joints(labels: Sequence[str], texts: Mapping[str, str], *_: Any) -> list[str] | None:
+    names = _listed(texts, "name/")
+    return [_channel(names, *label.rpartition("/")[::2]) for label in labels]
+
+
+def _trajectory(labels: Sequence[str], texts: Mapping[str, str], made: Template, rows: Bytes) -> list[str] | None:
+    if any(label.startswith("points/1/") for label in labels) or not labels:
+        return None
+    names, found = _listed(texts, "joint_names/"), []
+    for label in labels:
+        name, _, index = label.removeprefix("points/0/").rpartition("/")
+        if name == "time_from_start":
+            found.append(f"\0{label}")
+        else:
+            one = {"positions": "position", "velocities": "velocity", "accelerations": "acceleration"}.get(name, name)
+            found.append(_channel(names, one, index))
+    return found
+
+
+def _array(labels: Sequence[str], _: Any, made: Template, rows: Bytes) -> list[str] | None:
+    sizes = [
+        int(made.values(rows, leaf)[0, 0])
+        for leaf in made.leaves
+        if leaf.path.startswith("layout/dim/") and leaf.path.endswith("/size")
+    ]
+    n = sum(label.startswith("data/") for label in labels)
+    if sizes and math.prod(sizes) != n:
+        return None
+    elements = [",".join(map(str, index)) for index in np.ndindex(*sizes)] if sizes else [f"data/{i}" for i in range(n)]
+    others = iter(elements)
+    return [next(others) if label.startswith("data/") else "\0" + label for label in labels]
+
+
+def _listed(texts: Mapping[str, str], prefix: str) -> list[str]:
+    return [text for path, text in texts.items() if path.startswith(prefix)]
+
+
+def _channel(names: Sequence[str], field_name: str, index: str) -> str:
+    """Return the label of an element by the name of its channel; by its place where it has none."""
+    known = index.isdecimal() and int(index) < len(names) and names[int(index)]
+    return f"{names[int(index)]}/{field_name}" if known else f"{field_name}/{index}".removeprefix("/")
+
+
+def _below(prefix: str) -> Any:
+    return lambda labels, *_: [label.removeprefix(prefix) for label in labels]
+
+
+_RENAMED: dict[str, Any] = {
+    "sensor_msgs/msg/JointState": _joints,
+    "trajectory_msgs/msg/JointTrajectory": _trajectory,
+    "geometry_msgs/msg/Vector3Stamped": _below("vector/"),
+    "geometry_msgs/msg/WrenchStamped": _below("wrench/"),
+    "geometry_msgs/msg/PoseStamped": _below("pose/"),
+    "std_msgs/msg/Float64MultiArray": _array,
+}
+_NAMING = {"sensor_msgs/msg/JointState": ("name/",), "trajectory_msgs/msg/JointTrajectory": ("joint_names/",)}
+
+
+class Decoder:
+    """The templates of one topic: sorts its messages by shape.
+
+    Parameters
+    ----------
+    msgtype : str
+        Type of the topic.
+    types : Types
+        Its definitions, from `definitions.complete`.
+    """
+
+    def __init__(self, msgtype: str, types: Types) -> None:
+        self._msgtype, self._types = msgtype, types
+        self._templates: dict[int, list[Template]] = {}
+        self.stamped = stamped(msgtype, types)
+
+    def groups(
+        self, raw: Bytes, at: Ints, size: Ints
+    ) -> Iterator[tuple[NDArray[np.intp], Template | Undecodable, Bytes]]:
+        """Return messages of one shape together: which they are, their template, and their bytes as rows.
+
+        Those of which one is no message of this type come one by one, with what is wrong in place of a template.
+        """
+        for length in np.unique(size).tolist():
+            chosen = np.flatnonzero(size == length)
+            rows = rows_of(raw, at[chosen], length)
+            known = self._templates.setdefault(length, [])
+            for made in known:
+                if not len(chosen):
+                    break
+                good = made.fits(rows)
+                if good.all():
+                    yield chosen, made, rows
+                    chosen = chosen[:0]
+                elif good.any():
+                    yield chosen[good], made, rows[good]
+                    chosen, rows = chosen[~good], rows[~good]
+            while len(chosen):
+                try:
+                    made = template(self._msgtype, self._types, rows[0].tobytes())
+                except Undecodable as error:
+                    yield chosen[:1], error, rows[:1]
+                    chosen, rows = chosen[1:], rows[1:]
+                    continue
+                known.append(made)
+                good = made.fits(rows)
+                if good.all():
+                    yield chosen, made, rows
+                    break
+                yield chosen[good], made, rows[good]
+                chosen, rows = chosen[~good], rows[~good]
+            del known[:-_KEPT]
+
+
+_KEPT = 256  # templates of one length that are tried

@@ -1,0 +1,167 @@
+"""What a bag says of itself in metadata.yaml, of any version: a claim that is held against its files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+from .source import Damaged
+from .topics import FOREVER
+
+LIMIT = 1 << 24
+_DEFAULTS: dict[str, Any] = {
+    "history": QosHistory.KEEP_LAST,
+    "reliability": QosReliability.RELIABLE,
+    "durability": QosDurability.VOLATILE,
+    "liveliness": QosLiveliness.AUTOMATIC,
+}
+
+
+@dataclass(frozen=True)
+class Stated:
+    """A topic as the metadata has it."""
+
+    name: str
+    msgtype: str
+    encoding: str
+    count: int
+    offered: Any
+    digest: str
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What the metadata says.
+
+    Parameters
+    ----------
+    version : int
+        Of rosbag2's format of metadata, 0 where nothing is said.
+    files : list of str
+        Names of the storage files.
+    count : int
+        Messages of the bag; None where nothing is said.
+    """
+
+    version: int = 0
+    files: list[str] = field(default_factory=list)
+    topics: list[Stated] = field(default_factory=list)
+    count: int | None = None
+    start: int = 0
+    duration: int = 0
+    custom_data: dict[str, str] = field(default_factory=dict)
+    distribution: str = ""
+
+
+def loaded(text: str | bytes) -> Any:
+    """Read YAML with all scalars as texts: what looks like a time or a truth value is none here."""
+    return yaml.load(text, Loader=getattr(yaml, "CBaseLoader", yaml.BaseLoader))  # type: ignore[no-untyped-call]
+
+
+def read_metadata(path: Path) -> Metadata:
+    """Read metadata.yaml.
+
+    Raises
+    ------
+    Damaged
+        It is no YAML, or what it says is of other kinds than in any version of rosbag2.
+    """
+    if path.stat().st_size > LIMIT:
+        raise Damaged(f"metadata.yaml is longer than {LIMIT} bytes")
+    try:
+        content = loaded(path.read_bytes())
+        return parsed(content["rosbag2_bagfile_information"])
+    except (yaml.YAMLError, UnicodeError, RecursionError) as error:
+        raise Damaged(f"metadata.yaml is no YAML: {' '.join(str(error).split())[:200]}") from None
+    except (KeyError, TypeError, AttributeError) as error:
+        raise Damaged(f"metadata.yaml is not that of a bag: {error!r}"[:200]) from None
+
+
+def embedded(text: str) -> Metadata:
+    """Read the copy that rosbag2 keeps in a storage file; nothing is said by one that cannot be read."""
+    try:
+        found = loaded(text)
+        return parsed(found) if isinstance(found, dict) else Metadata()
+    except (yaml.YAMLError, Damaged, KeyError, TypeError, AttributeError, RecursionError):
+        return Metadata()
+
+
+def parsed(about: Mapping[str, Any]) -> Metadata:
+    """Return what the fields of metadata say."""
+    custom = about.get("custom_data", "")
+    if not isinstance(custom, dict) and custom not in ("", "null", "~"):
+        raise Damaged(f"metadata.yaml: custom_data is {custom!r}"[:100] + ", expected a mapping")
+    topics = []
+    for entry in about.get("topics_with_message_count") or []:
+        topic = entry["topic_metadata"]
+        name, msgtype = topic["name"], topic["type"]
+        if not isinstance(name, str) or not isinstance(msgtype, str):
+            raise Damaged(f"metadata.yaml: topic {name!r} of type {msgtype!r}"[:100] + ", expected names")
+        count = _number(f"messages on {name}", entry.get("message_count", 0))
+        offered, digest = topic.get("offered_qos_profiles", ""), topic.get("type_description_hash", "")
+        topics.append(Stated(name, msgtype, topic.get("serialization_format", "cdr"), count, offered, str(digest)))
+    files = about.get("relative_file_paths") or [f["path"] for f in about.get("files") or []]
+    return Metadata(
+        _number("version", about.get("version", 0)),
+        [str(name) for name in files],
+        topics,
+        _number("messages", about["message_count"]) if "message_count" in about else None,
+        _number("start", about.get("starting_time", {}).get("nanoseconds_since_epoch", 0)),
+        _number("duration", about.get("duration", {}).get("nanoseconds", 0)),
+        {str(k): str(v) for k, v in custom.items()} if isinstance(custom, dict) else {},
+        str(about.get("ros_distro", "")),
+    )
+
+
+def _number(name: str, text: Any) -> int:
+    try:
+        number = int(text)
+    except (TypeError, ValueError):
+        number = -1
+    if not 0 <= number < 1 << 63:
+        raise Damaged(f"metadata.yaml: {name}: {text!r}"[:100] + ", expected a whole number of 64 bits")
+    return number
+
+
+def profiles(offered: Any) -> tuple[Qos, ...]:
+    """Return the profiles that publishers offered, of a text of YAML or of a list.
+
+    Numbers stand for policies before version 9. What is missing or unknown is as rclcpp offers it by default; of a text
+    that is no list of profiles nothing is known.
+    """
+    try:
+        found = loaded(offered) if isinstance(offered, str) else offered
+        return tuple(_profile(item) for item in found or [] if isinstance(item, dict))
+    except (yaml.YAMLError, RecursionError):
+        return ()
+
+
+def _profile(item: Mapping[str, Any]) -> Qos:
+    depth = str(item.get("depth", ""))
+    history, reliability, durability, liveliness = (_policy(item, name) for name in _DEFAULTS)
+    times = [_time(item.get(name)) for name in ("deadline", "lifespan", "liveliness_lease_duration")]
+    plain = str(item.get("avoid_ros_namespace_conventions", "")).lower() == "true"
+    number = int(depth) if depth.isdecimal() and len(depth) < 19 else 10
+    return Qos(history, number, reliability, durability, times[0], times[1], liveliness, times[2], plain)
+
+
+def _policy(item: Mapping[str, Any], name: str) -> Any:
+    default = _DEFAULTS[name]
+    if name not in item:
+        return default
+    kind, text = type(default), str(item[name])
+    numbers = {str(policy.value): policy for policy in kind}
+    return numbers.get(text) or kind.__members__.get(text.upper(), kind.UNKNOWN)
+
+
+def _time(value: Any) -> QosTime:
+    if not isinstance(value, dict):
+        return FOREVER
+    seconds, rest = (str(value.get(name, "")) for name in ("sec", "nsec"))
+    good = seconds.isdecimal() and rest.isdecimal() and len(seconds) < 19 and len(rest) < 19
+    return QosTime(int(seconds), int(rest)) if good else FOREVER

@@ -1,0 +1,122 @@
+"""What stands in an SQLite storage file of rosbag2, of any version of its schema."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from .block import Block
+from .source import Damaged, SourceTopic
+
+ROWS, BYTES = 1 << 14, 1 << 22  # that are read at a time, at most and about
+BESIDE = ("-wal", "-journal")  # what a recorder that was killed leaves beside the file: committed rows, or undone ones
+LATEST = 2**63 - 1
+_MESSAGES = "SELECT topic_id, timestamp, data FROM messages WHERE timestamp >= ? ORDER BY timestamp, id"
+
+
+@dataclass
+class SqliteSource:
+    """One SQLite file that is open for reading; see `McapSource`. The file itself is never changed.
+
+    Raises
+    ------
+    Damaged
+        It is no database, or not one of rosbag2.
+    """
+
+    path: Path
+    topics: dict[int, SourceTopic] = field(default_factory=dict)
+    stated: dict[int, int] = field(default_factory=dict)
+    stated_count: int | None = None
+    metadata: str = ""
+    attachments: list[tuple[str, int]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._copy: TemporaryDirectory[str] | None = None
+        path = self.path
+        beside = [p for suffix in BESIDE if (p := path.with_name(path.name + suffix)).exists() and p.stat().st_size]
+        if beside:  # SQLite would write into the folder
+            self._copy = TemporaryDirectory(prefix="softrig-bag-")
+            for file in (path, *beside):
+                shutil.copyfile(file, Path(self._copy.name) / file.name)
+            path = Path(self._copy.name) / path.name
+        mode = "" if beside else "?mode=ro&immutable=1"
+        try:
+            self._db = sqlite3.connect(path.absolute().as_uri() + mode, uri=True, check_same_thread=False)
+            self._read_topics()
+            self.first, self.last = self._one("SELECT min(timestamp), max(timestamp) FROM messages")
+        except (sqlite3.Error, OverflowError, UnicodeDecodeError, ValueError) as error:
+            self.close()
+            raise Damaged(str(error)) from error
+        if self.first is None:
+            self.first, self.last = LATEST, 0
+        elif not isinstance(self.first, int) or not isinstance(self.last, int):
+            self.close()
+            raise Damaged(f"a message is at {self.last!r}, expected a whole number")
+
+    def close(self) -> None:
+        """Close the file."""
+        with suppress(AttributeError):
+            self._db.close()
+        if self._copy is not None:
+            self._copy.cleanup()
+
+    def _one(self, text: str) -> Any:
+        return self._db.execute(text).fetchone()
+
+    def _columns(self, table: str) -> set[str]:
+        return {row[1] for row in self._db.execute(f"PRAGMA table_info({table})")}
+
+    def _read_topics(self) -> None:
+        columns = self._columns("topics")
+        if not columns or not self._columns("messages"):
+            raise Damaged("it has no tables of topics and messages")
+        definitions: dict[str, tuple[str, str]] = {}
+        if self._columns("message_definitions"):
+            for name, language, text in self._db.execute(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
+            ):
+                definitions.setdefault(name, (text, language))
+        offered = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
+        digest = "type_description_hash" if "type_description_hash" in columns else "''"
+        for number, name, msgtype, encoding, profiles, hashed in self._db.execute(
+            f"SELECT id, name, type, serialization_format, {offered}, {digest} FROM topics ORDER BY id"
+        ):
+            definition, language = definitions.get(msgtype, ("", ""))
+            found = SourceTopic(name, msgtype, definition, language, hashed, profiles, encoding)
+            if not all(isinstance(text, str) for text in found):
+                raise Damaged(f"topic {name!r} of type {msgtype!r}"[:100] + ", expected names")
+            self.topics[number] = found
+        if self._columns("metadata"):
+            for (text,) in self._db.execute("SELECT metadata FROM metadata ORDER BY id"):
+                self.metadata = str(text) or self.metadata
+
+    def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
+        """Return blocks, before each its place in the file, after it the time before which nothing follows."""
+        try:
+            rows, n, place = self._db.execute(_MESSAGES, (start,)), 1, 0
+            while found := rows.fetchmany(n):
+                block = _block(found)
+                yield place, block, int(block.t[-1])
+                place += len(block)
+                n = max(1, min(ROWS, 2 * n, BYTES * n // max(len(block.raw), 1)))
+        except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
+            raise Damaged(str(error)) from error
+
+
+def _block(rows: list[tuple[Any, Any, Any]]) -> Block:
+    topics, times, data = zip(*rows, strict=True)
+    for topic, t, message in rows:
+        if type(message) is not bytes or type(t) is not int or type(topic) is not int:
+            raise Damaged(f"a message is {type(message).__name__} at {t!r}, expected bytes at a whole number")
+    size = np.fromiter(map(len, data), np.int64, len(data))
+    raw = np.frombuffer(b"".join(data), np.uint8)
+    return Block(raw, np.array(topics, np.int64), np.array(times, np.int64), np.cumsum(size) - size, size)

@@ -1,0 +1,168 @@
+"""Messages of a bag as tables of numbers, block by block: one layout for signals, exports and comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .block import Block, Ints
+from .definitions import UnknownType
+from .layouts import Decoder, Template, Undecodable
+from .reader import BagReader
+
+Array = NDArray[np.float64]
+
+
+class Piece(NamedTuple):
+    """Some messages of a topic: bag times and header stamps in ns (bag times where there is none), and columns."""
+
+    t: Ints
+    stamp: Ints
+    columns: dict[str, Array]
+
+
+@dataclass
+class Left:
+    """What of a topic has not become numbers, and why.
+
+    Parameters
+    ----------
+    reason : str
+        Of a topic that cannot be decoded as a whole.
+    messages : int
+        That are damaged; the first of them is at bag time `first` ns and has `damage`.
+    fields : dict of str to None
+        Arrays that are too long for columns, in words.
+    """
+
+    reason: str = ""
+    messages: int = 0
+    first: int = 0
+    damage: str = ""
+    fields: dict[str, None] = field(default_factory=dict)
+
+
+class Columns:
+    """Makes tables of the messages of a bag's topics.
+
+    Parameters
+    ----------
+    bag : BagReader
+        Open.
+
+    Attributes
+    ----------
+    left : dict of int to Left
+        By topic: what has been left out so far.
+    """
+
+    def __init__(self, bag: BagReader) -> None:
+        self._bag = bag
+        self._decoders: dict[int, Decoder | None] = {}
+        self._good: dict[int, int] = {}
+        self.left: dict[int, Left] = {}
+
+    def decoder(self, topic: int) -> Decoder | None:
+        """Return what reads a topic's messages; None where nothing does."""
+        if topic not in self._decoders:
+            try:
+                self._decoders[topic] = self._bag.decoder(topic)
+            except UnknownType as error:
+                self._decoders[topic] = None
+                self._left(topic).reason = str(error)
+        return self._decoders[topic]
+
+    def _left(self, topic: int) -> Left:
+        return self.left.setdefault(topic, Left())
+
+    def reason(self, topic: int) -> str:
+        """Return why a topic cannot be decoded as a whole; empty where it can."""
+        return self.left[topic].reason if topic in self.left else ""
+
+    def pieces(self, block: Block) -> Iterator[tuple[int, Piece]]:
+        """Return the tables of the topics in a block, by number of the topic."""
+        for topic in np.unique(block.topic).tolist():
+            decoder = self.decoder(topic)
+            if decoder is not None:
+                chosen = block.take(np.flatnonzero(block.topic == topic))
+                piece = self._piece(topic, decoder, chosen)
+                self._good[topic] = self._good.get(topic, 0) + len(piece.t)
+                if len(piece.t):
+                    yield topic, piece
+
+    def _piece(self, topic: int, decoder: Decoder, block: Block) -> Piece:
+        groups = [*decoder.groups(block.raw, block.at, block.size)]
+        good = [(rows, made, data) for rows, made, data in groups if isinstance(made, Template)]
+        good.sort(key=lambda group: group[0][0])  # columns in the order in which they come
+        for rows, made, _ in groups:
+            if isinstance(made, Undecodable):
+                self._note(topic, int(block.t[rows[0]]), str(made), len(rows))
+        for _, made, _ in good:
+            self._left(topic).fields |= dict.fromkeys(made.omitted) if made.omitted else {}
+        if len(good) == 1 and len(good[0][0]) == len(block):
+            _, made, data = good[0]
+            return Piece(block.t, made.stamps(data) if made.stamp_at else block.t, made.columns(data))
+        return _merged(block, good)
+
+    def _note(self, topic: int, t: int, damage: str, n: int) -> None:
+        left = self._left(topic)
+        if not left.messages:
+            left.first, left.damage = t, damage
+        left.messages += n
+
+    def finish(self) -> None:
+        """Find out, when all is read, of which topics not one message could be decoded."""
+        for topic, left in self.left.items():
+            if left.messages and not self._good.get(topic):
+                left.reason = left.damage
+
+    def lines(self) -> Iterator[tuple[str, bool]]:
+        """Say what was left out; each line with whether messages are lost of a topic that is there otherwise."""
+        for topic, left in sorted(self.left.items()):
+            name = self._bag.topics[topic].name
+            if left.reason:
+                yield f"{name} ({self._bag.topics[topic].msgtype}) cannot be decoded: {left.reason}", False
+            elif left.messages:
+                yield (
+                    f"{name}: {left.messages} of {left.messages + self._good[topic]} messages cannot be decoded, "
+                    f"the first at {left.first} ns: {left.damage}",
+                    True,
+                )
+            if left.fields and not left.reason:
+                yield f"{name}: too long for columns: {', '.join(left.fields)}", False
+
+
+def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray[np.uint8]]]) -> Piece:
+    """Put messages of several shapes into one table: what a message lacks is NaN."""
+    stamp = block.t.copy()
+    columns: dict[str, Array] = {}
+    decoded = np.zeros(len(block), bool)
+    for rows, made, data in groups:
+        decoded[rows] = True
+        if made.stamp_at:
+            stamp[rows] = made.stamps(data)
+        for label, x in made.columns(data).items():
+            if label not in columns:
+                columns[label] = np.full(len(block), np.nan)
+            columns[label][rows] = x
+    if not decoded.all():
+        columns = {label: x[decoded] for label, x in columns.items()}
+    return Piece(block.t[decoded], stamp[decoded], columns)
+
+
+def stacked(pieces: list[Piece]) -> Piece:
+    """Return the rows of several tables one after the other; columns that one of them lacks are NaN there."""
+    if len(pieces) == 1:
+        return pieces[0]
+    labels = dict.fromkeys(label for piece in pieces for label in piece.columns)
+    columns = {}
+    for label in labels:
+        parts = (p.columns[label] if label in p.columns else np.full(len(p.t), np.nan) for p in pieces)
+        columns[label] = np.concatenate([*parts])
+    empty = np.empty(0, np.int64)
+    t, stamp = (np.concatenate([empty, *(getattr(p, name) for p in pieces)]) for name in ("t", "stamp"))
+    return Piece(t, stamp, columns)
