@@ -32,7 +32,7 @@ KINDS = {
     "explanations": (
         "Explanations",
         "Why it is as it is, and what you can rely on.",
-        ("idea", "lockstep", "tick", "house", "placements", "bits", "verdicts", "solver"),
+        ("idea", "lockstep", "tick", "house", "placements", "bits", "numerics", "verdicts", "solver"),
     ),
     "reference": (
         "Reference",

@@ -6,7 +6,7 @@ import math
 import control
 import numpy as np
 import pytest
-from softrig_core import ScenarioError
+from softrig_core import RunError, ScenarioError
 from softrig_core.analysis.linear_view import LinearView, _between, _power, _reach
 
 T = 0.05
@@ -110,6 +110,48 @@ def test_margins_are_where_the_loop_loses_its_stability(seed):
     assert view.loop.eval(w[100]) == pytest.approx(L[100], rel=1e-2)
     assert view.closed.dt == view.opened.dt == T
     assert (view.closed.input_labels, view.closed.output_labels) == (["plant/w"], ["plant/y"])
+
+
+def resonant(seed):
+    """A lag and light resonances that leave the unit circle one after the other, or none of them at small factors."""
+    rng = np.random.default_rng(seed)
+    while True:
+        turns, radii = np.sort(rng.uniform(0.02, 2.5, 3)), 1.0 - 10.0 ** rng.uniform(-6.0, -3.0, 3)
+        a = np.zeros((7, 7))
+        for k, (turn, radius) in enumerate(zip(turns, radii, strict=True)):
+            c, s = radius * math.cos(turn), radius * math.sin(turn)
+            a[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[c, -s], [s, c]]
+        a[6, 6] = rng.uniform(0.5, 0.99)
+        b, c = rng.normal(size=7), rng.normal(size=7) * 10.0 ** rng.uniform(-7.0, -5.0)
+        if largest(a, b, c, 0.0, 1.0) < 1.0 - 1e-9:
+            return a, b, c, 0.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_crossing_of_light_resonances_is_one_of_the_response_itself(seed):
+    """The first factor at which an eigenvalue leaves the unit circle, by scanning and halving, is the margin told."""
+    loop = resonant(seed)
+    factors = np.geomspace(1.0, 1e6, 1500)
+    out = next((k for k, factor in enumerate(factors) if largest(*loop, factor) >= 1.0), None)
+    assert out
+    low, high = factors[out - 1], factors[out]
+    for _ in range(60):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if largest(*loop, middle) >= 1.0 else (middle, high)
+    assert view_of(*loop).margins.gain == pytest.approx(high, rel=1e-6)
+
+
+def test_a_small_loop_has_a_large_margin():
+    """At z = -1, at which 1 + L = 0 for the factor 1.5e6: no threshold hides what is as small."""
+    assert view_of([[0.5]], [1.0], [-1e-6], 0.0).margins.gain == pytest.approx(1.5e6)
+
+
+def test_a_margin_without_its_pole_is_not_told(monkeypatch):
+    view = view_of(*resonant(0))
+    right = type(view).at_frequencies
+    monkeypatch.setattr(type(view), "at_frequencies", lambda self, w: 1.5 * right(self, w))
+    with pytest.raises(RunError, match="has no pole on the unit circle, so that is no margin"):
+        _ = view.margins
 
 
 def test_a_loop_that_nothing_can_take_away():

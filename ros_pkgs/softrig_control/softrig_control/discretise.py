@@ -1,4 +1,4 @@
-"""Exact sampling of linear systems in plain floats.
+"""Exact sampling of linear systems.
 
 Written without BLAS on purpose: its kernels differ between processors in the last bit, and these matrices decide
 every number of a run.
@@ -10,9 +10,11 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 
+from softrig_core.kit import exact
 from softrig_core.kit.dense import total
 
 Matrix = tuple[tuple[float, ...], ...]
+OF_LARGEST, OF_ITSELF = 2.0**-48, 2.0**-46  # how far an entry may be off, relative to the largest one and to itself
 
 
 def matmul(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]]) -> Matrix:
@@ -30,26 +32,21 @@ def matmul(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]]) -> Matrix
 
 
 def expm(a: Sequence[Sequence[float]]) -> Matrix:
-    """Matrix exponential of a small matrix by scaling, Taylor series and squaring.
+    """Compute the exponential of a small matrix.
+
+    Plain floats are used where they are right to the last few bits, as integers show, else the nearest float64.
 
     Parameters
     ----------
     a : (n, n) nested sequence
-        Scaled until its largest row sum is below 1; the remainder of the series after 18 terms is then below the
-        rounding of a float64.
+        Of any scale: stiff, badly scaled and defective ones are no harder.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite, or the result is beyond the range of float64.
     """
-    n = range(len(a))
-    norm = max(_dot(map(abs, row), (1.0,) * len(row)) for row in a)
-    squarings = max(0, math.frexp(norm)[1])
-    scaled = [[x / 2**squarings for x in row] for row in a]
-    identity: Matrix = tuple(tuple(float(i == j) for j in n) for i in n)
-    result = identity
-    for k in range(18, 0, -1):  # Horner's scheme: I + A/1 (I + A/2 (I + ...))
-        product = matmul(scaled, result)
-        result = tuple(tuple(identity[i][j] + product[i][j] / k for j in n) for i in n)
-    for _ in range(squarings):
-        result = matmul(result, result)
-    return result
+    return _exponential(tuple(map(tuple, a)), 1.0)
 
 
 def zero_order_hold(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], period: float) -> tuple[Matrix, Matrix]:
@@ -66,14 +63,60 @@ def zero_order_hold(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], 
     -------
     (Ad, Bd)
         From exp([[A, B], [0, 0]] period).
+
+    Raises
+    ------
+    ValueError
+        As `expm`.
     """
-    n, m = len(a), len(b[0])
-    whole = [tuple(x * period for x in (*ra, *rb)) for ra, rb in zip(a, b, strict=True)] + [(0.0,) * (n + m)] * m
-    sampled = _expm(tuple(whole))[:n]
+    n = len(a)
+    sampled = _exponential(augmented(a, b), period)[:n]
     return tuple(row[:n] for row in sampled), tuple(row[n:] for row in sampled)
 
 
-_expm = lru_cache(maxsize=64)(expm)  # runs of a study often share their plant
+def augmented(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]]) -> Matrix:
+    """Return [[A, B], [0, 0]], whose exponential has both matrices of the sampled system.
+
+    Parameters
+    ----------
+    a : (n, n) nested sequence
+    b : (n, m) nested sequence
+    """
+    n, m = len(a), len(b[0])
+    return tuple([(*ra, *rb) for ra, rb in zip(a, b, strict=True)] + [(0.0,) * (n + m)] * m)
+
+
+@lru_cache(maxsize=64)  # runs of a study often share their plant
+def _exponential(a: Matrix, period: float) -> Matrix:
+    rows = exact.fractions(a, period)
+    try:
+        right = exact.expm(rows)
+    except ArithmeticError as error:
+        raise ValueError(
+            f"a matrix of {len(a)} rows cannot be sampled with a period of {period:g} s: {error}"
+        ) from None
+    quick = _series([[x * period for x in row] for row in a])
+    largest = OF_LARGEST * max(abs(x) for row in right for x in row)
+    near = all(
+        abs(x - y) <= min(largest, OF_ITSELF * abs(y)) for u, v in zip(quick, right, strict=True) for x, y in zip(u, v)
+    )
+    return quick if near else right  # the bits of golden bags are those of the series
+
+
+def _series(a: Sequence[Sequence[float]]) -> Matrix:
+    """Return the exponential in floats, good where squaring loses no digits: largest row sum below 1, then Taylor."""
+    n = range(len(a))
+    norm = max(_dot(map(abs, row), (1.0,) * len(row)) for row in a)
+    squarings = max(0, math.frexp(norm)[1])
+    scaled = [[x / 2**squarings for x in row] for row in a]
+    identity: Matrix = tuple(tuple(float(i == j) for j in n) for i in n)
+    result = identity
+    for k in range(18, 0, -1):  # Horner's scheme: I + A/1 (I + A/2 (I + ...)); what is left out is below rounding
+        product = matmul(scaled, result)
+        result = tuple(tuple(identity[i][j] + product[i][j] / k for j in n) for i in n)
+    for _ in range(squarings):
+        result = matmul(result, result)
+    return result
 
 
 def _dot(a, b) -> float:  # type: ignore[no-untyped-def]

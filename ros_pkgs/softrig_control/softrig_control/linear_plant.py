@@ -9,8 +9,8 @@ from pydantic import model_validator
 from softrig_core import BlockParams, Plant, Port, param
 
 from .discretise import matmul
-from .predictive.carima import sample_transfer_function
 from .signal_name import signal_port
+from .transfer import sample_transfer_function
 
 
 class LinearPlantParams(BlockParams):
@@ -49,7 +49,7 @@ class State(NamedTuple):
 
 
 class LinearPlant(Plant[LinearPlantParams]):
-    """x' = A x + B u, y = C x from num(s)/den(s) in controllable form, from rest, stepped exactly.
+    """x' = A x + B u, y = C x from num(s)/den(s), from rest, sampled exactly by `sample_transfer_function`.
 
     The default is the transfer function (19) of Radmanesh and Saeidi (IECO, 2020) from the drop V' to the DC voltage
     of their rectifier, 2.8286 (s + 175100)/((s + 51.17)(s + 125.7)).

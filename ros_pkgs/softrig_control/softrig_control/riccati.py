@@ -15,11 +15,14 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+RESIDUAL = 1e-7  # of the size of an entry: what a solution may leave of its equation
+
 
 def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
-    r"""Solution of the discrete Riccati equation :math:`X = A^T X (1 + G X)^{-1} A + H`, None when there is none.
+    r"""Solution of the discrete Riccati equation :math:`X = A^T X (1 + G X)^{-1} A + H`, None when none is found.
 
-    By doubling: each step makes as many of the recursion's as all before it, with the same bits on every CPU.
+    By doubling: each step makes as many of the recursion's as all before it, with the same bits on every CPU. What it
+    ends at is put into the equation; a matrix that does not solve it is not returned.
 
     .. math::
         A \leftarrow A W A, \quad G \leftarrow G + A W G A^T, \quad H \leftarrow H + A^T H W A, \quad W = (1 + G H)^{-1}
@@ -42,8 +45,16 @@ def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
             G = G + product(product(AW, G), A.T)
             A, H = product(AW, A), H + more
             if np.max(np.abs(A)) < 1e-20:  # what is left of the start
-                return H if np.isfinite(H).all() else None
+                return H if _solves(H, *(np.array(x, dtype=float) for x in (a, g, h))) else None
     return None
+
+
+def _solves(X: Array, A: Array, G: Array, H: Array) -> bool:
+    r"""Whether X is a solution, by :math:`A^T (1 + X G)^{-1} X A + H`: another form than the doubling's."""
+    XA = product(X, A)
+    right = product(A.T, solve(np.eye(len(A)) + product(X, G), XA)) + H
+    sizes = np.sqrt(np.abs(np.diag(X)))  # of a solution without negative eigenvalues, no entry is beyond two of them
+    return bool(np.isfinite(X).all() and (np.abs(X - right) <= RESIDUAL * np.outer(sizes, sizes)).all())
 
 
 def lqr(a: ArrayLike, b: ArrayLike, q: ArrayLike, r: ArrayLike) -> Matrix:

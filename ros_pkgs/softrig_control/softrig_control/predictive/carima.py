@@ -13,9 +13,11 @@ from typing import NamedTuple
 
 from softrig_core.kit.dense import total
 
-from ..discretise import Matrix, matmul, zero_order_hold
+from ..discretise import Matrix, matmul
+from ..transfer import ACCURACY, Exact, Sampled, off, sampled_exactly
 
 Polynomial = tuple[float, ...]  # coefficients of z^0, z^-1, z^-2, ...
+BEST = 1e-12  # off by less, a step response is as good as coefficients in floats have it; golden bags hold their bits
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,7 @@ class Carima:
 
     @classmethod
     def from_state_space(cls, a: Matrix, b: Matrix, c: Sequence[float]) -> Carima:
-        """Give the transfer function of x(t+1) = A x(t) + B u(t), y = C x of one input.
-
-        A(z) is the characteristic polynomial by the recursion of Faddeev and LeVerrier, B(z) = A(z) times the
-        Markov parameters C A^k B.
+        """Return the transfer function of x(t+1) = A x(t) + B u(t), y = C x of one input.
 
         Parameters
         ----------
@@ -61,19 +60,14 @@ class Carima:
             Input column.
         c : (n,) sequence of float
             Output row.
+
+        Raises
+        ------
+        ValueError
+            The step response of the difference equation is off by more than 1e-9: its order is too high for poles so
+            near to each other.
         """
-        n = len(a)
-        characteristic = [1.0]
-        m: Matrix = tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
-        for k in range(1, n + 1):
-            product = matmul(a, m)
-            characteristic.append(-total(product[i][i] for i in range(n)) / k)
-            m = tuple(tuple(product[i][j] + characteristic[k] * (i == j) for j in range(n)) for i in range(n))
-        markov, x = [], b
-        for _ in range(n):
-            markov.append(matmul((tuple(c),), x)[0][0])
-            x = matmul(a, x)
-        return cls(tuple(characteristic), multiply(characteristic, markov)[:n])
+        return cls._checked(Sampled(a, b, tuple(c)), Exact.discrete(a, b, c))
 
     @classmethod
     def from_continuous(cls, num: Sequence[float], den: Sequence[float], period: float) -> Carima:
@@ -89,40 +83,57 @@ class Carima:
         Raises
         ------
         ValueError
-            `den` is empty or begins with zero, or `num` is not of lower degree: u(t) would act on y(t) at once.
+            As `sample_transfer_function` and `from_state_space`.
         """
-        return cls.from_state_space(*(sampled := sample_transfer_function(num, den, period))[:2], sampled[2])
+        return cls._checked(*sampled_exactly(tuple(num), tuple(den), period))
+
+    @classmethod
+    def _checked(cls, system: Sampled, right: Exact) -> Carima:
+        wanted = right.step_response()
+        found = cls(*_polynomials(system))
+        if off(found.step_response(len(wanted)), wanted) <= BEST:
+            return found
+        found = cls(*right.polynomials())
+        error = off(found.step_response(len(wanted)), wanted)
+        if error <= ACCURACY:
+            return found
+        raise ValueError(
+            f"the step response of the difference equation of order {len(system.a)} would be off by {error:.1g} of its "
+            f"largest value, expected at most {ACCURACY:g}: its poles are too near to each other for a polynomial; "
+            "take a longer period or a model of lower order"
+        )
+
+    def step_response(self, samples: int) -> list[float]:
+        """Compute y(1), y(2), ... after u = 1 from t = 0 on, from rest, without xi.
+
+        Parameters
+        ----------
+        samples : int
+        """
+        found: list[float] = []
+        for k in range(samples):
+            y = total(self.b[: k + 1])
+            for i, a in enumerate(self.a[1 : k + 1], 1):
+                y -= a * found[k - i]
+            found.append(y)
+        return found
 
 
-def sample_transfer_function(
-    num: Sequence[float], den: Sequence[float], period: float
-) -> tuple[Matrix, Matrix, tuple[float, ...]]:
-    """Give (A, B, C) of a strictly proper transfer function in controllable form, sampled with zero-order hold.
-
-    Parameters
-    ----------
-    num, den : sequence of float
-        Coefficients in s, highest power first.
-    period : float
-        s.
-
-    Raises
-    ------
-    ValueError
-        As `Carima.from_continuous`.
-    """
-    if not den or den[0] == 0.0:
-        raise ValueError(f"den = {list(den)}: expected a first coefficient other than zero")
-    n = len(den) - 1
-    num = list(num)[next((i for i, x in enumerate(num) if x), len(num)) :]
-    if not 0 < len(num) <= n:
-        raise ValueError(f"num = {num}: expected a degree below the {n} of den, and a coefficient other than zero")
-    a = tuple(
-        tuple(-x / den[0] for x in den[1:]) if i == 0 else tuple(float(j == i - 1) for j in range(n)) for i in range(n)
-    )
-    b = tuple((float(i == 0),) for i in range(n))
-    c = (0.0,) * (n - len(num)) + tuple(x / den[0] for x in num)
-    return (*zero_order_hold(a, b, period), c)
+def _polynomials(system: Sampled) -> tuple[Polynomial, Polynomial]:
+    """Compute A(z) and B(z) in floats, as `Exact.polynomials` does without rounding."""
+    a, x, c = system
+    n = len(a)
+    characteristic = [1.0]
+    m: Matrix = tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
+    for k in range(1, n + 1):
+        product = matmul(a, m)
+        characteristic.append(-total(product[i][i] for i in range(n)) / k)
+        m = tuple(tuple(product[i][j] + characteristic[k] * (i == j) for j in range(n)) for i in range(n))
+    markov = []
+    for _ in range(n):
+        markov.append(matmul((c,), x)[0][0])
+        x = matmul(a, x)
+    return tuple(characteristic), multiply(characteristic, markov)[:n]
 
 
 class Prediction(NamedTuple):

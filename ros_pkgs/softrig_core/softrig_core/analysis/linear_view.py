@@ -27,6 +27,7 @@ from ..rig.members import signal_units
 from ..rig.rig import Rig
 from ..run.expand import rig_of
 from ..scenario.scenario import Scenario
+from .crossings import gain_crossings, phase_crossings, resolved
 from .state_map import StateMap, is_source, place_of, signal_of, upstream
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ ROUNDS = 5  # in which sizes of states are found that are at zero in the run
 POINTS = 1000  # frequencies
 MOST = 800  # states
 TRIED = 2000  # numbers that may be moved to see whether they are states
+ON_CIRCLE = 1e-6  # of the sizes of z and A, the smallest singular value of z - A where a pole is told to be
+NOTHING = 1e-12  # of the sizes of its terms, what a sum is by rounding alone
 DEAD = 1e-4  # magnitude of a pole below which it is gone within a period
 
 
@@ -225,15 +228,23 @@ class LinearView:
         omega : array, shape (n,)
             rad/s.
         """
-        A, b, c, d, _ = self._loop
+        _, b, _, d, _ = self._loop
         if not len(b):
             return np.full(len(omega), -d, dtype=complex)
         import scipy.linalg
 
+        T, left, right = self._triangular
+        one, points = np.eye(len(b)), np.exp(1j * np.asarray(omega) * self.period)
+        return np.array([-left @ scipy.linalg.solve_triangular(z * one - T, right) - d for z in points], dtype=complex)
+
+    @cached_property
+    def _triangular(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
+        """The opened loop's A in Schur's form, with c and b in its coordinates."""
+        import scipy.linalg
+
+        A, b, c, _, _ = self._loop
         T, Z = scipy.linalg.schur(A, "complex")
-        right, left, one = Z.conj().T @ b, c @ Z, np.eye(len(b))
-        points = np.exp(1j * np.asarray(omega) * self.period)
-        return np.array([-left @ scipy.linalg.solve_triangular(z * one - T, right) - d for z in points])
+        return T, c @ Z, Z.conj().T @ b
 
     @cached_property
     def loop(self) -> control.FrequencyResponseData:
@@ -244,32 +255,59 @@ class LinearView:
 
     @cached_property
     def margins(self) -> Margins:
-        """Measure the margins by python-control, gains at both ends, too; that of the disk on the frequencies."""
-        import control
+        """Measure the margins, gains at both ends, too; each told gain has a pole on the unit circle.
 
-        gains, phases, _, _, crossings, _ = control.stability_margins(self.loop, returnall=True)
-        gains, crossings = np.concatenate([np.atleast_1d(gains), self._ends()]), np.atleast_1d(crossings)
-        lost = np.radians(np.atleast_1d(phases)) % (2.0 * np.pi)  # all crossings turn towards -1 with a delay
-        up, down = gains[gains > 1.0], gains[gains < 1.0]
-        S = 1.0 / (1.0 + self.at_frequencies(self.omega))
+        Raises
+        ------
+        RunError
+            The loop closed over a gain margin has no pole on the unit circle: its matrices are too badly scaled.
+        """
+        omega, L = resolved(self.at_frequencies, self.omega)
+        crossings = gain_crossings(self.at_frequencies, omega, L)
+        turned = phase_crossings(self.at_frequencies, omega, L)
+        gains = [*zip((1.0 / np.abs(self.at_frequencies(turned))).tolist(), self._points(turned), strict=True)]
+        gains += self._ends()
+        up = min((g for g in gains if g[0] > 1.0), default=(math.inf, 0j))
+        down = max((g for g in gains if g[0] < 1.0), default=(0.0, 0j))
+        for gain, z in (up, down):
+            self._confirm(gain, z)
+        lost = (np.angle(self.at_frequencies(crossings)) + np.pi) % (2.0 * np.pi)  # a delay turns all towards -1
         return Margins(
-            float(up.min(initial=np.inf)),
-            float(down.max(initial=0.0)),
-            float(lost.min(initial=np.inf)),
-            float((lost / crossings).min(initial=np.inf)) if crossings.size else np.inf,
-            float(1.0 / np.abs(S - 0.5).max()),
-            float(crossings.max()) if crossings.size else np.nan,
+            up[0],
+            down[0],
+            float(np.min(lost, initial=np.inf)),
+            float(np.min(lost / crossings, initial=np.inf)),
+            float(1.0 / np.abs(1.0 / (1.0 + L) - 0.5).max()),
+            float(np.max(crossings)) if crossings.size else np.nan,
         )
 
-    def _ends(self) -> list[float]:
-        """Factors at which a pole leaves at z = 1 or -1: the loop is real there, and turns at no frequency between."""
+    def _points(self, omega: Array) -> list[complex]:
+        found: list[complex] = np.exp(1j * omega * self.period).tolist()
+        return found
+
+    def _confirm(self, gain: float, z: complex) -> None:
+        """Check that the loop closed over a gain has a pole at z, as near as its matrix tells."""
         A, b, c, d, _ = self._loop
-        found = []
+        if not 0.0 < gain < math.inf or not len(b):
+            return
+        closed = A + gain / (1.0 - gain * d) * np.outer(b, c)
+        apart = np.linalg.svd(z * np.eye(len(b)) - closed, compute_uv=False)[-1]
+        if apart > ON_CIRCLE * (1.0 + np.linalg.norm(closed)):
+            raise RunError(
+                f"{self.rig}: the loop closed over a gain of {gain:.6g} has no pole on the unit circle, so that is no "
+                "margin: its matrices are too badly scaled; take other units"
+            )
+
+    def _ends(self) -> list[tuple[float, complex]]:
+        """Find the factors with which a pole leaves at z = 1 or -1: the loop is real there without a crossing."""
+        A, b, c, d, _ = self._loop
+        found: list[tuple[float, complex]] = []
         for z in (1.0, -1.0):
             with suppress(np.linalg.LinAlgError):  # a pole of the opened loop itself
-                back = float(c @ np.linalg.solve(z * np.eye(len(b)) - A, b)) + d
-                if back > DEAD:
-                    found.append(1.0 / back)
+                parts = [*(c * np.linalg.solve(z * np.eye(len(b)) - A, b)).tolist(), d]
+                back = math.fsum(parts)
+                if back > NOTHING * math.fsum(map(abs, parts)):
+                    found.append((1.0 / back, complex(z)))
         return found
 
     def plot(self) -> Any:

@@ -1,0 +1,94 @@
+"""Where the frequency response of a loop crosses the unit circle and the negative real axis.
+
+Crossings are found on the response itself, never between the points of a fitted curve: a light resonance has no shape
+that a spline through some points would have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Response = Callable[[Array], NDArray[np.complex128]]
+
+TURN, RATIO = 0.2, 1.3  # rad and a factor: by how much two neighbouring points may differ
+NARROW = 1e-11  # of the frequency: intervals that are not halved any more
+ROUNDS = 40
+ON_AXIS = 1e-6  # of a magnitude, how near to a crossing the response has to be there; a jump through a pole is none
+
+
+def resolved(response: Response, omega: Array) -> tuple[Array, NDArray[np.complex128]]:
+    """Add frequencies until the loop L, and 1 + L, turn and grow by little from each to the next.
+
+    Parameters
+    ----------
+    response : callable
+        L at frequencies.
+    omega : array, shape (n,)
+        Ascending, rad/s.
+
+    Returns
+    -------
+    omega : array, shape (m,)
+    L : complex array, shape (m,)
+    """
+    L = response(omega)
+    for _ in range(ROUNDS):
+        wide = (_apart(L) | _apart(1.0 + L)) & (np.diff(omega) > NARROW * omega[1:])
+        if not wide.any():
+            break
+        between = (0.5 * (omega[:-1] + omega[1:]))[wide]
+        places = np.flatnonzero(wide) + 1
+        omega, L = np.insert(omega, places, between), np.insert(L, places, response(between))
+    return omega, L
+
+
+def _apart(z: NDArray[np.complex128]) -> NDArray[np.bool_]:
+    size = np.abs(z)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = size[1:] / size[:-1]
+        turn = np.abs(np.angle(z[1:] / z[:-1]))
+    return ~((turn < TURN) & (ratio < RATIO) & (ratio > 1.0 / RATIO))
+
+
+def gain_crossings(response: Response, omega: Array, L: NDArray[np.complex128]) -> Array:
+    """Find the frequencies at which the magnitude of L is one, rad/s.
+
+    Parameters
+    ----------
+    response : callable
+        L at frequencies.
+    omega, L : array, shape (n,)
+        As `resolved` returns them.
+    """
+    found = _roots(lambda w: np.log(np.abs(response(w))), omega, np.log(np.abs(L)))
+    return found[np.abs(np.abs(response(found)) - 1.0) < ON_AXIS]
+
+
+def phase_crossings(response: Response, omega: Array, L: NDArray[np.complex128]) -> Array:
+    """Find the frequencies at which L is real and negative, rad/s.
+
+    Parameters
+    ----------
+    response : callable
+        L at frequencies.
+    omega, L : array, shape (n,)
+        As `resolved` returns them.
+    """
+    found = _roots(lambda w: response(w).imag, omega, L.imag)
+    there = response(found)
+    return found[(there.real < 0.0) & (np.abs(there.imag) < ON_AXIS * np.abs(there))]
+
+
+def _roots(function: Callable[[Array], Array], omega: Array, values: Array) -> Array:
+    """Halve all intervals at whose ends a function has different signs, at the same time."""
+    k = np.flatnonzero(np.signbit(values[1:]) != np.signbit(values[:-1]))
+    low, high, below = omega[k], omega[k + 1], np.signbit(values[k])
+    for _ in range(60 if k.size else 0):
+        middle = 0.5 * (low + high)
+        same = np.signbit(function(middle)) == below
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return np.asarray(0.5 * (low + high))

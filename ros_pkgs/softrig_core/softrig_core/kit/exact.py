@@ -1,0 +1,220 @@
+"""Matrix arithmetic in Python's integers: results correct to the last bit of a float64, the same on every CPU.
+
+A float64 is an integer times a power of two, so matrices are held as integers in units of 2^-bits. Sums round nowhere,
+products are cut off at the last bit carried. `settled` carries more bits until 64 more of them change no result.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Rows = Sequence[Sequence[Fraction]]
+Integers = NDArray[Any]  # of Python's integers, in units of 2^-bits
+Result = TypeVar("Result")
+
+BITS = (128, 320, 768, 1600, 3200, 6400)  # the fourth holds all that float64 does, of any matrix of moderate norm
+MORE = 64
+SMALL = 8  # the Taylor series is of a matrix whose norm is at most 2^-SMALL
+SWEEPS, ENOUGH = 50, Fraction(95, 100)  # of balancing: most rounds, and what is no gain
+LARGEST = 1100  # a power of two beyond float64
+
+
+class UnsettledError(ArithmeticError):
+    """Too few bits are carried for a result, or no number of them is enough."""
+
+
+def settled(function: Callable[[int], Result], same: Callable[[Result, Result], bool] = operator.eq) -> Result:
+    """Evaluate with more and more bits until 64 more of them change nothing.
+
+    Parameters
+    ----------
+    function : callable
+        Called with the number of bits to carry; an `UnsettledError` asks for more.
+    same : callable
+        Tells of two results whether they are as good as equal.
+
+    Raises
+    ------
+    UnsettledError
+        The largest number of bits is not enough.
+    """
+    for bits in BITS:
+        try:
+            found = function(bits)
+            if same(found, function(bits + MORE)):
+                return found
+        except UnsettledError:
+            continue
+    raise UnsettledError(f"the result is not settled with {BITS[-1]} bits")
+
+
+def fractions(rows: Sequence[Sequence[float]], factor: float = 1.0) -> Rows:
+    """Return a matrix of floats, times a factor, without rounding.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite.
+    """
+    try:
+        by = Fraction(factor)
+        return tuple([tuple([Fraction(x) * by for x in row]) for row in rows])
+    except (OverflowError, ValueError):
+        raise ValueError("a matrix has numbers that are not finite; expected finite ones") from None
+
+
+def balance(rows: Rows) -> tuple[Rows, list[int]]:
+    """Scale a matrix so that each row is about as large as its column: fewer bits are lost between small and large.
+
+    Parameters
+    ----------
+    rows : (n, n) nested sequence of Fraction
+
+    Returns
+    -------
+    balanced : (n, n) nested sequence of Fraction
+        D^-1 A D with D = diag(2^exponents).
+    exponents : list of int
+
+    References
+    ----------
+    B. N. Parlett, C. Reinsch, Balancing a matrix for calculation of eigenvalues and eigenvectors, Numerische Mathematik
+    13, 1969.
+    """
+    n = len(rows)
+    found, exponents = [list(row) for row in rows], [0] * n
+    changed, sweeps = True, 0
+    while changed and sweeps < SWEEPS:
+        changed, sweeps = False, sweeps + 1
+        for i in range(n):
+            of_row = sum((abs(x) for j, x in enumerate(found[i]) if j != i), Fraction(0))
+            of_column = sum((abs(row[i]) for j, row in enumerate(found) if j != i), Fraction(0))
+            if not of_row or not of_column:  # an input is a row of zeros: its column is made about 1
+                shift = _exponent(of_row) - _exponent(of_column)
+            else:
+                shift = (_exponent(of_row) - _exponent(of_column)) // 2
+                if of_column * Fraction(2) ** shift + of_row / Fraction(2) ** shift >= ENOUGH * (of_column + of_row):
+                    continue
+            if shift:
+                changed = True
+                exponents[i] += shift
+                by = Fraction(2) ** shift
+                for j in range(n):
+                    if j != i:
+                        found[j][i] *= by
+                        found[i][j] /= by
+    return found, exponents
+
+
+def _exponent(x: Fraction) -> int:
+    """Return n with 2^(n-1) < |x| < 2^(n+1); 0 for zero."""
+    return x.numerator.bit_length() - x.denominator.bit_length() if x else 0
+
+
+def integers(rows: Rows, bits: int) -> Integers:
+    """Return a matrix in units of 2^-bits, cut off below."""
+    found = np.empty((len(rows), len(rows[0])), dtype=object)
+    for i, row in enumerate(rows):
+        found[i] = [(x.numerator << bits) // x.denominator for x in row]
+    return found
+
+
+def floats(x: Integers, bits: int) -> tuple[tuple[float, ...], ...]:
+    """Return the float64 nearest to each of some integers in units of 2^-bits.
+
+    Raises
+    ------
+    OverflowError
+        One is beyond float64.
+    """
+    return tuple([tuple([nearest(v, bits) for v in row]) for row in x.tolist()])
+
+
+def nearest(x: int, bits: int) -> float:
+    """Return the float64 nearest to x 2^-bits; / of integers rounds once."""
+    return x / (1 << bits) + 0.0 if bits >= 0 else float(x << -bits)
+
+
+def product(a: Integers, b: Integers, bits: int) -> Integers:
+    """Multiply two matrices in units of 2^-bits."""
+    found: Integers = (a @ b) >> bits
+    return found
+
+
+def exponential(rows: Rows, bits: int) -> Integers:
+    """Return exp of a matrix in units of 2^-bits, by scaling, Taylor series and squaring.
+
+    Parameters
+    ----------
+    rows : (n, n) nested sequence of Fraction
+    bits : int
+
+    Raises
+    ------
+    OverflowError
+        An entry grows beyond float64.
+    """
+    norm = max(sum(map(abs, row), Fraction(0)) for row in rows)
+    squarings = max(0, _exponent(norm) + 1 + SMALL)
+    wide = bits + squarings + 2 * SMALL  # each squaring doubles the error of what was cut off
+    scaled = integers([[x / 2**squarings for x in row] for row in rows], wide)
+    one = np.empty_like(scaled)
+    one.fill(0)
+    np.fill_diagonal(one, 1 << wide)
+    found, term, k = one + scaled, scaled, 1
+    while max(map(abs, term.flat)) > 1:  # cutting off leaves -1 of a negative number for ever
+        k += 1
+        term = product(term, scaled, wide) // k
+        found = found + term
+    for _ in range(squarings):
+        found = product(found, found, wide)
+        if max(map(abs, found.flat)).bit_length() > wide + LARGEST:
+            raise OverflowError("the matrix exponential is beyond the range of float64")
+    rounded: Integers = found >> (wide - bits)
+    return rounded
+
+
+def expm(rows: Rows) -> tuple[tuple[float, ...], ...]:
+    """Return the float64 nearest to each entry of exp of a matrix.
+
+    Parameters
+    ----------
+    rows : (n, n) nested sequence of Fraction
+
+    Raises
+    ------
+    OverflowError
+        An entry is beyond float64.
+    UnsettledError
+        An entry has more than some thousand zeros before its first digit.
+    """
+    balanced, exponents = balance(rows)
+    reached = _reached(rows)
+    smallest = LARGEST + max(exponents) - min(exponents)  # bits below which no entry has a value in float64
+
+    def entries(bits: int) -> tuple[tuple[float, ...], ...]:
+        found = exponential(balanced, bits)
+        if bits < smallest and ((found == 0) | (found == -1))[reached].any():
+            raise UnsettledError("an entry is below the last bit that is carried")
+        return tuple(
+            [
+                tuple([nearest(v, bits - of_row + of_column) for v, of_column in zip(row, exponents, strict=True)])
+                for row, of_row in zip(found.tolist(), exponents, strict=True)
+            ]
+        )
+
+    return settled(entries)
+
+
+def _reached(rows: Rows) -> NDArray[np.bool_]:
+    """Return where any power of a matrix has terms that are not zero: elsewhere its exponential is exactly zero."""
+    found = np.array([[bool(x) for x in row] for row in rows]) | np.eye(len(rows), dtype=bool)
+    for k in range(len(rows)):
+        found |= np.outer(found[:, k], found[k])
+    return found
