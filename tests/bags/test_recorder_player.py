@@ -29,7 +29,6 @@ from softrig_bags.bag import BagWriter
 from softrig_bags.cli import main_bag, main_compare, main_play, main_record
 from softrig_bags.compare import compare
 from softrig_bags.holds import Holds, patience
-from softrig_bags.join import Join
 from softrig_bags.player import LockstepPlayer, Publishers, span
 from softrig_bags.read import read_bag, signals
 from softrig_bags.reader import BagReader
@@ -637,28 +636,6 @@ def test_two_interrupts_in_a_row_end_quietly(rig, tmp_path, tool):
     status, output = finish(process)
     assert "Traceback" not in output
     assert status in (0, 130, -signal.SIGINT)  # the last: before Python had begun
-
-
-def test_a_recorder_that_joins_late_says_what_it_missed():
-    """By the stamps, or by the numbers of arrays; what speaks at no steady period or from t = 0 on tells nothing."""
-    array, header = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Header"
-    sent = {
-        "clock": (CLOCK, Layout(CLOCK), range(220_000_000, 320_000_000, 10_000_000)),
-        "whole": (header, Layout(header), range(0, 100_000_000, 10_000_000)),
-        "sixty": (header, Layout(header), [round(k * 1e9 / 60) for k in range(7, 20)]),
-        "now_and_then": (header, Layout(header), [250_000_000, 260_000_000, 400_000_000, 410_000_000]),
-        "wall": (header, Layout(header), range(1_700_000_000 * 10**9, 1_700_000_001 * 10**9, 10**8)),
-        "array": (array, Layout(array, counts={"data": 1}, dims=[("row", 1)], numbered=True), range(31, 40)),
-    }
-    found = {}
-    for name, (msgtype, layout, marks) in sent.items():
-        join = Join(BagTopic.known(f"/{name}", msgtype, []))
-        for mark in marks:
-            values = (0.0,) if msgtype == array else ()
-            if join.open:
-                join.look(layout.encode(mark, values))
-        found[name] = join.missed
-    assert found == {"clock": 22, "whole": 0, "sixty": 7, "now_and_then": 0, "wall": 0, "array": 31}
 
 
 def test_a_late_recording_ends_with_a_status(rig, tmp_path):

@@ -25,6 +25,7 @@ from softrig_bringup.verbs.run_verb import _announce
 from softrig_core import Recording, Rig, Run, figure, load_scenario, rig_of, run_inprocess, simulate
 from softrig_core.guard import guarded
 from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.scenario_file import locate
 from softrig_core.wire import signals
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
@@ -749,10 +750,44 @@ def test_what_a_run_waits_for_is_told_whole_and_in_lines(capsys):
     assert capsys.readouterr().err == f"softrig: {text}\n"
 
 
+DIFFERENT = [
+    "lag --set a.k=[1,2]",
+    "lag --set a.k=(1,2)",
+    f"lag --set a.R={'1' * 99} --set a.Kt=0.01 --seed 1",
+    f"lag --set a.R={'1' * 99} --set a.Kt=0.0 --seed 1",
+    f"lag --set a.R={'1' * 99} --set a.Kt=0.01 --seed 2",
+    f"lag --set a.R={'1' * 200}",
+    f"lag --set a.R={'1' * 201}",
+    "lag --params-file p.yaml",
+    "lag --params-file a/p.yaml",
+    "lag --params-file b/p.yaml",
+    "a/lag.yaml",
+    "b/lag.yaml",
+    "--like runs/a",
+    "--like runs/b",
+    "--from runs/a@0.5",
+    "--from runs/b@0.5",
+    "--from runs/a@0.5000000000000001",
+]
+
+
+def test_runs_that_differ_have_folders_of_their_own_and_no_number_is_cut():
+    names = [folder_name("lag", make_parser().parse_args(["run", *words.split()])) for words in DIFFERENT]
+    assert len(set(names)) == len(DIFFERENT)
+    assert max(map(len, names)) <= 129
+    for words, name in zip(DIFFERENT, names, strict=True):
+        assert "Kt=" not in name or re.search(r"a.Kt=[0-9.]+", words)[0] in name.split("-")
+    assert folder_name("lag", make_parser().parse_args(["run", "lag.yaml"])) == "lag"
+    again = folder_name("dc_motor_smc", make_parser().parse_args(["run", str(locate("dc_motor_smc")[1])]))
+    assert again == "dc_motor_smc"
+    of_parts = make_parser().parse_args(["run", "lag", "--only", "gain", "--only", "other", "--set", "gain.k=2"])
+    assert folder_name("lag", of_parts, of_parts.only) == "lag-gain-other-gain.k=2"
+
+
 def test_a_results_folder_is_named_after_what_was_changed():
     parsed = make_parser().parse_args(
         ["run", "lag", "--external", "gain", "--duration", "0.5", "--set", "gain.k=[1, 2]"]
     )
-    assert folder_name("lag", parsed) == "lag-gain.k=_1_2_-external_gain-duration_0.5"
+    assert folder_name("lag", parsed) == "lag-gain.k=_1,_2_-external_gain-duration_0.5-6d0b790d"
     parsed = make_parser().parse_args(["run", "lag", "--mode", "container", "--realtime"])
     assert folder_name("lag", parsed) == "lag-realtime"

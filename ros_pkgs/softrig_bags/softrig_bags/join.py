@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from softrig_core import SECOND
 from softrig_core.wire.cdr import parse
 from softrig_core.wire.stream import CdrError
@@ -17,8 +19,10 @@ SIMULATED = 10**8 * SECOND  # stamps of wall clocks are larger
 class Join:
     """Looks at the first messages of a topic.
 
-    Stamps of simulated time begin at 0: whoever speaks with one period and has a first stamp beyond that began earlier.
-    A topic without a steady period, or on the wall clock, tells nothing, and neither does one with two messages.
+    Stamps of simulated time begin at 0: a topic with one period and a first stamp that is a multiple of it began
+    earlier, or it begins late: so does a certificate that has something to report from some tick on. `missed` tells the
+    two apart. A topic without a steady period, or on the wall clock, tells nothing, and neither does one with two
+    messages, nor one that speaks at each fourth tick from the third on (the acknowledgements of a follower).
 
     Attributes
     ----------
@@ -46,14 +50,43 @@ class Join:
         self.open = 0 < first < SIMULATED and len(self._stamps) <= INTERVALS and last >= first
 
     @property
-    def missed(self) -> int:
-        """Number of messages before the first that came; 0 where nothing tells."""
-        if self._numbered:
-            return self._number
+    def from_start(self) -> bool:
+        """Whether the first message has the first stamp of simulated time."""
+        return self._stamps[:1] == [0]
+
+    @property
+    def number(self) -> int:
+        """Number that the first message of a numbered topic has; 0 for other topics."""
+        return self._number
+
+    @property
+    def periods(self) -> int:
+        """Number of periods from t = 0 to the first stamp; 0 where nothing tells."""
         intervals = [b - a for a, b in zip(self._stamps, self._stamps[1:], strict=False)]
         if len(intervals) < 2 or not 0 < self._stamps[0] < SIMULATED:
             return 0
         mean = sum(intervals) / len(intervals)
         if mean <= 0 or any(abs(i - mean) > 1 for i in intervals):  # ticks are rounded to 1 ns
             return 0
-        return round(self._stamps[0] / mean)
+        count = round(self._stamps[0] / mean)
+        rest = abs(self._stamps[0] - count * mean)
+        return count if rest <= 1 + count / len(intervals) else 0
+
+
+def missed(joins: Iterable[tuple[str, Join]]) -> dict[str, int]:
+    """Return how many messages of each topic were published before the first that came, of those that lack some.
+
+    A rig waits for its recorder on every topic before it sends anything: where one topic is there from t = 0 on, no
+    other was joined late, and one that begins later begins so by itself.
+
+    Parameters
+    ----------
+    joins : iterable of (str, Join)
+        Topics of one recording, a name as often as it has types.
+    """
+    known = list(joins)
+    waited = any(join.from_start for _, join in known)
+    found: dict[str, int] = {}
+    for name, join in known:
+        found[name] = found.get(name, 0) + join.number + (0 if waited else join.periods)
+    return {name: n for name, n in found.items() if n}

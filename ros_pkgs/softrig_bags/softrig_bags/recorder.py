@@ -18,7 +18,7 @@ from softrig_nodes.seam.tick import TICK
 
 from .bag import BagWriter
 from .holds import Holds, patience
-from .join import Join
+from .join import Join, missed
 from .ros import EventPoll, Session, offered, subscription_profile
 from .selection import Selection
 from .stamps import is_stamped, stamp
@@ -78,10 +78,7 @@ class Recorder:
     @property
     def missed(self) -> dict[str, int]:
         """Number of messages by topic that were published before this recorder joined, as stamps and numbers tell."""
-        found: dict[str, int] = {}
-        for (name, _), join in self._joins.items():
-            found[name] = found.get(name, 0) + join.missed
-        return {name: n for name, n in found.items() if n}
+        return missed((name, join) for (name, _), join in self._joins.items())
 
     @property
     def refused(self) -> list[str]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from softrig_core import ScenarioError
 from softrig_core.command_line import Number
+
+from .naming import elsewhere, folder_of, scenario_file
 
 if TYPE_CHECKING:
     from softrig_core import Scenario
@@ -212,15 +214,18 @@ def changed_words(options: argparse.Namespace) -> list[str]:
     return found + [f"{name} {value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
 
 
-def folder_name(scenario: str, options: argparse.Namespace) -> str:
-    """Name the folder of a run so that runs that differ do not replace each other."""
-    parts = [scenario] + (["realtime"] if options.realtime else [])
+def folder_name(scenario: str, options: argparse.Namespace, only: Sequence[str] = ()) -> str:
+    """Name the folder of a run, or of some nodes of one, so that runs that differ do not replace each other."""
+    parts = [scenario, *only] + (["realtime"] if options.realtime else [])
     parts += [options.params_file.stem] if options.params_file is not None else []
     parts += ["again"] if options.like is not None else []
     parts += [f"from_{options.origin[1]:.9g}"] if options.origin is not None else []
     parts += [*options.set, *(f"external_{name}" for name in options.external)]
     parts += [f"{name}_{value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
-    return re.sub(r"[^A-Za-z0-9_.=+-]+", "_", "-".join(parts))[:120]
+    apart = [*elsewhere(options.params_file), *elsewhere(scenario_file(options.scenario))]
+    apart += [str(options.like.absolute())] if options.like is not None else []
+    apart += [str(options.origin[0].absolute()), repr(options.origin[1])] if options.origin is not None else []
+    return folder_of(parts, apart)
 
 
 def repeat(options: argparse.Namespace) -> list[str]:

@@ -13,7 +13,7 @@ from softrig_core.guard import say
 from softrig_nodes import run_processes
 from softrig_nodes.processes.placement import Listener
 
-from ..options.run_options import placement_of
+from ..options.run_options import folder_name, placement_of
 
 
 def run_part(rig: Rig, options: argparse.Namespace) -> int:
@@ -48,7 +48,7 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
         raise ScenarioError("--only: expected --domain N, the same on all machines of the rig")
     if options.mode == "inprocess":
         raise ScenarioError("--only: blocks in process have no other machine; expected --mode processes or container")
-    out = (options.out or Path("runs") / f"{rig.scenario.name}-{'-'.join(options.only)}"[:120]).absolute()
+    out = (options.out or Path("runs") / folder_name(rig.scenario.name, options, options.only)).absolute()
     others = [name for name in names if name not in options.only]
     say(f"{', '.join(options.only)} here, domain {options.domain}; elsewhere: {', '.join(others) or 'nobody'}")
     placement = replace(placement_of(options), wait=options.wait or 0.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from argparse import Namespace
 from collections.abc import Mapping
@@ -16,9 +15,9 @@ from softrig_core.scenario.scenario_file import find, locate
 from softrig_core.scenario.yaml_file import read_yaml
 
 from ..options.grammar import NUMBER, settings, span, values
+from ..options.naming import elsewhere, folder_of, scenario_file
 from .definition import Study, list_studies, load_study, make_study
 
-LONGEST = 80  # letters of a folder's name
 DRAWN, BALANCED = 100, 128  # draws by default; of methods that need a power of two
 
 
@@ -52,11 +51,7 @@ def folder_name(name: str, options: Namespace) -> str:
     parts = [f"study_{name}", *against, *options.grid, *options.draw, *draws, *search]
     parts += [f"{key}_{value}" for key in ("seeds", "duration") if (value := getattr(options, key)) is not None]
     parts += [*options.figures, *options.signals]
-    whole = "-".join(parts)
-    found = re.sub(r"[^A-Za-z0-9_.,:=+-]+", "_", whole)
-    if found == whole and len(found) <= LONGEST:
-        return found
-    return f"{found[:LONGEST].rstrip('-_.,')}-{hashlib.sha256(whole.encode()).hexdigest()[:8]}"
+    return folder_of(parts, elsewhere(scenario_file(options.study)))
 
 
 def _changes(options: Namespace) -> dict[str, Any]:

@@ -1,0 +1,53 @@
+"""Names of folders of results: short, readable, and different where what was run differs."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from softrig_core.scenario.scenario_file import find
+
+LONGEST = 80  # letters before the digest
+
+
+def folder_of(parts: Sequence[str], apart: Sequence[str] = ()) -> str:
+    """Name a folder by what a run or study was called with.
+
+    A digest of everything follows where the name does not say everything: letters that no file name should have are
+    replaced, what is beyond `LONGEST` is left out by whole parts (a number that is cut is another number).
+
+    Parameters
+    ----------
+    parts : sequence of str
+        What the name is made of, the first part is always in it.
+    apart : sequence of str
+        What the folder depends on beside that, paths of other runs or files.
+    """
+    said = parts[0]
+    for part in parts[1:]:
+        if len(said) + 1 + len(part) > LONGEST:
+            break
+        said += f"-{part}"
+    name = re.sub(r"[^A-Za-z0-9_.,:=+-]+", "_", said[:LONGEST])
+    if name == "-".join(parts) and not apart:
+        return name
+    digest = hashlib.sha256("\0".join([*parts, "", *apart]).encode()).hexdigest()
+    return f"{name}-{digest[:8]}"
+
+
+def elsewhere(path: Path | None) -> list[str]:
+    """Return the whole path of a file or run that its name alone does not tell from others: not of this folder."""
+    if path is None or path.absolute().parent == Path.cwd():
+        return []
+    return [str(path.absolute())]
+
+
+def scenario_file(called: str) -> Path | None:
+    """Return the file by which a scenario was called, None where it was called by name or has one that is listed."""
+    path = Path(called)
+    if path.suffix not in (".yaml", ".yml"):
+        return None
+    listed = find(path.stem)
+    return None if listed is not None and path.exists() and listed.samefile(path) else path

@@ -1,0 +1,77 @@
+"""Whether a recorder was there from the start of a rig, by what it has of each topic."""
+
+from fractions import Fraction
+from itertools import islice
+from pathlib import Path
+
+import pytest
+from softrig_bags.join import Join, missed
+from softrig_bags.reader import BagReader
+from softrig_bags.topics import BagTopic
+from softrig_core.block.schedule import Schedule
+from softrig_core.wire.cdr import Layout
+from softrig_nodes.seam.tick import acknowledged
+
+ARRAY, CLOCK, HEADER = "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock", "std_msgs/msg/Header"
+BAGS = sorted(p.parent for p in (Path(__file__).parents[2] / "bags").glob("*/bag/metadata.yaml"))
+
+
+def joined(name, msgtype, messages):
+    """What is known of a topic of which these messages have come."""
+    join = Join(BagTopic.known(f"/{name}", msgtype, []))
+    for data in messages:
+        if join.open:
+            join.look(data)
+    return name, join
+
+
+SENT = {
+    "clock": (CLOCK, Layout(CLOCK), range(220_000_000, 320_000_000, 10_000_000)),
+    "sixty": (HEADER, Layout(HEADER), [round(k * 1e9 / 60) for k in range(7, 20)]),
+    "now_and_then": (HEADER, Layout(HEADER), [250_000_000, 260_000_000, 400_000_000, 410_000_000]),
+    "between": (HEADER, Layout(HEADER), range(225_000_000, 320_000_000, 10_000_000)),
+    "wall": (HEADER, Layout(HEADER), range(1_700_000_000 * 10**9, 1_700_000_001 * 10**9, 10**8)),
+    "array": (ARRAY, Layout(ARRAY, counts={"data": 1}, dims=[("row", 1)], numbered=True), range(31, 40)),
+}
+WHOLE = ("whole", HEADER, [Layout(HEADER).encode(t, ()) for t in range(0, 100_000_000, 10_000_000)])
+
+
+def test_a_recorder_that_joins_late_says_what_it_missed():
+    """By the stamps, or by the numbers of arrays; what speaks at no steady period tells nothing."""
+    found = [
+        joined(name, kind, [layout.encode(mark, (0.0,) if kind == ARRAY else ()) for mark in marks])
+        for name, (kind, layout, marks) in SENT.items()
+    ]
+    assert missed(found) == {"clock": 22, "sixty": 7, "array": 31}
+    assert missed([*found, joined(*WHOLE)]) == {"array": 31}  # a rig waits for its recorder on all topics or on none
+
+
+@pytest.mark.parametrize("every", range(1, 9))
+@pytest.mark.parametrize("period", ["0.001", "1/2880", "1/3"])
+def test_acknowledgements_of_a_follower_tell_nothing_by_themselves(every, period):
+    """It acknowledges some ticks together: then the first one is not at t = 0."""
+    schedule = Schedule(Fraction(period) * every, Fraction(period))
+    ticks = [schedule.time(k) for k in range(40)]
+    sent = [Layout(HEADER).encode(t, ()) for t in ticks if acknowledged(schedule, t)]
+    assert missed([joined("law/tick", HEADER, sent)]) == {}
+
+
+def test_what_begins_by_itself_is_not_missed():
+    """As the certificate of a delay system, which has a number from 38.4 ms on, each 0.3 ms."""
+    late = joined("late", HEADER, [Layout(HEADER).encode(t, ()) for t in range(38_400_000, 42_000_000, 300_000)])
+    assert missed([late]) == {"late": 128}
+    assert missed([late, joined(*WHOLE)]) == {}
+
+
+def test_nothing_is_missed_of_a_whole_recording_of_any_system():
+    """The golden bags, as far as their topics have begun."""
+    found = {}
+    for bag in BAGS:
+        with BagReader(bag) as reader:
+            messages = {t.name: [] for t in reader.topics}
+            for i, _, data in islice(reader.messages(), 3000):
+                messages[reader.topics[i].name].append(bytes(data))
+            topics = [joined(t.name, t.msgtype, messages[t.name]) for t in reader.topics]
+        found[bag.parent.name] = missed(topics)
+    assert len(found) > 50
+    assert not {name: what for name, what in found.items() if what}
