@@ -64,14 +64,14 @@ def test_what_begins_by_itself_is_not_missed():
 
 
 def test_nothing_is_missed_of_a_whole_recording_of_any_system():
-    """The golden bags, as far as their topics have begun."""
+    """A golden bag of each system, as far as its topics have begun."""
     found = {}
-    for bag in BAGS:
+    for bag in {b.parent.name.rpartition("_")[0][:12]: b for b in BAGS}.values():
         with BagReader(bag) as reader:
             messages = {t.name: [] for t in reader.topics}
-            for i, _, data in islice(reader.messages(), 3000):
+            for i, _, data in islice(reader.messages(), 1000):
                 messages[reader.topics[i].name].append(bytes(data))
             topics = [joined(t.name, t.msgtype, messages[t.name]) for t in reader.topics]
         found[bag.parent.name] = missed(topics)
-    assert len(found) > 50
+    assert len(found) > 12
     assert not {name: what for name, what in found.items() if what}

@@ -753,9 +753,9 @@ def test_what_a_run_waits_for_is_told_whole_and_in_lines(capsys):
 DIFFERENT = [
     "lag --set a.k=[1,2]",
     "lag --set a.k=(1,2)",
-    f"lag --set a.R={'1' * 99} --set a.Kt=0.01 --seed 1",
-    f"lag --set a.R={'1' * 99} --set a.Kt=0.0 --seed 1",
-    f"lag --set a.R={'1' * 99} --set a.Kt=0.01 --seed 2",
+    f"lag --set a.R={'1' * 66} --set a.Kt=0.01 --seed 1",
+    f"lag --set a.R={'1' * 66} --set a.Kt=0.0 --seed 1",
+    f"lag --set a.R={'1' * 66} --set a.Kt=0.01 --seed 2",
     f"lag --set a.R={'1' * 200}",
     f"lag --set a.R={'1' * 201}",
     "lag --params-file p.yaml",
