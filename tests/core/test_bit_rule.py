@@ -65,7 +65,6 @@ EXEMPT = {
     "softrig_optim.sweep": COUNT,
     "softrig_power.dispatch.baselines": SCALAR,
     "softrig_power.dispatch.certify": "seconds of the wall clock",
-    "softrig_power.fault_location.comtrade_file": COUNT,
     "softrig_power.fault_location.confidence": CHECK,
     "softrig_power.fault_location.ends._least": SCALAR,
     "softrig_power.fault_location.locator.FaultLocator.setup": SCALAR,

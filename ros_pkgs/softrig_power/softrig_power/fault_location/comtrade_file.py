@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import datetime as dt
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from os.path import isfile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .comtrade_cfg import COMTRADE, UNTRUSTED, Analog, Settings, SettingsError, read_settings, sections
+from .comtrade_data import DataError, read_samples, stretch, times
 from .record import Record, RecordError, Status
+from .resample import reach, resampled
 
 Array = NDArray[np.float64]
 Format = Literal["ascii", "binary", "float32"]
-PHASES = {"A": 0, "B": 1, "C": 2, "L1": 0, "L2": 1, "L3": 2, "AN": 0, "BN": 1, "CN": 2}
+_PHASE = re.compile(r"^L(?=[123])|-?N$")  # what a phase may have before or after its letter: L1, A-N, AN
+_SYSTEMS = ("ABC", "123", "RST", "UVW", "RYB")
 PREFIXES = {"": 1.0, "k": 1e3, "K": 1e3, "m": 1e-3, "M": 1e6}
 EPOCH = dt.datetime(2000, 1, 1)  # of written files: t = 0
 FULL_SCALE = {"ascii": 99998, "binary": 32767}  # the largest raw numbers; ASCII keeps 99999 for missing data
@@ -23,6 +29,17 @@ FULL_SCALE = {"ascii": 99998, "binary": 32767}  # the largest raw numbers; ASCII
 
 class ComtradeFileError(ValueError):
     """A file that cannot become a record; the text says what was expected."""
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """One file: its settings, its samples in the file's units, and what is to be said of it."""
+
+    path: Path
+    settings: Settings
+    t: Array
+    raw: Array
+    notes: tuple[str, ...]
 
 
 def read_comtrade(
@@ -33,7 +50,7 @@ def read_comtrade(
     Parameters
     ----------
     paths : sequence of Path or str
-        One or two ``.cfg`` (or ``.cff``) files; the ``.dat`` beside it is found.
+        One or two ``.cfg`` (or ``.cff``) files; the ``.dat`` beside it is found, in whatever case its name is.
     channels : sequence of str
         Names of the twelve analog channels u_S, i_S, u_R, i_R of the phases a, b, c (six of each of two files);
         when empty they are found by their units (V, A) and phases.
@@ -48,56 +65,110 @@ def read_comtrade(
     Raises
     ------
     ComtradeFileError
-        Unreadable, or the channels are not told apart (lists those of the file), or both files are the same record.
+        Unreadable, or the channels are not told apart (lists those of the file), or both ends are the same record.
     RecordError
-        The ends have no time in common, a gap, a missing value, a dead channel.
+        The ends have no time in common, a gap, a missing value, a dead channel, clocks that are not good enough.
     """
     if len(paths) not in (1, 2):
         raise ComtradeFileError(f"{len(paths)} files: expected one with both ends, or one of each end")
     if channels and len(channels) != 12:
         raise ComtradeFileError(f"{len(channels)} channels: expected twelve, u_S, i_S, u_R, i_R of the phases a, b, c")
     files = [_load(Path(path)) for path in paths]
+    notes: list[str] = []
     if len(files) == 1:
-        columns = _pick(files[0], Path(paths[0]), channels, ends=2)
-        t = np.asarray(files[0].time, dtype=np.float64)
-        return Record.from_ends(t - late[0], columns[:, :6], t - late[1], columns[:, 6:])
-    starts = [file.start_timestamp for file in files]
-    zero = min(starts)
-    times = [
-        (start - zero).total_seconds() - delay + np.asarray(file.time, dtype=np.float64)
-        for start, file, delay in zip(starts, files, late, strict=True)
-    ]
-    ends = [
-        _pick(file, Path(path), channels[6 * k : 6 * k + 6], ends=1)
-        for k, (file, path) in enumerate(zip(files, paths, strict=True))
-    ]
-    if ends[0].shape == ends[1].shape and np.allclose(ends[0], ends[1], rtol=1e-6, atol=0.0):
-        raise ComtradeFileError(f"{paths[0]} and {paths[1]}: both are the same record, expected one of each end")
-    return Record.from_ends(times[0], ends[0], times[1], ends[1])
+        order = _pick(files[0], channels, 2)
+        ends = [_end(files[0], order[:6]), _end(files[0], order[6:])]
+        starts, sync = [0.0, 0.0], 0.0
+    else:
+        ends = [_end(f, _pick(f, channels[6 * k : 6 * k + 6], 1)) for k, f in enumerate(files)]
+        starts, notes, sync = _aligned(files)
+    if ends[0][1].shape == ends[1][1].shape and np.allclose(ends[0][1], ends[1][1], rtol=1e-6, atol=0.0):
+        both = f"{paths[0]} and {paths[1]}: both are" if len(paths) == 2 else f"{paths[0]}: both ends are"
+        raise ComtradeFileError(f"{both} the same record, expected one of each end")
+    times = [start - delay + t for start, delay, (t, _) in zip(starts, late, ends, strict=True)]
+    record = Record.from_ends(times[0], ends[0][1], times[1], ends[1][1])
+    notes += [note for file in files for note in file.notes]
+    frequencies = {file.settings.frequency for file in files}
+    if len(frequencies) > 1:
+        raise ComtradeFileError(f"{paths[0]} and {paths[1]}: line frequencies {sorted(frequencies)} Hz, expected one")
+    return replace(
+        record, note="; ".join([*filter(None, [record.note]), *notes]), sync=sync, frequency=frequencies.pop()
+    )
 
 
-def _load(path: Path) -> Any:
-    import comtrade
-
+def _load(path: Path) -> Recorder:
     if not isfile(path):
         raise ComtradeFileError(f"{path}: no such file")
     try:
-        _bounded(path)
-        file = comtrade.Comtrade(ignore_warnings=True, use_numpy_arrays=True, use_double_precision=True)
-        if path.suffix.lower() == ".cff":
-            file.load(str(path))
-        else:
-            settings = _text(path.read_bytes())
-            data = path.with_suffix(".DAT" if path.suffix.isupper() else ".dat").read_bytes()
-            ascii_data = any(line.strip().upper() == "ASCII" for line in settings.splitlines())
-            file.read(settings, _text(data) if ascii_data else data)
-    except ComtradeFileError:
-        raise
-    except Exception as error:  # the reader raises whatever a broken line gives
-        raise ComtradeFileError(f"{path}: not readable as COMTRADE: {type(error).__name__}: {error}") from error
-    if file.total_samples < 2 or not len(file.time):
-        raise RecordError(Status.TOO_SHORT, f"{path}: {file.total_samples} samples")
-    return file
+        settings, data = _cff(path.read_bytes()) if path.suffix.lower() == ".cff" else _pair(path)
+        samples = read_samples(settings, data)
+        if len(samples.n) < 2:
+            raise RecordError(Status.TOO_SHORT, f"{path}: {len(samples.n)} samples")
+        t, apart = times(settings, samples)
+        rows, unused = stretch(settings, samples.n, t)
+    except (SettingsError, DataError) as error:
+        raise ComtradeFileError(f"{path}: not readable as COMTRADE: {error}") from None
+    notes = [f"{path.name}: {note}" for note in (*samples.notes, *apart, *unused)]
+    notes += [f"{path.name}: {note}" for note in _outside(settings.analog, samples.raw)]
+    notes += COMTRADE.check(settings.ignored, path.name)
+    return Recorder(path, settings, t[rows], samples.raw[rows], tuple(notes))
+
+
+def _outside(channels: Sequence[Analog], raw: Array) -> list[str]:
+    """Say which channels have samples outside of the range that their line gives; none where it gives no range."""
+    notes = []
+    for k, c in enumerate(channels):
+        count = int(np.count_nonzero((raw[:, k] < c.low) | (raw[:, k] > c.high)))
+        if count and c.low < c.high:
+            notes.append(f"channel {c.name} has {count} samples outside of its min {c.low:g} and max {c.high:g}")
+    return notes
+
+
+def _pair(path: Path) -> tuple[Settings, bytes]:
+    """Read a ``.cfg`` and the ``.dat`` beside it."""
+    beside = [p for p in path.parent.iterdir() if p.suffix.lower() == ".dat" and p.stem.lower() == path.stem.lower()]
+    alike = [p for p in beside if p.stem == path.stem]
+    exact = [p for p in alike if p.suffix == (".DAT" if path.suffix.isupper() else ".dat")]
+    found = exact or alike or beside
+    if len(found) != 1:
+        names = ", ".join(p.name for p in found)
+        raise SettingsError(f"several data files beside it: {names}" if found else "no .dat file beside it")
+    return read_settings(_text(path.read_bytes())), found[0].read_bytes()
+
+
+def _cff(data: bytes) -> tuple[Settings, bytes]:
+    """Read the sections of a ``.cff``."""
+    found = {name: (form, content) for name, form, content in sections(data)}
+    for name in ("CFG", "DAT"):
+        if name not in found:
+            raise SettingsError(f"no section {name}")
+    settings = read_settings(_text(found["CFG"][1]).strip("\r\n"))
+    form, samples = found["DAT"]
+    if form and form != settings.form:
+        raise SettingsError(f"the section DAT is {form}, but ft is {settings.form}")
+    return settings, samples
+
+
+def _aligned(files: Sequence[Recorder]) -> tuple[list[float], list[str], float]:
+    """Return when each of two recorders starts, s after the first, notes, and how far their clocks may be apart, s."""
+    stamps: list[int] = []
+    zones = [file.settings.zone for file in files]
+    for file, zone in zip(files, zones, strict=True):
+        if file.settings.start is None:
+            raise ComtradeFileError(f"{file.path}: no date of the first sample, so two recorders cannot be aligned")
+        stamps.append(file.settings.start - (zone or 0 if None not in zones else 0))
+    notes = []
+    if None in zones and any(zones):
+        notes.append("only one recorder has a time_code; their stamps are taken to be of one zone")
+    clocks = [file.settings.clock or 0.0 for file in files]
+    for file, clock in zip(files, clocks, strict=True):
+        if clock >= UNTRUSTED:
+            how = "is not reliable" if clock == float("inf") else f"is within {clock:g} s only"
+            raise RecordError(
+                Status.UNSYNCHRONISED, f"unsynchronised: the clock of {file.path} {how} (tmq_code), expected 10 us"
+            )
+    first = min(stamps)
+    return [(stamp - first) * 1e-9 for stamp in stamps], notes, max(clocks)
 
 
 def _text(data: bytes) -> str:
@@ -108,76 +179,79 @@ def _text(data: bytes) -> str:
         return data.decode("cp1252", errors="replace")
 
 
-def _bounded(path: Path) -> None:
-    """Refuse a file that tells of far more than it has: the reader makes room for all of it before it looks.
-
-    Raises
-    ------
-    ComtradeFileError
-        More channels than lines, or more than twice the samples that its data have bytes for.
-    """
-    import comtrade
-
-    single = path.suffix.lower() == ".cff"
-    text = _text(path.read_bytes())
-    if single:
-        text = text.partition("--- file type: CFG ---")[2].partition("--- file type:")[0]
-    lines = text.strip().splitlines()
-    counts = [int(field.strip(" AD\t")) for field in lines[1].upper().split(",")]
-    if sum(counts) > 2 * len(lines):
-        raise ComtradeFileError(f"{path}: tells of {max(counts)} channels in {len(lines)} lines")
-    cfg = comtrade.Cfg(ignore_warnings=True)
-    cfg.read("\n".join(lines))
-    width = {"BINARY": 2, "BINARY32": 4, "FLOAT32": 4}.get(cfg.ft.upper())
-    least = cfg.analog_count + cfg.status_count + 2  # ASCII: each field has a separator
-    if width is not None:
-        least = 8 + width * cfg.analog_count + 2 * -(-cfg.status_count // 16)
-    own = [path] if single else [p for p in path.parent.iterdir() if p.stem == path.stem and p.suffix.lower() == ".dat"]
-    size = max((p.stat().st_size for p in own), default=0)
-    if cfg.sample_rates[-1][1] > 2 * (size // least + 1):
-        raise ComtradeFileError(
-            f"{path}: tells of {cfg.sample_rates[-1][1]} samples, but its data are {size} bytes, "
-            f"room for {size // least} at most"
-        )
+def _phases(known: Sequence[Analog]) -> list[int | None]:
+    """Return the phase of each channel, 0 to 2; None where it has none, or letters of two systems are mixed."""
+    marks = [_PHASE.sub("", c.phase.upper().replace(" ", "")) for c in known]
+    whole = [system for system in _SYSTEMS if set(system) <= set(marks)]
+    found: list[int | None] = []
+    for mark in marks:
+        inside = [system for system in whole if mark in system] or [system for system in _SYSTEMS if mark in system]
+        places = {system.index(mark) for system in inside} if mark else set()
+        found.append(places.pop() if len(places) == 1 else None)
+    return found
 
 
-def _pick(file: Any, path: Path, names: Sequence[str], ends: int) -> Array:
-    """Give u a, b, c, i a, b, c of each end, in primary V and A, shape (samples, 6 ends)."""
-    known = list(file.cfg.analog_channels)
-    listing = ", ".join(f"{c.name} ({c.uu}, phase {c.ph})" for c in known)
+def _pick(file: Recorder, names: Sequence[str], ends: int) -> list[int]:
+    """Return the indices of the channels u a, b, c, i a, b, c of each end."""
+    known = file.settings.analog
+    listing = ", ".join(f"{c.name} ({c.unit}, phase {c.phase})" for c in known)
     if names:
-        by_name = {c.name: k for k, c in enumerate(known)}
+        by_name: dict[str, list[int]] = {}
+        for k, c in enumerate(known):
+            by_name.setdefault(c.name, []).append(k)
         missing = [name for name in names if name not in by_name]
         if missing:
-            raise ComtradeFileError(f"{path}: no channel {', '.join(missing)}; it has {listing}")
-        order = [by_name[name] for name in names]
-    else:
-        found: dict[tuple[str, int], list[int]] = {}
-        for k, c in enumerate(known):
-            phase = PHASES.get(c.ph.strip().upper())
-            unit = c.uu.strip()[-1:].upper()
-            if phase is not None and unit in ("V", "A"):
-                found.setdefault((unit, phase), []).append(k)
-        wanted = [(unit, phase) for unit in "VA" for phase in range(3)]
-        if any(len(found.get(key, ())) != ends for key in wanted):
-            raise ComtradeFileError(
-                f"{path}: expected {ends} voltage(s) and {ends} current(s) of each phase, told apart by unit and "
-                f"phase; name the channels; it has {listing}"
-            )
-        order = [found[key][end] for end in range(ends) for key in wanted]
-    columns = []
-    for k in order:
-        c = known[k]
-        prefix = c.uu.strip()[:-1]
-        if prefix not in PREFIXES:
-            raise ComtradeFileError(f"{path}: channel {c.name} has the unit {c.uu!r}, expected V, A, kV, kA")
-        scale = PREFIXES[prefix]
-        if c.pors.strip().upper() == "S":
-            if c.secondary == 0.0:
-                raise ComtradeFileError(f"{path}: channel {c.name} is secondary with a ratio of {c.primary:g}:0")
-            scale *= c.primary / c.secondary
-        columns.append(scale * np.asarray(file.analog[k], dtype=np.float64))
-    return np.column_stack(columns)
+            raise ComtradeFileError(f"{file.path}: no channel {', '.join(missing)}; it has {listing}")
+        for name in names:
+            if list(names).count(name) > 1 or len(by_name[name]) > 1:
+                raise ComtradeFileError(f"{file.path}: channel {name} stands twice; expected different ones")
+        return [by_name[name][0] for name in names]
+    found: dict[tuple[str, int], list[int]] = {}
+    for k, (c, phase) in enumerate(zip(known, _phases(known), strict=True)):
+        unit = c.unit[-1:].upper()
+        if phase is not None and unit in ("V", "A"):
+            found.setdefault((unit, phase), []).append(k)
+    wanted = [(unit, phase) for unit in "VA" for phase in range(3)]
+    if any(len(found.get(key, ())) != ends for key in wanted):
+        raise ComtradeFileError(
+            f"{file.path}: expected {ends} voltage(s) and {ends} current(s) of each phase, told apart by unit and "
+            f"phase; name the channels; it has {listing}"
+        )
+    return [found[key][end] for end in range(ends) for key in wanted]
+
+
+def _end(file: Recorder, order: Sequence[int]) -> tuple[Array, Array]:
+    """Return times (s) and primary V and A of six channels, all brought to the times of the first of them."""
+    columns = np.column_stack([_scaled(file, k) for k in order])
+    skews = [1e-6 * file.settings.analog[k].skew for k in order]
+    t = file.t + skews[0]
+    if len(set(skews)) == 1:
+        return t, columns
+    rate = (len(t) - 1) / float(t[-1] - t[0])
+    margin = reach(rate, rate) + max(skews) - min(skews)
+    keep = (t >= t[0] + margin) & (t <= t[-1] - margin)
+    if np.count_nonzero(keep) < 2:
+        raise RecordError(Status.TOO_SHORT, f"{file.path}: too short to take out the skew, {margin:.3g} s on each side")
+    moved = []
+    for k, skew in enumerate(skews):
+        begin = float(file.t[0]) + skew
+        own = skew == skews[0]
+        moved.append(columns[keep, k] if own else resampled(columns[:, k : k + 1], begin, rate, t[keep], rate)[:, 0])
+    return t[keep], np.column_stack(moved)
+
+
+def _scaled(file: Recorder, k: int) -> Array:
+    """Return a channel in primary V or A, NaN where it is missing."""
+    c = file.settings.analog[k]
+    prefix = c.unit[:-1]
+    if prefix not in PREFIXES or c.unit[-1:].upper() not in ("V", "A"):
+        raise ComtradeFileError(f"{file.path}: channel {c.name} has the unit {c.unit!r}, expected V, A, kV, kA")
+    scale = PREFIXES[prefix]
+    if c.side == "S":
+        if c.secondary == 0.0:
+            raise ComtradeFileError(f"{file.path}: channel {c.name} is secondary with a ratio of {c.primary:g}:0")
+        scale *= c.primary / c.secondary
+    return np.asarray(scale * (c.a * file.raw[:, k] + c.b), dtype=np.float64)
 
 
 def write_comtrade(

@@ -31,10 +31,10 @@ def main(arguments: Sequence[str]) -> int:
     """Read, locate, tell; 0 when the fault has a position, 1 when not, 2 for input that cannot be used."""
     options = _parser().parse_args(arguments)
     try:
-        p = _params(options)
-        budget = _budget(options)
+        _params(options)  # refused before a file is read
         late = (1e-6 * options.late[0], 1e-6 * options.late[1])
         record = read(options.source, [c for c in options.channels.split(",") if c], late)
+        p, budget = _params(options, record.frequency), _budget(options, record.sync)
         if options.bag is not None:
             to_bag(record, options.bag)
         window = "as told"
@@ -151,13 +151,20 @@ def _named(option: str, texts: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def _params(options: argparse.Namespace) -> LocatorParams:
+def _params(options: argparse.Namespace, frequency: float = 0.0) -> LocatorParams:
+    """Return the locator's parameters; the recorders' frequency (Hz) unless another is given."""
     given = _named("--set", options.set)
     given |= line_data(options.line, given)
+    if frequency > 0.0:
+        given.setdefault("frequency", frequency)
     if options.window is not None:
         given |= {"window_start": options.window[0], "window_end": options.window[1]}
     return build(LocatorParams, given)  # type: ignore[return-value]
 
 
-def _budget(options: argparse.Namespace) -> Any:
-    return build(ErrorBudget, _named("--error", options.error))
+def _budget(options: argparse.Namespace, sync: float) -> ErrorBudget:
+    """Return the error budget; the clocks' own account (s) where it is worse than the default."""
+    given = _named("--error", options.error)
+    if 1e6 * sync > ErrorBudget().sync_us:
+        given.setdefault("sync_us", 1e6 * sync)
+    return build(ErrorBudget, given)  # type: ignore[return-value]

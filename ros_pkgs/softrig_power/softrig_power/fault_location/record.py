@@ -57,12 +57,18 @@ class Record:
         Columns `CHANNELS`: u_S, i_S, u_R, i_R of the phases a, b, c in V and A, currents into the line.
     note : str
         What was done to bring the ends together, for a person.
+    sync : float
+        s by which the clocks of the ends may be apart, by their own account; 0 when they do not say.
+    frequency : float
+        Of the network, Hz, by the recorders' account; 0 when they do not say.
     """
 
     start: float
     rate: float
     samples: Array
     note: str = ""
+    sync: float = 0.0
+    frequency: float = 0.0
 
     @property
     def t(self) -> Array:
