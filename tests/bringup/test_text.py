@@ -18,7 +18,9 @@ figures:
 claims:
   last: {published: 7.0, tolerance: 1 %, where: TITLE, verdict: reproduced}
 """
-STUDY = "{title: TITLE, scenario: lag, seeds: 2, summaries: {s: {figure: last}}, expect: {s: at least 100}}"
+STUDY = (
+    "{title: TITLE, scenario: lag, grid: {plant.gain: [1, 2]}, summaries: {s: {figure: last}}, expect: {s: at least 9}}"
+)
 TEXTS = {
     '"[bold red]loud[/bold red] x [/b] [rad/s]"': "[bold red]loud[/bold red] x [/b] [rad/s]",
     '"\\e[31mred\\e]0;title\\a \\x9b2J"': r"\x1b[31mred\x1b]0;title\x07 \x9b2J",

@@ -40,6 +40,7 @@ from softrig_bringup.verbs import (
     viewer,
 )
 from softrig_core import Block, NoOperatingPoint, Recording, Run, RunError, ScenarioError, rig_of, simulate
+from softrig_core.scenario.scenario import Draft
 from softrig_core.verdict.findings import Finding
 from softrig_nodes.processes.placement import Listener, Placement
 from told import check_told
@@ -272,6 +273,7 @@ def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
         "written, not opened": ({"link": ""}, ["--out", str(tmp_path / "other")]),
     }
     for name, (more, words) in cases.items():
+        monkeypatch.setattr("softrig_bringup.options.grammar.read_draft", lambda name: Draft(name, Path(name), {}))
         monkeypatch.setattr(
             linear, "linear_view", lambda *what, more=more, **how: asked.append((what, how)) or view(**more)
         )
@@ -1354,7 +1356,7 @@ def test_claims_are_of_the_systems_that_are_asked_for(lag, monkeypatch, capsys):
         results, "ResultsFolder", lambda path, ours: SimpleNamespace(clear=lambda: cleared.append((path, ours)))
     )
     monkeypatch.setattr(results, "without_signals", list)
-    monkeypatch.setattr(results, "results", lambda study, done: (study.name, done))
+    monkeypatch.setattr(results, "results", lambda study, done, units: (study.name, done))
     monkeypatch.setattr(results, "claims", lambda study, found: [found])
     scenarios, rows = results.study_findings([], Path("o"), 2)
     assert ran == [("a_1", Path("o/a_1"), 2), ("b_1", Path("o/b_1"), 2), ("b_1", Path("o/b_1"), 2)]

@@ -636,6 +636,18 @@ def test_a_run_without_progress_ends_after_its_timeout_and_says_for_what_it_wait
         "nothing stamped t = 0.05 s within 11.0 s on x from sender; last refused: sensor_msgs/msg/JointState: 0 bytes"
         " end inside a field at byte 4; it is ahead, at 0.13 s"
     )
+    for guests, said_of_it in (
+        (True, "; its last message was stamped 0: copy the stamp of what you answer"),
+        (False, ""),
+    ):
+        reader, row, stalls = stands()
+        reader.links.guests = guests
+        row.used = 40 * MS
+        row.receive(said(row.port, 0, 1.0))
+        reader.table.heard = 1
+        found = after(reader, stalls, 11.0)
+        assert found.startswith("nothing stamped t = 0.05 s within 11.0 s on x from sender")
+        assert found.endswith(said_of_it or ", expected 0.05 s")
 
 
 def test_at_the_first_ticks_it_waits_as_long_as_a_start_may_take():

@@ -80,6 +80,13 @@ def _selection_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--exclude", "-x", default="", metavar="RE", help="but not these")
 
 
+def _bag(text: str) -> Path:
+    """Give the bag of an argument; that of a run whose folder is named."""
+    path = Path(text)
+    inside = path / "bag"
+    return inside if (path / "metrics.json").is_file() and inside.exists() else path
+
+
 @_leaving
 @_command
 def main_record(argv: list[str]) -> int:
@@ -142,7 +149,7 @@ def main_play(argv: list[str]) -> int:
         description="Play a rosbag2 bag: against the wall clock, or in lockstep with a node that answers.",
         epilog="Services while playing: ~/pause, ~/resume, ~/step (std_srvs/Trigger).",
     )
-    parser.add_argument("bag", type=Path)
+    parser.add_argument("bag", type=_bag)
     parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these (default: all)")
     _selection_arguments(parser)
     parser.add_argument("--remap", nargs="+", default=[], metavar="OLD:=NEW", help="publish under another name")
@@ -188,8 +195,8 @@ def main_compare(argv: list[str]) -> int:
         description="Compare bag B with its reference A, messages paired by stamp; a run in real time with one in "
         "lockstep signal by signal. Exit status 0: they agree, 1: not.",
     )
-    parser.add_argument("a", type=Path, metavar="A")
-    parser.add_argument("b", type=Path, metavar="B")
+    parser.add_argument("a", type=_bag, metavar="A")
+    parser.add_argument("b", type=_bag, metavar="B")
     parser.add_argument("--abs", type=Number(float, 0), default=0.0, metavar="TOL", help="|b - a| may be up to this")
     parser.add_argument("--rel", type=Number(float, 0), default=0.0, metavar="TOL", help="or up to this times |a|")
     parser.add_argument(
@@ -255,12 +262,12 @@ def main_bag(argv: list[str]) -> int:
     if argv and argv[0] in TOOLS:
         return TOOLS[argv[0]][0](argv[1:])
     info = verbs.add_parser("info", help="what is in a bag")
-    info.add_argument("bag", type=Path)
+    info.add_argument("bag", type=_bag)
     mend = verbs.add_parser("repair", help="save what a crash left, restore index and metadata")
     mend.add_argument("bag", type=Path, help="bag directory, single file, or directory with shards of a killed run")
     mend.add_argument("--out", type=Path, metavar="DIR", help="new bag (default: in place, the old one is kept beside)")
     table = verbs.add_parser("export", help="signals as tables, one file a topic")
-    table.add_argument("bag", type=Path)
+    table.add_argument("bag", type=_bag)
     table.add_argument("--format", choices=("csv", "parquet"), default="csv")
     table.add_argument("--out", type=Path, metavar="DIR", help="default: BAG_csv or BAG_parquet beside the bag")
     options = parser.parse_args(argv)

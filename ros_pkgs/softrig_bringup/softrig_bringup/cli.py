@@ -52,6 +52,7 @@ GROUPS = {
     "own work": ("new", "export", "pack", "locate"),
     "set-up": ("setup", "env", "python", "docs", "bench"),
 }
+VERBS = {verb for verbs in GROUPS.values() for verb in verbs}
 # before 0.2: what a word has become
 FORMER = {
     "signals": "list --signals SCENARIO",
@@ -94,6 +95,8 @@ def _verb(arguments: list[str]) -> int:
                 return int(getattr(importlib.import_module(module), function)([a for a in given if a not in asked]))
     if arguments and arguments[0] in FORMER:
         raise ScenarioError(f"`softrig {arguments[0]}` is `softrig {FORMER[arguments[0]]}` now")
+    if not asks and arguments and arguments[0] not in VERBS:
+        _check_verb(arguments[0])
     if not asks and _of_the_script(arguments):
         return of_the_script()
     if arguments[:1] != ["node"]:
@@ -104,6 +107,22 @@ def _verb(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     with quietly() if getattr(options, "quiet", False) else nullcontext():
         return int(options.verb(options))
+
+
+def _check_verb(word: str) -> None:
+    """Refuse what is the name of something in the place of a verb; name the verb that takes it."""
+    from pathlib import Path
+
+    from softrig_core.scenario.scenario_file import find
+
+    from .folder import MARKS
+
+    path = Path(word)
+    kind = next((kind for mark, kind in MARKS.items() if (path / mark).is_file()), "")
+    if kind:
+        raise ScenarioError(f"{word!r} is a {kind}, expected a verb before it: `softrig report {word}`")
+    if (path.suffix in (".yaml", ".yml") and path.is_file()) or find(word) is not None:
+        raise ScenarioError(f"{word!r} is a scenario, expected a verb before it: `softrig run {word}`")
 
 
 def make_parser() -> argparse.ArgumentParser:

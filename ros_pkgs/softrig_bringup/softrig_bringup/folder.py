@@ -111,6 +111,14 @@ class ResultsFolder:
     def __del__(self) -> None:
         self.let_go()
 
+    @property
+    def broke(self) -> bool:
+        """Whether the run that is there broke."""
+        try:
+            return bool(json.loads((self.path / "metrics.json").read_text())["error"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return False
+
     def once(self, broken_off: Callable[[Iterable[Path]], Iterable[str]]) -> str:
         """Say why what a former run left there cannot be made again; empty if it can.
 

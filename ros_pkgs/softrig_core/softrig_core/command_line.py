@@ -47,7 +47,7 @@ class Number:
 
 def named(text: str, option: str, form: str) -> tuple[str, str]:
     """Split what an option gives, ``NAME=...``; a ScenarioError says the form that is expected."""
-    name, _, given = text.partition("=")
+    name, _, given = (part.strip() for part in text.partition("="))
     if not (name and given):
         raise ScenarioError(f"{option} {text!r}: expected NAME={form}")
     return name, given
@@ -89,6 +89,10 @@ class Parser(argparse.ArgumentParser):
             options = [o for a in self._actions for o in a.option_strings]
             what = "option" if rest[0].startswith("-") else "argument"
             more = "; each NAME=... has its own option before it" if "=" in rest[0] and what == "argument" else ""
+            if rest[0].startswith("=") or (
+                what == "argument" and {"--set", "--grid"} & {*options} and "=" not in rest[0]
+            ):
+                more = "; NAME=VALUE is one word, without spaces"
             self.error(f"unexpected {what} {rest[0]!r}{closest(rest[0].partition('=')[0], options)}{more}")
         return found, rest
 

@@ -163,6 +163,8 @@ def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
 def _parameter(params: Mapping[str, Mapping[str, Any]], key: str) -> Any:
     node, _, name = key.partition(".")
     if node not in params or not name:
+        if meant := [f"{own}.{name or key}" for own, has in params.items() if (name or key) in has]:
+            raise ScenarioError(f"{key}: expected node.parameter; did you mean {' or '.join(meant)}?")
         raise ScenarioError(
             f"{key!r}{closest(node, params)}: expected node.parameter, with node one of "
             f"{', '.join(params)}, or a signal topic/channel/field"

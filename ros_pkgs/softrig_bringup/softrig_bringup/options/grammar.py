@@ -10,7 +10,10 @@ from typing import Any
 
 from softrig_core import ScenarioError
 from softrig_core.command_line import named
+from softrig_core.scenario.scenario import read_draft
 from softrig_core.scenario.yaml_file import read_yaml
+
+from .names import check_names
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _SPAN = re.compile(rf"(log )?\s*({NUMBER})\.\.({NUMBER})(?:([*~])(\d+))?")
@@ -40,10 +43,32 @@ class Span:
     linear: bool = False
 
 
-def settings(texts: Iterable[str]) -> dict[str, Any]:
-    """Read ``NAME=VALUE`` of several ``--set``, VALUE as in a scenario file."""
-    pairs = (named(text, "--set", "VALUE") for text in texts)
-    return {name: read_yaml(value, f"--set '{name}={value}'") for name, value in pairs}
+_COMMA = re.compile(r"[-+]?\d+,\d+")
+
+
+def settings(texts: Iterable[str], scenario: str = "") -> dict[str, Any]:
+    """Read ``NAME=VALUE`` of several ``--set``, VALUE as in a scenario file.
+
+    Parameters
+    ----------
+    scenario : str
+        Whose names they are, of which none must lack its node; not looked at when empty.
+
+    Raises
+    ------
+    ScenarioError
+        Another form, a decimal comma, a parameter without its node.
+    """
+    found: dict[str, Any] = {}
+    for text in texts:
+        name, value = named(text, "--set", "VALUE")
+        if _COMMA.fullmatch(value):
+            point, items = value.replace(",", "."), value.replace(",", ", ")
+            raise ScenarioError(f"--set {name}={value}: expected a decimal point, {name}={point}, or a list, [{items}]")
+        found[name] = read_yaml(value, f"--set '{name}={value}'")
+    if scenario and found:
+        check_names(read_draft(scenario), found)
+    return found
 
 
 def values(name: str, text: str) -> list[Any]:
@@ -56,6 +81,10 @@ def values(name: str, text: str) -> list[Any]:
 def _steps(name: str, text: str) -> list[Any]:
     found = re.fullmatch(rf"({NUMBER}):({NUMBER})(?::({NUMBER}))?", text.strip())
     if found is None:
+        if _SPAN.fullmatch(text.strip()):
+            raise ScenarioError(
+                f"{name}={text}: expected A,B,C or LOW:HIGH:STEP; numbers of a range LOW..HIGH are drawn by --draw"
+            )
         return [text]
     low, high, step = (float(part) for part in (found[1], found[2], found[3] or "1"))
     count = math.floor((high - low) / step * (1.0 + 1e-12) + 1e-9) + 1 if step else 0
@@ -75,7 +104,8 @@ def span(name: str, text: object) -> Span:
     """
     found = _SPAN.fullmatch(str(text).strip())
     if not found:
-        raise ScenarioError(f"{name}={text}: {FORMS}")
+        steps = re.fullmatch(rf"{NUMBER}:{NUMBER}(:{NUMBER})?", str(text).strip())
+        raise ScenarioError(f"{name}={text}: {FORMS}" + ("; LOW:HIGH:STEP is a grid, --grid" if steps else ""))
     low, high, count = float(found[2]), float(found[3]), int(found[5] or 0)
     if low > high:
         raise ScenarioError(f"{name}={text}: {low:g} is above {high:g}")

@@ -148,7 +148,7 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
         from .params_file import params_of
 
         given = params_of(options.params_file, load_scenario(options.scenario).nodes)
-    scenario = load_scenario(options.scenario, given | settings(options.set))
+    scenario = load_scenario(options.scenario, given | settings(options.set, options.scenario))
     changes: dict[str, Any] = {}
     for key in ("duration", "seed"):
         if getattr(options, key) is not None:

@@ -13,6 +13,8 @@ from .record import read_run
 from .run_page import run_section
 from .several import differences, index, names, overlaid, side_by_side
 
+MARK = "metrics.json"  # of the folder of a run
+
 
 def main(options: argparse.Namespace) -> int:
     """Write the page that is asked for."""
@@ -21,13 +23,22 @@ def main(options: argparse.Namespace) -> int:
     return 0
 
 
+def _with_their_runs(directories: Sequence[Path]) -> list[Path]:
+    """Put in the place of a folder that is no run the runs below it, if there are any."""
+    found: list[Path] = []
+    for directory in directories:
+        inside = [] if (directory / MARK).exists() else sorted(mark.parent for mark in directory.glob(f"*/{MARK}"))
+        found += inside or [directory]
+    return found
+
+
 def write_report(directories: Sequence[Path], output: Path, labels: Sequence[str] = ()) -> None:
     """Write one page about one or more runs.
 
     Parameters
     ----------
     directories : sequence of Path
-        Run directories: ``metrics.json``, the bag, and the pictures of
+        Run directories, or folders of such: ``metrics.json``, the bag, and the pictures of
         `softrig_bringup.plots.pictures.plot_run`, as far as they are there.
     output : Path
         The HTML file; appears complete or not at all.
@@ -40,8 +51,8 @@ def write_report(directories: Sequence[Path], output: Path, labels: Sequence[str
         A directory is not that of a run; more labels than runs.
     """
     runs, without = [], []
-    for directory in directories:
-        if directory.is_dir() and not (directory / "metrics.json").exists():
+    for directory in _with_their_runs(directories):
+        if directory.is_dir() and not (directory / MARK).exists():
             without.append(str(directory))
         else:
             runs.append((directory, read_run(directory)))

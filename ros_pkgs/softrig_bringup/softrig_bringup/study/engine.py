@@ -19,6 +19,7 @@ from softrig_core.scenario.scenario import Draft
 from softrig_core.wire.signals import full_name
 
 from ..folder import STUDY, ResultsFolder, replace
+from ..options.names import check_names
 from .batch import Batch, Log
 from .definition import Search, Study
 from .draw import Case, _values, cases, count, drafts_of, seeds_of
@@ -175,6 +176,7 @@ def _check(study: Study, drafts: Mapping[str, Draft]) -> list[Rig]:
     """Build the rig of the first run of each case, so that what is misspelt is said at once; give them."""
     rigs = []
     for case in _firsts(study, drafts):
+        check_names(drafts[case.scenario], case.overrides)
         rig = rig_of(drafts[case.scenario], duration=study.duration, overrides=case.overrides)
         rigs.append(rig)
         known = [f.name for f in figures_of(rig)]

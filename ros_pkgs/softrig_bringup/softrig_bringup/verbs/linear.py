@@ -55,7 +55,7 @@ def linearise(options: argparse.Namespace) -> int:
         at=options.at,
         inputs=options.input,
         outputs=options.output,
-        overrides=settings(options.set),
+        overrides=settings(options.set, options.scenario),
     )
     out = console()
     out.print(f"{view.rig}, t = {view.at:.6g} s: {len(view.states)} states, period {view.period:g} s")
@@ -104,7 +104,9 @@ def _states(shares: dict[str, float]) -> str:
 def print_steady(options: argparse.Namespace) -> int:
     """Print an operating point; status 1 when there is none."""
     try:
-        point = steady(options.scenario, at=options.at, outputs=options.output, overrides=settings(options.set))
+        point = steady(
+            options.scenario, at=options.at, outputs=options.output, overrides=settings(options.set, options.scenario)
+        )
     except NoOperatingPoint as error:
         print(f"softrig: {error}", file=sys.stderr)
         return 1

@@ -112,6 +112,8 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
             raise ScenarioError(f"--out {options.out}: it holds the run that {word}, expected another folder")
         out = out.with_name(f"{out.name}-again")
     folder, number = ResultsFolder(out), 1
+    if options.out is not None and not options.force and folder.hold() is None and folder.broke:
+        folder = _kept_beside(folder, rig)
     while why := _kept(folder, rig, options.force):
         if options.out is not None:
             forced = ", or --force" if why.endswith(")") else ""  # which takes no folder from who is writing there
@@ -126,6 +128,19 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
     realtime = placement_of(options).clock == "realtime"
     folder.clear(f"{outside} from outside" if outside else "in real time" if realtime else "")
     return folder
+
+
+def _kept_beside(folder: ResultsFolder, rig: Rig) -> ResultsFolder:
+    """Move a run that broke, and that cannot be made again, out of the way of the next try; give the folder."""
+    if not folder.once(lambda shards: once_broken_off(rig, shards)):
+        return folder
+    number = 1
+    while (aside := folder.path.with_name(f"{folder.path.name}-broke-{number}")).exists():
+        number += 1
+    folder.path.rename(aside)
+    folder.let_go()
+    say(f"the run that broke in {_shown(folder.path)} is kept as {_shown(aside)}")
+    return ResultsFolder(folder.path)
 
 
 def _kept(folder: ResultsFolder, rig: Rig, force: bool) -> str:

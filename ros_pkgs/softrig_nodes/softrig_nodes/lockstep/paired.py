@@ -177,6 +177,7 @@ class Paired(Sender):
         self.have = earlier
         self.excused = -1
         self.said: dict[int, Any] = {}
+        self.last_stamp_zero = False  # of the last message that was no step of ours
         self._holds = 0  # until this time the awaited message serves
         # with our period: due whenever we are, up to its last tick
         alike = schedule.period == table.node.schedule.period and not earlier
@@ -262,8 +263,8 @@ class Paired(Sender):
             self._put(position, (self.value(stamp, found), data))
         elif position == self.excused:
             return  # a better one is too late
-        elif position == 0 and self.node.links.guests:
-            return  # said again for somebody else
+        elif position == 0 and self.node.links.guests:  # said again for somebody else, or by who stamps nothing
+            self.last_stamp_zero = True
         else:
             got, want = position / SECOND, self.want / SECOND
             twice = " (already there)" if self.have else ""

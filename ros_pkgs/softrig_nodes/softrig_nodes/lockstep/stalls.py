@@ -8,7 +8,7 @@ from softrig_core.block.block import Level
 from softrig_core.timebase import SECOND
 
 from ..adapter.handshake import Handshake
-from ..seam.endpoint import Input
+from ..seam.endpoint import COPY, Input
 from .paired import PairedSenders
 
 GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
@@ -101,6 +101,7 @@ class Stalls:
                 f"{row.port.topic} from {row.who}{' (gone)' if row in gone else ''}"
                 f"{'; last refused: ' + row.last_refusal if row.last_refusal else ''}"
                 f"{f'; it is ahead, at {max(row.said) / SECOND:.9g} s' if row.said else ''}"
+                f"{f'; its last message was stamped 0: {COPY}' if row.last_stamp_zero else ''}"
                 for row in lacking
             )
             node.waits_for = [row.who for row in lacking]

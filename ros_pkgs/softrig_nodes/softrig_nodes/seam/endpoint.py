@@ -9,6 +9,8 @@ from softrig_core.block.port import Port
 
 from .middleware import Numbered, Send
 
+COPY = "copy the stamp of what you answer"  # to who writes a node outside
+
 
 class Input:
     """A topic that is read: decoder, writers and what was refused.

@@ -1,0 +1,45 @@
+"""What stands before ``=`` on a command line and is not whole: the parameter that it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from softrig_core import ScenarioError
+from softrig_core.block.params import declarations
+from softrig_core.rig.installed import load_block
+from softrig_core.scenario.scenario import Draft
+
+
+def check_names(draft: Draft, given: Iterable[str]) -> None:
+    """Refuse names of parameters whose node is missing or unknown, where nodes of the scenario have such a parameter.
+
+    Parameters
+    ----------
+    draft : Draft
+        The scenario.
+    given : iterable of str
+        Names as options give them: ``node.parameter``, or a shared value.
+
+    Raises
+    ------
+    ScenarioError
+        Names what was meant: one of the nodes' parameters.
+    """
+    nodes, shared = draft.raw.get("nodes") or {}, draft.raw.get("shared") or {}
+    known = {*nodes, *shared, *(draft.raw.get("faults") or {})}
+    for name in given:
+        node, _, parameter = name.partition(".")
+        if node in known or not isinstance(nodes, dict):
+            continue
+        meant = sorted(f"{owner}.{field}" for owner in nodes for field in {parameter, name} & _parameters(nodes[owner]))
+        if meant:
+            raise ScenarioError(f"{name}: expected node.parameter; did you mean {' or '.join(meant)}?")
+
+
+def _parameters(node: object) -> set[str]:
+    """Give the names of a node's parameters; none where it is not one that can be found, which is said elsewhere."""
+    about = node if isinstance(node, dict) else {}
+    try:
+        return {d.name for d in declarations(load_block(str(about["package"]), str(about["executable"])).Params)}
+    except (KeyError, ScenarioError):
+        return set()

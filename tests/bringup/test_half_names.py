@@ -1,0 +1,92 @@
+"""What people type by half: each line is completed, or answered by one line that says what was meant."""
+
+import json
+
+import pytest
+from softrig_bringup.cli import main
+from softrig_bringup.folder import RUN, ResultsFolder
+from softrig_bringup.options.grammar import settings
+from softrig_bringup.report.report import write_report
+from softrig_core import ScenarioError
+
+RUN_B4 = "run dc_motor_smc_b4 --mode inprocess --set"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (f"{RUN_B4} kp=2", "kp: expected node.parameter; did you mean dc_motor_pid.kp?"),
+        (f"{RUN_B4} pid.kp=2", "pid.kp: expected node.parameter; did you mean dc_motor_pid.kp?"),
+        ("run dc_motor_smc_b2 --set Kt=0.1", "did you mean dc_motor_plant.Kt or dc_motor_smc.Kt?"),
+        (f"{RUN_B4} dc_motor_pid.kp = 2", "unexpected argument '='; NAME=VALUE is one word, without spaces"),
+        (f"{RUN_B4} kp 2", "NAME=VALUE is one word, without spaces"),
+        (f"{RUN_B4} dc_motor_pid.kp=2,5", "expected a decimal point, dc_motor_pid.kp=2.5, or a list, [2, 5]"),
+        ("steady dc_motor_smc_b4 --set kp=2", "did you mean dc_motor_pid.kp?"),
+        ("study dc_motor_smc_b4 --grid kp=1,2", "kp: expected node.parameter; did you mean dc_motor_pid.kp?"),
+        ("study dc_motor_smc_b4 --draw kp=1..2", "did you mean dc_motor_pid.kp?"),
+        ("study dc_motor_smc_b4 --grid dc_motor_pid.kp=1..2", "a range LOW..HIGH are drawn by --draw"),
+        ("study dc_motor_smc_b4 --draw dc_motor_pid.kp=1:2", "LOW:HIGH:STEP is a grid, --grid"),
+        ("study dc_motor_smc_b4 --draw dc_motor_pid.kp=0,5..1,5", "expected LOW..HIGH with decimal points"),
+        (
+            "falsify dc_motor_smc_faults --over delta=1..2",
+            "delta: expected node.parameter; did you mean dc_motor_smc.delta?",
+        ),
+        ("dc_motor_smc_b4 --mode inprocess", "is a scenario, expected a verb before it: `softrig run dc_motor_smc_b4`"),
+        ("mine", "'mine' is a run, expected a verb before it: `softrig report mine`"),
+        ("runs/many", "'runs/many' is a study, expected a verb before it: `softrig report runs/many`"),
+        ("mine.yaml", "'mine.yaml' is a scenario, expected a verb before it: `softrig run mine.yaml`"),
+        ("report empty", "empty: no metrics.json there, expected directories of runs"),
+    ],
+)
+def test_half_a_name_is_answered_by_the_whole_one(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in ("mine", "runs/many", "empty"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "mine" / "metrics.json").write_text("{}")
+    (tmp_path / "runs" / "many" / "study.json").write_text("{}")
+    (tmp_path / "mine.yaml").write_text("title: mine\n")
+    assert main(words.split()) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_spaces_around_the_sign_do_not_matter():
+    assert settings(["dc_motor_smc.delta = 2.5", " a.b=[1, 2] "]) == {"dc_motor_smc.delta": 2.5, "a.b": [1, 2]}
+    for text in ("a.b =", "= 2", "a.b"):
+        with pytest.raises(ScenarioError, match="expected NAME=VALUE"):
+            settings([text])
+
+
+def test_a_folder_of_runs_stands_for_its_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for k in (1, 2):
+        words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-plots"]
+        assert main([*words, "--set", f"dc_motor_smc.delta={k}", "--out", f"runs/r{k}"]) == 0
+    assert (main(["bag", "info", "runs/r1"]), main(["bag", "compare", "runs/r1", "runs/r1/bag"])) == (0, 0)
+    write_report([tmp_path / "runs"], tmp_path / "all.html")
+    write_report([tmp_path / "runs" / "r1", tmp_path / "runs" / "r2"], tmp_path / "both.html")
+    assert (tmp_path / "all.html").read_text() == (tmp_path / "both.html").read_text()
+
+
+@pytest.mark.parametrize("error", ["node plant: gone", ""])
+def test_a_run_that_broke_is_kept_beside_and_its_folder_is_free(error, tmp_path, monkeypatch, capsys):
+    """What an outside node has sent cannot be made again: it is kept; only a run that ended well asks for --force."""
+    monkeypatch.chdir(tmp_path)
+    folder = ResultsFolder(tmp_path / "mine", RUN)
+    folder.begin()
+    content = {"scenario": "lag", "mode": "processes", "seed": 0, "error": error, "once": ["gain from outside"]}
+    (tmp_path / "mine" / "metrics.json").write_text(json.dumps(content))
+    folder.close()
+    folder.let_go()
+    words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-plots", "--out", "mine"]
+    assert main(words) == (0 if error else 2)
+    said = capsys.readouterr().err
+    kept = tmp_path / "mine-broke-1"
+    if error:
+        assert "the run that broke in mine is kept as mine-broke-1" in said
+        assert json.loads((kept / "metrics.json").read_text()) == content
+        assert json.loads((tmp_path / "mine" / "metrics.json").read_text())["scenario"] == "dc_motor_smc_b2"
+    else:
+        assert "cannot be made again (gain from outside); expected another folder, or --force" in said
+        assert not kept.exists()
