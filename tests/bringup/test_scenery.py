@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from rosbags.interfaces import QosDurability
-from softrig_bags.read import deserialised, read_bag, signals
+from softrig_bags.read import read_bag, signals
 from softrig_bags.reader import BagReader
 from softrig_bags.topics import typestore
 from softrig_bringup.cli import main
@@ -24,7 +24,9 @@ def run(scenario, mode, out, duration="0.2"):
 
 def messages(bag, topic):
     found = bag.recording.topics[topic]
-    return [(t, deserialised(bag.store(found.msgtype), found, i)) for i, t in enumerate(found.times)]
+    return [
+        (t, typestore().deserialize_cdr(data, found.msgtype)) for t, data in zip(found.times, found.data, strict=True)
+    ]
 
 
 def matrix(transform):

@@ -5,25 +5,23 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import Signals
-from softrig_core.wire.recording import Topic
 from softrig_core.wire.signals import Table
 
 from .compare import Tolerance, plain
 from .errors import BagError
+from .pairing import useless
 from .read import BagSignals
-from .stamps import is_stamped, stamp
-from .topics import BagTopic
 
 Array = NDArray[np.float64]
 EXACT = Tolerance()
 CLOCK = "clock"  # the times themselves, no signal
 GRID = 2000  # samples on which a time shift is searched for
+BACK = 0.1  # of the steps from message to message: more that go back are those of several clocks
 REACH = 0.1  # of the common span: the largest shift
 GAIN = 0.99  # a shift is one when the rms deviation falls below this part of what it is without
 
@@ -48,6 +46,8 @@ class Deviation:
         What is left then.
     agrees : bool
         Whether the deviation is within the tolerance everywhere.
+    off : int
+        Samples beyond the tolerance.
     """
 
     signal: str
@@ -59,12 +59,15 @@ class Deviation:
     shift: float
     shifted_rms: float
     agrees: bool
+    off: int = 0
 
     def __str__(self) -> str:
         if not self.largest:
             return f"{self.signal}: equal at {self.samples} times"
         part = f" ({100.0 * self.largest / self.peak:.2g} % of the peak)" if self.peak else ""
         text = f"{self.signal}: max {self.largest:.3g}{part} at t = {self.at:.6g} s, rms {self.rms:.3g}"
+        if self.off:
+            text += f"; {self.off} of {self.samples} samples beyond the tolerance"
         if self.shift:
             when = "late" if self.shift > 0 else "early"
             text += f"; {abs(self.shift) * 1e3:.3g} ms {when}, rms {self.shifted_rms:.3g} without that"
@@ -81,12 +84,15 @@ class Alignment:
         The time that both bags have, s since their start.
     lacking, extra : list of str
         Signals of a that b lacks, signals of b that a lacks.
+    notes : list of str
+        Topics of which the header stamps say nothing, and why.
     """
 
     deviations: list[Deviation]
     span: tuple[float, float]
     lacking: list[str]
     extra: list[str]
+    notes: list[str] = field(default_factory=list)
 
     @property
     def equal(self) -> bool:
@@ -98,7 +104,7 @@ class Alignment:
         return json.dumps(plain({"equal": self.equal, **asdict(self), "span": list(self.span)}), indent=2)
 
     def __str__(self) -> str:
-        lines = [f"compared over the time since the start, {self.span[0]:.6g} to {self.span[1]:.6g} s"]
+        lines = [*self.notes, f"compared over the time since the start, {self.span[0]:.6g} to {self.span[1]:.6g} s"]
         lines += [str(d) for d in self.deviations]
         lines += [f"only in A: {name}" for name in self.lacking] + [f"only in B: {name}" for name in self.extra]
         off = sum(not d.agrees for d in self.deviations)
@@ -144,13 +150,18 @@ def align(
     tables = {t: (x, y) for t, (x, y) in tables.items() if x.t.size and y.t.size}
     if not tables:
         raise BagError("no topic with messages in both bags")
-    starts = [_start(signals, [pair[k] for pair in tables.values()]) for k, signals in enumerate((a, b))]
+    notes = [f"{t}: {reason}: bag time is used" for t, pair in tables.items() if (reason := _useless(pair))]
+    axes = {t: [x.t if _useless(pair) else x.stamp for x in pair] for t, pair in tables.items()}
+    starts = [_start(signals, [pair[k] for pair in axes.values()]) for k, signals in enumerate((a, b))]
     found, spans = [], []
     for topic, (x, y) in tables.items():
         for label in x.columns.keys() & y.columns.keys():
             name = f"{topic}/{label}"
             limit = next((v for p, v in (tolerances or {}).items() if fnmatchcase(name, p)), default)
-            one, two = _samples(x, label, starts[0]), _samples(y, label, starts[1])
+            one, two = (
+                _samples(axes[topic][k] - starts[k], table.columns[label], signals.absent[topic].get(label))
+                for k, (signals, table) in enumerate(((a, x), (b, y)))
+            )
             span = max(one[0][0], two[0][0]), min(one[0][-1], two[0][-1])
             if span[0] <= span[1]:
                 found.append(_deviation(name, one, two, span, limit))
@@ -163,20 +174,8 @@ def align(
         (min(s[0] for s in spans), max(s[1] for s in spans)),
         [n for n in names_a if n not in names_b],
         [n for n in names_b if n not in names_a],
+        notes,
     )
-
-
-def unrelated(a: Signals, b: Signals) -> bool:
-    """Whether two recordings have messages on common topics, but not one with a stamp of the other's."""
-    pairs = [(t, b.recording.topics[name]) for name, t in a.recording.topics.items() if name in b.recording.topics]
-    pairs = [(x, y) for x, y in pairs if x.data and y.data]
-    return bool(pairs) and all(_stamps(x).isdisjoint(_stamps(y)) for x, y in pairs)
-
-
-def _stamps(topic: Topic) -> set[int]:
-    if is_stamped(BagTopic.known(topic.name, topic.msgtype)):
-        return {stamp(d) for d in topic.data}
-    return set(topic.times)
 
 
 def _wanted(topic: str, topics: Sequence[str] | None, ignore: Sequence[str]) -> bool:
@@ -188,14 +187,39 @@ def _names(signals: BagSignals, topics: Sequence[str] | None, ignore: Sequence[s
     return [f"{t}/{k}" for t in signals.decodable if _wanted(t, topics, ignore) for k in signals.table(t).columns]
 
 
-def _start(signals: BagSignals, tables: Sequence[Table]) -> float:
+def _useless(pair: tuple[Table, Table]) -> str:
+    """Return why the header stamps of a topic say nothing of when its messages are from; empty where they do."""
+    for name, table in zip("AB", pair, strict=True):
+        stamp = table.stamp
+        steps = np.diff(stamp)
+        if reason := useless(stamp):
+            return f"{reason} in {name}"
+        if (back := int(np.sum(steps < 0))) > BACK * len(steps):
+            return f"header stamps go back {back} times in {name}, as those of several clocks do"
+        order = np.argsort(stamp, kind="stable")
+        same = np.flatnonzero(np.diff(stamp[order]) == 0)
+        one, two = order[same], order[same + 1]
+        unlike = [~((x[one] == x[two]) | (np.isnan(x[one]) & np.isnan(x[two]))) for x in table.columns.values()]
+        if unlike and (n := int(np.sum(np.any(unlike, axis=0)))) > BACK * len(steps) and not _is_mixed(table, one, two):
+            return f"{n} messages in {name} have the header stamp of another one, but other values"
+    return ""
+
+
+def _is_mixed(table: Table, one: NDArray[np.intp], two: NDArray[np.intp]) -> bool:
+    """Return whether messages of equal stamps have no channel in common: those of several publishers."""
+    return all((np.isnan(x[one]) | np.isnan(x[two])).all() for x in table.columns.values())
+
+
+def _start(signals: BagSignals, axes: Sequence[Array]) -> float:
     """Time of the start on the bag's own time axis, s."""
-    return 0.0 if signals.from_start else min(float(t.stamp[0]) for t in tables)
+    return 0.0 if signals.from_start else min(float(axis[0]) for axis in axes)
 
 
-def _samples(table: Table, label: str, start: float) -> tuple[Array, Array]:
-    t, first = np.unique(table.stamp, return_index=True)
-    return t - start, table.columns[label][first]
+def _samples(t: Array, x: Array, absent: NDArray[np.bool_] | None) -> tuple[Array, Array]:
+    if absent is not None:
+        t, x = t[~absent], x[~absent]
+    t, first = np.unique(t, return_index=True)
+    return t, x[first]
 
 
 def _deviation(
@@ -207,14 +231,14 @@ def _deviation(
     x, y = (np.interp(times, *pair) for pair in (a, b))
     error = np.abs(y - x)
     known = np.isfinite(error)
-    agrees = not limit.exceeded(x, y).any()
+    off = int(np.sum(limit.exceeded(x, y)))
     if not known.any():
-        return Deviation(name, times.size, math.nan, math.nan, math.nan, math.nan, 0.0, math.nan, agrees)
+        return Deviation(name, times.size, math.nan, math.nan, math.nan, math.nan, 0.0, math.nan, not off, off)
     worst = int(np.argmax(np.where(known, error, -1.0)))
     rms = _rms(error[known])
     shift, left = _shift(a, b, span) if rms and known.all() else (0.0, rms)
     peak = float(np.max(np.abs(x[known])))
-    return Deviation(name, times.size, float(error[worst]), float(times[worst]), rms, peak, shift, left, agrees)
+    return Deviation(name, times.size, float(error[worst]), float(times[worst]), rms, peak, shift, left, not off, off)
 
 
 def _rms(values: Array) -> float:

@@ -43,7 +43,14 @@ class Block:
 
     def compact(self) -> Block:
         """Return the messages in a buffer of their own that holds nothing else."""
-        return packed([self.raw[a : a + n] for a, n in zip(self.at.tolist(), self.size.tolist(), strict=True)], self)
+        at, start, parts = np.empty_like(self.at), 0, []
+        for length in np.unique(self.size).tolist():
+            chosen = self.size == length
+            rows = rows_of(self.raw, self.at[chosen], length)
+            parts.append(np.ascontiguousarray(rows).reshape(-1))
+            at[chosen] = start + length * np.arange(len(rows))
+            start += rows.size
+        return Block(np.concatenate([*parts, np.empty(0, np.uint8)]), self.topic, self.t, at, self.size)
 
     def data(self, i: int) -> bytes:
         """Return the bytes of one message."""

@@ -218,7 +218,7 @@ def main_compare(argv: list[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     options = parser.parse_args(argv)
 
-    from .align import Alignment, align, unrelated
+    from .align import Alignment, align
     from .compare import Comparison, Tolerance, compare
     from .read import signals
 
@@ -229,18 +229,25 @@ def main_compare(argv: list[str]) -> int:
             tolerances[pattern] = Tolerance(*map(float, numbers.split(",")))
         except (ValueError, TypeError):
             raise BagError(f"--field {text!r}: expected PATTERN=ABS or PATTERN=ABS,REL") from None
-    a, b = signals(options.a), signals(options.b)
     topics = None if options.topics is None else [relative(t) for t in options.topics]
     default = Tolerance(options.abs, options.rel)
     if options.align and options.bitwise:
         raise BagError("--align with --bitwise: signals over time have no bytes; expected one of the two")
-    result: Alignment | Comparison
-    if options.align or (not options.bitwise and unrelated(a, b)):
-        result = align(a, b, default=default, tolerances=tolerances, topics=topics, ignore=options.ignore)
-    else:
-        result = compare(
-            a, b, default=default, tolerances=tolerances, bitwise=options.bitwise, topics=topics, ignore=options.ignore
+    result: Alignment | Comparison | None = None
+    if not options.align:
+        paired = compare(
+            options.a,
+            options.b,
+            default=default,
+            tolerances=tolerances,
+            bitwise=options.bitwise,
+            topics=topics,
+            ignore=options.ignore,
         )
+        result = None if paired.unrelated and not options.bitwise else paired
+    if result is None:
+        a, b = signals(options.a), signals(options.b)
+        result = align(a, b, default=default, tolerances=tolerances, topics=topics, ignore=options.ignore)
     print(result.to_json() if options.json else plain(str(result)))
     return 0 if result.equal else 1
 

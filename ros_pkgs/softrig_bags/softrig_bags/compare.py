@@ -1,28 +1,30 @@
-"""Compare two bags topic by topic, messages paired by stamp, numbers within tolerances or bit for bit."""
+"""Compare two bags topic by topic, messages paired by stamp, numbers within tolerances or bit for bit.
+
+Both are read at once and in blocks: what has found its partner is forgotten, so that memory does not grow with bags.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.typesys.store import Typestore
 from softrig_core import SECOND, Signals
-from softrig_core.wire.cdr import parse
-from softrig_core.wire.recording import Topic
-from softrig_core.wire.types import TYPES
 
+from .block import Block
+from .definitions import UnknownType
 from .errors import BagError
-from .read import BagSignals, deserialised, flatten
-from .stamps import is_stamped, stamp
-from .topics import BagTopic
+from .fields import bytes_that_differ, groups_of, visit_pairs
+from .layouts import Decoder
+from .messages import Described, Messages, described, opened
+from .pairing import Pairing, equal_rows, keys_of
 
 
 @dataclass(frozen=True)
@@ -92,9 +94,27 @@ class TopicComparison:
 
 @dataclass
 class Comparison:
-    """Result of `compare`."""
+    """Result of `compare`.
+
+    Parameters
+    ----------
+    paired : int
+        Number of messages that had a partner.
+    notes : list of str
+        What was done otherwise than asked, and why.
+    whole : bool
+        Whether all was read that the bags claim to hold.
+    """
 
     topics: list[TopicComparison]
+    paired: int = 0
+    notes: list[str] = field(default_factory=list)
+    whole: bool = True
+
+    @property
+    def unrelated(self) -> bool:
+        """Whether both have messages on common topics, but not one with a stamp of the other's."""
+        return not self.paired and any(t.count_a and t.count_b for t in self.topics)
 
     @property
     def equal(self) -> bool:
@@ -113,11 +133,13 @@ class Comparison:
             "equal": self.equal,
             "first": self.first and asdict(self.first),
             "topics": [{"equal": t.equal, **asdict(t)} for t in self.topics],
+            "notes": self.notes,
+            "whole": self.whole,
         }
         return json.dumps(plain(content), indent=2)
 
     def __str__(self) -> str:
-        lines = []
+        lines = list(self.notes)
         for t in self.topics:
             counts = str(t.count_a) if t.count_a == t.count_b else f"{t.count_a} against {t.count_b}"
             faults = [
@@ -125,13 +147,14 @@ class Comparison:
             ]
             lines.append(f"{t.topic}: {counts} messages, {', '.join(faults) or 'equal'}")
             lines += [f"    {name}: largest deviation {value:.3g}" for name, value in t.largest.items()]
-        lines.append(f"first difference: {self.first}" if self.first else "the bags agree")
+        agree = "the bags agree" if self.whole else "the messages that were read agree; the bags claim others"
+        lines.append(f"first difference: {self.first}" if self.first else agree)
         return "\n".join(lines)
 
 
 def compare(
-    a: Signals,
-    b: Signals,
+    a: Signals | Path | str,
+    b: Signals | Path | str,
     *,
     default: Tolerance = Tolerance(),
     tolerances: Mapping[str, Tolerance] | None = None,
@@ -141,12 +164,13 @@ def compare(
 ) -> Comparison:
     """Compare recording b with its reference a.
 
-    Messages are paired by header stamp, without a header by bag time, equal stamps by order.
+    Messages are paired by header stamp, without a header by bag time, equal stamps by order. Stamps that are all zero
+    or equal say nothing: bag time is used, and that is noted.
 
     Parameters
     ----------
-    a, b : Signals
-        From `softrig_bags.read.signals`, or made of a recording in memory.
+    a, b : Signals, Path or str
+        Bags by their path, from `softrig_bags.read.signals`, or made of a recording in memory.
     default : Tolerance
         Of every number that no pattern covers; exact if not given.
     tolerances : mapping of str to Tolerance
@@ -154,164 +178,216 @@ def compare(
     bitwise : bool
         Demand equal bytes and equal bag times instead.
     topics : sequence of str, optional
-        Topics to compare; default all of both.
+        Topics to compare, all of both by default; of an empty list nothing is asked.
     ignore : sequence of str
         Patterns of topics left out.
+
+    Raises
+    ------
+    BagError
+        Bad bag, no such topic, or neither has a message on the topics: nothing is no agreement.
     """
-    topics_a, topics_b = a.recording.topics, b.recording.topics
-    for name in topics or ():
-        if name not in topics_a and name not in topics_b:
-            raise BagError(f"no topic {name} to compare; there are {', '.join({**topics_a, **topics_b})}")
-    chosen = dict.fromkeys([*topics_a, *topics_b]) if topics is None else topics
-    names = [n for n in chosen if not any(fnmatchcase(n, p) for p in ignore)]
-    results = []
-    for name in names:
-        one, two = topics_a.get(name), topics_b.get(name)
-        if one is not None and two is not None and one.msgtype != two.msgtype:
-            result = TopicComparison(name, one.msgtype, len(one.data), len(two.data), len(one.data), len(two.data))
-            result.note(min([*one.times[:1], *two.times[:1]], default=0), "type", one.msgtype, two.msgtype)
+    limits = _Limits(Tolerance(), {}, True) if bitwise else _Limits(default, tolerances or {}, False)
+    with ExitStack() as stack:
+        sides: list[Messages] = []
+        for what in (a, b):
+            sides.append(side := opened(what))
+            stack.enter_context(side)
+        known = [described(side) for side in sides]
+        names = dict.fromkeys(d.name for topics_of_it in known for d in topics_of_it)
+        for name in topics or ():
+            if name not in names:
+                raise BagError(f"no topic {name} to compare; there are {', '.join(names)}")
+        chosen = names if topics is None else dict.fromkeys(topics)
+        found = [
+            _TopicPair(name, pair, sides, known, limits)
+            for name in chosen
+            if not any(fnmatchcase(name, p) for p in ignore)
+            for pair in _pairs(name, known)
+        ]
+        places = [{i: pair for pair in found if (i := pair.numbers[k]) is not None} for k in (0, 1)]
+        streams = [side.blocks(list(place)) for side, place in zip(sides, places, strict=True)]
+        for k, block in _in_step(streams):
+            for number in np.unique(block.topic).tolist():
+                if number in places[k]:
+                    places[k][number].add(k, block.take(np.flatnonzero(block.topic == number)))
+        results = [pair.finish() for pair in found]
+    if topics != [] and not any(r.count_a or r.count_b for r in results):
+        raise BagError("nothing to compare: neither has a message on the topics that are compared")
+    notes = [f"{pair.result.topic}: {pair.pairing.note}" for pair in found if pair.pairing.note]
+    whole = all(side.is_whole for side in sides)
+    return Comparison(results, sum(pair.pairing.paired for pair in found), notes, whole)
+
+
+def _pairs(name: str, known: Sequence[list[Described]]) -> Iterator[tuple[int | None, int | None]]:
+    """Return which topic of one belongs to which of the other: of a name, those of equal types first."""
+    numbers = [[i for i, d in enumerate(topics) if d.name == name] for topics in known]
+    for i in list(numbers[0]):
+        same = [j for j in numbers[1] if known[1][j].msgtype == known[0][i].msgtype]
+        if same:
+            numbers[0].remove(i)
+            numbers[1].remove(same[0])
+            yield i, same[0]
+    n = max(map(len, numbers))
+    yield from zip(*([*x, *[None] * (n - len(x))] for x in numbers), strict=True)
+
+
+def _in_step(streams: list[Iterator[Block]]) -> Iterator[tuple[int, Block]]:
+    """Return the blocks of both, each time of the one of which less has been read."""
+    read = dict.fromkeys(range(len(streams)), 0)
+    while read:
+        k = min(read, key=lambda i: read[i])
+        block = next(streams[k], None)
+        if block is None:
+            del read[k]
         else:
-            result = _Pairing(name, one, two, a, b).compare(a, b, default, tolerances or {}, bitwise)
-        results.append(result)
-    return Comparison(results)
+            read[k] += len(block)
+            yield k, block
 
 
-class _Pairing:
-    """The messages of one topic in both bags, paired."""
+@dataclass(frozen=True)
+class _Limits:
+    default: Tolerance
+    patterns: Mapping[str, Tolerance]
+    bitwise: bool
 
-    def __init__(self, name: str, one: Topic | None, two: Topic | None, a: Signals, b: Signals) -> None:
-        known = one or two
-        assert known is not None
-        empty = Topic(name, known.msgtype)
-        self.one, self.two = one or empty, two or empty
-        self.result = TopicComparison(name, known.msgtype, len(self.one.data), len(self.two.data))
-        store = _store(a, known.msgtype) or _store(b, known.msgtype)
-        stamped = is_stamped(BagTopic.known(name, known.msgtype), store)
-        keys_a, keys_b = _keys(self.one, stamped), _keys(self.two, stamped)
-        if keys_a == keys_b:
-            self.rows_a = self.rows_b = np.arange(len(keys_a))
+    def of(self, signal: str) -> Tolerance:
+        return next((v for p, v in self.patterns.items() if fnmatchcase(signal, p)), self.default)
+
+
+class _TopicPair:
+    """One topic in both bags, or in one of them."""
+
+    def __init__(
+        self,
+        name: str,
+        numbers: tuple[int | None, int | None],
+        sides: Sequence[Messages],
+        known: Sequence[list[Described]],
+        limits: _Limits,
+    ) -> None:
+        self.numbers, self._limits = numbers, limits
+        self._types = [topics[i].msgtype for topics, i in zip(known, numbers, strict=True) if i is not None]
+        self.result = TopicComparison(name, self._types[0], 0, 0)
+        self._counts = [0, 0]
+        self._decoders = [_decoder(side, i) for side, i in zip(sides, numbers, strict=True)]
+        decoder = next((d for d in self._decoders if d is not None), None)
+        self._decoders = [d or decoder for d in self._decoders]  # a definition of one bag is as good for the other
+        self._stamped = decoder is not None and decoder.stamped
+        self.pairing = Pairing(self._stamped, self._compare)
+        self._alone = len(self._types) < 2 or self._types[0] != self._types[1]
+        self._first: list[int] = []
+
+    def add(self, side: int, block: Block) -> None:
+        self._counts[side] += len(block)
+        if not self._alone:
+            self.pairing.add(side, block)
+        elif len(self._types) > 1:
+            self._first.append(int(block.t[0]))
         else:
-            found_b = {key: i for i, key in enumerate(keys_b)}
-            pairs = [(i, found_b.pop(key)) for i, key in enumerate(keys_a) if key in found_b]
-            self.rows_a, self.rows_b = np.array(pairs, dtype=int).reshape(-1, 2).T
-            paired = {keys_a[i] for i, _ in pairs}
-            absent = [key for key in keys_a if key not in paired]
-            self._lacking(absent, list(found_b), "message")
-        self.times = [keys_a[i][0] for i in self.rows_a]
+            self._first.append(int(np.min(keys_of(block, self._stamped))))
 
-    def _lacking(self, absent: list[tuple[int, int]], extra: list[tuple[int, int]], what: str) -> None:
-        self.result.missing, self.result.extra = len(absent), len(extra)
-        if absent:
-            self.result.note(min(absent)[0], what, "present", "missing")
-        if extra:
-            self.result.note(min(extra)[0], what, "missing", "present")
-
-    def compare(
-        self, a: Signals, b: Signals, default: Tolerance, tolerances: Mapping[str, Tolerance], bitwise: bool
-    ) -> TopicComparison:
+    def finish(self) -> TopicComparison:
         result = self.result
-        data_a, data_b = self.one.data, self.two.data
-        unequal = np.array([data_a[i] != data_b[j] for i, j in zip(self.rows_a, self.rows_b, strict=True)], dtype=bool)
-        bad = np.zeros(len(self.times), dtype=bool)
-        if bitwise:
-            default, tolerances = Tolerance(), {}
-            for k, (i, j) in enumerate(zip(self.rows_a, self.rows_b, strict=True)):
-                if self.one.times[i] != self.two.times[j]:
-                    bad[k] = True
-                    result.note(self.times[k], "bag time", self.one.times[i], self.two.times[j])
-        rows = np.flatnonzero(unequal)
-        if rows.size:
-            bad[rows] |= self._values(a, b, rows, default, tolerances, bitwise)
-        result.differing = int(bad.sum())
+        result.count_a, result.count_b = self._counts
+        if not self._alone:
+            absent, extra = self.pairing.finish()
+            result.missing, result.extra = len(absent), len(extra)
+            for lacking, x, y in ((extra, "missing", "present"), (absent, "present", "missing")):
+                # of equal stamps a message that is not there comes before a field that differs
+                if len(lacking) and (result.first is None or np.min(lacking) <= result.first.stamp):
+                    result.first = Difference(int(np.min(lacking)), result.topic, "message", x, y)
+            return result
+        result.missing, result.extra = self._counts
+        if len(self._types) > 1:
+            result.note(min(self._first, default=0), "type", *self._types)
+        elif self._first:
+            what = ("present", "missing") if self.numbers[0] is not None else ("missing", "present")
+            result.note(min(self._first), "message", *what)
         return result
 
+    def _compare(
+        self, a: Block, rows_a: NDArray[np.intp], b: Block, rows_b: NDArray[np.intp], stamps: NDArray[np.int64]
+    ) -> None:
+        result, bitwise = self.result, self._limits.bitwise
+        bad = np.zeros(len(rows_a), bool)
+        if bitwise:
+            bad = a.t[rows_a] != b.t[rows_b]
+            if bad.any():
+                k = _earliest(bad, stamps)
+                result.note(int(stamps[k]), "bag time", int(a.t[rows_a[k]]), int(b.t[rows_b[k]]))
+        rows = np.flatnonzero(~equal_rows(a, rows_a, b, rows_b))
+        if len(rows):
+            bad[rows] |= self._values(a, rows_a[rows], b, rows_b[rows], stamps[rows])
+        result.differing += int(bad.sum())
+
     def _values(
-        self,
-        a: Signals,
-        b: Signals,
-        rows: NDArray[np.intp],
-        default: Tolerance,
-        tolerances: Mapping[str, Tolerance],
-        bitwise: bool,
+        self, a: Block, rows_a: NDArray[np.intp], b: Block, rows_b: NDArray[np.intp], stamps: NDArray[np.int64]
     ) -> NDArray[np.bool_]:
-        """Compare the messages whose bytes differ, field by field; give which of them disagree."""
-        result = self.result
-        bad = np.zeros(len(rows), dtype=bool)
-        fields_a = _fields(a, self.one, self.rows_a[rows])
-        fields_b = _fields(b, self.two, self.rows_b[rows])
-        for label in dict.fromkeys([*fields_a, *fields_b]):
-            if label not in fields_a or label not in fields_b:
-                bad[:] = True
-                here = "present" if label in fields_a else "missing"
-                result.note(self.times[rows[0]], label, here, "missing" if label in fields_a else "present")
-                continue
-            x, y = fields_a[label], fields_b[label]
-            if isinstance(x, np.ndarray) and isinstance(y, np.ndarray):
-                name = f"{result.topic}/{label}"
-                tolerance = next((v for p, v in tolerances.items() if fnmatchcase(name, p)), default)
-                wrong = tolerance.exceeded(x, y)
-                with np.errstate(invalid="ignore"):
-                    deviation = np.abs(y - x)
-                largest = float(np.max(deviation, where=~np.isnan(deviation), initial=0.0))
-                if largest > 0:
-                    result.largest[label] = largest
-            else:
-                wrong = np.array([p != q for p, q in zip(x, y, strict=True)])
+        """Compare the messages whose bytes differ, field by field; return which of them disagree."""
+        result, bad = self.result, np.zeros(len(rows_a), bool)
+
+        def visit(rows: NDArray[np.intp], label: str, x: Any, y: Any) -> None:
+            if x is None or y is None or np.shape(x) != np.shape(y):
+                bad[rows] = True
+                here = ["missing" if v is None else _shape(x, y, v) for v in (x, y)]
+                result.note(int(np.min(stamps[rows])), label, *here)
+                return
+            wrong = self._wrong(label, x, y)
             if wrong.any():
-                k = int(np.argmax(wrong))
-                result.note(self.times[rows[k]], label, _item(x[k]), _item(y[k]))
-                bad |= wrong
-        if bitwise and not bad.all():
-            k = int(np.argmin(bad))
-            one, two = self.one.data[self.rows_a[rows[k]]], self.two.data[self.rows_b[rows[k]]]
-            at = next((i for i, (p, q) in enumerate(zip(one, two, strict=False)) if p != q), min(len(one), len(two)))
-            result.note(self.times[rows[k]], f"byte {at}", one[at : at + 8].hex(), two[at : at + 8].hex())
+                within = wrong if wrong.ndim == 1 else wrong.any(axis=1)
+                k = _earliest(within, stamps[rows])
+                element = () if wrong.ndim == 1 else (int(np.argmax(wrong[k])),)
+                name = "/".join((label, *map(str, element)))
+                values = (_item(v[k] if not element else v[k][element[0]]) for v in (x, y))
+                result.note(int(stamps[rows][k]), name, *values)
+                bad[rows] |= within
+
+        one, two = groups_of(self._decoders[0], a, rows_a), groups_of(self._decoders[1], b, rows_b)
+        visit_pairs(result.msgtype, one, two, visit)
+        if self._limits.bitwise and not bad.all():
+            k = _earliest(~bad, stamps)
+            field_name, x, y = bytes_that_differ(a.data(rows_a[k]), b.data(rows_b[k]), "byte {at}")
+            result.note(int(stamps[k]), field_name, x[0], y[0])
             bad[:] = True
         return bad
 
-
-def _keys(topic: Topic, stamped: bool) -> list[tuple[int, int]]:
-    """Give (stamp, how many messages before had the same) of each message."""
-    times = [stamp(d) for d in topic.data] if stamped else topic.times
-    if len(set(times)) == len(times):
-        return [(t, 0) for t in times]
-    seen: dict[int, int] = defaultdict(int)
-    keys = []
-    for t in times:
-        keys.append((t, seen[t]))
-        seen[t] += 1
-    return keys
-
-
-def _fields(signals: Signals, topic: Topic, rows: NDArray[np.intp]) -> dict[str, Any]:
-    """Give chosen messages as columns: arrays for numbers, lists for names and texts, bytes if nothing is known."""
-    columns: dict[str, Any]
-    if topic.msgtype in TYPES:
-        with suppress(ValueError):  # of a known type, but used in another way than the suite does
-            heads = [parse(topic.msgtype, topic.data[i]) for i in rows]
-            columns = {k: v[rows] for k, v in signals.table(topic.name).columns.items()}
-            columns["frame_id"] = [m.frame_id for m in heads]
-            columns["name"] = [", ".join(m.names) for m in heads]
-            if TYPES[topic.msgtype].timed:  # no signal, and the end of the message
-                ends = [stamp(topic.data[i], len(topic.data[i]) - 8) for i in rows]
-                columns["time_from_start"] = np.array(ends) / SECOND
-            return columns
-    store = _store(signals, topic.msgtype)
-    if store is None:
-        return {"bytes": [topic.data[i].hex() for i in rows]}
-    messages = [dict(flatten(deserialised(store, topic, i))) for i in rows]
-    columns = {}
-    for label in dict.fromkeys(label for message in messages for label in message):
-        if label in ("header/stamp/sec", "header/stamp/nanosec"):
-            continue
-        values = [message.get(label, math.nan) for message in messages]
-        texts = any(isinstance(v, str | bytes) for v in values)
-        columns[label] = values if texts else np.array(values, dtype=np.float64)
-    return columns
+    def _wrong(self, label: str, x: Any, y: Any) -> NDArray[np.bool_]:
+        """Return where two fields disagree, and note how far numbers are apart."""
+        result = self.result
+        if not isinstance(x, np.ndarray):
+            return np.array([p != q for p, q in zip(x, y, strict=True)], bool)
+        tolerance = self._limits.of(f"{result.topic}/{label}")
+        p, q = x.astype(np.float64), y.astype(np.float64)
+        wrong = tolerance.exceeded(p, q)
+        if x.dtype.kind in "iu" and tolerance == Tolerance():
+            wrong = x != y  # whole numbers of 64 bits have more digits than a float64
+        with np.errstate(invalid="ignore"):
+            deviation = np.abs(q - p)
+        largest = float(np.max(deviation, where=~np.isnan(deviation), initial=0.0))
+        if largest > result.largest.get(label, 0.0):
+            result.largest[label] = largest
+        return wrong
 
 
-def _store(signals: Signals, msgtype: str) -> Typestore | None:
-    return signals.store(msgtype) if isinstance(signals, BagSignals) else None
+def _decoder(side: Messages, number: int | None) -> Decoder | None:
+    if number is None:
+        return None
+    try:
+        return Decoder(described(side)[number].msgtype, side.types(number))
+    except UnknownType:
+        return None
+
+
+def _earliest(chosen: NDArray[np.bool_], stamps: NDArray[np.int64]) -> int:
+    """Return the chosen row with the smallest stamp, the first of several."""
+    rows = np.flatnonzero(chosen)
+    return int(rows[np.argmin(stamps[rows])])
+
+
+def _shape(x: Any, y: Any, own: Any) -> str:
+    """Describe a field that only one message has, or that both have in other lengths."""
+    return "present" if x is None or y is None else f"{np.shape(own)[1]} elements"
 
 
 def _item(value: Any) -> Any:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rosbags.typesys.store import Typestore
+from numpy.typing import NDArray
 from softrig_core import SECOND, Recording, Signals
 from softrig_core.guard import incomplete, say
-from softrig_core.wire.recording import Topic
 from softrig_core.wire.signals import Table
 
 from .errors import BagError
@@ -66,6 +63,8 @@ class BagSignals(Signals):
         The messages as bytes; they are read when first asked for.
     from_start : bool
         Whether time is known to count from the start of the run: it is simulated, or the run has left its epoch.
+    absent : dict of str to dict
+        By topic and column: which messages lack the column, where some do.
     left_out : dict of str to Left
         By topic: what has not become signals, and why.
     """
@@ -77,11 +76,13 @@ class BagSignals(Signals):
         super().__init__(recording, epoch)
         for topic in recording.topics.values():
             topic.settle = self._load
+        self.absent: dict[str, dict[str, NDArray[np.bool_]]] = {}
         for i, label in enumerate(bag.labels):
             if columns.decoder(i) is not None and not columns.reason(i):
                 piece = stacked(pieces.pop(i, []))
                 t, stamp = ((x - epoch) / SECOND for x in (piece.t, piece.stamp))
                 self._tables[label] = Table(t, stamp, piece.columns)
+                self.absent[label] = piece.absent
         self.left_out = {bag.labels[i]: left for i, left in columns.left.items()}
 
     def _load(self) -> None:
@@ -90,11 +91,6 @@ class BagSignals(Signals):
         for name, found in read_bag(self.path).topics.items():
             self.recording.topics[name].times.extend(found.times)
             self.recording.topics[name].data.extend(found.data)
-
-    def store(self, msgtype: str) -> Typestore | None:
-        """Give what deserialises a message type, None if it is not defined in the bag nor here."""
-        with BagReader(self.path) as bag:
-            return bag.typestore(msgtype)
 
     def table(self, topic: str) -> Table:
         """Give all columns of a topic."""
@@ -119,35 +115,6 @@ def epoch_of(bag: BagReader) -> tuple[int, bool]:
     own = int(left) if left.isdecimal() and len(left) < 20 and int(left) < 1 << 63 else 0
     epoch = own or (bag.start if bag.start >= WALL_CLOCK else 0)
     return epoch, bool(own) or not epoch
-
-
-def deserialised(store: Typestore, topic: Topic, i: int) -> Any:
-    """Give message number i of a topic as an object.
-
-    Raises
-    ------
-    BagError
-        Its bytes are damaged; names topic and number.
-    """
-    try:
-        return store.deserialize_cdr(topic.data[i], topic.msgtype)
-    except Exception as error:  # damaged bytes make the library raise whatever they lead to
-        raise BagError(f"{topic.name}: message {i + 1} of {len(topic.data)} is damaged: {error}") from error
-
-
-def flatten(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Give the path and value of every number, text and byte array inside a deserialised message."""
-    if is_dataclass(value):
-        for field in fields(value):
-            yield from flatten(getattr(value, field.name), f"{path}/{field.name}" if path else field.name)
-    elif isinstance(value, list):
-        for i, item in enumerate(value):
-            yield from flatten(item, f"{path}/{i}")
-    elif isinstance(value, np.ndarray) and value.dtype.itemsize > 1:
-        for i, item in enumerate(value.tolist()):
-            yield f"{path}/{i}", item
-    else:
-        yield path, value.tobytes() if isinstance(value, np.ndarray) else value
 
 
 def signals(path: Path | str) -> BagSignals:

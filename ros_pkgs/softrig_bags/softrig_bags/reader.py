@@ -15,8 +15,6 @@ from types import TracebackType
 from typing import NamedTuple
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 from softrig_core.guard import incomplete
 from softrig_core.wire.recording import relative
 
@@ -232,6 +230,11 @@ class BagReader:
         return self.metadata.custom_data
 
     @property
+    def is_whole(self) -> bool:
+        """Whether nothing that was read so far differs from what was claimed."""
+        return not self._said
+
+    @property
     def attachments(self) -> list[tuple[str, int]]:
         """Name and size of what is in MCAP files beside messages."""
         return [a for s in self._sources for a in s.attachments]
@@ -389,19 +392,6 @@ class BagReader:
     def decoder(self, i: int) -> Decoder:
         """Return what makes columns of a topic's messages; raises as `types`."""
         return Decoder(self.topics[i].msgtype, self.types(i))
-
-    def typestore(self, msgtype: str) -> Typestore | None:
-        """Return a store that can deserialise a type, by the bag's own definition if it has one; else None."""
-        i = next((k for k, t in enumerate(self.topics) if t.msgtype == msgtype), None)
-        if i is None:
-            return None
-        try:
-            types = self.types(i)
-        except UnknownType:
-            return None
-        store = get_typestore(Stores.EMPTY)
-        store.register({name: found for name, found in types.items() if name not in store.fielddefs})
-        return store
 
 
 def _is_same(old: BagTopic, new: BagTopic) -> bool:

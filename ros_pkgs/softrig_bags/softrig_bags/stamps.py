@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from struct import Struct
 
-from rosbags.typesys.store import Typestore
 from softrig_core import SECOND
 from softrig_core.wire.types import TYPES
 
@@ -13,13 +12,10 @@ from .topics import BagTopic
 _LITTLE, _BIG = Struct("<iI"), Struct(">iI")
 
 
-def is_stamped(topic: BagTopic, store: Typestore | None = None) -> bool:
-    """Whether messages of a topic begin with a header or a time; a store's definition comes before the topic's."""
+def is_stamped(topic: BagTopic) -> bool:
+    """Return whether messages of a topic begin with a header or a time."""
     if topic.msgtype in TYPES:
         return TYPES[topic.msgtype].stamped
-    if store is not None:
-        fields = store.fielddefs[topic.msgtype][1]
-        return bool(fields) and fields[0][1][1] in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     lines = (line.partition("#")[0].split() for line in topic.definition.splitlines())
     first = next((words[0] for words in lines if words and not _is_constant(words)), "")
     return first in ("std_msgs/Header", "std_msgs/msg/Header", "Header", "builtin_interfaces/Time")

@@ -18,11 +18,15 @@ Array = NDArray[np.float64]
 
 
 class Piece(NamedTuple):
-    """Some messages of a topic: bag times and header stamps in ns (bag times where there is none), and columns."""
+    """Some messages of a topic: bag times and header stamps in ns (bag times where there is none), and columns.
+
+    What messages lack is NaN in a column; `absent` says of such columns which messages those are.
+    """
 
     t: Ints
     stamp: Ints
     columns: dict[str, Array]
+    absent: dict[str, NDArray[np.bool_]]
 
 
 @dataclass
@@ -105,7 +109,7 @@ class Columns:
             self._left(topic).fields |= dict.fromkeys(made.omitted) if made.omitted else {}
         if len(good) == 1 and len(good[0][0]) == len(block):
             _, made, data = good[0]
-            return Piece(block.t, made.stamps(data) if made.stamp_at else block.t, made.columns(data))
+            return Piece(block.t, made.stamps(data) if made.stamp_at else block.t, made.columns(data), {})
         return _merged(block, good)
 
     def _note(self, topic: int, t: int, damage: str, n: int) -> None:
@@ -140,6 +144,7 @@ def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray
     """Put messages of several shapes into one table: what a message lacks is NaN."""
     stamp = block.t.copy()
     columns: dict[str, Array] = {}
+    absent: dict[str, NDArray[np.bool_]] = {}
     decoded = np.zeros(len(block), bool)
     for rows, made, data in groups:
         decoded[rows] = True
@@ -148,10 +153,13 @@ def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray
         for label, x in made.columns(data).items():
             if label not in columns:
                 columns[label] = np.full(len(block), np.nan)
+                absent[label] = np.ones(len(block), bool)
             columns[label][rows] = x
+            absent[label][rows] = False
     if not decoded.all():
         columns = {label: x[decoded] for label, x in columns.items()}
-    return Piece(block.t[decoded], stamp[decoded], columns)
+    absent = {label: x[decoded] for label, x in absent.items() if x[decoded].any()}
+    return Piece(block.t[decoded], stamp[decoded], columns, absent)
 
 
 def stacked(pieces: list[Piece]) -> Piece:
@@ -159,10 +167,13 @@ def stacked(pieces: list[Piece]) -> Piece:
     if len(pieces) == 1:
         return pieces[0]
     labels = dict.fromkeys(label for piece in pieces for label in piece.columns)
-    columns = {}
+    columns, absent = {}, {}
     for label in labels:
         parts = (p.columns[label] if label in p.columns else np.full(len(p.t), np.nan) for p in pieces)
         columns[label] = np.concatenate([*parts])
+        if any(label in p.absent or label not in p.columns for p in pieces):
+            lacks = (p.absent.get(label, np.full(len(p.t), label not in p.columns)) for p in pieces)
+            absent[label] = np.concatenate([*lacks])
     empty = np.empty(0, np.int64)
     t, stamp = (np.concatenate([empty, *(getattr(p, name) for p in pieces)]) for name in ("t", "stamp"))
-    return Piece(t, stamp, columns)
+    return Piece(t, stamp, columns, absent)

@@ -1,0 +1,88 @@
+"""Where messages to be compared come from: a bag on the disk, or a recording in memory, both in blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple
+
+import numpy as np
+from softrig_core import Recording, Signals
+from softrig_core.wire.recording import CHUNK, Topic, relative
+
+from .block import EMPTY, Block, packed
+from .definitions import Types, complete
+from .read import BagSignals
+from .reader import BagReader
+
+
+class Described(NamedTuple):
+    """A topic: its name as scenarios write it, and its type."""
+
+    name: str
+    msgtype: str
+
+
+class RecordedMessages:
+    """A recording in memory."""
+
+    is_whole = True
+
+    def __init__(self, recording: Recording) -> None:
+        self._topics = list(recording.topics.values())
+
+    def __enter__(self) -> RecordedMessages:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """There is nothing to be closed."""
+
+    @property
+    def topics(self) -> list[Described]:
+        """The topics."""
+        return [Described(t.name, t.msgtype) for t in self._topics]
+
+    def types(self, i: int) -> Types:
+        """Return the definitions of a topic's type as they are known here."""
+        return complete(self._topics[i].msgtype, {})
+
+    def blocks(self, topics: Collection[int] | None = None) -> Iterator[Block]:
+        """Return the messages topic by topic."""
+        for i, topic in enumerate(self._topics):
+            if topics is None or i in topics:
+                yield from _blocks(i, topic)
+
+
+def _blocks(i: int, topic: Topic) -> Iterator[Block]:
+    whole = topic.columns()
+    n = len(whole.times) if whole is not None else len(topic.times)
+    for first in range(0, n, CHUNK):
+        last = min(first + CHUNK, n)
+        number = np.full(last - first, i, np.int64)
+        if whole is None:
+            times = np.array(topic.times[first:last], np.int64)
+            yield packed(topic.data[first:last], Block(EMPTY.raw, number, times, EMPTY.at, EMPTY.size))
+            continue
+        part = whole.part(first, last)
+        marks = np.arange(first, last) if part.layout.numbered else part.times
+        rows = part.layout.encode_block(marks, part.values)
+        size = np.full(len(rows), rows.shape[1], np.int64)
+        yield Block(rows.reshape(-1), number, part.times, np.cumsum(size) - size, size)
+
+
+Messages = BagReader | RecordedMessages
+
+
+def described(messages: Messages) -> list[Described]:
+    """Return the topics of a bag or recording, in the order of their numbers."""
+    return [Described(relative(t.name), t.msgtype) for t in messages.topics]
+
+
+def opened(what: Signals | Path | str) -> Messages:
+    """Return the messages behind signals, or of a bag by its path; a context manager."""
+    if isinstance(what, BagSignals):
+        return BagReader(what.path)
+    return RecordedMessages(what.recording) if isinstance(what, Signals) else BagReader(what)
