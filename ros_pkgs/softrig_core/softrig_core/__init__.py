@@ -54,7 +54,6 @@ if TYPE_CHECKING:
         wrench as wrench,
     )
     from .block.scene import Pose as Pose, Scene as Scene
-    from .block.state import state_type as state_type
     from .errors import RunError as RunError, ScenarioError as ScenarioError
     from .former import executable as executable, run_processes as run_processes
     from .judge.measures import SignalMap as SignalMap, figure as figure, window as window
@@ -63,6 +62,7 @@ if TYPE_CHECKING:
     from .kit.jit import jit as jit
     from .kit.ode import rk4 as rk4, rk4_loop as rk4_loop
     from .kit.resource import resource as resource
+    from .kit.state import state_type as state_type
     from .rig.rig import Rig as Rig
     from .run.expand import rig_of as rig_of
     from .run.inprocess import run_inprocess as run_inprocess
@@ -95,7 +95,7 @@ else:
         "kit.resource": "resource",
         "block.scene": "Pose Scene",
         "solver.solver": "Jobs Result Solver SolverParams",
-        "block.state": "state_type",
+        "kit.state": "state_type",
         "timebase": "SECOND to_ns to_s",
         "solver.worker": "Work",
         "former": "executable run_processes",

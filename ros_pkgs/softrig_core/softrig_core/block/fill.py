@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+from .answer import Row
 from .port import Port, Sample
 
-if TYPE_CHECKING:
-    from .answer import Row
-    from .step import Step
-
+Step = Any  # `softrig_core.block.step.Step`, which imports this
 Stamp = Literal["none", "own", "tick"]
 Pick = tuple[int | float, ...]  # of each number of an input: its place among those of the output, or the number itself
 

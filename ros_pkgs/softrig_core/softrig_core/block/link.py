@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from .step import Step
-
+Step = Any  # `softrig_core.block.step.Step`, which imports this
 Rows = tuple["Row | None", ...]  # of each output: what is said; None for the silence of a sporadic one
 
 
