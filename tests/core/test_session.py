@@ -34,7 +34,7 @@ from softrig_core.block.schedule import Schedule
 from softrig_core.run import session as module
 from softrig_core.run.branch import branched, parted
 from softrig_core.run.expand import FIGURES
-from softrig_core.run.inprocess import keeper, many_keeper
+from softrig_core.run.inprocess import keeper
 from softrig_core.run.simulate import Run
 from softrig_core.wire.parameter_event import encode
 from softrig_core.wire.recording import Recording as Kept
@@ -286,7 +286,9 @@ def test_many_answers_at_once_are_recorded_as_those_of_single_ticks():
     values = np.hstack([draw.normal(size=(n, size)), draw.integers(0, 2, (n, len(silent)))])
     numbers = [5, 3, 8, 1]
     at_once, singly = [], []
-    many_keeper(SimpleNamespace(add=lambda *m: at_once.append(m)), PORTS, numbers)(times, values, stamps)
+    step = SimpleNamespace(plain=False, outputs=PORTS, link=None, name="law")
+    keep = keeper(step, SimpleNamespace(add=lambda *m: at_once.append(m)), PORTS, numbers)
+    keep.send_all(times, values, stamps)
     encoders = [encoder(p.layout()) for p in PORTS]
     for k in range(n):
         first = 0
@@ -299,12 +301,13 @@ def test_many_answers_at_once_are_recorded_as_those_of_single_ticks():
             singly.append((number, int(times[k]), encode_one(stamp, own)))
     assert sorted(at_once) == sorted(singly)
     assert [m for m in at_once if m[0] == 5] == [m for m in singly if m[0] == 5]
-    step = SimpleNamespace(plain=False, outputs=PORTS[:2], numbers=())
+    step = SimpleNamespace(plain=False, outputs=PORTS[:2], link=None, name="law")
     kept = []
-    keep = keeper(SimpleNamespace(add=lambda *m: kept.append(m)), step, [*PORTS[:2]], [4, 2])
+    keep = keeper(step, SimpleNamespace(add=lambda *m: kept.append(m)), [*PORTS[:2]], [4, 2])
+    assert step.link is keep
     rows = ((1.0, 2.0), Sample(7, (3.0,)))
-    keep(5, rows)
-    keep(6, (None, rows[1]))
+    keep.send(5, rows, ())
+    keep.send(6, (None, rows[1]), ())
     a, b = (p.layout().encode for p in PORTS[:2])
     assert kept == [(4, 5, a(5, rows[0])), (2, 5, b(7, (3.0,))), (2, 6, b(7, (3.0,)))]
 
@@ -312,11 +315,12 @@ def test_many_answers_at_once_are_recorded_as_those_of_single_ticks():
 def test_arrays_go_on_with_the_numbers_that_the_record_has_already():
     port = array("m", "m", {"row": 2}, "V")
     kept = []
-    step = SimpleNamespace(plain=False, outputs=[port])
-    keep = keeper(SimpleNamespace(add=lambda *m: kept.append(m)), step, [port], [0], {"m": 3})
+    step = SimpleNamespace(plain=False, outputs=[port], link=None, name="law")
+    keep = keeper(step, SimpleNamespace(add=lambda *m: kept.append(m)), [port], [0], {"m": 3})
     for t in (1, 2):
-        keep(t, ((1.0, 2.0),))
-    assert [data for _, _, data in kept] == [port.layout().encode(n, (1.0, 2.0)) for n in (3, 4)]
+        keep.send(t, ((1.0, 2.0),), ())
+    keep.send_all(np.array([3, 4]), np.array([[1.0, 2.0]] * 2), np.empty((2, 0), np.int64))  # one by one
+    assert [data for _, _, data in kept] == [port.layout().encode(n, (1.0, 2.0)) for n in (3, 4, 5, 6)]
 
 
 def test_python_looks_for_cycles_seldom_during_a_run_and_as_before_after_it():

@@ -486,7 +486,7 @@ def test_who_comes_back_says_each_quarter_of_a_second_that_it_lives(monkeypatch)
     back._drive = SimpleNamespace(senders=SimpleNamespace(rows=[]), solving=None)
     for k in range(1, 11):
         clock.now = 5.0 + 0.1 * k
-        assert not back._lacks(0)
+        assert not back.lacks(0)
     assert written == pytest.approx([5.3, 5.6, 5.9])
 
 
