@@ -20,9 +20,9 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "wheel", "upgrade", "view", "studies", "send", "reports", "continuous_integration", "python",
-         "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools", "node",
-         "workspace", "two_machines", "distribution"),
+        ("set_up", "wheel", "upgrade", "view", "studies", "send", "strangers", "reports", "continuous_integration",
+         "python", "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools",
+         "node", "workspace", "two_machines", "distribution"),
     ),
     "notebooks": (
         "Notebooks",
@@ -45,6 +45,7 @@ KINDS = {
 # what people look for by a word that the page does not have
 KEYWORDS = {
     "send": "colleague, share, zip, archive, exchange, reproduce, repeat",
+    "strangers": "security, trust, sandbox, signature, untrusted, confirm",
     "upgrade": "update, migrate, migration, pull, newer, version, release",
     "paper_figures": "latex, pgf, tikz, publication, matplotlib, thesis",
     "continuous_integration": "junit, ci, github, gitlab, jenkins, regression",

@@ -76,6 +76,7 @@ def test_the_last_line_says_which_version_differs_first(run, tmp_path, capsys):
             if name == "pack.json":
                 said = json.loads(text)
                 said["code"]["softrig_drives"] = "0123456789ab"
+                said["files"] = {}
                 text = json.dumps(said)
             new.writestr(name, text.replace("delta: 3.0", "delta: 3.5"))
     status, last = repeat(other, tmp_path, capsys)
@@ -210,7 +211,7 @@ def test_a_strangers_file_writes_nothing_outside_its_folder(entries, said, tmp_p
 
 
 def test_what_unpacks_to_more_than_fits_is_refused(tmp_path, monkeypatch):
-    bomb = zipped(tmp_path / "bomb.zip", ABOUT, ("bag/x", bytes(1 << 20)), compression=zipfile.ZIP_DEFLATED)
+    bomb = zipped(tmp_path / "bomb.zip", ABOUT, ("bag/x.mcap", bytes(1 << 20)), compression=zipfile.ZIP_DEFLATED)
     monkeypatch.setattr(packed, "MOST", 1 << 19)
     with pytest.raises(ScenarioError, match=r"2 files of \d+ bytes in all, expected at most 10000 of 524288"):
         packed.unpack(bomb, tmp_path / "new")
@@ -218,14 +219,14 @@ def test_what_unpacks_to_more_than_fits_is_refused(tmp_path, monkeypatch):
     monkeypatch.undo()
     data = bytearray(bomb.read_bytes())
     for head in (b"PK\x03\x04", b"PK\x01\x02"):
-        at = data.index(b"bag/x", data.index(head) if head == b"PK\x03\x04" else data.rindex(head))
+        at = data.index(b"bag/x.mcap", data.index(head) if head == b"PK\x03\x04" else data.rindex(head))
         size = at - (30 - 22 if head == b"PK\x03\x04" else 46 - 24)
         assert int.from_bytes(data[size : size + 4], "little") == 1 << 20
         data[size : size + 4] = (100).to_bytes(4, "little")
     bomb.write_bytes(data)
     with pytest.raises(ScenarioError, match="cannot be unpacked"):
         packed.unpack(bomb, tmp_path / "other")
-    assert (tmp_path / "other" / "bag" / "x").stat().st_size <= 100
+    assert (tmp_path / "other" / "bag" / "x.mcap").stat().st_size <= 100
 
 
 def test_a_damaged_file_is_one_line(run, tmp_path, capsys):

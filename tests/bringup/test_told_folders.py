@@ -438,8 +438,10 @@ def test_what_a_bag_says_of_its_run(run):
         "code": {},
         "command": "c",
         "contents": {},
+        "run": "0a",
     }
     plain = {"scenario": "x", "mode": "m", "seed": "3", "versions": '{"a": "1"}', "code": "{}", "command": "c"}
+    plain |= {"run": "0a"}
     done = SimpleNamespace(epoch=0, status={"n": {"missed_deadlines": 2}}, branched=[])
     assert runs._provenance(done, content) == plain
     status = {"n": {"missed_deadlines": 2}, "w": {"figures": {"a": [1.0, "m"]}}}
@@ -471,7 +473,8 @@ GOOD = [
     "packages/rig/rig/law.py",
     "bag/bag_0.mcap",
     "scenario/" + "x" * 150,
-    "bag" + "/d" * 20,
+    "bag/metadata.yaml",
+    "scenario" + "/d" * 20,
     "scenario/a b",
 ]
 BAD = [
@@ -496,11 +499,21 @@ def test_only_plain_files_at_their_places_are_unpacked():
     seen = set()
     for name in GOOD:
         packed._check(entry(name, stat.S_IFREG if "bag" in name else 0, zipfile.ZIP_DEFLATED), seen)
-    assert seen == set(GOOD)
+        seen.add(name)
     wrong = [*map(entry, BAD), entry("pack.json"), entry("bag/x", stat.S_IFLNK), entry("bag/y", stat.S_IFDIR)]
     for bad in wrong:
         with pytest.raises(ScenarioError, match=r"expected plain files below scenario, packages and bag, each once"):
             packed._check(bad, {"pack.json"})
+    for stray in ("bag/z", "bag/a/b.mcap", "bag/x.zip"):
+        with pytest.raises(ScenarioError, match=r"expected metadata.yaml and files of messages in bag$"):
+            packed._check(entry(stray), set())
+    for name, most in packed.LARGEST.items():
+        large = entry(name)
+        large.file_size = most
+        packed._check(large, set())
+        large.file_size += 1
+        with pytest.raises(ScenarioError, match=f"{name}: {most + 1} bytes, expected at most {most}$"):
+            packed._check(large, set())
     for bad in (entry("bag/z", compress=zipfile.ZIP_LZMA), entry("bag/z", flags=1)):
         with pytest.raises(ScenarioError, match="expected it stored or deflated, and not encrypted"):
             packed._check(bad, set())
@@ -513,10 +526,10 @@ def test_only_plain_files_at_their_places_are_unpacked():
 def test_a_file_has_a_largest_size_and_number(files, size, fits, tmp_path, monkeypatch):
     """Written and unpacked alike; of the disk at most half of what is free."""
     about = packed.About(scenario="x")
-    head = len(about.model_dump_json(indent=1)) + 1
-    content = {f"bag/{k}": bytes((size - head * 0) // (files - 1)) for k in range(files - 1)}
-    if size == 101:
-        content["bag/0"] = bytes(101)
+    content = {f"scenario/{k}": bytes(size // (files - 1)) for k in range(files - 1)}
+    content[f"scenario/{files - 2}"] = b"extends: x" + bytes(size // (files - 1) - 10)
+    listed = {place: hashlib.sha256(text).hexdigest() for place, text in content.items()}
+    head = len(about.model_copy(update={"files": listed}).model_dump_json(indent=1)) + 1
     for module in (packed, pack):
         monkeypatch.setattr(module, "FILES", 2)
         monkeypatch.setattr(module, "MOST", 100 + head)
@@ -530,7 +543,7 @@ def test_a_file_has_a_largest_size_and_number(files, size, fits, tmp_path, monke
         return
     pack.write(made, tmp_path / "x.zip")
     packed.unpack(tmp_path / "x.zip", tmp_path / "new")
-    assert packed.about(tmp_path / "new") == about
+    assert packed.about(tmp_path / "new") == about.model_copy(update={"files": listed})
     usage = SimpleNamespace(free=2 * (100 + head) - 1)
     monkeypatch.setattr(packed.shutil, "disk_usage", lambda folder: usage)
     with pytest.raises(
@@ -584,7 +597,7 @@ def test_of_a_package_its_sources_are_taken(tmp_path):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pack.repeat, "workspace", lambda package: tmp_path / "ws" if package == "rig" else None)
         assert (pack._sources("rig"), pack._sources("no_such_rig")) == (rig, None)
-        (rig / "setup.cfg").unlink()
+        (rig / "package.xml").unlink()
         assert pack._sources("rig") is None
     assert pack._version("no_such_rig") == "unknown"
 
@@ -693,50 +706,6 @@ def test_a_file_of_code_that_is_no_longer_that_of_the_run_says_so(kept, capsys, 
         ScenarioError, match=r"^r: it ran with dc_motor_smc\.delta = 7\.5, which is 5\.0 by now: run it again$"
     ):
         pack._unchanged(Path("r"), rig, {"parameters": {"dc_motor_smc": {"delta": 7.5}}})
-
-
-@pytest.mark.parametrize("layout", [True, False])
-def test_packages_that_a_file_brings_are_importable_here_and_in_what_is_started(tmp_path, monkeypatch, capsys, layout):
-    """By the script of a checkout; without one they have to be installed."""
-    tree(
-        unpacked := tmp_path / "abc",
-        {"packages/pump_rig/package.xml": "", "packages/json/package.xml": "", "scenario/x.yaml": ""},
-    )
-    monkeypatch.setattr(packed, "cache_folder", lambda: tmp_path / "cache")
-    monkeypatch.setenv("SOFTRIG_SCENARIOS", "mine")
-    monkeypatch.setenv("PYTHONPATH", "there")
-    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
-    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
-    monkeypatch.setenv("SOFTRIG_COMMAND", str(tmp_path / "softrig"))
-    monkeypatch.setattr("sys.path", [])
-    made = SimpleNamespace(returncode=0, stderr="")
-
-    def run(command, **how):
-        library = Path(command[2]) / "lib/python3/site-packages"
-        library.mkdir(parents=True, exist_ok=True)
-        assert command[3] == unpacked / "packages"
-        assert how == {"capture_output": True, "text": True}
-        return made
-
-    monkeypatch.setattr(packed.subprocess, "run", run)
-    if not layout:
-        said = f"it brings pump_rig, not installed here: pip install {unpacked}/packages/pump_rig"
-        with pytest.raises(ScenarioError, match=f"^{re.escape(said)}$"):
-            packed._bring(Path("x.zip"), unpacked)
-        return
-    (tmp_path / "layout.py").write_text("")
-    packed._bring(Path("x.zip"), unpacked)
-    version = f"{packed.sys.version_info[0]}.{packed.sys.version_info[1]}"
-    prefix = tmp_path / f"cache/packs/abc-py{version}"
-    library = str(prefix / "lib/python3/site-packages")
-    assert os.environ["AMENT_PREFIX_PATH"] == str(prefix)
-    assert os.environ["PYTHONPATH"] == f"{library}{os.pathsep}there"
-    assert packed.sys.path == [library]
-    assert os.environ["SOFTRIG_SCENARIOS"] == f"mine{os.pathsep}{unpacked / 'scenario'}"
-    assert capsys.readouterr().err == "softrig: x.zip brings json, pump_rig: code of who has made it runs here\n"
-    made.returncode, made.stderr = 1, "a\nno such thing\n"
-    with pytest.raises(ScenarioError, match=r"^packages: no such thing$"):
-        packed._bring(Path("x.zip"), unpacked)
 
 
 # sporadic topics, and what comes from outside -------------------------------------------------------------------------

@@ -161,16 +161,19 @@ class Given:
         raise Refusal("too hard")
 
 
-@pytest.mark.parametrize("end", [EOFError(), OSError()])
-def test_calls_are_answered_until_the_other_end_is_closed(monkeypatch, end):
+@pytest.mark.parametrize(("end", "folder"), [(EOFError(), ""), (OSError(), "/cache/fmu/0a")])
+def test_calls_are_answered_until_the_other_end_is_closed(monkeypatch, end, folder):
     monkeypatch.setattr(child, "Instance", Given)
     monkeypatch.setattr(child, "os", SimpleNamespace(_exit=System().ended))
     monkeypatch.setattr(child, "sys", SimpleNamespace(path=["old"]))
     asked = [("__init__", ("bad",)), ("__init__", ("p",)), ("add", (5, 3)), ("refuse", ()), ("nothing", ())]
-    pipe = Pipe(["a", "b"], *asked, end)
+    confined = []
+    monkeypatch.setattr(child, "_confine", confined.append)
+    pipe = Pipe((["a", "b"], folder), *asked, end)
     with pytest.raises(Exit):
         child._answer(pipe)
     assert child.sys.path == ["a", "b"]
+    assert confined == [folder] * bool(folder)
     assert pipe.sent == [
         (False, "ValueError: no plan"),
         (True, None),
@@ -179,7 +182,7 @@ def test_calls_are_answered_until_the_other_end_is_closed(monkeypatch, end):
         (False, "AttributeError: 'Given' object has no attribute 'nothing'"),
     ]
     with pytest.raises(Exit):
-        child._answer(Pipe([], ("__init__", ("p",)), full=True))
+        child._answer(Pipe(([], ""), ("__init__", ("p",)), full=True))
 
 
 class Ended:
@@ -309,4 +312,4 @@ def test_it_is_launched_with_its_end_of_the_pipe_and_told_where_to_import_from(m
     command = [sys.executable, "-P", "-c", code, "9", str(os.getpid())]
     assert started == [((command,), {"stdin": subprocess.DEVNULL, "pass_fds": [9]}), "closed"]
     assert registered == [(8, child.select.POLLIN), 60000.0]
-    assert mine.sent == [sys.path, ("__init__", (plan,))]
+    assert mine.sent == [(sys.path, ""), ("__init__", (plan,))]

@@ -105,6 +105,7 @@ def _verb(arguments: list[str]) -> int:
     if asks:
         completion.complete(parser)
     options = parser.parse_args(arguments)
+    options.words = arguments
     with quietly() if getattr(options, "quiet", False) else nullcontext():
         return int(options.verb(options))
 

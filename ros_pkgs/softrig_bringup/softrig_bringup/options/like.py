@@ -16,7 +16,7 @@ from softrig_bags.errors import BagError
 from softrig_bags.read import read_bag
 from softrig_bags.reader import BagReader
 from softrig_bags.tape import written
-from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, rig_of
+from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
 from softrig_core.rig.code import LETTERS
@@ -25,6 +25,7 @@ from softrig_core.timebase import SECOND
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import Topic
 
+from .cargo import check_scenario
 from .packed import METRICS, SCENARIO, Digest, about, is_pack, need_packages, opened
 
 #: Of the versions of a run, what decides its bits, the likeliest first.
@@ -63,6 +64,8 @@ class Recalled:
         ``versions``, ``code`` and ``contents`` as ``metrics.json`` has them; a bag alone may know less.
     digests : mapping of str to Digest
         By topic, in place of the recording.
+    bag_says : mapping of str to str
+        What the bag's writer has left in it.
     """
 
     path: Path
@@ -73,6 +76,7 @@ class Recalled:
     late: Mapping[str, Mapping[str, int]]
     made_with: Mapping[str, Mapping[str, Any]]
     digests: Mapping[str, Digest] = field(default_factory=dict)
+    bag_says: Mapping[str, str] = field(default_factory=dict)
 
 
 def _reached(recording: Recording, epoch: int) -> int:
@@ -125,7 +129,7 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
             "made, or a file of `softrig pack`"
         ) from None
     need_packages(path, made_with.get("code", ()))
-    return Recalled(path, options, bag.absolute(), recording, epoch, late, made_with)
+    return Recalled(path, options, bag.absolute(), recording, epoch, late, made_with, bag_says=data)
 
 
 def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
@@ -133,14 +137,19 @@ def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> R
     folder = opened(path)
     said = about(folder)
     need_packages(path, [*said.packages, *said.code])
+    try:
+        check_scenario(folder, load_scenario(str(folder / SCENARIO / f"{said.scenario}.yaml")), said)
+    except ScenarioError as error:
+        raise ScenarioError(f"{path}: {error}") from None
     options = parse([str(folder / SCENARIO / f"{said.scenario}.yaml")])
     made_with = said.model_dump(include=set(MADE_WITH))
     bag = folder / "bag"
     if not bag.is_dir():
         return Recalled(path, options, bag, Recording(()), 0, {}, made_with, said.digests)
     with BagReader(bag) as reader:
-        late, epoch = json.loads(reader.custom_data.get("late", "{}")), int(reader.custom_data.get("epoch", "0"))
-    return Recalled(path, options, bag, read_bag(bag), epoch, late, made_with)
+        data = reader.custom_data
+    late, epoch = json.loads(data.get("late", "{}")), int(data.get("epoch", "0"))
+    return Recalled(path, options, bag, read_bag(bag), epoch, late, made_with, bag_says=data)
 
 
 def _content(metrics: Path) -> Mapping[str, Any]:

@@ -7,29 +7,35 @@ import os
 import re
 import shutil
 import stat
-import subprocess
-import sys
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterable
 from functools import cache
-from importlib import invalidate_caches
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from softrig_bags.errors import BagError
+from softrig_bags.reader import BagReader
 from softrig_core import ScenarioError
-from softrig_core.guard import say
 from softrig_core.kit.compiled import cache_folder
 
 SUFFIX = ".softrig.zip"
 ABOUT, METRICS, SCENARIO, PACKAGES, BAG = "pack.json", "metrics.json", "scenario", "packages", "bag"
 MOST = 4 << 30  # bytes, unpacked
 FILES = 10_000
+SMALL = 64 << 20  # bytes, unpacked: less is never too much for the size of the file
+TIMES = 100  # unpacked by packed size; bags of real runs have 2 to 20
+HEAD = 512  # bytes of an entry in the list at the end of a file
+LARGEST = {ABOUT: 8 << 20, METRICS: 64 << 20}  # bytes of what is read as a whole
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError)
 _NAME = re.compile(rf"(?:{ABOUT}|{METRICS}|(?:{SCENARIO}|{PACKAGES}|{BAG})(?:/[^/\\\x00-\x1f\x7f]{{1,150}}){{1,20}})")
+_BAG = re.compile(rf"{BAG}/(?:metadata\.yaml|[^/]+\.(?:mcap|db3)(?:\.zstd)?)")
+_END = struct.Struct("<4s4H2LH")  # of a zip file: signature, ..., size of the list of entries, ...
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,99}$")]
 
 
 class Digest(BaseModel):
@@ -53,25 +59,34 @@ class About(BaseModel):
     packages : dict of str to str
         Packages that are no part of softrig, and their versions: each is in ``packages/``, or its sources were not
         found and who runs it has to have it.
+    offers : dict
+        By package and group the entry points, name to ``module:function``; of older files ``setup.cfg`` has them.
     versions, code, contents : dict
         As ``metrics.json`` has them: what decided the numbers.
     digests : dict of str to Digest
         By topic, of a file without the bag.
+    run : str
+        The digest that bag, figures and scenario of a run share; see `softrig_bringup.options.identity`.
+    files : dict of str to str
+        SHA-256 of each file; older files have none.
     """
 
     model_config = ConfigDict(frozen=True)
 
     format: int = Field(1, ge=1, le=1)
     scenario: str = Field(pattern=r"^[^/\\\x00-\x1f\x7f]{1,140}$")
-    packages: dict[Annotated[str, Field(pattern=r"^[A-Za-z]\w*$")], str] = {}
+    packages: dict[Name, str] = Field({}, max_length=100)
+    offers: dict[Name, dict[str, dict[str, str]]] = {}
     versions: dict[str, str] = {}
     code: dict[str, str] = {}
     contents: dict[str, dict[str, str]] = {}
     digests: dict[str, Digest] = {}
+    run: str = Field("", pattern=r"^([0-9a-f]{32})?$")
+    files: dict[str, Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]] = {}
 
 
 def is_pack(path: Path) -> bool:
-    """Whether a path is a file that `softrig pack` may have written."""
+    """Return whether a path is a file that `softrig pack` may have written."""
     return path.is_file() and zipfile.is_zipfile(path)
 
 
@@ -92,45 +107,58 @@ def about(folder: Path) -> About:
         raise ScenarioError(f"{ABOUT}: {'.'.join(map(str, first['loc']))}: {first['msg'].lower()}") from None
 
 
+def digest_of(path: Path) -> str:
+    """Compute the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 @cache
 def opened(path: Path) -> Path:
-    """Give the folder of what a pack holds, once it is unpacked and the packages that it brings can be imported.
+    """Return the folder with the content of a pack, unpacked and checked. It is data: nothing of it is imported.
 
     It lies in the cache by what the file holds, so that node processes and later calls find it.
 
     Raises
     ------
     ScenarioError
-        Not a file that `softrig pack` has written, or nothing that may be unpacked.
+        Not a file that `softrig pack` has written, or nothing that may be unpacked. Then nothing of it stays.
     """
     try:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        folder = cache_folder() / "packs" / digest[:32]
+        folder = cache_folder() / "packs" / digest_of(path)[:32]
         if not folder.is_dir():
             folder.parent.mkdir(parents=True, exist_ok=True)
             with TemporaryDirectory(dir=folder.parent, prefix=".new_") as aside:
                 new = Path(aside) / "new"
-                unpack(path, new)
-                about(new)
+                _check_content(new, unpack(path, new))
                 if not folder.is_dir():
                     new.rename(folder)
-        _bring(path, folder)
     except ScenarioError as error:
         raise ScenarioError(f"{path}: {error}") from None
+    # papers that only its maker's folders of scenarios have
+    known = os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep)
+    if (mine := str(folder / SCENARIO)) not in known:
+        os.environ["SOFTRIG_SCENARIOS"] = os.pathsep.join(filter(None, (*known, mine)))
     return folder
 
 
-def unpack(path: Path, folder: Path) -> None:
+def unpack(path: Path, folder: Path) -> dict[str, str]:
     """Unpack a file below a new folder, and nowhere else.
+
+    Returns
+    -------
+    dict of str to str
+        SHA-256 of each file by its place.
 
     Raises
     ------
     ScenarioError
-        It is damaged, too large (`MOST`, `FILES`, half of what is free on the disk), or has something in it that is no
-        plain file at one of its places.
+        It is damaged, too large (`MOST`, `FILES`, `TIMES` its own size, half of what is free on the disk), or has
+        something in it that is no plain file at one of its places.
     """
+    found: dict[str, str] = {}
     try:
+        _check_list(path)
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
             size = sum(entry.file_size for entry in entries)
@@ -138,20 +166,41 @@ def unpack(path: Path, folder: Path) -> None:
             most = min(MOST, shutil.disk_usage(folder).free // 2)
             if len(entries) > FILES or size > most:
                 raise ScenarioError(f"{len(entries)} files of {size} bytes in all, expected at most {FILES} of {most}")
-            seen: set[str] = set()
+            if size > max(SMALL, TIMES * path.stat().st_size):
+                raise ScenarioError(f"unpacks to {size} bytes, expected at most {TIMES} times its own size")
             for entry in entries:
-                _check(entry, seen)
-                place = folder / entry.filename
-                place.parent.mkdir(parents=True, exist_ok=True)
-                with archive.open(entry) as packed, place.open("xb") as file:  # gives what the entry declares, no more
-                    shutil.copyfileobj(packed, file, 1 << 20)
+                _check(entry, found)
+                found[entry.filename] = _extract(archive, entry, folder / entry.filename)
     except ScenarioError:
         raise
     except (*_DAMAGED, FileExistsError, NotADirectoryError) as error:
         raise ScenarioError(f"cannot be unpacked: {error}") from None
+    return found
 
 
-def _check(entry: zipfile.ZipInfo, seen: set[str]) -> None:
+def _check_list(path: Path) -> None:
+    """Refuse a list of entries that is longer than `FILES` can need, before zipfile reads all of it."""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - _END.size - 0xFFFF))
+        tail = file.read()
+    at = tail.rfind(b"PK\x05\x06")
+    if at >= 0 and len(tail) - at >= _END.size and (listed := _END.unpack_from(tail, at)[5]) > FILES * HEAD:
+        raise ScenarioError(f"its list of files is {listed} bytes long, expected at most {FILES * HEAD}")
+
+
+def _extract(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, place: Path) -> str:
+    """Write one file; give its SHA-256."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    digest = hashlib.sha256()
+    with archive.open(entry) as packed, place.open("xb") as file:  # gives what the entry declares, no more
+        while block := packed.read(1 << 20):
+            digest.update(block)
+            file.write(block)
+    return digest.hexdigest()
+
+
+def _check(entry: zipfile.ZipInfo, seen: Iterable[str]) -> None:
     """Refuse what is not a plain file at a place of its own below the folder."""
     name, kind = entry.filename, stat.S_IFMT(entry.external_attr >> 16)
     parts = name.split("/")
@@ -160,31 +209,29 @@ def _check(entry: zipfile.ZipInfo, seen: set[str]) -> None:
         raise ScenarioError(f"{name[:100]!r}: expected plain files below {SCENARIO}, {PACKAGES} and {BAG}, each once")
     if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or entry.flag_bits & 1:
         raise ScenarioError(f"{name[:100]!r}: expected it stored or deflated, and not encrypted")
-    seen.add(name)
+    if parts[0] == BAG and not _BAG.fullmatch(name):
+        raise ScenarioError(f"{name[:100]!r}: expected metadata.yaml and files of messages in {BAG}")
+    if entry.file_size > LARGEST.get(name, MOST):
+        raise ScenarioError(f"{name}: {entry.file_size} bytes, expected at most {LARGEST[name]}")
 
 
-def _bring(path: Path, folder: Path) -> None:
-    """Make the packages that a file brings importable, here and in every process that is started from here."""
-    brought = sorted(p.parent.name for p in (folder / PACKAGES).glob("*/package.xml"))
-    if brought:
-        layout = Path(os.environ.get("SOFTRIG_COMMAND") or "/").with_name("layout.py")
-        if layout.is_file():
-            prefix = cache_folder() / "packs" / f"{folder.name}-py{sys.version_info[0]}.{sys.version_info[1]}"
-            made = subprocess.run([sys.executable, layout, prefix, folder / PACKAGES], capture_output=True, text=True)
-            if made.returncode:
-                raise ScenarioError(f"{PACKAGES}: {' '.join(made.stderr.splitlines()[-1:])}")
-            library = next(prefix.glob("lib/python*/site-packages"))
-            for name, place in (("AMENT_PREFIX_PATH", prefix), ("PYTHONPATH", library)):
-                os.environ[name] = os.pathsep.join(filter(None, (str(place), os.environ.get(name))))
-            sys.path.insert(0, str(library))
-            invalidate_caches()
-            say(f"{path} brings {', '.join(brought)}: code of who has made it runs here")
-        elif absent := [name for name in brought if find_spec(name) is None]:
-            folders = " ".join(str(folder / PACKAGES / name) for name in absent)
-            raise ScenarioError(f"it brings {', '.join(absent)}, not installed here: pip install {folders}")
-    # papers that only its maker's folders of scenarios have
-    places = filter(None, (os.environ.get("SOFTRIG_SCENARIOS"), str(folder / SCENARIO)))
-    os.environ["SOFTRIG_SCENARIOS"] = os.pathsep.join(places)
+def _check_content(folder: Path, files: dict[str, str]) -> None:
+    """Refuse an unpacked file that is not what it says of itself: its files, packages, scenario and bag."""
+    said = about(folder)
+    if said.files and said.files != (there := {k: v for k, v in files.items() if k != ABOUT}):
+        other = sorted(k for k in {*said.files, *there} if said.files.get(k) != there.get(k))
+        raise ScenarioError(f"{other[0]!r} is not the file that {ABOUT} lists; expected the files as they were packed")
+    if f"{SCENARIO}/{said.scenario}.yaml" not in files:
+        raise ScenarioError(f"no {SCENARIO}/{said.scenario}.yaml in it, the scenario that {ABOUT} names")
+    for name in sorted({place.split("/")[1] for place in files if place.startswith(f"{PACKAGES}/")}):
+        if name not in said.packages:
+            raise ScenarioError(f"{PACKAGES}/{name[:100]}: {ABOUT} names no such package; expected the ones it names")
+    if any(place.startswith(f"{BAG}/") for place in files):
+        try:
+            with BagReader(folder / BAG):
+                pass
+        except BagError as error:
+            raise ScenarioError(str(error).replace(f"{folder}/", "")) from None
 
 
 def need_packages(where: object, packages: Iterable[str]) -> None:

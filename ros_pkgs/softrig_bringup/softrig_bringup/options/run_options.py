@@ -96,7 +96,12 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
     parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
     parser.add_argument("--connect", action="store_true", help="print how nodes of your own see the rig")
-    parser.set_defaults(view=False, paused=False, pace=0.0, address="", recalled=None)  # those of the verb `view`
+    parser.add_argument(
+        "--trust", action="store_true", help="with --like FILE or --from FILE@T: let the code in that file run"
+    )
+    parser.set_defaults(
+        words=(), view=False, paused=False, pace=0.0, address="", recalled=None
+    )  # those of the verb `view`
 
 
 def _moment(text: str) -> tuple[Path, float]:

@@ -74,6 +74,7 @@ class RunRecord(BaseModel):
     wiring: Wiring = Wiring()
     signals: dict[str, Shown] = {}
     origin: Origin | None = Field(default=None, alias="from")
+    doubts: tuple[str, ...] = ()
 
     @property
     def made_by(self) -> str:
@@ -120,11 +121,23 @@ def read_run(directory: Path) -> RunRecord:
     """
     path = directory / "metrics.json"
     try:
-        return RunRecord.model_validate(json.loads(path.read_text()))
+        return record_of(json.loads(path.read_text()), str(path))
     except OSError:
         raise ScenarioError(f"{directory}: no metrics.json in it, expected the directory of a run") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ScenarioError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg'].lower()}") from None
     except ValueError as error:
         raise ScenarioError(f"{path}: not valid JSON: {error}") from None
+
+
+def record_of(content: Any, where: str) -> RunRecord:
+    """Check the content of a metrics.json.
+
+    Raises
+    ------
+    ScenarioError
+        A key is missing or of the wrong type; names `where` and key.
+    """
+    try:
+        return RunRecord.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ScenarioError(f"{where}: {'.'.join(map(str, first['loc']))}: {first['msg'].lower()}") from None

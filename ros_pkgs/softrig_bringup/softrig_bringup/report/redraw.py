@@ -16,9 +16,11 @@ from softrig_core import Rig, ScenarioError, rig_of
 from softrig_core.command_line import Parser
 
 from ..folder import replace
+from ..options.packed import ABOUT, is_pack, opened
 from ..options.run_options import arguments, scenario_of
 from ..plots.curves import Curve, Source, with_plots
 from ..plots.pictures import UNDATED, plot_entry, plot_name, plot_run
+from .looked import rig_of_pack
 from .record import read_run
 
 MM = 25.4  # in an inch
@@ -39,6 +41,8 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
     """
     if directory.is_file():
         return _of_file(directory)
+    if (directory / ABOUT).is_file():  # a pack that somebody has unpacked
+        return rig_of_pack(directory)
     bag = directory / "bag" if (directory / "metrics.json").is_file() else directory
     if not bag.is_dir():
         raise ScenarioError(
@@ -56,9 +60,12 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
 def _of_file(path: Path) -> tuple[Rig, BagSignals]:
     from ..options.like import recall
 
+    if is_pack(path):
+        try:
+            return rig_of_pack(opened(path))
+        except ScenarioError as error:
+            raise ScenarioError(f"{path}: {error}") from None
     run = recall(path, _parser().parse_args)
-    if not run.bag.exists():
-        raise ScenarioError(f"{path}: no bag in it; `softrig run --like {path}` makes it again")
     return rig_of(scenario_of(run.options)), signals(run.bag)
 
 

@@ -7,9 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from softrig_core import ScenarioError
+from softrig_core.guard import say
 
+from ..options.packed import is_pack, opened
 from ..page.html import e, write_page
-from .record import read_run
+from .looked import doubts, record_of_pack
+from .record import RunRecord, read_run
 from .run_page import run_section
 from .several import differences, index, names, overlaid, side_by_side
 
@@ -18,7 +21,7 @@ MARK = "metrics.json"  # of the folder of a run
 
 def main(options: argparse.Namespace) -> int:
     """Write the page that is asked for."""
-    write_report(options.runs, options.out, options.label)
+    write_report(options.runs, options.out, options.label, doubted=True)
     print(f"wrote {options.out}")
     return 0
 
@@ -32,30 +35,40 @@ def _with_their_runs(directories: Sequence[Path]) -> list[Path]:
     return found
 
 
-def write_report(directories: Sequence[Path], output: Path, labels: Sequence[str] = ()) -> None:
+def write_report(
+    directories: Sequence[Path], output: Path, labels: Sequence[str] = (), *, doubted: bool = False
+) -> None:
     """Write one page about one or more runs.
 
     Parameters
     ----------
     directories : sequence of Path
         Run directories, or folders of such: ``metrics.json``, the bag, and the pictures of
-        `softrig_bringup.plots.pictures.plot_run`, as far as they are there.
+        `softrig_bringup.plots.pictures.plot_run`, as far as they are there; or packs, whose figures are computed.
     output : Path
         The HTML file; appears complete or not at all.
     labels : sequence of str
         What the runs are called, in their order; of those that it does not reach, their own label or folder.
+    doubted : bool
+        Whether bags are held against what their metrics.json says of them; what does not fit is said and marked.
 
     Raises
     ------
     ScenarioError
         A directory is not that of a run; more labels than runs.
     """
-    runs, without = [], []
+    runs: list[tuple[Path, RunRecord]] = []
+    without = []
     for directory in _with_their_runs(directories):
         if directory.is_dir() and not (directory / MARK).exists():
             without.append(str(directory))
-        else:
-            runs.append((directory, read_run(directory)))
+            continue
+        runs.append(_of_pack(directory) if is_pack(directory) else (directory, read_run(directory)))
+        folder, record = runs[-1]
+        if doubted and not record.doubts and (found := doubts(folder)):
+            runs[-1] = folder, record.model_copy(update={"doubts": found})
+        for doubt in runs[-1][1].doubts if doubted else ():
+            say(f"{directory}: {doubt}")
     if not runs:
         part = any(any(Path(directory, "log").glob("*.shard")) for directory in without)
         rest = "; of parts of a rig (--only) softrig bag repair makes one bag from their .shard files" if part else ""
@@ -81,3 +94,13 @@ def write_report(directories: Sequence[Path], output: Path, labels: Sequence[str
     if without:
         body.append(e("p", f"Left out, for want of a metrics.json: {', '.join(without)}", class_="note"))
     write_page(output, title, body)
+
+
+def _of_pack(path: Path) -> tuple[Path, RunRecord]:
+    """Read a pack as a run, without any code of its sender."""
+    folder = opened(path)
+    try:
+        run = record_of_pack(folder)
+    except ScenarioError as error:
+        raise ScenarioError(f"{path}: {error}") from None
+    return folder, run.model_copy(update={"label": run.label or path.name})

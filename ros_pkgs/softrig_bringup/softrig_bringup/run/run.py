@@ -48,6 +48,7 @@ from softrig_nodes.processes.placement import NOBODY, Listener, Placement
 from softrig_nodes.processes.stopping import signal_of, stoppable, unstopped
 
 from ..folder import ResultsFolder
+from ..options.identity import identity
 from ..options.like import from_outside, lateness
 from ..page.citations import cited
 from ..page.wiring import wiring_of
@@ -283,12 +284,14 @@ def save(
         Whether what the nodes say beside their signals is in it.
     """
     with _writing(folder) as directory, unstopped():
+        texts = _texts(run.rig) if health else {}
+        if record:
+            recording = with_scenery(run.recording, _scenes(run.rig))
+            recording = with_health(recording, texts, run.status) if health else recording
+            content = {**content, "run": identity(run.rig, run.seed, recording)}
         # first: if the disk is full, this is what tells why
         (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
         if record:
-            recording = with_scenery(run.recording, _scenes(run.rig))
-            texts = _texts(run.rig) if health else {}
-            recording = with_health(recording, texts, run.status) if health else recording
             write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=[*LATCHED, *texts])
 
 
@@ -333,7 +336,7 @@ def _scenes(rig: Rig) -> dict[str, Scene]:
 
 
 def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
-    keys = ("scenario", "mode", "seed", "versions", "code", "command")
+    keys = ("scenario", "mode", "seed", "versions", "code", "command", "run")
 
     epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time
     late = lateness(run.status) if run.epoch else {}

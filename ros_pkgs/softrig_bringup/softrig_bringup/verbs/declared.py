@@ -28,6 +28,7 @@ def verbs(verb: Verb) -> None:
     pack.add_argument("run", type=Path, metavar="RUN", help="its folder, or its bag")
     pack.add_argument("--out", type=Path, metavar="FILE", help="the new file (SCENARIO.softrig.zip, here)")
     pack.add_argument("--no-bag", action="store_true", help="without what was recorded: digests are compared")
+    pack.add_argument("--sign", type=Path, metavar="KEY", help="sign it with an SSH key (ssh-keygen -Y), as FILE.sig")
     env = verb(
         "env",
         "cli:env",
@@ -62,7 +63,7 @@ def _run_and_look(verb: Verb) -> None:
     )
     look.set_defaults(mode="container")
     report = verb("report", "report.report:main", "one self-contained HTML page from one or more runs")
-    report.add_argument("runs", nargs="+", type=Path, metavar="DIR")
+    report.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="its folder, or a file of `pack`")
     report.add_argument("--out", type=Path, default=Path("report.html"))
     report.add_argument(
         "--label",
@@ -75,7 +76,7 @@ def _run_and_look(verb: Verb) -> None:
     kinds = draw.add_subparsers(required=True, metavar="WHAT")
     text = "pictures of a run that is over, for a paper: size, letters, data"
     plot = verb("plot", "report.redraw:main", text, kinds)
-    plot.add_argument("run", type=Path, metavar="DIR", help="of a run, or a bag that a run has written")
+    plot.add_argument("run", type=Path, metavar="RUN", help="its folder, its bag, or a file of `pack`")
     plot.add_argument(
         "signals", nargs="*", metavar="SIGNAL", help="one picture of these (default: the scenario's plots)"
     )

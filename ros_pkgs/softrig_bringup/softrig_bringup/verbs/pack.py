@@ -24,9 +24,26 @@ from softrig_core.judge import registry
 from softrig_core.rig.code import fingerprints
 
 from ..options import repeat
+from ..options.cargo import GROUPS, brings
+from ..options.identity import HALF, asked_half, strangers
 from ..options.like import TAPE, Recalled, digests, from_outside, recall, repeated
-from ..options.packed import ABOUT, BAG, FILES, METRICS, MOST, PACKAGES, SCENARIO, SUFFIX, About
+from ..options.packed import (
+    ABOUT,
+    BAG,
+    FILES,
+    METRICS,
+    MOST,
+    PACKAGES,
+    SCENARIO,
+    SUFFIX,
+    About,
+    about,
+    digest_of,
+    is_pack,
+    opened,
+)
 from ..options.run_options import Again, scenario_of
+from ..options.signature import beside, sign, signed_by
 from ..page.citations import FILE as REFERENCES
 
 _BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_modules"}  # not sources
@@ -52,7 +69,10 @@ def main(options: argparse.Namespace) -> int:
     print(
         f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {', '.join([packed.about.scenario, bag, *own])}; elsewhere:"
     )
-    print(f"  scripts/softrig run --like {out.name}")
+    print(f"  scripts/softrig run --like {out.name}{' --trust' if own else ''}")
+    if options.sign is not None:
+        sign(out, options.sign)
+        print(f"wrote {beside(out)}: {signed_by(out)}")
     for name in packed.lacks:
         say(
             f"not in it: package {name}, whose sources are in no workspace here (--workspace DIR); who runs it needs it"
@@ -75,12 +95,15 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
     ScenarioError
         No run; what it was made of is no longer what it was; its bag alone has what is needed, and is to be left out.
     """
+    if is_pack(run) and (names := brings(unpacked := opened(run), about(unpacked))):
+        raise ScenarioError(f"{run}: it brings {', '.join(names)}, which packing would run; send that file on as it is")
     before = recall(run, Again().parse_args)
     content = _beside(before.bag)
     scenario = scenario_of(before.options)
     scenario = scenario.having(nodes={name: entry for name, entry in scenario.nodes.items() if name != TAPE})
     rig = rig_of(scenario)
     _unchanged(run, rig, content)
+    _one_run(run, rig, content, before)
     classes = [m.block_class for m in rig.members]
     measures = {e.function or name for name, e in scenario.figures.items()} & {*registry.registered()}
     code = fingerprints(classes, (registry.find(name).__module__ for name in sorted(measures)))
@@ -89,9 +112,11 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
         say(f"the code of {name} is no longer that of the run ({was[name]} then, {code[name]} now): it may not repeat")
     own = [name for name in code if not name.startswith("softrig_")]
     sources = {name: _sources(name) for name in own}
-    about = About(
+    said = About(
         scenario=scenario.name,
         packages={name: _version(name) for name in own},
+        offers={name: _offers(name) for name in own if sources[name]},
+        run=str(content.get("run", "")),
         versions=before.made_with.get("versions", {}),
         code=was,
         contents=before.made_with.get("contents", {}),
@@ -114,7 +139,7 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
     if bag:
         places = [before.bag] if before.bag.is_file() else sorted(f for f in before.bag.iterdir() if f.is_file())
         files |= {f"{BAG}/{file.name}": file for file in places}
-    return _Pack(files, about, tuple(name for name, folder in sources.items() if folder is None))
+    return _Pack(files, said, tuple(name for name, folder in sources.items() if folder is None))
 
 
 def write(packed: _Pack, out: Path) -> None:
@@ -125,7 +150,9 @@ def write(packed: _Pack, out: Path) -> None:
     ScenarioError
         It would be larger than who unpacks it takes.
     """
-    files: dict[str, bytes | Path] = {ABOUT: packed.about.model_dump_json(indent=1).encode() + b"\n", **packed.files}
+    listed = {place: _sha256(content) for place, content in packed.files.items()}
+    about = packed.about.model_copy(update={"files": listed})
+    files: dict[str, bytes | Path] = {ABOUT: about.model_dump_json(indent=1).encode() + b"\n", **packed.files}
     size = sum(len(c) if isinstance(c, bytes) else c.stat().st_size for c in files.values())
     if len(files) > FILES or size > MOST:
         raise ScenarioError(f"{len(files)} files of {size} bytes in all, expected at most {FILES} of {MOST}; --no-bag?")
@@ -145,6 +172,30 @@ def write(packed: _Pack, out: Path) -> None:
         part.replace(out)
     finally:
         part.unlink(missing_ok=True)
+
+
+def _sha256(content: bytes | Path) -> str:
+    return digest_of(content) if isinstance(content, Path) else hashlib.sha256(content).hexdigest()
+
+
+def _one_run(run: Path, rig: Rig, content: Mapping[str, Any], before: Recalled) -> None:
+    """Refuse what is not of one run: the figures of one beside the bag or the scenario of another."""
+    recording = before.recording if before.recording.topics else None
+    wrong = strangers(content, before.bag_says, recording)
+    digest = str(content.get("run", ""))
+    if digest and not wrong and asked_half(rig, int(content["seed"])) != digest[HALF:]:
+        wrong = ["its scenario gives another duration, seed or parameters than the run had"]
+    if wrong:
+        raise ScenarioError(f"{run}: {wrong[0]}; run it again")
+
+
+def _offers(package: str) -> dict[str, dict[str, str]]:
+    """List the entry points of a package, by group."""
+    found: dict[str, dict[str, str]] = {}
+    for point in importlib.metadata.distribution(package).entry_points:
+        if point.group in GROUPS:
+            found.setdefault(point.group, {})[point.name] = point.value
+    return found
 
 
 def _beside(bag: Path) -> dict[str, Any]:
@@ -233,7 +284,7 @@ def _sources(package: str) -> Path | None:
         pass
     for place in places:
         for manifest in (place / "package.xml", *place.glob("*/package.xml"), *place.glob("src/**/package.xml")):
-            if manifest.is_file() and _named(manifest) == package and manifest.with_name("setup.cfg").is_file():
+            if manifest.is_file() and _named(manifest) == package and manifest.with_name(package).is_dir():
                 return manifest.parent
     return None
 

@@ -24,9 +24,10 @@ from softrig_nodes.processes.placement import Listener
 from softrig_nodes.processes.stopping import stoppable, unstopped
 
 from ..folder import ResultsFolder
-from ..options import packed
+from ..options.packed import BAG, METRICS, is_pack, opened
 from ..options.repeat import words
 from ..options.run_options import begun, changed_words, folder_name, placement_of, repeat, scenario_of
+from ..options.trust import admitted
 from ..page.wording import NEVER, accepted, in_words, measured_here, short, spans
 from ..run.run import checked, execute, illustrate, once_broken_off, save, summary, tripped, turned
 from ..terminal.listing import console as make_console, styled
@@ -52,8 +53,8 @@ def _run_reserved(options: argparse.Namespace) -> int:
         raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
     if options.view:
         _check_view(options)
-    if options.like is not None and packed.is_pack(options.like):
-        packed.opened(options.like)  # what it brings has to be there before any process is
+    if (status := admitted(options)) is not None:  # what a pack brings has to be there before any process is
+        return status
     if options.mode != "inprocess":
         prepare(environment(0, Path()))  # on another core, while this one reads and checks the scenario
     scenario = scenario_of(options)
@@ -204,6 +205,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
             from ..options.like import compared
 
             same, told = compared(options.recalled, done, content)
+            told = [*_doubts(options.like), *told]
         if options.recalled is not None:
             content["repeats"] = told
             same = same or bool(options.recalled.late) or bool(done.epoch)
@@ -220,6 +222,17 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
             suite = replace(suite, cases=[replace(case, failure="") for case in suite.cases])
         write_junit(options.junit, [replace(suite, error=suite.error or done.stopped_at)])
     return _Kept(content, changed, same, told)
+
+
+def _doubts(like: Path) -> list[str]:
+    """Say what a pack or a run says of itself that its own bag does not bear out."""
+    from ..report.looked import doubts, record_of_pack
+
+    if not is_pack(like):
+        return [f"{like}: {doubt}" for doubt in doubts(like)]
+    folder = opened(like)
+    with_both = (folder / BAG).is_dir() and (folder / METRICS).is_file()
+    return [f"{like}: {doubt}" for doubt in record_of_pack(folder).doubts] if with_both else []
 
 
 def _speak(kept: _Kept, done: Run, out: Path | None) -> None:

@@ -15,6 +15,9 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
+from softrig_core.guard import tell
+from softrig_core.kit.confined import confine, forbidden
+
 from .instance import Instance, Numbers, Plan, Refusal
 
 LEAVE = 3.0  # s: after which a process that does not end is killed
@@ -29,6 +32,8 @@ class Isolated:
     ----------
     seconds : float
         Wall-clock time after which a call is given up and the process killed.
+    confined : bool
+        Whether it loses the network and everything that it may write, where the system allows that.
 
     Raises
     ------
@@ -36,8 +41,8 @@ class Isolated:
         By every method: the FMU refused, crashed, or did not answer in time.
     """
 
-    def __init__(self, plan: Plan, seconds: float) -> None:
-        self._plan, self._seconds = plan, seconds
+    def __init__(self, plan: Plan, seconds: float, confined: bool = False) -> None:
+        self._plan, self._seconds, self._confined = plan, seconds, confined
         self._launch()
 
     def _launch(self) -> None:
@@ -50,7 +55,7 @@ class Isolated:
         self._poll = select.poll()
         self._poll.register(self._pipe.fileno(), select.POLLIN)
         self._end = weakref.finalize(self, _kill, self._process, self._pipe)
-        self._pipe.send(sys.path)
+        self._pipe.send((sys.path, self._plan.folder if self._confined else ""))
         self._call("__init__", self._plan, seconds=max(self._seconds, START))
 
     def begin(self) -> Numbers:
@@ -151,6 +156,15 @@ def main() -> None:
     os._exit(os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else 1)
 
 
+def _confine(folder: str) -> None:
+    """Keep the FMU from the network and from files, or say why not."""
+    if why := forbidden():
+        tell("fmu", f"{folder} runs with all rights of this user: the system allows no namespaces ({why})")
+        return
+    confine([folder])
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # other rights have cleared it
+
+
 def _reaped(fmu: int) -> int | None:
     """Take leave of all children that have ended; the status of the FMU where it is one of them."""
     status = None
@@ -181,7 +195,9 @@ def _sweep() -> None:
 
 def _answer(pipe: Connection) -> None:
     """Answer calls."""
-    sys.path[:] = pipe.recv()
+    sys.path[:], folder = pipe.recv()
+    if folder:
+        _confine(folder)
     instance: Any = None
     while True:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any, Literal, NamedTuple, Self
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, ParameterError, Plant, Port, RunError, param
 from softrig_core.block.schedule import Schedule, rational
+from softrig_core.kit.confined import STRANGE
 
 from .description import Description, Variable, describe, unpacked
 from .instance import Cell, Instance, Plan, Refusal
@@ -189,10 +191,11 @@ class _Fmu(Block[FmuParams]):
             p.log,
         )
         self._make: Callable[[], Any] = lambda: Instance(plan)
-        if p.isolated:
+        strange = bool(os.environ.get(STRANGE))  # then the scenario, too, is somebody else's, `isolated` included
+        if p.isolated or strange:
             from .child import Isolated
 
-            self._make = lambda: Isolated(plan, p.timeout)
+            self._make = lambda: Isolated(plan, p.timeout, strange)
         self._keys = [port.name for port in p.reads.ports]
         self._running = Running() if before is None else before
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib.metadata
-from functools import cache
+import sys
+from functools import lru_cache
 from typing import Any
 
 from ..errors import ScenarioError, closest
@@ -13,8 +14,12 @@ from .measures import Function
 GROUP = "softrig_figures"
 
 
-@cache
 def _points() -> dict[str, importlib.metadata.EntryPoint]:
+    return _installed(tuple(sys.path))  # a pack may bring more
+
+
+@lru_cache(maxsize=8)
+def _installed(_: tuple[str, ...]) -> dict[str, importlib.metadata.EntryPoint]:
     return {p.name: p for p in importlib.metadata.entry_points(group=GROUP)}
 
 

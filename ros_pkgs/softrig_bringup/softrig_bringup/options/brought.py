@@ -1,0 +1,85 @@
+"""Code of a pack that somebody has confirmed: imported from one folder of the cache, for this process and its own."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable
+from importlib import invalidate_caches
+from pathlib import Path
+from shutil import copytree, rmtree
+from tempfile import mkdtemp
+
+from softrig_core.kit.compiled import cache_folder
+
+from .cargo import Package
+
+_FORM = 1  # of what `_lay_out` makes
+_EXECUTABLE = """#!{python}
+import sys
+
+from {module} import {first}
+
+if __name__ == "__main__":  # processes that it starts import it
+    sys.exit({function}())
+"""
+
+
+def bring(digest: str, packages: Iterable[Package]) -> None:
+    """Make packages importable, here and in every process that is started from here.
+
+    Their folder holds nothing but them, and comes last: no module that is here is replaced.
+
+    Parameters
+    ----------
+    digest : str
+        Of the pack.
+    packages : iterable of Package
+        Whose names have been checked.
+    """
+    prefix = cache_folder() / "packs" / f"{digest}-code{_FORM}-py{sys.version_info[0]}.{sys.version_info[1]}"
+    if not prefix.is_dir():
+        new = Path(mkdtemp(dir=prefix.parent, prefix=".new_"))
+        try:
+            for package in packages:
+                _lay_out(package, new)
+            if not prefix.is_dir():
+                new.rename(prefix)
+        finally:
+            rmtree(new, ignore_errors=True)
+    library = str(prefix / "python")
+    for name, place in (("AMENT_PREFIX_PATH", str(prefix)), ("PYTHONPATH", library)):
+        there = [p for p in os.environ.get(name, "").split(os.pathsep) if p and p != place]
+        os.environ[name] = os.pathsep.join([*there, place])
+    if library not in sys.path:
+        sys.path.append(library)
+    invalidate_caches()
+
+
+def _lay_out(package: Package, prefix: Path) -> None:
+    """Write what Python and the ament index read of a package; the text is ours."""
+    name, library = package.name, prefix / "python"
+    about = library / f"{name}-{package.version}.dist-info"
+    about.mkdir(parents=True)
+    copytree(package.folder / name, library / name)  # what Python compiles beside it is no part of the pack
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {package.version}\n")
+    groups = (
+        f"[{group}]\n" + "".join(f"{point} = {target}\n" for point, target in points.items())
+        for group, points in package.offers.items()
+    )
+    (about / "entry_points.txt").write_text("\n".join(groups))
+    mark = prefix / "share/ament_index/resource_index/packages" / name
+    for place in (mark, prefix / "lib" / name / "x", prefix / "share" / name / "x"):
+        place.parent.mkdir(parents=True, exist_ok=True)
+    mark.touch()
+    for point, target in package.offers.get("console_scripts", {}).items():
+        module, _, function = target.partition(":")
+        script = prefix / "lib" / name / point
+        first = function.partition(".")[0]
+        script.write_text(_EXECUTABLE.format(python=sys.executable, module=module, first=first, function=function))
+        script.chmod(0o755)
+    for relative, file in package.share.items():
+        place = prefix / relative
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.unlink(missing_ok=True)
+        place.symlink_to(file)

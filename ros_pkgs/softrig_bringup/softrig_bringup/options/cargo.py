@@ -1,0 +1,314 @@
+"""What of a pack is code: its packages and FMUs, read as data and listed by their true names before anything runs."""
+
+from __future__ import annotations
+
+import configparser
+import hashlib
+import importlib.metadata
+import keyword
+import os
+import re
+import sys
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from softrig_core import Scenario, ScenarioError, load_scenario
+from softrig_core.extras import EXTRAS
+from softrig_core.judge import registry
+from softrig_core.kit.resource import prefixes
+from softrig_core.wire.types import TYPES
+
+from .packed import PACKAGES, SCENARIO, About, digest_of
+
+GROUPS = ("console_scripts", "softrig_figures", "softrig_policies", "softrig_problems")
+LETTERS = 16  # of a SHA-256 that are shown
+SETUP = 1 << 20  # bytes of a setup.cfg
+_STARTS = {"sitecustomize", "usercustomize"}  # what Python imports by itself when it starts
+_IMPORT = re.compile(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)|find_spec\(\"(\w+)\"\)", re.MULTILINE)
+_POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
+_TARGET = re.compile(r"(\w+)((?:\.\w+)*):(\w+(?:\.\w+)*)", re.ASCII)
+_COMPILED = {".pyc", ".pyo", ".pth"}
+_MACHINE = {".so", ".dll", ".dylib", ".pyd"}
+
+
+@dataclass(frozen=True)
+class Package:
+    """A package that a pack brings.
+
+    Parameters
+    ----------
+    folder : Path
+        Of its sources; the Python package is the folder of its name below.
+    files : mapping of str to Path
+        By their places in `folder`.
+    offers : mapping of str to mapping of str to str
+        Entry points by group: name to ``module:function``.
+    share : mapping of str to Path
+        Files below the install prefix, by their places there.
+    """
+
+    name: str
+    version: str
+    folder: Path
+    files: Mapping[str, Path]
+    offers: Mapping[str, Mapping[str, str]]
+    share: Mapping[str, Path]
+
+    def __str__(self) -> str:
+        lines = sum(file.read_bytes().count(b"\n") for file in self.files.values() if file.suffix == ".py")
+        digest = hashlib.sha256("".join(f"{k}\0{digest_of(v)}\n" for k, v in self.files.items()).encode()).hexdigest()
+        machine = [true_name(place) for place, file in self.files.items() if file.suffix in _MACHINE]
+        code = f", machine code {', '.join(machine)}" if machine else ""
+        return (
+            f"package {self.name} {self.version}: {len(self.files)} files, {lines} lines of Python{code}, "
+            f"sha256 {digest[:LETTERS]}"
+        )
+
+
+@dataclass(frozen=True)
+class Unit:
+    """An FMU in a pack: a file with machine code for some platforms."""
+
+    path: Path
+    name: str
+    binaries: tuple[str, ...]
+
+    def __str__(self) -> str:
+        code = ", ".join(map(true_name, self.binaries)) or "no binary"
+        return f"FMU {true_name(self.name)}: {code}, sha256 {digest_of(self.path)[:LETTERS]}"
+
+
+@dataclass(frozen=True)
+class Cargo:
+    """All code of a pack; `kept_out` are packages of its names that are installed here and run in their place."""
+
+    packages: tuple[Package, ...] = ()
+    units: tuple[Unit, ...] = ()
+    kept_out: tuple[str, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.packages or self.units)
+
+    def __iter__(self) -> Iterator[str]:
+        yield from map(str, (*self.packages, *self.units))
+
+
+def true_name(text: str) -> str:
+    """Return a name as it is written: every character that could pass for another one is shown by its number."""
+    return text if text.isascii() and text.isprintable() else ascii(text)[1:-1]
+
+
+def cargo_of(folder: Path, said: About) -> Cargo:
+    """Find all code in an unpacked pack; nothing of it is imported or built.
+
+    Raises
+    ------
+    ScenarioError
+        A package has the name of a library, offers what is not in it, or would put files elsewhere; the scenario names
+        a file outside of the pack, or a package that the pack does not name.
+    """
+    check_scenario(folder, load_scenario(str(folder / SCENARIO / f"{said.scenario}.yaml")), said)
+    packages, kept_out = [], []
+    for name in sorted(p.name for p in (folder / PACKAGES).glob("*")):
+        if _is_rig_package(name):
+            kept_out.append(name)
+            continue
+        check_name(name)
+        packages.append(_read(folder / PACKAGES / name, said))
+    files = [f for place in (SCENARIO, PACKAGES) for f in sorted((folder / place).rglob("*")) if f.is_file()]
+    brought = {p.folder for p in packages}
+    units = [
+        Unit(f, str(f.relative_to(folder)), found)
+        for f in files
+        if (f.is_relative_to(folder / SCENARIO) or brought & {*f.parents}) and (found := _binaries(f)) is not None
+    ]
+    return Cargo(tuple(packages), tuple(units), tuple(kept_out))
+
+
+def brings(folder: Path, said: About) -> list[str]:
+    """List the packages that a scenario's nodes need and that only the pack has."""
+    return [n for n in said.packages if (folder / PACKAGES / n).is_dir() and not _is_rig_package(n)]
+
+
+def _binaries(path: Path) -> tuple[str, ...] | None:
+    """List what an FMU has of machine code; None where the file is none."""
+    if not zipfile.is_zipfile(path):
+        return None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    except (zipfile.BadZipFile, ValueError, NotImplementedError):
+        return ()
+    return tuple(n for n in names if n.startswith(("binaries/", "sources/")) and not n.endswith("/"))[:20]
+
+
+# names ----------------------------------------------------------------------------------------------------------------
+
+
+def check_name(name: str) -> None:
+    """Refuse a package whose name is that of a module which is here already, or which softrig looks for.
+
+    Raises
+    ------
+    ScenarioError
+    """
+    if name in sys.stdlib_module_names or name in _STARTS or keyword.iskeyword(name):
+        whose = "Python's own"
+    elif name.lower().startswith("softrig"):
+        whose = "softrig's own"
+    elif name in _wanted():
+        whose = "a library's that softrig uses"
+    elif find_spec(name) is not None or _plain(name) in _distributions():
+        whose = "a library's that is installed here"
+    else:
+        return
+    raise ScenarioError(f"{PACKAGES}/{name}: that name is {whose}; a pack may not replace it: rename the package")
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_.]+", "_", name).lower()
+
+
+def _distributions() -> set[str]:
+    return {_plain(d.name) for d in importlib.metadata.distributions() if d.name}
+
+
+@cache
+def _wanted() -> frozenset[str]:
+    """List what softrig imports anywhere, also what is not installed here."""
+    found = {*EXTRAS, *(name.partition("/")[0] for name in TYPES), "builtin_interfaces", "rosidl_runtime_py"}
+    for place in sys.path:
+        for folder in Path(place).glob("softrig_*") if place else ():
+            for file in folder.rglob("*.py"):
+                found.update(*_IMPORT.findall(file.read_text(encoding="utf-8")))
+    return frozenset(found)
+
+
+def _is_rig_package(name: str) -> bool:
+    """Whether a package of this name is installed here as a package of nodes: then it is used, and not the pack's."""
+    marks = (prefix / "share" / "ament_index" / "resource_index" / "packages" / name for prefix in prefixes())
+    return not name.startswith("softrig") and find_spec(name) is not None and any(map(os.path.isfile, marks))
+
+
+# scenario -------------------------------------------------------------------------------------------------------------
+
+
+def check_scenario(folder: Path, scenario: Scenario, said: About) -> None:
+    """Refuse a scenario that reaches out of its pack: to files elsewhere, or to packages that it does not name.
+
+    Raises
+    ------
+    ScenarioError
+    """
+    for node, entry in scenario.nodes.items():
+        if entry.package not in said.packages and not entry.package.startswith("softrig_"):
+            raise ScenarioError(
+                f"node {node} is of package {entry.package!r}, which pack.json does not name; expected one of "
+                f"{', '.join(['softrig_*', *said.packages])}"
+            )
+        for value in _texts(entry.parameters):
+            path = Path(value) if len(value) < 4096 and "\0" not in value else None
+            there = path is not None and (os.path.isfile(path) or (path.is_absolute() and os.path.exists(path)))
+            if there and path is not None and not path.resolve().is_relative_to(folder.resolve()):
+                raise ScenarioError(
+                    f"node {node} names {value[:200]!r}, a file outside of the pack; expected one in it"
+                )
+
+
+def _texts(value: Any) -> Iterable[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for each in value.values():
+            yield from _texts(each)
+    elif isinstance(value, list | tuple):
+        for each in value:
+            yield from _texts(each)
+
+
+# packages -------------------------------------------------------------------------------------------------------------
+
+
+def _read(folder: Path, said: About) -> Package:
+    """Read a package as data."""
+    name = folder.name
+    files = {str(f.relative_to(folder)): f for f in sorted(folder.rglob("*")) if f.is_file()}
+    if not any(place.startswith(f"{name}/") and place.endswith(".py") for place in files):
+        raise ScenarioError(f"{PACKAGES}/{name}: no Python in {name}/{name}, expected the package's modules there")
+    compiled = next((k for k, f in files.items() if f.suffix in _COMPILED or "__pycache__" in f.parts), None)
+    if compiled is not None:
+        raise ScenarioError(
+            f"{PACKAGES}/{name}/{true_name(compiled)}: expected sources alone, as `softrig pack` writes"
+        )
+    config = _setup(folder)
+    if (own := config.get("metadata", "name", fallback=name)) != name:
+        raise ScenarioError(f"{PACKAGES}/{name}/setup.cfg: name = {own!r}, expected {name}, as its folder is called")
+    offers = said.offers.get(name)
+    if offers is None:
+        offers = {group: dict(_points(config.get("options.entry_points", group, fallback=""))) for group in GROUPS}
+        known = config.options("options.entry_points") if config.has_section("options.entry_points") else []
+        offers |= {group: {} for group in known if group not in GROUPS}
+    _check_offers(name, offers)
+    version = said.packages[name]
+    version = version if re.fullmatch(r"[A-Za-z0-9.+!_-]{1,50}", version) else "unknown"
+    return Package(name, version, folder, files, offers, dict(_share(name, files, config)))
+
+
+def _setup(folder: Path) -> configparser.ConfigParser:
+    """Read setup.cfg, where there is one, as the pairs of words that it is."""
+    config = configparser.ConfigParser(delimiters=("=",), interpolation=None)
+    config.optionxform = str  # type: ignore[assignment,method-assign] # names keep their case
+    file = folder / "setup.cfg"
+    try:
+        if file.is_file():
+            if file.stat().st_size > SETUP:
+                raise ScenarioError(f"{PACKAGES}/{folder.name}/setup.cfg: expected at most {SETUP} bytes")
+            config.read_string(file.read_text(encoding="utf-8"))
+    except (configparser.Error, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{PACKAGES}/{folder.name}/setup.cfg: {' '.join(str(error).split())}") from None
+    return config
+
+
+def _points(text: str) -> Iterator[tuple[str, str]]:
+    for line in filter(None, map(str.strip, text.split("\n"))):
+        point, _, target = (part.strip() for part in line.partition("="))
+        yield point, target
+
+
+def _check_offers(name: str, offers: Mapping[str, Mapping[str, str]]) -> None:
+    """Refuse entry points of other kinds than rigs use, of other packages' functions, or with the names of ours."""
+    for group, points in offers.items():
+        if group not in GROUPS:
+            raise ScenarioError(f"{PACKAGES}/{name}: entry points of {group!r}; expected {', '.join(GROUPS)}")
+        for point, target in points.items():
+            found = _TARGET.fullmatch(target)
+            if not _POINT.fullmatch(point) or not found or found[1] != name:
+                raise ScenarioError(
+                    f"{PACKAGES}/{name}: {group}: {f'{point} = {target}'[:200]!r}; "
+                    f"expected NAME = {name}.MODULE:FUNCTION"
+                )
+            if group == registry.GROUP and point in registry.registered():
+                raise ScenarioError(f"{PACKAGES}/{name}: the figure function {point} is there already; rename it")
+
+
+def _share(name: str, files: Mapping[str, Path], config: configparser.ConfigParser) -> Iterator[tuple[str, Path]]:
+    """Give the data files by their places below the prefix: those of the package itself, and nowhere else."""
+    for place, patterns in config.items("options.data_files") if config.has_section("options.data_files") else ():
+        parts = place.strip().split("/")
+        if place == "share/ament_index/resource_index/packages":
+            continue
+        if parts[:2] != ["share", name] or ".." in parts or "." in parts or "" in parts:
+            raise ScenarioError(
+                f"{PACKAGES}/{name}/setup.cfg: data files for {place[:200]!r}; expected them in share/{name}"
+            )
+        for pattern in filter(None, map(str.strip, patterns.replace("\n", ",").split(","))):
+            for relative, file in files.items():
+                same = os.path.dirname(relative) == os.path.dirname(pattern)
+                if same and fnmatchcase(os.path.basename(relative), os.path.basename(pattern)):
+                    yield f"{place}/{file.name}", file

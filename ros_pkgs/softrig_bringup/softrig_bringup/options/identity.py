@@ -1,0 +1,84 @@
+"""One digest that bag, figures and scenario of a run share: what does not belong together is recognised."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from softrig_core import Rig
+from softrig_core.block.params import flatten
+from softrig_core.wire.recording import CHUNK, Recording
+
+HALF = 16  # letters for what was recorded; as many for what was asked follow
+NOT_NODES = ("recorded_inputs",)  # says what came from outside once more: of a repetition, not of the run
+
+
+def identity(rig: Rig, seed: int, recording: Recording) -> str:
+    """Compute the digest of a run.
+
+    Parameters
+    ----------
+    rig : Rig
+        As it began.
+    seed : int
+        Of the run.
+    recording : Recording
+        As the bag has it.
+    """
+    return recorded_half(recording) + asked_half(rig, seed)
+
+
+def recorded_half(recording: Recording) -> str:
+    """Compute the half that says what was recorded: topics, times and bytes."""
+    whole = hashlib.sha256()
+    for name in sorted(name for name, topic in recording.topics.items() if topic.times):
+        topic = recording.topics[name]
+        times, data = topic.ticks(), (data for _, data in topic.stream())
+        content = hashlib.sha256(times.astype("<i8").tobytes())
+        while block := b"".join(islice(data, CHUNK)):
+            content.update(block)
+        whole.update(f"{name}\0{topic.msgtype}\0{len(times)}\0".encode() + content.digest())
+    return whole.hexdigest()[:HALF]
+
+
+def asked_half(rig: Rig, seed: int) -> str:
+    """Compute the half that says what was asked: length, seed and the parameters of all nodes at the start.
+
+    Of a file its name counts: a pack has it in another folder.
+    """
+    nodes = {m.name: _plain(flatten(m.params)) for m in rig.members if not m.external and m.name not in NOT_NODES}
+    asked = {"duration": rig.scenario.duration, "seed": seed, "nodes": nodes}
+    return hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode()).hexdigest()[:HALF]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return Path(value).name if isinstance(value, str) and "/" in value and Path(value).suffix else value
+
+
+def strangers(content: Mapping[str, Any], bag: Mapping[str, str], recording: Recording | None) -> list[str]:
+    """Say what of a run does not belong together; nothing where all does, or where it is of an older version.
+
+    Parameters
+    ----------
+    content : mapping
+        Of metrics.json.
+    bag : mapping
+        What the bag says of itself.
+    recording : Recording, optional
+        What is in the bag.
+    """
+    figures, bagged = str(content.get("run", "")), str(bag.get("run", ""))
+    if figures and bagged and figures != bagged:
+        return [f"metrics.json is of run {figures[:HALF]}, the bag of run {bagged[:HALF]}: they do not belong together"]
+    said = figures or bagged
+    if said and recording is not None and (found := recorded_half(recording)) != said[:HALF]:
+        return [f"the bag is not as it was written: its messages are {found}, of the run {said[:HALF]}"]
+    return []

@@ -1,0 +1,168 @@
+"""Run the code of somebody else in bubblewrap, where the machine has it: no network, no home, one folder to write.
+
+Everything else is read-only, other processes are not to be seen, and the terminal is not within reach: what the run
+prints comes through pipes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+from typing import IO
+
+from softrig_core import ScenarioError
+from softrig_core.guard import plain, say
+from softrig_core.kit.compiled import cache_folder
+from softrig_core.scenario.scenario_file import scenario_folders
+
+from .packed import digest_of
+
+VARIABLE = "SOFTRIG_SANDBOX"  # set inside
+_HIDDEN = ("/tmp", "/var/tmp", "/run")
+_PASSED = re.compile(
+    r"PATH|HOME|LANG|LC_\w+|TZ|TERM|COLUMNS|VIRTUAL_ENV|AMENT_PREFIX_PATH|LD_LIBRARY_PATH|XDG_CACHE_HOME"
+    r"|(?:SOFTRIG|PYTHON|ROS|RMW|OMP|OPENBLAS|NUMBA|MKL)\w*"
+)
+_OUTSIDE = ("view", "junit", "domain", "connect")  # options that need the network or another file
+
+
+def inside() -> bool:
+    """Return whether this process runs in a sandbox of ours."""
+    return os.environ.get(VARIABLE) == "1"
+
+
+def command(options: argparse.Namespace) -> list[str] | None:
+    """Make the command that repeats this call in bubblewrap; None where there is none that works.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Of the verb `run`, with `words`, the command line that they come from.
+    """
+    if (program := shutil.which("bwrap")) is None:
+        return None
+    asked = [f"--{name}" if name != "view" else name for name in _OUTSIDE if getattr(options, name)]
+    if asked:
+        say(f"not in bubblewrap, for {', '.join(asked)}: the code runs with all your rights")
+        return None
+    out = _results(options)
+    begin = [program, *_rights(out, options)]
+    tried = subprocess.run([*begin, "--", sys.executable, "-c", ""], capture_output=True, text=True, check=False)
+    if tried.returncode:
+        why = " ".join(tried.stderr.split()) or f"status {tried.returncode}"
+        say(f"bubblewrap does not work here ({why}): the code runs with all your rights")
+        return None
+    say("it runs in bubblewrap: no network, no home, nothing to write but its results")
+    words = list(options.words) if options.out is not None else [*options.words, "--out", str(out)]
+    trust = [] if options.trust else ["--trust"]
+    return [*begin, "--", sys.executable, "-P", "-m", "softrig_bringup", *words, *trust]
+
+
+def _results(options: argparse.Namespace) -> Path:
+    """Give the folder for the results, which exists from now on; another one than any that is there, unless named."""
+    if options.out is not None:
+        out: Path = options.out.absolute()
+    else:
+        source = options.like if options.origin is None else options.origin[0]
+        name = re.sub(r"[^A-Za-z0-9_.=+-]+", "_", source.name.partition(".")[0])[:100]
+        first = Path("runs", f"{name}-again").absolute()
+        places = (first if n == 1 else first.with_name(f"{first.name}-{n}") for n in range(1, 10_000))
+        out = next(place for place in places if not place.exists())
+    if out.exists() and not out.is_dir():
+        raise ScenarioError(f"--out {out} is a file, expected a folder for the results")
+    out.mkdir(parents=True, exist_ok=True)
+    return out
+
+
+def _rights(out: Path, options: argparse.Namespace) -> Iterator[str]:
+    """Say what the sandbox may."""
+    here = os.getcwd()
+    hidden = [folder for folder in dict.fromkeys([*_HIDDEN, os.path.expanduser("~")]) if folder != "/"]
+    yield from ("--die-with-parent", "--unshare-all", "--cap-drop", "ALL", "--ro-bind", "/", "/")
+    yield from ("--dev", "/dev", "--proc", "/proc", "--ro-bind-try", "/dev/null", "/dev/tty")
+    for folder in hidden:
+        if os.path.isdir(folder):
+            yield from ("--tmpfs", folder)
+    source = options.like if options.origin is None else options.origin[0]
+    for path in _read(source.absolute(), hidden):
+        yield from ("--ro-bind", path, path)
+    yield from ("--dir", here, "--bind", str(out), str(out), "--chdir", here)
+    # compiled code is executed: what is in there is used by this pack's runs in a sandbox alone
+    cache = cache_folder() / "packs" / f"{digest_of(source)[:32]}-cache"
+    cache.mkdir(parents=True, exist_ok=True)
+    yield from ("--bind", str(cache), str(cache))
+    yield from ("--clearenv", "--setenv", VARIABLE, "1", "--setenv", "XDG_CACHE_HOME", str(cache))
+    for name, value in os.environ.items():
+        if _PASSED.fullmatch(name) and name not in (VARIABLE, "XDG_CACHE_HOME"):
+            yield from ("--setenv", name, value)
+
+
+def _read(source: Path, hidden: Iterable[str]) -> list[str]:
+    """List what is read of the hidden folders: Python, what is imported, scenarios, the pack and its signature."""
+    command_folder = os.path.dirname(os.path.dirname(os.environ.get("SOFTRIG_COMMAND", "")))
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    places = [sys.prefix, sys.base_prefix, *sys.path, command_folder, *prefixes, str(source), f"{source}.sig"]
+    # inside, a pack is unpacked again, into a cache of its own
+    places += [str(folder) for folder in scenario_folders() if not folder.is_relative_to(cache_folder() / "packs")]
+    seen = sorted({p for p in places if p and os.path.exists(p)} | {os.path.realpath(p) for p in places if p})
+    below = [p for p in seen if os.path.exists(p) and any(p.startswith(f"{h}/") for h in hidden)]
+    return [p for p in below if not any(p.startswith(f"{q}/") for q in below)]
+
+
+def run(words: list[str]) -> int:
+    """Run a command, whose lines are shown without what a terminal would obey; give its exit status."""
+    process = subprocess.Popen(
+        words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        errors="replace", process_group=0,
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert process.stderr is not None
+    readers = [
+        threading.Thread(target=_shown, args=pair)
+        for pair in ((process.stdout, sys.stdout), (process.stderr, sys.stderr))
+    ]
+
+    def stop(number: int, _: FrameType | None) -> None:
+        # bubblewrap itself passes no signal on; what runs in it ends by one as it does anywhere, its bag written
+        with suppress(OSError):  # it has just ended
+            for child in _below(process.pid):
+                os.kill(child, number)
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        for reader in readers:
+            reader.start()
+        for reader in readers:
+            reader.join()
+        status = process.wait()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+    return status if status >= 0 else 128 - status
+
+
+def _below(pid: int) -> list[int]:
+    """Give the first process that is no bubblewrap any more: two lie between, the one outside and the first inside."""
+    found = [pid]
+    while found and all(Path(f"/proc/{p}/comm").read_text().strip() == "bwrap" for p in found):
+        found = [int(c) for p in found for c in Path(f"/proc/{p}/task/{p}/children").read_text().split()]
+    return found
+
+
+def _shown(source: IO[str], into: IO[str]) -> None:
+    for line in source:
+        into.write(plain(line))
+        into.flush()

@@ -1,0 +1,83 @@
+"""Signatures of packs, by OpenSSH: ``FILE.sig`` beside the file, made and read by ``ssh-keygen -Y``."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+from softrig_core import ScenarioError
+
+NAMESPACE = "softrig-pack"  # of a signature: one that was made for mail or git is none for a pack
+SIGNERS = "SOFTRIG_SIGNERS"  # names a file of allowed signers, as in ssh-keygen(1)
+_LONG = 60.0  # s
+
+
+def beside(path: Path) -> Path:
+    """Return where the signature of a file is."""
+    return path.with_name(f"{path.name}.sig")
+
+
+def sign(path: Path, key: Path) -> Path:
+    """Sign a file; the signature is written beside it.
+
+    Raises
+    ------
+    ScenarioError
+        There is no ssh-keygen here, or it refuses the key.
+    """
+    beside(path).unlink(missing_ok=True)
+    made = _keygen(["sign", "-f", str(key), "-n", NAMESPACE, str(path)])
+    if made.returncode or not beside(path).is_file():
+        raise ScenarioError(f"--sign {key}: {_last(made.stderr) or 'ssh-keygen wrote no signature'}")
+    return beside(path)
+
+
+def signed_by(path: Path) -> str:
+    """Say who has signed a file, in words; a signature that does not fit is refused.
+
+    Raises
+    ------
+    ScenarioError
+        Its signature is not one of this file, or of nobody among the signers of `SIGNERS`.
+    """
+    signature = beside(path)
+    if not signature.is_file():
+        return "unsigned"
+    if shutil.which("ssh-keygen") is None:
+        return f"signature {signature.name} not checked, for want of ssh-keygen"
+    signers = os.environ.get(SIGNERS) or str(Path("~/.config/softrig/allowed_signers").expanduser())
+    # without a file of signers a signature still says that one key's owner has signed these very bytes
+    checked = _keygen(["check-novalidate", "-n", NAMESPACE, "-s", str(signature)], path)
+    key = re.search(r"key (SHA256:[A-Za-z0-9+/]+)", checked.stdout + checked.stderr)
+    if checked.returncode or key is None:
+        raise ScenarioError(f"{signature}: {_last(checked.stderr) or 'no signature'}: it does not sign {path.name}")
+    if not os.path.isfile(signers):
+        return f"signed by a key that nobody here knows, {key[1]}"
+    found = _keygen(["find-principals", "-s", str(signature), "-f", signers])
+    name = found.stdout.split("\n")[0].strip() if not found.returncode else ""
+    if not name:
+        raise ScenarioError(f"{signature}: key {key[1]} is not among the signers in {signers}")
+    verified = _keygen(["verify", "-f", signers, "-I", name, "-n", NAMESPACE, "-s", str(signature)], path)
+    if verified.returncode:
+        raise ScenarioError(f"{signature}: {_last(verified.stderr) or 'refused'} (signers: {signers})")
+    return f"signed by {name}, {key[1]}"
+
+
+def _keygen(words: list[str], content: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Call ``ssh-keygen -Y``; it may ask for a passphrase on the terminal."""
+    try:
+        with open(content if content is not None else os.devnull, "rb") as file:
+            return subprocess.run(
+                ["ssh-keygen", "-Y", *words], stdin=file, capture_output=True, text=True, timeout=_LONG, check=False
+            )
+    except FileNotFoundError as error:
+        raise ScenarioError(f"{error.filename}: not found; signatures need ssh-keygen (OpenSSH)") from None
+    except subprocess.TimeoutExpired:
+        raise ScenarioError(f"ssh-keygen gave no answer within {_LONG:g} s") from None
+
+
+def _last(text: str) -> str:
+    return " ".join(text.strip().split("\n")[-1].split())

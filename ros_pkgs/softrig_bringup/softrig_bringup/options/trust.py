@@ -1,0 +1,80 @@
+"""The door for code of somebody else: it is listed, confirmed, and only then imported, in a sandbox if there is one."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from softrig_core import ScenarioError
+from softrig_core.extras import need
+from softrig_core.guard import plain, say
+from softrig_core.kit.confined import STRANGE, forbidden
+
+from . import sandbox
+from .brought import bring
+from .cargo import LETTERS, Cargo, cargo_of
+from .packed import about, digest_of, is_pack, opened
+from .signature import signed_by
+
+
+def admitted(options: argparse.Namespace) -> int | None:
+    """Let the code of the pack that a run repeats be imported, once it is confirmed; what brings none needs no word.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Of the verb `run`; `trust` confirms in place of a person.
+
+    Returns
+    -------
+    int or None
+        The exit status, where the run was made in a sandbox; None: it is to be made here.
+
+    Raises
+    ------
+    ScenarioError
+        Nobody has confirmed it, or the pack has something that never runs.
+    """
+    path = options.like if options.origin is None else options.origin[0]
+    if path is None or not is_pack(path):
+        return None
+    folder = opened(path)
+    try:
+        cargo = cargo_of(folder, about(folder))
+        who = signed_by(path)
+    except ScenarioError as error:
+        raise ScenarioError(f"{path}: {error}") from None
+    for name in cargo.kept_out:
+        say(f"{path}: package {name} is installed here; that one runs, not the one in the pack")
+    if not cargo:
+        if who != "unsigned":
+            say(f"{path}: no code in it, {who}")
+        return None
+    if cargo.units:
+        need("fmpy", f"the FMU {cargo.units[0].name}")  # a sandbox has no network to fetch it
+    if not sandbox.inside():
+        _confirm(path, cargo, who, options.trust)
+        if (command := sandbox.command(options)) is not None:
+            return sandbox.run(command)
+    if cargo.units:
+        os.environ[STRANGE] = "1"
+    bring(folder.name, cargo.packages)
+    return None
+
+
+def _confirm(path: Path, cargo: Cargo, who: str, trusted: bool) -> None:
+    """List what would run and have somebody confirm it."""
+    say(f"{path} (sha256 {digest_of(path)[:LETTERS]}, {who}) has code that would run here:")
+    for line in cargo:
+        say(f"  {line}")
+    if cargo.units and (why := forbidden()):
+        say(f"  the system allows no namespaces ({why}): an FMU runs with all your rights")
+    if trusted:
+        return
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise ScenarioError(f"{path}: its code runs only when somebody confirms it; read it first, then add --trust")
+    print(plain(f"softrig: run this code of {path}? [y/N] "), end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise ScenarioError(f"{path}: not confirmed; nothing of it has run")

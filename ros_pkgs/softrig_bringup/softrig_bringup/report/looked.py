@@ -1,0 +1,183 @@
+"""Looking into a pack: its run without any code of its sender, and its figures as its own bag has them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from softrig_bags.errors import BagError
+from softrig_bags.read import BagSignals, read_bag, signals
+from softrig_bags.reader import BagReader
+from softrig_bags.tape import written
+from softrig_core import Port, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
+from softrig_core.block.port import CLOCK, XYZ
+from softrig_core.rig.rig import members_of
+from softrig_core.verdict.figures import Result
+from softrig_core.wire.signals import full_name
+from softrig_core.wire.types import TYPES
+
+from ..options.cargo import brings, check_scenario
+from ..options.identity import HALF, asked_half, strangers
+from ..options.packed import BAG, METRICS, SCENARIO, about
+from .record import RunRecord, record_of
+
+SAME = 1e-9  # of a figure that other libraries have computed from the same bag
+
+
+def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:
+    """Give the rig of an unpacked pack's run and its signals; one that brings packages is shown from its bag alone.
+
+    Raises
+    ------
+    ScenarioError
+        No bag in it, or its scenario reaches out of it.
+    """
+    said = about(folder)
+    scenario = load_scenario(str(folder / SCENARIO / f"{said.scenario}.yaml"))
+    check_scenario(folder, scenario, said)
+    if not (folder / BAG).is_dir():
+        raise ScenarioError("no bag in it; `softrig run --like` makes it again")
+    found = signals(folder / BAG)
+    if brings(folder, said):
+        return _shown(scenario, folder, found), found
+    return rig_of(scenario), found
+
+
+def record_of_pack(folder: Path) -> RunRecord:
+    """Read what an unpacked pack says of its run, with the figures that its bag and its scenario give.
+
+    Returns
+    -------
+    RunRecord
+        `doubts`: what its metrics.json says otherwise, what does not belong together, what could not be computed.
+    """
+    said, content = about(folder), _content(folder)
+    rig, found = rig_of_pack(folder)
+    with BagReader(folder / BAG) as reader:
+        custom = reader.custom_data
+    told = strangers(content, custom, found.recording)
+    run = str(content.get("run", "")) or said.run
+    if said.run and run != said.run:
+        told.append(f"pack.json is of run {said.run[:HALF]}, metrics.json of run {run[:HALF]}")
+    if names := brings(folder, said):
+        told.append(f"the figures are those of metrics.json: to compute them the code of {', '.join(names)} had to run")
+    else:
+        if run and asked_half(rig, _seed(content, rig)) != run[HALF:]:
+            told.append("its scenario is not that of its run: duration, seed or parameters differ")
+        results = Run(rig, rig.scenario.seed, found.recording, epoch=int(custom.get("epoch", "0"))).results
+        told += differing(content.get("metrics", []), results)
+        content = {**content, "metrics": [m.model_dump(by_alias=True) for m in results]}
+    return record_of(content | {"doubts": told}, METRICS)
+
+
+def _seed(content: Mapping[str, Any], rig: Rig) -> int:
+    seed = content.get("seed")
+    return seed if isinstance(seed, int) else rig.scenario.seed
+
+
+def doubts(directory: Path) -> tuple[str, ...]:
+    """Say what in the folder of a run does not belong together."""
+    try:
+        content = json.loads((directory / METRICS).read_text())
+        with BagReader(directory / BAG) as reader:
+            custom = reader.custom_data
+        return tuple(strangers(content, custom, read_bag(directory / BAG))) if "run" in {*content, *custom} else ()
+    except (OSError, ValueError, BagError):  # told where it is read for its sake
+        return ()
+
+
+def differing(said: Any, measured: Sequence[Result]) -> list[str]:
+    """Say which figures a metrics.json has otherwise than a bag gives them."""
+    there = {m.get("name"): m for m in said if isinstance(m, Mapping)} if isinstance(said, list) else {}
+    found = []
+    for result in measured:
+        value = there.get(result.name, {}).get("value")
+        if result.name not in there:
+            found.append(f"{result.name}: not in metrics.json, the bag gives {_number(result.value)}")
+        elif not _same(value, result.value):
+            found.append(f"{result.name}: {_number(value)} in metrics.json, the bag gives {_number(result.value)}")
+    return [*found, *(f"{name}: no figure of its scenario" for name in there if name not in {m.name for m in measured})]
+
+
+def _same(a: Any, b: float | None) -> bool:
+    if a is None or b is None:
+        return a is b
+    return isinstance(a, int | float) and math.isclose(a, b, rel_tol=SAME, abs_tol=1e-300)
+
+
+def _number(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, int | float) else "none" if value is None else repr(value)[:60]
+
+
+def _content(folder: Path) -> dict[str, Any]:
+    try:
+        content = json.loads((folder / METRICS).read_text())
+    except OSError:
+        raise ScenarioError(f"no {METRICS} in it, expected a pack of a run's folder") from None
+    except ValueError as error:
+        raise ScenarioError(f"{METRICS}: not valid JSON: {error}") from None
+    if not isinstance(content, dict):
+        raise ScenarioError(f"{METRICS}: expected an object")
+    return content
+
+
+# a rig of nothing but what was recorded ------------------------------------------------------------------------------
+
+
+def _shown(scenario: Scenario, folder: Path, found: BagSignals) -> Rig:
+    """Make a rig of one node that says what the bag has; of the scenario only the plots stay that it can show."""
+    units = {name: str(one.get("unit", "")) for name, one in _units(folder).items()}
+    ports = [written(port) for port in _ports(scenario, found, units)]
+    if not ports:
+        raise ScenarioError(f"{scenario.name}: no topic in its bag that can be shown without its code")
+    tape = {"package": "softrig_bags", "executable": "tape", "parameters": {"period": 0.001, "bag": str(folder / BAG),
+            "inputs": ports}}  # fmt: skip
+    none: dict[str, Any] = {key: {} for key in ("faults", "figures", "expect", "claims", "requirements", "shared")}
+    none |= dict.fromkeys(("changes", "containers", "trips", "plots"), ()) | {"clock": None}
+    rig = rig_of(scenario.having(nodes={"recorded": tape}, **none))
+    known = [f"{p.topic}/{label}" for p in rig.topics.values() for label in p.labels]
+
+    def there(name: str) -> bool:
+        return all(full_name(part, known) in known for part in name.split(" - "))
+
+    plots = tuple(p for p in scenario.plots if not p.x and all(map(there, p.signals)))
+    return rig.with_plots(plots)
+
+
+def _units(folder: Path) -> Mapping[str, Mapping[str, Any]]:
+    try:
+        found = json.loads((folder / METRICS).read_text()).get("signals", {})
+        return {k: v for k, v in found.items() if isinstance(v, Mapping)}
+    except (OSError, ValueError, AttributeError):
+        return {}
+
+
+def _ports(scenario: Scenario, found: BagSignals, units: Mapping[str, str]) -> Iterator[Port]:
+    """Give a port for each topic that was recorded: as a node of ours has it, or as its messages are."""
+    known: dict[str, Port] = {}
+    if ours := {n: e for n, e in scenario.nodes.items() if e.package.startswith("softrig_")}:
+        alone = scenario.having(nodes=ours, changes=(), containers=(), trips=(), faults={})
+        known = {p.topic: p for m in members_of(alone, {}) for p in (*m.inputs, *m.outputs)}
+    for name, topic in found.recording.topics.items():
+        if name == CLOCK.topic or topic.msgtype not in TYPES or not topic.times:
+            continue
+        port = known.get(name) or _port(name, topic.msgtype, list(found.table(name).columns), units)
+        if port is not None and port.size:
+            yield replace(port, name=f"topic_{len(name)}_{name}".replace("/", "_"), topic=name, held=False)
+
+
+def _port(name: str, msgtype: str, labels: Sequence[str], units: Mapping[str, str]) -> Port | None:
+    """Make a port that fits the messages of a topic; None where none does."""
+    kind = TYPES[msgtype]
+    parts = [label.rpartition("/") for label in labels]
+    channels = tuple(dict.fromkeys(p[0] for p in parts)) if kind.named else XYZ
+    fields = tuple(dict.fromkeys(p[2] for p in parts)) if kind.named else tuple(kind.sizes)
+    try:
+        port = Port("x", name, msgtype, channels, fields, tuple(units.get(f"{name}/{label}", "") for label in labels))
+    except (ValueError, KeyError):
+        return None
+    return port if list(port.labels) == list(labels) else None

@@ -1,0 +1,452 @@
+"""A pack from somebody else: data until it is confirmed, code from one folder, figures as its own bag gives them."""
+
+import io
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from softrig_bringup.cli import main
+from softrig_bringup.options import brought, cargo, packed, sandbox, signature, trust
+from softrig_bringup.options.identity import asked_half, recorded_half
+from softrig_bringup.options.packed import About
+from softrig_bringup.verbs.new import new_package
+from softrig_core import ScenarioError, rig_of
+from softrig_core.kit import confined
+
+NAME = "stranger_rig"
+TOUCH = "from pathlib import Path\nPath({place!r}).touch()\n"
+
+
+def zipped(path, files):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return path
+
+
+def about(**more):
+    return json.dumps({"format": 1, "scenario": NAME, "packages": {NAME: "0.0.1"}} | more)
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory):
+    """What `softrig new` writes, by place in a pack."""
+    folder = new_package(NAME, tmp_path_factory.mktemp("new"))
+    files = {f"packages/{NAME}/{f.relative_to(folder)}": f.read_text() for f in folder.rglob("*") if f.is_file()}
+    return files | {f"scenario/{NAME}.yaml": (folder / f"scenarios/{NAME}.yaml").read_text()}
+
+
+@pytest.fixture(autouse=True)
+def alone(tmp_path, monkeypatch):
+    """A cache, an environment and modules of the test's own; no terminal."""
+    for module in (packed, brought, sandbox):
+        monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / "cache")
+    for name in ("SOFTRIG_SCENARIOS", "AMENT_PREFIX_PATH", "PYTHONPATH"):
+        monkeypatch.setenv(name, os.environ.get(name, ""))
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delenv(confined.STRANGE, raising=False)
+    monkeypatch.setattr(sandbox, "command", lambda options: None)
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    packed.opened.cache_clear()
+    yield
+    forget()
+
+
+def forget():
+    for name in [name for name in sys.modules if name.partition(".")[0] == NAME]:
+        del sys.modules[name]
+
+
+def run(file, *words, out="again"):
+    return main(["run", "--like", str(file), "--mode", "inprocess", "--no-plots", "--out", out, *words])
+
+
+def test_code_runs_only_once_it_is_confirmed(sources, tmp_path, capsys, monkeypatch):
+    """Refused without a terminal, refused by anything but yes, run with --trust, and packed again from its run."""
+    monkeypatch.chdir(tmp_path)
+    touched = tmp_path / "touched"
+    plant = f"packages/{NAME}/{NAME}/plant.py"
+    files = {"pack.json": about()} | sources | {plant: sources[plant] + TOUCH.format(place=str(touched))}
+    file = zipped(tmp_path / "x.softrig.zip", files)
+    assert run(file) == 2
+    said = capsys.readouterr().err
+    assert "has code that would run here" in said
+    assert f"package {NAME} 0.0.1: 10 files, " in said
+    assert "its code runs only when somebody confirms it; read it first, then add --trust" in said
+    for answer in ("\n", "n\n", "yes please\n"):
+        monkeypatch.setattr(sys, "stdin", Terminal(answer))
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+        assert run(file) == 2
+        assert "not confirmed; nothing of it has run" in capsys.readouterr().err
+    assert not touched.exists()
+    assert NAME not in sys.modules
+    monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
+    assert run(file) == 1  # a pack without bag and digests has nothing that it could repeat
+    assert touched.exists()
+    assert Path(sys.modules[f"{NAME}.plant"].__file__).is_relative_to(tmp_path / "cache")
+    assert not list((tmp_path / "cache/packs").glob("*/packages/**/__pycache__"))
+
+
+class Terminal:
+    def __init__(self, answer):
+        self.answer = answer
+
+    def isatty(self):
+        return True
+
+    def readline(self):
+        return self.answer
+
+
+@pytest.fixture(scope="module")
+def made(sources, tmp_path_factory):
+    """A pack with bag of a run of the package, made where it was confirmed."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (packed, brought, sandbox):
+            patch.setattr(module, "cache_folder", lambda: folder / "cache")
+        for name in ("SOFTRIG_SCENARIOS", "AMENT_PREFIX_PATH", "PYTHONPATH"):
+            patch.setenv(name, os.environ.get(name, ""))
+        patch.setattr(sys, "path", [*sys.path])
+        patch.setattr(sandbox, "command", lambda options: None)
+        first = zipped(folder / "first.zip", {"pack.json": about()} | sources)
+        assert run(first, "--trust", out=str(folder / "run")) == 1
+        content = json.loads((folder / "run/metrics.json").read_text())
+        forget()
+        bag = {f"bag/{f.name}": f.read_bytes() for f in (folder / "run/bag").iterdir()}
+    files = {"pack.json": about(code=content["code"], run=content["run"]), "metrics.json": json.dumps(content)}
+    return files | sources | bag
+
+
+def test_who_looks_runs_nothing_of_it(made, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    plant, touched = f"packages/{NAME}/{NAME}/plant.py", tmp_path / "touched"
+    evil = made | {
+        plant: TOUCH.format(place=str(touched)),
+        f"packages/{NAME}/setup.py": TOUCH.format(place=str(touched)),
+    }
+    file = zipped(tmp_path / "x.zip", evil)
+    path = list(sys.path)
+    assert main(["report", str(file)]) == 0
+    assert f"the code of {NAME} had to run" in capsys.readouterr().err
+    assert main(["draw", "plot", str(file), "--format", "svg"]) == 0
+    assert len(list((tmp_path / "pictures").glob("*.svg"))) == 2
+    assert main(["pack", str(file)]) == 2
+    assert f"it brings {NAME}, which packing would run" in capsys.readouterr().err
+    assert (tmp_path / "report.html").read_text().count("data:image/png") == 3
+    assert not touched.exists()
+    assert sys.path == path
+    assert NAME not in sys.modules
+
+
+def test_a_confirmed_pack_repeats_number_for_number(made, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(zipped(tmp_path / "x.zip", made), "--trust") == 0
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1].startswith("softrig: repeats ")
+    assert not [line for line in said if "the bag gives" in line or "belong" in line]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("yaml", "a library's that softrig uses"),
+        ("numba", "a library's that softrig uses"),
+        ("fmpy", "a library's that softrig uses"),
+        ("std_msgs", "one runs, not the one in the pack"),
+        ("json", "Python's own"),
+        ("sitecustomize", "Python's own"),
+        ("usercustomize", "Python's own"),
+        ("softrig_core", "softrig's own"),
+        ("softrig_extra", "softrig's own"),
+        ("Softrig_core", "softrig's own"),
+        ("pytest", "a library's that"),
+        ("PyYAML", "a library's that is installed here"),
+    ],
+)
+def test_a_package_with_the_name_of_another_is_refused(name, said, sources, tmp_path, capsys):
+    files = {k.replace(NAME, name): v.replace(NAME, name) for k, v in sources.items()}
+    file = zipped(tmp_path / "x.zip", {"pack.json": about(scenario=name, packages={name: "1"})} | files)
+    path = list(sys.path)
+    assert run(file, "--trust") == 2
+    assert said in capsys.readouterr().err
+    assert sys.path == path
+
+
+OUTSIDE = "nodes:\n  x: {package: softrig_bags, executable: tape, parameters: {bag: /etc/passwd}}"
+SETUP = f"packages/{NAME}/setup.cfg"
+
+
+@pytest.mark.parametrize(
+    ("place", "old", "new", "said"),
+    [
+        (SETUP, f"share/{NAME} =", "../../../../home =", "expected them in share/"),
+        (SETUP, f"share/{NAME} =", "/etc/cron.d =", "expected them in share/"),
+        (SETUP, f"share/{NAME} =", "bin =", "expected them in share/"),
+        (SETUP, f"share/{NAME} =", f"share/{NAME}/../x =", "expected them in share/"),
+        (SETUP, f"{NAME}.plant:", "os:", "expected NAME = "),
+        (SETUP, f"{NAME}_plant =", "../../x =", "expected NAME = "),
+        (SETUP, "console_scripts", "softrig_preloaded", "entry points of 'softrig_preloaded'"),
+        (SETUP, "console_scripts", "softrig_figures =\n    rise_time = stranger_rig.plant:tool\nconsole_scripts",
+         "the figure function rise_time is there already"),
+        (SETUP, f"name = {NAME}", "name = softrig_core", "name = 'softrig_core', expected"),
+        (SETUP, "[options]", "[options", "setup.cfg: "),
+        (f"scenario/{NAME}.yaml", f"package: {NAME}", "package: pip", "which pack.json does not name"),
+        (f"scenario/{NAME}.yaml", "nodes:", OUTSIDE, "names '/etc/passwd', a file outside of the pack"),
+    ],
+)  # fmt: skip
+def test_what_reaches_out_of_its_folder_is_refused(place, old, new, said, sources, tmp_path, capsys):
+    assert place != SETUP or old in sources[place]
+    text = sources[place].replace(old, new)
+    file = zipped(tmp_path / "x.zip", {"pack.json": about()} | sources | {place: text})
+    path = list(sys.path)
+    assert run(file, "--trust") == 2
+    assert said in capsys.readouterr().err
+    assert sys.path == path
+    assert not list((tmp_path / "cache/packs").glob("*-code*"))
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"packages/other_rig/other_rig/__init__.py": ""}, "pack.json names no such package"),
+        ({f"packages/{NAME}/{NAME}/__pycache__/x.pyc": ""}, "expected sources alone"),
+        ({f"packages/{NAME}/x.pth": "import os"}, "expected sources alone"),
+        ({"bag/extra": "x"}, "expected metadata.yaml and files of messages"),
+        ({"bag/bag_0.mcap": bytes(1000)}, "bag"),
+        ({"metrics.json": "x", "pack.json": about(files={"metrics.json": "0" * 64})}, "is not the file that pack.json"),
+        ({f"scenario/{NAME}.yaml": None}, "no scenario/stranger_rig.yaml in it"),
+        ({"scenario/zeros": bytes(packed.SMALL + 1)}, "expected at most 100 times its own size"),
+    ],
+)
+def test_a_refused_pack_leaves_nothing_behind(more, said, sources, tmp_path, capsys):
+    files = {k: v for k, v in ({"pack.json": about()} | sources | more).items() if v is not None}
+    assert run(zipped(tmp_path / "x.zip", files), "--trust") == 2
+    assert said in capsys.readouterr().err
+    left = [f for f in (tmp_path / "cache").rglob("*") if f.is_file()]
+    assert left == [] or "sources alone" in said
+
+
+def test_a_list_of_entries_is_bounded_before_it_is_read(tmp_path):
+    file = zipped(tmp_path / "x.zip", {"pack.json": about()})
+    data = bytearray(file.read_bytes())
+    at = data.rindex(b"PK\x05\x06")
+    data[at + 12 : at + 16] = (packed.FILES * packed.HEAD + 1).to_bytes(4, "little")
+    file.write_bytes(data)
+    with pytest.raises(ScenarioError, match="its list of files is 5120001 bytes long, expected at most 5120000"):
+        packed.unpack(file, tmp_path / "new")
+
+
+def test_what_would_run_is_listed_by_its_true_name(sources, tmp_path):
+    fmu = zipped(tmp_path / "m.fmu", {"modelDescription.xml": "x", "binaries/linux64/m\u202eos.so": "x"})
+    files = {"pack.json": about(), "scenario/0a/\u043cotor.dat": fmu.read_bytes()} | sources
+    files[f"packages/{NAME}/{NAME}/fast.so"] = b"\x7fELF"
+    folder = packed.opened(zipped(tmp_path / "x.zip", files))
+    lines = list(cargo.cargo_of(folder, packed.about(folder)))
+    assert lines[0].startswith(f"package {NAME} 0.0.1: 11 files, ")
+    assert f"machine code {NAME}/fast.so, sha256 " in lines[0]
+    digest = packed.digest_of(fmu)[:16]
+    assert lines[1] == rf"FMU scenario/0a/\u043cotor.dat: binaries/linux64/m\u202eos.so, sha256 {digest}"
+    assert all(line.isascii() for line in lines)
+
+
+def test_a_package_that_is_here_runs_in_place_of_the_packs(sources, tmp_path, monkeypatch):
+    monkeypatch.setattr(cargo, "_is_rig_package", lambda name: name == NAME)
+    folder = packed.opened(zipped(tmp_path / "x.zip", {"pack.json": about()} | sources))
+    found = cargo.cargo_of(folder, packed.about(folder))
+    assert (found.packages, found.kept_out, bool(found)) == ((), (NAME,), False)
+
+
+def test_entry_points_and_data_files_are_laid_out_from_what_was_read(sources, tmp_path):
+    offers = {NAME: {"console_scripts": {"tool": f"{NAME}.plant:tool"}}}
+    files = {"pack.json": about(offers=offers)} | sources
+    folder = packed.opened(zipped(tmp_path / "x.zip", files))
+    (package,) = cargo.cargo_of(folder, packed.about(folder)).packages
+    assert package.offers == offers[NAME]  # and not what setup.cfg has
+    assert sorted(package.share) == [f"share/{NAME}/package.xml", f"share/{NAME}/scenarios/{NAME}.yaml"]
+    brought.bring("0a", [package])
+    prefix = Path(os.environ["AMENT_PREFIX_PATH"].split(os.pathsep)[-1])
+    assert sorted(str(f.relative_to(prefix)) for f in prefix.rglob("*") if f.is_file() and "python" not in f.parts) == [
+        f"lib/{NAME}/tool",
+        f"share/ament_index/resource_index/packages/{NAME}",
+        f"share/{NAME}/package.xml",
+        f"share/{NAME}/scenarios/{NAME}.yaml",
+    ]
+    assert {f.name for f in (prefix / "python").iterdir()} == {NAME, f"{NAME}-0.0.1.dist-info"}
+    assert sys.path[-1] == str(prefix / "python") == os.environ["PYTHONPATH"].split(os.pathsep)[-1]
+
+
+# figures --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sent(tmp_path_factory):
+    """A pack of a run of softrig's own blocks, by place."""
+    folder = tmp_path_factory.mktemp("sent")
+    (folder / "mine.yaml").write_text("title: Mine\nextends: dc_motor_smc_b2\nduration: 0.2\n")
+    assert main(["run", str(folder / "mine.yaml"), "--mode", "inprocess", "--no-plots", "--out", f"{folder}/run"]) == 0
+    assert main(["pack", f"{folder}/run", "--out", f"{folder}/x.zip"]) == 0
+    with zipfile.ZipFile(folder / "x.zip") as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def forged(sent, place, change):
+    """The same with one file changed, the list of files as well."""
+    content = {**sent, place: change(sent[place].decode()).encode()}
+    said = json.loads(content["pack.json"]) | {"files": {}}
+    return content | {"pack.json": json.dumps(said)}
+
+
+def first_figure(text):
+    content = json.loads(text)
+    content["metrics"][0]["value"] = 0.125
+    return json.dumps(content)
+
+
+def other_run(text):
+    content = json.loads(text)
+    return json.dumps(content | {"run": content["run"][::-1]})
+
+
+@pytest.mark.parametrize(
+    ("place", "change", "said"),
+    [
+        (None, None, None),
+        ("metrics.json", first_figure, "0.125 in metrics.json, the bag gives "),
+        ("metrics.json", other_run, "they do not belong together"),
+        ("scenario/mine.yaml", lambda t: t.replace("delta: 5.0", "delta: 5.5"), "its scenario is not that of its run"),
+    ],
+)
+def test_figures_are_computed_and_what_does_not_belong_together_is_said(place, change, said, sent, tmp_path, capsys):
+    files = sent if place is None else forged(sent, place, change)
+    file = zipped(tmp_path / "x.zip", files)
+    assert main(["report", str(file), "--out", str(tmp_path / "report.html")]) == 0
+    told, page = capsys.readouterr().err, (tmp_path / "report.html").read_text()
+    assert told == "" if said is None else said in told
+    assert ("Doubt: " in page) is (said is not None)
+    status = run(file, out=str(tmp_path / "again"))
+    last = capsys.readouterr().err.splitlines()
+    assert status == (1 if place == "scenario/mine.yaml" else 0)
+    assert said is None or any(said in line for line in last)
+
+
+def test_bag_and_figures_of_two_runs_are_no_run(sent, tmp_path, capsys):
+    folder = tmp_path / "run"
+    (folder / "bag").mkdir(parents=True)
+    for place in sent:
+        if place.startswith("bag/") or place == "metrics.json":
+            (folder / place).write_bytes(sent[place])
+    content = json.loads(sent["metrics.json"])
+    (folder / "metrics.json").write_text(json.dumps(content | {"run": content["run"][::-1]}))
+    assert main(["report", str(folder), "--out", str(tmp_path / "r.html")]) == 0
+    assert "they do not belong together" in capsys.readouterr().err
+
+
+def test_the_digest_of_a_run_follows_from_its_bag_and_its_scenario(sent, tmp_path):
+    """Each half by itself, from what stands in the file."""
+    from softrig_bags.read import read_bag
+
+    file = zipped(tmp_path / "x.zip", sent)
+    folder = packed.opened(file)
+    digest = json.loads(sent["metrics.json"])["run"]
+    assert About.model_validate_json(sent["pack.json"]).run == digest
+    assert recorded_half(read_bag(folder / "bag")) == digest[:16]
+    rig = rig_of(str(folder / "scenario/mine.yaml"))
+    assert asked_half(rig, 0) == digest[16:]
+    assert asked_half(rig, 1) != digest[16:]
+
+
+# signatures, sandbox --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="no OpenSSH")
+def test_a_signature_is_shown_and_one_of_other_bytes_is_refused(tmp_path, monkeypatch):
+    key, file = tmp_path / "key", tmp_path / "x.zip"
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", key], check=True)
+    file.write_bytes(b"some bytes")
+    monkeypatch.setenv(signature.SIGNERS, str(tmp_path / "signers"))
+    assert signature.signed_by(file) == "unsigned"
+    signature.sign(file, key)
+    assert signature.signed_by(file).startswith("signed by a key that nobody here knows, SHA256:")
+    public = (tmp_path / "key.pub").read_text().split()
+    (tmp_path / "signers").write_text(f"ann@example.com {public[0]} {public[1]}\n")
+    assert signature.signed_by(file).startswith("signed by ann@example.com, SHA256:")
+    file.write_bytes(b"other bytes")
+    with pytest.raises(ScenarioError, match=r"x\.zip\.sig: .*: it does not sign x\.zip"):
+        signature.signed_by(file)
+    file.write_bytes(b"some bytes")
+    (tmp_path / "signers").write_text("")
+    with pytest.raises(ScenarioError, match="is not among the signers"):
+        signature.signed_by(file)
+    with pytest.raises(ScenarioError, match="--sign"):
+        signature.sign(file, tmp_path / "none")
+
+
+def test_a_confined_process_has_no_network_and_writes_nothing(tmp_path):
+    """Harmless tries of our own in a process of our own."""
+    if why := confined.forbidden():
+        pytest.skip(why)
+    (tmp_path / "kept").write_text("x")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        code = f"""
+import os, socket
+from softrig_core.kit.confined import confine
+confine([{str(tmp_path / "kept")!r}])
+def of(work):
+    try:
+        return str(work())
+    except OSError as error:
+        return type(error).__name__
+print(of(lambda: open({str(tmp_path / "kept")!r}).read()))
+print(of(lambda: open({str(tmp_path / "kept")!r}, "w")))
+print(of(lambda: open("/etc/softrig_try", "w")))
+print(of(lambda: socket.create_connection(("127.0.0.1", {server.getsockname()[1]}), 2)))
+print(os.path.exists(os.path.expanduser("~/.ssh")) or os.path.exists(os.path.expanduser("~/.bashrc")))
+print(of(lambda: open("scratch", "w").write("abc")))
+print(of(lambda: os.mkdir("/run/x")))
+"""
+        found = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
+    assert found.stdout.split() == ["x", "OSError", "OSError", "OSError", "False", "3", "OSError"], found
+
+
+def test_without_namespaces_it_is_said(sources, tmp_path, capsys, monkeypatch):
+    fmu = zipped(tmp_path / "m.fmu", {"modelDescription.xml": "x"})
+    monkeypatch.setattr(trust, "forbidden", lambda: "Operation not permitted")
+    monkeypatch.setattr(trust, "need", lambda *_: None)
+    files = {"pack.json": about(), "scenario/0a/m.fmu": fmu.read_bytes()} | sources
+    assert run(zipped(tmp_path / "x.zip", files)) == 2
+    said = capsys.readouterr().err
+    assert "the system allows no namespaces (Operation not permitted): an FMU runs with all your rights" in said
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("bwrap") is None, reason="no bubblewrap")
+def test_in_bubblewrap_a_confirmed_package_writes_its_results_alone(sources, tmp_path, monkeypatch):
+    """In a process of its own: the module tries to write beside its results and to reach a port of ours."""
+    plant, touched = f"packages/{NAME}/{NAME}/plant.py", tmp_path / "touched"
+    tries = (
+        "import contextlib, socket\nwith contextlib.suppress(OSError):\n"
+        f"    open({str(touched)!r}, 'w')\nwith contextlib.suppress(OSError):\n"
+        "    socket.create_connection(('127.0.0.1', {port}), 1)\n    raise SystemExit('reached')\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        text = sources[plant] + tries.replace("{port}", str(server.getsockname()[1]))
+        file = zipped(tmp_path / "x.zip", {"pack.json": about()} | sources | {plant: text})
+        words = ["run", "--like", str(file), "--mode", "inprocess", "--no-plots", "--out", "again", "--trust"]
+        made = subprocess.run(
+            [sys.executable, "-P", "-m", "softrig_bringup", *words], capture_output=True, text=True, check=False
+        )
+    if "bubblewrap does not work here" in made.stderr:
+        pytest.skip(made.stderr)
+    assert made.returncode == 1, made.stderr  # without a bag there is nothing that it could repeat
+    assert "it runs in bubblewrap" in made.stderr
+    assert "reached" not in made.stderr
+    assert (tmp_path / "again/metrics.json").is_file()
+    assert not touched.exists()
