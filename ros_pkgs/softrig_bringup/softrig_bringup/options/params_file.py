@@ -1,60 +1,202 @@
-"""Parameters of nodes from a file in the form of ``ros2 param dump``."""
+"""Parameters of nodes from a parameter file of ROS, read as rcl reads it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import yaml
 from softrig_core import ScenarioError
 from softrig_core.errors import closest
+from softrig_core.guard import say
+from softrig_core.kit.file_format import FileFormat
 from softrig_core.scenario.yaml_file import read_yaml
 
-OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides", "run")  # not of a block
+PARAMS_FILE = FileFormat(
+    "the parameter file of ROS",
+    "rcl_yaml_param_parser of ROS 2 Jazzy",
+    {
+        "NODE": ("used", "full name of a node, with or without the first slash; of another node: passed over and said"),
+        "NAMESPACE: {NODE: ...}": ("used", "the same as NAMESPACE/NODE; also in several levels"),
+        "/*": ("used", "one part of a name"),
+        "/**": ("used", "any number of parts; parameters that a node does not have are left out, as its node does"),
+        "several sections for one node": ("used", "in the order of the file; the last value counts"),
+        "ros__parameters": ("used", "names dotted or nested"),
+        "true, yes, on, y; false, no, off, n": ("used", "bool, as rcl reads them, also with capital letters"),
+        "whole and real numbers": ("used", "as C reads them: 0x10 is 16, 010 is 8, .nan and .inf are floats"),
+        "other words": ("used", "text"),
+        "lists": ("used", "of one kind"),
+        "use_sim_time": ("ignored", "the rig decides on time"),
+        "start_type_description_service": ("ignored", "of the ROS node, not of the block"),
+        "qos_overrides": ("ignored", "of the ROS node, not of the block"),
+        "run": ("ignored", "the rig sets it"),
+        "null": ("refused", "rcl reads the text 'null', which a node refuses where a number belongs"),
+        "anchors and aliases": ("refused", "rcl refuses them"),
+        "lists of several kinds": ("refused", "rcl refuses them"),
+        "a key twice": ("refused", "only one would count"),
+    },
+)
+OF_ROS = tuple(name for name, (use, _) in PARAMS_FILE.table.items() if use == "ignored")
+_TOKEN = re.compile(r"[A-Za-z_]\w*|\*\*?", re.ASCII)
+_INT = re.compile(r"[+-]?(?:0[xX][0-9a-fA-F]+|[0-9]+)")
+_REAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?inf(?:inity)?|[+-]?nan", re.IGNORECASE)
+_SPECIAL = re.compile(r"\.(?:nan|NaN|NAN)|[+-]?\.(?:inf|Inf|INF)")
+_NULL = ("~", "null", "Null", "NULL", "")
+_BOOL = {
+    variant: value
+    for value, words in ((True, ("true", "yes", "on")), (False, ("false", "no", "off")))
+    for word in words
+    for variant in (word, word.capitalize(), word.upper())
+} | {"y": True, "Y": True, "n": False, "N": False}
 
 
-def params_of(file: Path, nodes: Iterable[str]) -> dict[str, Any]:
-    """Give the parameters of a file as `load_scenario` takes changes: by ``node.parameter``.
+def params_of(
+    file: Path, nodes: Iterable[str], namespace: str = "", has: Callable[[str, str], bool] = lambda node, name: True
+) -> dict[str, Any]:
+    """Return the parameters of a file as `load_scenario` takes changes: by ``node.parameter``.
 
     Those that every ROS node has are left out, and so are ``run.*``, which the rig sets.
 
     Parameters
     ----------
     file : Path
-        ``NODE: {ros__parameters: {NAME: VALUE}}``, NODE with or without its namespace, names dotted or nested.
+        See `PARAMS_FILE`.
     nodes : iterable of str
         Of the scenario.
+    namespace : str
+        In which the nodes run.
+    has : callable
+        Whether a node has a parameter: asked of what a wildcard gives to several nodes.
 
     Raises
     ------
     ScenarioError
-        The file cannot be read, has another form, or names a node that is not of the scenario.
+        The file cannot be read, has another form, or has no section for a node of the scenario.
     """
     nodes = list(nodes)
-    try:
-        content = read_yaml(file.read_text(), str(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"params file {file}: {error}") from None
-    if not isinstance(content, Mapping):
-        raise ScenarioError(f"params file {file}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
+    full = {node: f"/{namespace.strip('/')}/{node}".replace("//", "/") for node in nodes}
+    sections = read_sections(file)
     found: dict[str, Any] = {}
-    for key, entry in content.items():
-        node = str(key).rpartition("/")[2]
-        if node not in nodes:
-            raise ScenarioError(
-                f"params file {file}: {key}: no such node{closest(node, nodes)}; the nodes are {', '.join(nodes)}"
-            )
-        values = entry.get("ros__parameters") if isinstance(entry, Mapping) else None
-        if not isinstance(values, Mapping):
-            raise ScenarioError(f"params file {file}: {key}: expected ros__parameters: {{NAME: VALUE}}")
-        own = ((name, value) for name, value in _flat(values) if name.partition(".")[0] not in OF_ROS)
-        found |= {f"{node}.{name}": value for name, value in own}
+    others = []
+    for pattern, values in sections.items():
+        meant = [node for node in nodes if matches(pattern, full[node])]
+        own = {name: value for name, value in values.items() if name.partition(".")[0] not in OF_ROS}
+        if not meant:
+            others.append(pattern)
+        for name, value in own.items():
+            takers = [node for node in meant if "*" not in pattern or has(node, name)]
+            if meant and not takers:
+                raise ScenarioError(f"params file {file}: {pattern}: none of its nodes has a parameter {name!r}")
+            found |= {f"{node}.{name}": value for node in takers}
+    if others and len(others) == len(sections):
+        near = next((text for name in others if (text := closest(name, full.values()))), "")
+        if any(name.rpartition("/")[2] in nodes for name in others):
+            near = " (of another namespace: --namespace NS)"
+        raise ScenarioError(
+            f"params file {file}: {', '.join(others)}: no such node{near}; the nodes are {', '.join(full.values())}"
+        )
+    if others:
+        say(f"params file {file}: passed over what is of no node of this rig: {', '.join(others)}")
     return found
 
 
-def _flat(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
+def matches(pattern: str, name: str) -> bool:
+    """Return whether the name of a section stands for a node, as rcl decides it; both full names."""
+    wild = {"**": r"(/\w+)*", "*": r"/\w+"}
+    parts = (wild.get(part, f"/{re.escape(part)}") for part in pattern[1:].split("/"))
+    return re.fullmatch("".join(parts), name, re.ASCII) is not None
+
+
+def read_sections(file: Path) -> dict[str, dict[str, Any]]:
+    """Read a parameter file: full names of nodes, or patterns, to names of parameters to values, in its order.
+
+    Raises
+    ------
+    ScenarioError
+        Not YAML, or something that rcl refuses.
+    """
+    where = f"params file {file}"
+    try:
+        text = file.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{where}: {error}") from None
+    read_yaml(text, str(file))  # bounds, keys that stand twice, what is no YAML
+    if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader)):
+        raise ScenarioError(f"{where}: it has an alias (*name), which rcl refuses; write the values out")
+    root = yaml.compose(text, yaml.SafeLoader)
+    if not isinstance(root, yaml.MappingNode):
+        raise ScenarioError(f"{where}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
+    found: dict[str, dict[str, Any]] = {}
+    for name, values in _nodes(root, "", where):
+        found.setdefault(name, {}).update(values)
+    return found
+
+
+def _nodes(branch: yaml.MappingNode, above: str, where: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    over = False
+    for key, value in branch.value:
+        name, line = str(key.value), key.start_mark.line + 1
+        if over:
+            raise ScenarioError(
+                f"{where}, line {line}: rcl refuses {name!r} after ros__parameters; write it before that"
+            )
+        if name == "ros__parameters":
+            if not above or not isinstance(value, yaml.MappingNode):
+                raise ScenarioError(f"{where}, line {line}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
+            yield above, dict(_values(value, "", where))
+            over = True
+            continue
+        path = f"{above}/{name.rstrip('/')}" if not name.startswith("/") or above else name.rstrip("/")
+        if not all(map(_TOKEN.fullmatch, path.split("/")[1:])):
+            raise ScenarioError(f"{where}, line {line}: {path!r} is no name of a node or namespace")
+        if not isinstance(value, yaml.MappingNode):
+            raise ScenarioError(f"{where}, line {line}: {name}: expected ros__parameters: {{NAME: VALUE}}")
+        yield from _nodes(value, path, where)
+
+
+def _values(branch: yaml.MappingNode, above: str, where: str) -> Iterator[tuple[str, Any]]:
+    for key, value in branch.value:
+        name = f"{above}{key.value}"
+        if isinstance(value, yaml.MappingNode):
+            yield from _values(value, f"{name}.", where)
+        elif isinstance(value, yaml.SequenceNode):
+            items = [_scalar(item, f"{where}: {name}") for item in value.value]
+            if len({type(item) for item in items}) > 1:
+                raise ScenarioError(f"{where}: {name} is a list of several kinds, which rcl refuses")
+            yield name, items
         else:
-            yield f"{prefix}{name}", value
+            yield name, _scalar(value, f"{where}: {name}")
+
+
+def _scalar(node: yaml.Node, where: str) -> bool | int | float | str:
+    """Read a value as rcl does: what is quoted is text, and C reads the numbers."""
+    if not isinstance(node, yaml.ScalarNode):
+        raise ScenarioError(f"{where}: a list of lists or maps, which rcl refuses")
+    text = str(node.value)
+    if node.style is not None and node.style != "":
+        return text
+    if text in _NULL:
+        raise ScenarioError(f"{where} is null: a node refuses it; give a value, or leave the line out")
+    if text in _BOOL:
+        return _BOOL[text]
+    number = _number(text)
+    return text if number is None else number
+
+
+def _number(text: str) -> int | float | None:
+    if _INT.fullmatch(text):
+        digits = text.lstrip("+-")
+        octal = digits[0] == "0" and len(digits) > 1 and digits[1] not in "xX"
+        if not octal or set(digits) <= set("01234567"):
+            value = int(text, 8 if octal else 0)
+            if -(2**63) <= value < 2**63:
+                return value
+    if _SPECIAL.fullmatch(text):
+        return float(text.replace(".", ""))
+    if _REAL.fullmatch(text):
+        real = float(text)
+        overflown = real in (float("inf"), float("-inf")) and "inf" not in text.lower()
+        return None if overflown else real
+    return None

@@ -15,6 +15,7 @@ from .naming import elsewhere, folder_of, scenario_file
 
 if TYPE_CHECKING:
     from softrig_core import Scenario
+    from softrig_core.scenario.scenario import NodeEntry
     from softrig_nodes.processes.placement import Placement
 
 
@@ -53,6 +54,9 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
     )
     parser.add_argument(
         "--params-file", type=Path, metavar="FILE", help="change parameters, in the form of ros2 param dump"
+    )
+    parser.add_argument(
+        "--namespace", default="", metavar="NS", help="in which --params-file names the nodes, as launch namespace:=NS"
     )
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
@@ -152,7 +156,8 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
     if options.params_file is not None:
         from .params_file import params_of
 
-        given = params_of(options.params_file, load_scenario(options.scenario).nodes)
+        nodes = load_scenario(options.scenario).nodes
+        given = params_of(options.params_file, nodes, options.namespace, lambda node, name: _has(nodes[node], name))
     scenario = load_scenario(options.scenario, given | settings(options.set, options.scenario))
     changes: dict[str, Any] = {}
     for key in ("duration", "seed"):
@@ -165,6 +170,18 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
     return scenario
 
 
+def _has(node: NodeEntry, parameter: str) -> bool:
+    """Return whether a node declares a parameter; so it is taken to when its block is not known here."""
+    from softrig_core.block.params import declarations
+    from softrig_core.rig.installed import load_block
+
+    try:
+        block = load_block(node.package, node.executable)
+    except ScenarioError:
+        return True
+    return any(d.name == parameter for d in declarations(block.Params))
+
+
 def _repeated(options: argparse.Namespace) -> Scenario:
     """Give the scenario of the run that --like or --from names, with what was changed of it before and while it ran."""
     from .branch import continued
@@ -172,7 +189,7 @@ def _repeated(options: argparse.Namespace) -> Scenario:
     from .like import recall, repeated
 
     word, free = ("--like", ()) if options.origin is None else ("--from", ("set", "duration"))
-    for name in ("scenario", "set", "params_file", "duration", "seed", "external", "only"):
+    for name in ("scenario", "set", "params_file", "namespace", "duration", "seed", "external", "only"):
         if name not in free and getattr(options, name) not in ("", None, []):
             other = name if name == "scenario" else f"--{name.replace('_', '-')}"
             raise ScenarioError(f"{word} repeats a run as it was: expected no {other} beside it")
@@ -223,6 +240,7 @@ def folder_name(scenario: str, options: argparse.Namespace, only: Sequence[str] 
     """Name the folder of a run, or of some nodes of one, so that runs that differ do not replace each other."""
     parts = [scenario, *only] + (["realtime"] if options.realtime else [])
     parts += [options.params_file.stem] if options.params_file is not None else []
+    parts += [options.namespace.strip("/")] if options.namespace else []
     parts += ["again"] if options.like is not None else []
     parts += [f"from_{options.origin[1]:.9g}"] if options.origin is not None else []
     parts += [*options.set, *(f"external_{name}" for name in options.external)]
@@ -242,6 +260,7 @@ def repeat(options: argparse.Namespace) -> list[str]:
     again += ["--from", f"{options.origin[0].absolute()}@{options.origin[1]!r}"] if options.origin is not None else []
     arguments = [*again, "--mode", options.mode, *(["--realtime"] if options.realtime else [])]
     arguments += ["--params-file", str(options.params_file.absolute())] if options.params_file is not None else []
+    arguments += ["--namespace", options.namespace] if options.namespace and options.params_file is not None else []
     for text in options.set:
         arguments += ["--set", text]
     for name in options.external:

@@ -202,6 +202,8 @@ def _options(given: Mapping[str, str]) -> argparse.Namespace:
     words = [given["scenario"], "--mode", given["place"], *(["--realtime"] if given["mode"] == "realtime" else [])]
     for name, option in (("duration", "duration"), ("seed", "seed"), ("params_file", "params-file"), ("out", "out")):
         words += [f"--{option}={given[name]}"] if given[name] else []
+    if given["params_file"] and given["namespace"]:
+        words += [f"--namespace={given['namespace']}"]
     words += ["--record-all"] if given["record"] == "all" else []
     for node in given["external"].split():
         words += ["--external", node]
