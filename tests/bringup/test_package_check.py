@@ -20,6 +20,9 @@ class Steady(Plant):
     def outputs(self, x, t):
         return {"state": (x,)}
 
+    def advance(self, x, t):
+        return x
+
 
 class Twice(Block):
     OUTPUTS = (scalars("a", "same", {"x": "m"}), scalars("b", "same", {"x": "m"}))
@@ -36,6 +39,23 @@ class Drifting(Steady):
 class Infinite(Steady):
     def first(self):
         return float("inf")
+
+
+class Counting(Steady):
+    seen = 0
+
+    def outputs(self, x, t):
+        Counting.seen += 1
+        return {"state": (float(Counting.seen),)}
+
+
+class Keeping(Steady):
+    def setup(self):
+        self.kept = []
+
+    def advance(self, x, t):
+        self.kept.append(x)
+        return x
 
 
 class Gain(BlockParams):
@@ -61,7 +81,13 @@ def test_a_sound_block_passes_and_one_without_defaults_says_so(monkeypatch):
 
 @pytest.mark.parametrize(
     ("block", "what"),
-    [(Twice, "two topics named 'same'"), (Drifting, "after a reset"), (Infinite, "state x/position became inf")],
+    [
+        (Counting, "after a reset"),
+        (Keeping, r"its ticks change self\.kept in place \(Keeping\)"),
+        (Twice, "outputs a and b both publish 'same'"),
+        (Drifting, "after a reset"),
+        (Infinite, "state x/position became inf"),
+    ],
 )
 def test_an_unsound_block_does_not(monkeypatch, block, what):
     main = lambda: None  # noqa: E731

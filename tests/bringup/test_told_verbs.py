@@ -1302,7 +1302,7 @@ def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
     assert main(["check", "lag", "--json", "nowhere/x.json"]) == 2
     assert "nowhere/x.json: there is no folder" in capsys.readouterr().err
 
-    def broken(name):
+    def broken(name, thorough):
         raise RunError("gone")
 
     assert check.judge("lag")["metrics"][0]["name"] == "last"

@@ -32,6 +32,7 @@ from softrig_core.block.held import ByHand
 from softrig_core.block.params import BlockParams, Params, build, check_steps, declarations, differing, flatten
 from softrig_core.block.port import Sample, pose
 from softrig_core.block.schedule import Schedule, rational
+from softrig_core.wire.cdr import Layout
 from told import check_told
 
 
@@ -212,6 +213,11 @@ def test_arrays_are_numbered_in_the_order_of_calls():
     assert readable_stamp(b"\0\1\0\0" + b"\xff" * 4 + b"\5\0\0\0") == -(10**9) + 5
 
 
+def joints(names):
+    """A message of positions; no port has two channels of one name, others may send such."""
+    return Layout("sensor_msgs/msg/JointState", "", names, {"position": len(names)}).encode(3, (1.0, 2.0)[: len(names)])
+
+
 def test_what_does_not_fit_is_told():
     two = joint_state("a", "t", ["x", "y"], position="m")
     pairs = {
@@ -231,13 +237,11 @@ def test_what_does_not_fit_is_told():
     ]
     named = joint_state("a", "t", ["x", "y"], position="m", also=("p", "q"))
     for names in (("p", "q"), ("q", "p"), ("x", "p"), ("x", "x"), ()):
-        message = (
-            joint_state("a", "t", names or ["n"], position="m").layout().encode(3, (1.0, 2.0)[: max(1, len(names))])
-        )
+        message = joints(names or ["n"])
         lines.append(f"names {names}: {said(Decoder(named), message)}")
     partial = joint_state("a", "t", ["x", "y"], position="m", partial=True)
     for names in (("x",), ("y", "x"), ("x", "x"), ("z",)):
-        message = joint_state("a", "t", names, position="m").layout().encode(3, (1.0, 2.0)[: len(names)])
+        message = joints(names)
         lines.append(f"partial {names}: {said(Decoder(partial), message)}")
     lines.append(f"cut: {said(Decoder(two), two.layout().encode(3, (1.0, 2.0))[:-3])}")
     lines.append(f"too large: {said(Decoder(two), two.layout().encode(3, (1.0, 2e9)))}")

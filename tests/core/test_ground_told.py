@@ -190,7 +190,7 @@ class NoDefaults(Block[Needs]):
 
 class Twice(Block[BlockParams]):
     INPUTS = (scalars("a", "t", {"x": ""}),)
-    OUTPUTS = (scalars("b", "u", {"x": ""}), scalars("a", "v", {"x": ""}))
+    OUTPUTS = (scalars("a", "u", {"x": ""}), scalars("a", "v", {"x": ""}))
 
 
 class Same(Block[BlockParams]):

@@ -65,7 +65,6 @@ def answered(block, values, draw):
                 shown = [f"{x if abs(x) > noise else 0.0:.6g}" for x in itertools.islice(row, 12)]
                 yield f"  {k} {port.name}: {' '.join(shown)}" + (f" ... {sum(row):.6g}" if len(row) > 12 else "")
     for key, (_, text, *_) in one.reports.items():
-        text = re.sub(r"[\d.]+ s of CPU time", "so much CPU time", text)
         yield f"  says {key}: " + re.sub(r"-?\d+\.\d{7,}", lambda number: f"{float(number[0]):.6g}", text)
 
 

@@ -43,7 +43,7 @@ def judge(name: str) -> dict[str, Any]:
     """Run one scenario in this process and give what is to be said of it, as plain data."""
     started = time.perf_counter()
     try:
-        return outcome_of(simulate(name), time.perf_counter() - started)
+        return outcome_of(simulate(name, thorough=True), time.perf_counter() - started)
     except RunError as error:
         return {
             "scenario": load_scenario(name).name,

@@ -158,6 +158,8 @@ class Running:
 class _Fmu(Block[FmuParams]):
     """What both have: the FMU, its time, and the way from ports to variables."""
 
+    SCRATCH = frozenset({"_running"})  # the FMU itself: x tells what it was told, and `load` brings it there
+
     @classmethod
     def ports(cls, params: FmuParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Give the ports that the parameters name."""

@@ -42,6 +42,8 @@ class MoveSolver:
 
     WORDS = {-1: "infeasible", -2: "cycling", -3: "unbounded", -4: "iteration limit", -5: "not convex"}
 
+    SCRATCH = frozenset({"_q", "_lower", "_upper", "_sense"})  # each call writes all of them before it reads
+
     def __init__(self, hessian: Sequence[Sequence[float]], most: float) -> None:
         import numpy as np
         from daqp import solve

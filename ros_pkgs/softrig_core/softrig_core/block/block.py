@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cached_property
+from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NoReturn, get_args
 
 from typing_extensions import TypeVar
@@ -27,6 +29,34 @@ Values = Mapping[str, "Sequence[float] | Sample | None"]
 P = TypeVar("P", bound=BlockParams, default=Any)
 
 
+# what makes or remakes a block's constants
+_OPEN = frozenset({"__init__", "setup", "change", "reset"})
+
+
+def _check_writer(block: Block, name: str, writer: FrameType) -> None:
+    """Make sure that no method of a block writes an attribute of it in a tick.
+
+    Who runs the block writes from outside; the outermost method of the block on the stack decides, so `setup` may call
+    others. Walking the stack takes microseconds, and nobody comes here in a tick who is not refused.
+
+    Raises
+    ------
+    RunError
+        With file, line, method and attribute.
+    """
+    method, frame = "", writer
+    while frame is not None:
+        code = frame.f_code
+        if ("self" in code.co_varnames or "self" in code.co_freevars) and frame.f_locals.get("self") is block:
+            method = code.co_name
+        frame = frame.f_back  # type: ignore[assignment]
+    if method and method not in _OPEN:
+        raise RunError(
+            f"{block.name or type(block).__name__}: `{method}` writes self.{name} ({writer.f_code.co_filename}, line "
+            f"{writer.f_lineno}); make what the block remembers a field of x and return the new x"
+        )
+
+
 class Level(IntEnum):
     """Severity, the numbers of diagnostic_msgs/DiagnosticStatus."""
 
@@ -40,7 +70,8 @@ class Block(Generic[P]):
 
     What it remembers is one value, x: an immutable named tuple with the names of the paper, made by `first`, handed to
     its methods and given back by them. Who runs the block holds x (`softrig_core.block.held`); the block itself is
-    constants: nothing writes an attribute outside `setup`. Whatever follows from x is computed from x.
+    constants: outside of `setup`, `change` and `reset` its methods may not write an attribute, which is a RunError with
+    file and line. Whatever follows from x is computed from x.
 
     ``class Lag(Block[LagParams])`` has parameters of that type, as `Params` and as type of ``self.p``. A base of
     several blocks leaves it open, ``class Law(Block[P])``; by itself it has the default of `P`, or what binds it.
@@ -67,6 +98,9 @@ class Block(Generic[P]):
     realtime = False  # whether the wall clock drives it, as its runner says: nothing may then wait in `update`
     DRAWN_BY: ClassVar[str] = ""  # module:class of what draws it, a `softrig_core.drawing.Drawing`; else its `scene`
     TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports: it has switched something off for good
+    # attributes that a tick may change in place because no answer depends on them: caches, buffers, handles
+    SCRATCH: ClassVar[frozenset[str]] = frozenset()
+    _open = True  # whether every attribute may be written: while the block is made
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -83,6 +117,16 @@ class Block(Generic[P]):
                 of = (argument, getattr(argument, "__default__", None), getattr(argument, "__bound__", None))
                 cls.Params = next((p for p in of if isinstance(p, type) and issubclass(p, BlockParams)), cls.Params)
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not self._open:
+            _check_writer(self, name, sys._getframe(1))
+        super().__setattr__(name, value)
+
+    def __delattr__(self, name: str) -> None:
+        if not self._open:
+            _check_writer(self, name, sys._getframe(1))
+        super().__delattr__(name)
+
     def __init__(self, params: P | None = None, name: str = "", **values: Any) -> None:
         self.p: P = build(self.Params, values) if params is None else params  # type: ignore[assignment]
         self.name = name
@@ -97,6 +141,7 @@ class Block(Generic[P]):
             self.reset(0)
             self.first()
             self.reports.clear()  # who holds the block asks again
+            self._open = False
         except (ParameterError, ScenarioError, RunError):
             raise
         except (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -30,6 +30,16 @@ class Sample(NamedTuple):
 
     stamp: int
     data: tuple[float, ...]
+
+
+def twice(names: Iterable[str]) -> str | None:
+    """Return the first name that comes a second time; None when each is there once."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None
 
 
 @dataclass(frozen=True)
@@ -104,6 +114,8 @@ class Port:
                 f"port {self.name}: {self.topic} has no values; expected channels, and the unit of a "
                 "field, '1' for a pure number"
             )
+        if (label := twice(self.labels)) is not None:
+            raise ValueError(f"port {self.name}: two values are named {label!r}; give each channel a name of its own")
         if len(self.units) != self.size:
             raise ValueError(f"port {self.name}: {len(self.units)} units for {self.size} values")
         object.__setattr__(self, "safe", tuple(map(float, self.safe)))
@@ -376,3 +388,22 @@ def _named(
 
 
 CLOCK = Port("clock", "/clock", "rosgraph_msgs/msg/Clock")
+
+
+def require_distinct(inputs: Sequence[Port], outputs: Sequence[Port]) -> None:
+    """Make sure that no two inputs and no two outputs of a block share a name, and no two outputs a topic.
+
+    Values and links are found by these names, so the second one would silently take the place of the first.
+
+    Raises
+    ------
+    ValueError
+        Names the two topics, or the two outputs, that share a name.
+    """
+    for kind, ports in (("inputs", inputs), ("outputs", outputs)):
+        if (name := twice(p.name for p in ports)) is not None:
+            first, second = [p.topic for p in ports if p.name == name][:2]
+            raise ValueError(f"two {kind} are named {name!r} (topics {first} and {second}); give each its own name")
+    if (topic := twice(p.topic for p in outputs)) is not None:
+        first, second = [p.name for p in outputs if p.topic == topic][:2]
+        raise ValueError(f"outputs {first} and {second} both publish {topic!r}; give each its own topic")

@@ -57,6 +57,8 @@ class Compiled:
     >>> x = step((*x, *u, 1e-3))
     """
 
+    SCRATCH = frozenset({"_arguments", "_results", "_views", "_buffer"})  # each call writes all of them before it reads
+
     def __init__(self, function: ca.Function) -> None:
         for i in range(function.n_in()):
             if not function.sparsity_in(i).is_dense():

@@ -113,6 +113,8 @@ class Track:
     _count: int  # rows of this one
     _shared: _Shared
 
+    SCRATCH = frozenset({"_shared"})  # later values append to it; what this one reads of it stays
+
     def __init__(self, begin: Trajectory) -> None:
         self._capacity = self._count = len(begin.begin)
         self._shared = _Shared(begin, self._count)

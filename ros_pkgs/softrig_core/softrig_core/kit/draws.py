@@ -22,6 +22,8 @@ class Stream:
         At its beginning, as `numpy.random.default_rng` makes it; nobody else draws from it from now on.
     """
 
+    SCRATCH = frozenset({"_generator", "_at"})  # where it stands: a number depends on its index alone
+
     def __init__(self, generator: np.random.Generator) -> None:
         self._generator, self._begin, self._at = generator, generator.bit_generator.state, 0
 
@@ -58,6 +60,8 @@ class Draws:
     kind : {"standard_normal", "random"}
         Normal with mean 0 and variance 1, or uniform in [0, 1).
     """
+
+    SCRATCH = frozenset({"_generator", "_draw", "_before", "_rows"})  # a cache: a number depends on its index alone
 
     def __init__(self, stream: Callable[[], np.random.Generator], kind: Literal["standard_normal", "random"]) -> None:
         self._stream, self._kind = stream, kind

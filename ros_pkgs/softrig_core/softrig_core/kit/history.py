@@ -49,6 +49,7 @@ class History:
     """
 
     __slots__ = ("_count", "_line")
+    SCRATCH = frozenset({"_line"})  # later values append to it; what this one reads of it stays
 
     _line: _Line
     _count: int  # rows of the line up to its newest sample

@@ -75,6 +75,8 @@ def power(x: float, y: float) -> float:
 class Jit:
     """A function that is native code from its first call on; made by `jit`."""
 
+    SCRATCH = frozenset({"_run", "_dispatcher"})  # made at the first call
+
     def __init__(self, function: Callable[..., Any]) -> None:
         self.py_func = function
         self._run: Callable[..., Any] = self._first

@@ -28,6 +28,8 @@ class Newest(Generic[K, V]):
         What was asked last, and what it was; None before.
     """
 
+    SCRATCH = frozenset({"key", "answer"})  # a cache: the answer depends on the argument alone
+
     def __init__(self, function: Callable[[K], V], size: int = 4) -> None:
         self._function: Callable[..., V] = lru_cache(maxsize=size)(function)
         self.key: Any = None

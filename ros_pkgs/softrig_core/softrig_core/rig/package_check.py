@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import importlib.metadata
+from collections.abc import Mapping, Sequence
 from importlib.metadata import EntryPoint
-from itertools import pairwise
 from typing import Any
 
 from ..block.answer import admit
-from ..block.block import Plant
+from ..block.block import Block, Plant
 from ..block.held import ByHand
 from ..block.params import ParameterError, build
+from ..block.port import Port, require_distinct
+from ..block.schedule import Schedule
+from ..solver.solver import Solver
+from .contents import contents, differing, digest, in_place
 from .installed import block_of
 
+TICKS = 3  # of each block
 GROUPS = ("console_scripts", "softrig_figures")
 
 
@@ -26,7 +31,8 @@ def check_entry_point(point: EntryPoint) -> str:
     """Load what a package offers and see that it can be used with its own defaults.
 
     A block's ports have distinct names and topics of their own, it can be set up, and a plant's outputs at the start
-    are finite and the same after a reset.
+    are finite and the same after a reset. Two ticks on first values change nothing but its state x, and from the same
+    x they are the same.
 
     Parameters
     ----------
@@ -53,10 +59,10 @@ def check_entry_point(point: EntryPoint) -> str:
     except ParameterError as error:
         return f"{point.name} has no defaults to begin with: {error}"
     inputs, outputs = block_class.ports(params)
-    for what, names in (("ports", [p.name for p in (*inputs, *outputs)]), ("topics", [p.topic for p in outputs])):
-        twice = [a for a, b in pairwise(sorted(names)) if a == b]
-        if twice:
-            raise ValueError(f"{point.name} has two {what} named {twice[0]!r}")
+    try:
+        require_distinct(inputs, outputs)
+    except ValueError as error:
+        raise ValueError(f"{point.name}: {error}") from None
     try:
         block = block_class(params, point.name)
     except ParameterError as error:
@@ -67,7 +73,36 @@ def check_entry_point(point: EntryPoint) -> str:
         first, second = (_outputs(block, outputs, seed=3) for _ in range(2))
         if first != second:
             raise ValueError(f"{point.name} starts with {first}, after a reset with {second}")
+    if not isinstance(block, Solver):  # whose ticks start a process
+        _check_ticks(point.name, block, inputs)
     return ""
+
+
+def _check_ticks(name: str, block: Block, inputs: Sequence[Port]) -> None:
+    """Make sure that ticks on first values change nothing but x, and that the same ticks have the same answers."""
+    begun, values = contents(block), {port.name: port.initial for port in inputs}
+    once, again = (_answers(block, values) for _ in range(2))
+    for (t, first), (_, second) in zip(once, again, strict=True):
+        if digest(first) != digest(second):
+            raise ValueError(
+                f"{name} answers the tick at t = {t} ns with {first}, and a second time, from the same state x, with "
+                f"{second}; what it remembers must be in x, random numbers must come from self.uniform(k)"
+            )
+    if changed := differing(begun, contents(block)):
+        raise ValueError(f"{name}: {in_place(block, changed)}")
+
+
+def _answers(block: Block, values: Mapping[str, Any]) -> list[tuple[int, Any]]:
+    """Return the answers of the first ticks from the first state, each with its time in ns."""
+    x, schedule, answers = block.first(), Schedule(block.p.period), []
+    for t in map(schedule.time, range(TICKS)):
+        if isinstance(block, Plant):
+            found = block.outputs(x, t)
+            x = block.advance(x, t, **values)
+        else:
+            x, found = block.update(x, t, **values)
+        answers.append((t, found))
+    return answers
 
 
 def _outputs(block: Plant, ports: Any, seed: int) -> list[Any]:

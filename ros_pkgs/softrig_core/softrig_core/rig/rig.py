@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from ..block.block import Block
 from ..block.codec import selection
 from ..block.params import ParameterError, build, flatten
-from ..block.port import Port, Refused
+from ..block.port import Port, Refused, require_distinct
 from ..block.schedule import Schedule
 from ..errors import ScenarioError
 from ..judge.units import misfit
@@ -174,7 +174,8 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
     try:
         params: Any = parameters(name)
         inputs, outputs = block.ports(params)
-    except ParameterError as error:
+        require_distinct(inputs, outputs)
+    except ValueError as error:
         raise ScenarioError(f"{where}: {error}") from None
     topics = [p.topic for p in (*inputs, *outputs)]
     for topic in entry.remap:

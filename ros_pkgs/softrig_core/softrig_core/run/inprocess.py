@@ -17,6 +17,7 @@ from ..block.runner import YOUNG
 from ..block.step import Step
 from ..errors import ScenarioError
 from ..native.choice import ticks_of
+from ..rig.contents import Look
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..solver.solver import Solver
@@ -36,6 +37,7 @@ def run_inprocess(
     progress: Callable[[int], object] | None = None,
     runs: int = 1,
     topics: Container[str] | None = None,
+    thorough: bool = False,
 ) -> dict[str, Step]:
     """Run a rig in this process.
 
@@ -52,6 +54,8 @@ def run_inprocess(
         Of several, observers that say nothing on any topic are left out.
     topics : container of str, optional
         The sink gets what those say who publish one of these; all when absent.
+    thorough : bool
+        Compare what the blocks hold beside x also after the run, not only after the first ticks of a class.
 
     Returns
     -------
@@ -64,7 +68,8 @@ def run_inprocess(
         A node of the rig is external.
     RunError
         A block raised, or gave what may not leave it (NaN, infinity, beyond `Port.limits`, a wrong number of values);
-        names node, port and time.
+        names node, port and time; or it has changed what it
+        holds beside x.
     """
     check_here(rig)
     if runs > 1:
@@ -75,13 +80,17 @@ def run_inprocess(
         record(
             rig, {n: s for n, s in steps.items() if topics is None or any(p.topic in topics for p in s.outputs)}, sink
         )
+    look = Look(steps, thorough)
     due, end = 0, rig.clock.schedule.end or 0
     try:
         with _searched_seldom():
             for t in ticks_of(list(steps.values()), runs)[0]:
+                if t is not None and t >= look.due:
+                    look.check(t)
                 if progress is not None and t is not None and (t >= due or t == end):
                     progress(t)
                     due = t + end // 100
+            look.check()
     finally:
         for step in steps.values():
             step.link = None  # it may go on without, and keeps nothing of the sink

@@ -10,6 +10,7 @@ from ..block.moment import Moment, keep, put_back
 from ..block.params import ParameterError
 from ..block.runner import Runner
 from ..errors import RunError, ScenarioError, closest
+from ..rig.contents import Look
 from ..rig.rig import Rig
 from ..scenario.scenario import Scenario
 from ..solver.solver import Solver
@@ -85,6 +86,7 @@ class Session:
             {m.name: m.block(self.seed) for m in self.rig.members},
             Recording((topic, port.msgtype) for topic, port in self.rig.topics.items()),
         )
+        self._look = Look(self.steps)
         self._every = max(1, self.ticks // KEPT)
         self._keep()
 
@@ -137,8 +139,10 @@ class Session:
     def _answer(self, until: int) -> None:
         try:
             while self._k < until and not self.error:
-                next(self._answered)
+                t = next(self._answered)
                 self._k += 1
+                if t is not None and t >= self._look.due:
+                    self._look.check(t)
                 if self._k % self._every == 0:
                     self._keep()
         except RunError as error:
@@ -233,6 +237,7 @@ class Session:
         other.rig, other.seed, other._every, other._why = self.rig, self.seed, self._every, self._why
         other._turned = [turned for turned in self._turned if turned.k < k + (t is None)]
         other._kept = {at: moment for at, moment in self._kept.items() if at <= k}
+        other._look = Look({})  # blocks of the same classes
         other.recording, other._runner = self.recording, self._runner  # of which `_come` takes what was before
         other._come({m.name: m.block(self.seed) for m in self.rig.members}, k)
         return other

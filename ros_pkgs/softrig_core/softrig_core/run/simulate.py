@@ -246,6 +246,7 @@ def simulate(
     progress: Callable[[int], object] | bool | None = None,
     runs: int = 1,
     signals: Collection[str] | None = None,
+    thorough: bool = False,
 ) -> Run:
     """Run a scenario or rig in this process: the same numbers and bytes as with nodes over DDS.
 
@@ -265,13 +266,16 @@ def simulate(
         keeps them all in Python; the numbers and bytes are the same.
     signals : collection of str, optional
         Record nodes that say one of these, or what a figure or requirement reads, and no others; all when absent.
+    thorough : bool
+        Compare also after the run what each block holds beside its state x, which no tick may change. By default this
+        is done after the first ticks of each block class in this process.
 
     Raises
     ------
     ScenarioError
         Bad input; nothing has run.
     RunError
-        A block raised, or gave NaN, infinity or a wrong number of values.
+        A block raised, gave NaN, infinity or a wrong number of values, or changed what it holds beside x.
 
     Examples
     --------
@@ -289,7 +293,7 @@ def simulate(
     started = time.perf_counter()
     bar = _view("progress")(rig.scenario.name, rig.scenario.duration) if progress is True else nullcontext(progress)
     with bar as tell:
-        run.blocks = run_inprocess(rig, number, recording, tell or None, runs, topics)
+        run.blocks = run_inprocess(rig, number, recording, tell or None, runs, topics, thorough)
     run.wall_s = time.perf_counter() - started
     return run
 

@@ -135,6 +135,7 @@ class Solver(Block[S]):
     # a new request kills the work under way instead of waiting for its end; with requests that come faster than
     # the latency there is never a result then
     CANCELS: ClassVar[bool] = False
+    SCRATCH = frozenset({"worker"})  # the process: what it works on is in `x.jobs`
 
     def request(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Any]:
         """Give x and what is to be worked on, picklable; None when this tick asks nothing new."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from itertools import chain
 from typing import Any, Literal, NamedTuple, Self
@@ -122,7 +121,6 @@ class FaultLocator(Block[FaultLocatorParams]):
         return Record.from_table(np.array(table).reshape(-1, len(COLUMNS)))
 
     def _answer(self, x: State) -> tuple[State, Answer]:
-        begin = time.process_time()
         work = None
         try:
             drawn = int(self.generator().integers(2**32, size=x.answers + 1)[-1])
@@ -130,9 +128,8 @@ class FaultLocator(Block[FaultLocatorParams]):
             found = work.locate()
         except RecordError as error:
             found = Location(error.status, text=str(error))
-        spent = time.process_time() - begin
         x = x._replace(answers=x.answers + 1, result=found)
-        self._tell(found, work, spent)
+        self._tell(found, work)
         verdict = (float(found.status), float(found.mode), 0.0 if work is None else found.f_max)
         if work is None or found.x_km is None:
             return x, {"verdict": verdict}
@@ -149,9 +146,9 @@ class FaultLocator(Block[FaultLocatorParams]):
         place = tuple(values[name] for name in LOCATION)
         return x, {"verdict": verdict, "location": place, "objective": objective}
 
-    def _tell(self, found: Location, work: Locator | None, spent: float) -> None:
+    def _tell(self, found: Location, work: Locator | None) -> None:
         good = found.status in (Status.OK, Status.NO_FAULT)
-        text = f"{found.text}; {spent:.4f} s of CPU time"
+        text = found.text
         if found.x_km is not None and self.p.truth_km is not None:
             error = found.x_km - self.p.truth_km
             text += f"; error {100.0 * error / self.p.line.length:.4f} % of the line ({1e3 * error:.1f} m)"

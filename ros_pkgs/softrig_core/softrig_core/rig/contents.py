@@ -1,0 +1,184 @@
+"""What a block holds beside its state x: constants, which no tick may change."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+import random
+import types
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property, partial
+from typing import Any
+
+from ..block.block import Block
+from ..block.step import Step
+from ..errors import RunError
+
+# written by whoever runs a block
+_RUNNERS = frozenset(
+    {"p", "name", "ages", "unanswered", "events", "reports", "anew", "realtime", "_seed", "_open", "SCRATCH"}
+)
+_PLAIN = (type(None), bool, int, float, complex, str, bytes)
+_CHANGEABLE = (int, float, list, dict, set, deque, bytearray)
+
+
+def contents(block: Block) -> dict[str, str]:
+    """Return a digest of each attribute of a block, with all that it leads to.
+
+    It sees what is changed in place, too: in lists, dicts, arrays, helper objects, random generators, variables that a
+    function holds, and attributes of the block's classes. Left out are what a class names in ``SCRATCH``, cached
+    properties, and what libraries keep outside of Python.
+    """
+    skipped = _RUNNERS | _scratch(type(block))
+    found = {f"self.{name}": digest(value) for name, value in vars(block).items() if name not in skipped}
+    for of in type(block).__mro__:
+        if issubclass(of, Block) and of.__module__.partition(".")[0] != "softrig_core":
+            found |= {
+                f"{of.__name__}.{name}": digest(value)
+                for name, value in vars(of).items()
+                if isinstance(value, _CHANGEABLE) and not name.startswith("__") and name not in skipped
+            }
+    return found
+
+
+class Look:
+    """What blocks hold when they begin, to be compared with what they hold later.
+
+    Parameters
+    ----------
+    steps : mapping of str to Step
+        The members by name.
+    thorough : bool
+        Compare all blocks, and once more after the run; else those of classes that have not passed in this process.
+
+    Attributes
+    ----------
+    due : float
+        When a block's second tick is over and `check` is to be called, ns.
+    """
+
+    def __init__(self, steps: Mapping[str, Step], thorough: bool = False) -> None:
+        self._thorough = thorough
+        self._begun = {
+            name: (step.block, step.block.p, contents(step.block))
+            for name, step in steps.items()
+            if thorough or type(step.block) not in _passed
+        }
+        self._left = {name: float(steps[name].schedule.time(1)) for name in self._begun}
+        self.due = min(self._left.values(), default=math.inf)
+
+    def check(self, t: float = math.inf) -> None:
+        """Compare the blocks that have answered two ticks at t (ns), by default, after a run, all that are left.
+
+        A block whose parameters were changed in the meantime has other constants and is left out.
+
+        Raises
+        ------
+        RunError
+            A tick has changed what a block holds beside x; names node and attribute.
+        """
+        for name, (block, params, begun) in self._begun.items():
+            if (self._thorough and t == math.inf) or self._left.get(name, math.inf) <= t:
+                self._left.pop(name, None)
+                if block.p is params and (changed := differing(begun, contents(block))):
+                    error = RunError(f"{name}: {in_place(block, changed)}")
+                    error.node = name
+                    raise error
+                _passed.add(type(block))
+        self.due = min(self._left.values(), default=math.inf)
+
+
+_passed: set[type[Block]] = set()
+
+
+def differing(one: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
+    """Return the names whose digests differ, or that only one has."""
+    return sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
+
+
+def in_place(block: Block, changed: Sequence[str]) -> str:
+    """Say which attributes the ticks of a block change, and what to do."""
+    return (
+        f"its ticks change {', '.join(changed)} in place ({type(block).__name__}); make what the block remembers a "
+        "field of x, or name the attribute in SCRATCH if no answer depends on it"
+    )
+
+
+def _scratch(of: type) -> frozenset[str]:
+    names: set[str] = set()
+    for base in of.__mro__:
+        names |= vars(base).get("SCRATCH", frozenset())
+        names |= {name for name, value in vars(base).items() if isinstance(value, cached_property)}
+    return frozenset(names)
+
+
+def digest(value: Any) -> str:
+    """Return a digest of a value with all that it leads to; see `contents`."""
+    found = hashlib.blake2b(digest_size=16)
+    seen: dict[int, Any] = {}  # by identity, and kept, so that no identity is used again
+    stack = [value]
+    while stack:
+        one = stack.pop()
+        if isinstance(one, _PLAIN):
+            found.update(f"{type(one).__name__} {one!r};".encode())
+        elif id(one) in seen:
+            found.update(b"again;")
+        else:
+            seen[id(one)] = one
+            label, parts = _parts(one)
+            found.update(f"{type(one).__qualname__} {label};".encode())
+            stack.extend(parts)
+    return found.hexdigest()
+
+
+def _parts(value: Any) -> tuple[str, Iterable[Any]]:
+    """Say what a value is, and what else it leads to."""
+    if isinstance(value, (list, tuple, deque)):
+        return str(len(value)), value
+    if isinstance(value, (dict, types.MappingProxyType)):
+        return str(len(value)), [*value.keys(), *value.values()]
+    if isinstance(value, (set, frozenset)):
+        return str(sorted(map(repr, value))), ()
+    if isinstance(value, (bytearray, memoryview)):
+        return bytes(value).hex(), ()
+    if type(value).__module__ == "numpy" and hasattr(value, "tobytes"):
+        return f"{value.dtype} {value.shape} {value.tobytes().hex() if value.dtype != object else ''}", (
+            value.ravel().tolist() if value.dtype == object else ()
+        )
+    if hasattr(value, "bit_generator"):
+        return "", (value.bit_generator.state,)
+    if isinstance(value, random.Random):
+        return str(hash(value.getstate())), ()
+    if isinstance(value, itertools.count):
+        return repr(value), ()
+    if isinstance(value, types.GeneratorType):
+        return str(value.gi_frame and value.gi_frame.f_lasti), ()
+    if isinstance(value, types.FunctionType):
+        cells = value.__closure__ or ()
+        return value.__qualname__, [cell.cell_contents for cell in cells if _is_filled(cell)]
+    if isinstance(value, partial):
+        return "", (value.func, value.args, value.keywords)
+    if isinstance(value, types.MethodType):
+        return value.__name__, (value.__self__,)
+    if isinstance(value, Block):  # a method of one that is held; the blocks themselves are looked at one by one
+        return value.name, ()
+    if isinstance(value, (type, types.ModuleType, types.BuiltinFunctionType)):
+        return str(value), ()
+    return "", _attributes(value)
+
+
+def _is_filled(cell: types.CellType) -> bool:
+    try:
+        return cell.cell_contents is not cell
+    except ValueError:
+        return False
+
+
+def _attributes(value: Any) -> list[Any]:
+    scratch = _scratch(type(value))
+    slots = [name for base in type(value).__mro__ for name in getattr(base, "__slots__", ()) if name[:2] != "__"]
+    known = dict(getattr(value, "__dict__", {}))
+    known |= {name: getattr(value, name) for name in slots if hasattr(value, name)}
+    return [part for name, one in known.items() if name not in scratch for part in (name, one)]
