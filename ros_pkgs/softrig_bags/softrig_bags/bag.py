@@ -229,7 +229,7 @@ class BagWriter:
                     "topic_metadata": {
                         "name": topic.name,
                         "type": topic.msgtype,
-                        "serialization_format": "cdr",
+                        "serialization_format": topic.wire,
                         "offered_qos_profiles": qos_dicts(topic.offered),
                         "type_description_hash": topic.digest,
                     },

@@ -270,7 +270,7 @@ def main_bag(argv: list[str]) -> int:
         return TOOLS[argv[0]][0](argv[1:])
     info = verbs.add_parser("info", help="what is in a bag")
     info.add_argument("bag", type=_bag)
-    mend = verbs.add_parser("repair", help="save what a crash left, restore index and metadata")
+    mend = verbs.add_parser("repair", help="save what a crash left, restore index and metadata; status 1: some is lost")
     mend.add_argument("bag", type=Path, help="bag directory, single file, or directory with shards of a killed run")
     mend.add_argument("--out", type=Path, metavar="DIR", help="new bag (default: in place, the old one is kept beside)")
     table = verbs.add_parser("export", help="signals as tables, one file a topic")
@@ -285,7 +285,9 @@ def main_bag(argv: list[str]) -> int:
     elif options.verb == "repair":
         from .repair import repair
 
-        print(repair(options.bag, options.out))
+        repaired = repair(options.bag, options.out)
+        print(plain(str(repaired)))
+        return 0 if repaired.complete else 1
     else:
         from .export import export
 

@@ -52,7 +52,7 @@ class McapFile:
         self._write(MAGIC + _record(HEADER, _text("ros2") + _text("softrig")))
         self._metadata_index: list[bytes] = []
         self._write(self._metadata_record(metadata))
-        self._schemas: dict[str, bytes] = {}
+        self._schemas: dict[tuple[str, str, str], bytes] = {}
         self._channels: dict[int, bytes] = {}
         self._chunk_index: list[bytes] = []
         self.counts: dict[int, int] = {}
@@ -71,15 +71,15 @@ class McapFile:
 
     def add_topic(self, number: int, topic: BagTopic) -> None:
         """Declare a topic under a number of 1 to 65535."""
-        if topic.msgtype not in self._schemas:
-            record = pack("<H", len(self._schemas) + 1)
-            record += _text(topic.msgtype) + _text(topic.encoding if topic.definition else "") + _text(topic.definition)
-            self._schemas[topic.msgtype] = _record(SCHEMA, record)
-            self._put(self._schemas[topic.msgtype])
-        schema = list(self._schemas).index(topic.msgtype) + 1
+        described = topic.msgtype, topic.encoding if topic.definition else "", topic.definition
+        if described not in self._schemas:
+            record = pack("<H", len(self._schemas) + 1) + b"".join(map(_text, described))
+            self._schemas[described] = _record(SCHEMA, record)
+            self._put(self._schemas[described])
+        schema = list(self._schemas).index(described) + 1
         details = {"offered_qos_profiles": to_yaml(qos_dicts(topic.offered)), "topic_type_hash": topic.digest}
         self._channels[number] = _record(
-            CHANNEL, pack("<HH", number, schema) + _text(topic.name) + _text("cdr") + _map(details)
+            CHANNEL, pack("<HH", number, schema) + _text(topic.name) + _text(topic.wire) + _map(details)
         )
         self._put(self._channels[number])
         self.counts[number] = 0

@@ -7,7 +7,7 @@ in the files claim is held against that, and a difference is said by topic and c
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
@@ -49,6 +49,8 @@ class BagReader:
     ----------
     path : Path or str
         Bag directory, or a single .mcap or .db3 file, also compressed whole (.zstd).
+    report : callable, optional
+        Receives each difference between what was read and what was claimed, in place of a line and status 1.
 
     Attributes
     ----------
@@ -65,8 +67,9 @@ class BagReader:
         On entering and on reading: no bag, damaged, or of an unknown format.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, report: Callable[[str], object] | None = None) -> None:
         self.path = Path(path)
+        self._report = report or (lambda line: incomplete(f"{self.path}: {line}"))
         self.topics: list[BagTopic] = []
         self.labels: list[str] = []
         self.metadata = Metadata()
@@ -335,7 +338,7 @@ class BagReader:
         for line in self.differences(counted):
             if line not in self._said:
                 self._said.add(line)
-                incomplete(f"{self.path}: {line}")
+                self._report(line)
 
     def differences(self, counted: list[Counter[int]]) -> Iterator[str]:
         """Say where what was read is not what metadata.yaml and the statistics of the files claim."""

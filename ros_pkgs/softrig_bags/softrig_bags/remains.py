@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ruamel.yaml import YAML
-
 from .compressed import SUFFIXES, plain
 from .errors import BagError
+from .metadata import Metadata, read_metadata
+from .source import Damaged
 from .sqlite_recover import JOURNALS, journals
 
 METADATA = "metadata.yaml"
@@ -27,14 +27,20 @@ class Remains:
         Storage files in their order, of .mcap and .db3, compressed or not.
     shards : list of Path
         Records of nodes; without storage files only.
-    absent : list of str
-        Names of files that metadata.yaml lists and that are not there.
+    claimed : Metadata
+        What metadata.yaml says of the bag.
     """
 
     place: Path
     files: list[Path] = field(default_factory=list)
     shards: list[Path] = field(default_factory=list)
-    absent: list[str] = field(default_factory=list)
+    claimed: Metadata = field(default_factory=Metadata)
+
+    @property
+    def absent(self) -> list[str]:
+        """Names of files that metadata.yaml lists and that are not there."""
+        names = {plain(file).name for file in self.files}
+        return [name for name in self.claimed.files if plain(Path(name)).name not in names]
 
     @property
     def pending(self) -> bool:
@@ -89,15 +95,13 @@ def _in_folder(path: Path) -> Remains | None:
     if not found and not shards:
         return None
     files = [found[p] for p in sorted(found, key=lambda p: (len(p.name), p.name))]
-    names = {p.name for p in found}
-    absent = [name for name in _listed(path) if plain(Path(name)).name not in names] if files else []
-    return Remains(path, files, [shards[name] for name in sorted(shards)], absent)
+    claimed = stated(path) if files else Metadata()
+    return Remains(path, files, [shards[name] for name in sorted(shards)], claimed)
 
 
-def _listed(path: Path) -> list[str]:
-    """Read which files metadata.yaml lists; none where it is damaged."""
+def stated(path: Path) -> Metadata:
+    """Return what metadata.yaml claims; nothing where it is absent or damaged."""
     try:
-        content = YAML(typ="safe").load((path / METADATA).read_text())
-        return [str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
-    except Exception:  # absent, or damaged text makes the parser raise whatever it leads to
-        return []
+        return read_metadata(path / METADATA)
+    except (OSError, Damaged):
+        return Metadata()

@@ -6,12 +6,11 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from mcap.records import Attachment, Channel, Footer, Message, Metadata, Schema
-from rosbags.rosbag2.metadata import parse_qos
 from softrig_core import Recording
 from softrig_core.wire.recording import shard_topics
 
@@ -19,9 +18,10 @@ from .bag import BagWriter
 from .compressed import expanded, expanded_message, plain
 from .errors import BagError
 from .mcap_recover import Recovery
+from .metadata import profiles
 from .reader import BagReader
 from .remains import METADATA, Remains, remains
-from .sqlite_recover import SqliteRecovery, journals
+from .sqlite_recover import Declared, SqliteRecovery, journals
 from .topics import BagTopic, custom_data
 from .write import write_bag
 
@@ -52,14 +52,32 @@ class FileReport:
 
 @dataclass
 class Repair:
-    """Result of `repair`: the new bag (None when nothing was wrong), what each file gave, where the old one is."""
+    """Result of `repair`.
+
+    Parameters
+    ----------
+    bag : Path or None
+        The new bag; None when nothing was wrong.
+    files : list of FileReport
+        What each file gave.
+    original : Path, optional
+        Where the old bag is now.
+    differing : list of str
+        What the metadata claims otherwise, in words.
+    """
 
     bag: Path | None
     files: list[FileReport]
     original: Path | None = None
+    differing: list[str] = field(default_factory=list)
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything that was found or claimed is in the new bag."""
+        return not self.differing and not any(f.lost or f.left_out for f in self.files)
 
     def __str__(self) -> str:
-        lines = [str(f) for f in self.files]
+        lines = [*map(str, self.files), *self.differing]
         if self.bag is None:
             lines.append("nothing to repair")
         else:
@@ -106,7 +124,7 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
     temporary = target.with_name(f".{target.name}.part")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
-        reports = _rewrite(found, temporary, target.name)
+        reports, saved = _rewrite(found, temporary, target.name)
         if not _is_sound(temporary):  # definitions or names that no reader takes
             raise BagError(f"{place}: what is left of it makes no readable bag")
         if original is not None:
@@ -114,21 +132,33 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
         temporary.rename(target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-    return Repair(target, reports, original)
+    claimed = Counter({(t.name, t.msgtype): t.count for t in found.claimed.topics})
+    differing = [
+        f"{name}: {saved[name, msgtype]} messages, metadata.yaml claimed {count}"
+        for (name, msgtype), count in claimed.items()
+        if saved[name, msgtype] != count
+    ]
+    return Repair(target, reports, original, differing)
 
 
 def _is_sound(path: Path) -> bool:
+    """Return whether a bag can be read whole and holds what it claims."""
+    differing: list[str] = []
     try:
-        with BagReader(path) as bag:
-            return sum(1 for _ in bag.messages()) == bag.count
+        with BagReader(path, differing.append) as bag:
+            for _ in bag.blocks():
+                pass
     except BagError:
         return False
+    return not differing
 
 
-def _rewrite(found: Remains, directory: Path, name: str) -> list[FileReport]:
+def _rewrite(found: Remains, directory: Path, name: str) -> tuple[list[FileReport], Counter[tuple[str, str]]]:
+    """Write what is whole; return a report of each file and the number of messages by topic and type."""
     writer: BagWriter | None = None
-    numbers: dict[tuple[str, str], int] = {}  # of topics by name and type: one may come back with another type
+    numbers: dict[tuple[str, ...], int] = {}  # a topic may come back with another type or encoding
     reports = []
+    saved: Counter[tuple[str, str]] = Counter()
     for i, source in enumerate(found.files):
         report = FileReport(" with ".join(file.name for file in [source, *journals(source)]))
         reports.append(report)
@@ -144,14 +174,15 @@ def _rewrite(found: Remains, directory: Path, name: str) -> list[FileReport]:
                 )
             if i and not report.kept:
                 writer.next_file()
-            key = topic.name, topic.msgtype
+            key = topic.name, topic.msgtype, topic.wire
             if key not in numbers:
                 numbers[key] = writer.add_topic(topic)
             writer.write(numbers[key], t, data)
             report.kept += 1
+            saved[topic.name, topic.msgtype] += 1
         if writer is not None:
             for topic in report.topics:
-                key = topic.name, topic.msgtype
+                key = topic.name, topic.msgtype, topic.wire
                 if key not in numbers:
                     numbers[key] = writer.add_topic(topic)
     if writer is None:
@@ -160,7 +191,7 @@ def _rewrite(found: Remains, directory: Path, name: str) -> list[FileReport]:
     writer.close()
 
     absent = "all of it: metadata.yaml lists this file, but it does not exist"
-    return [*reports, *(FileReport(name, 0, [absent]) for name in found.absent)]
+    return [*reports, *(FileReport(name, 0, [absent]) for name in found.absent)], saved
 
 
 def _recover(source: Path, report: FileReport, scratch: Path) -> Iterator[tuple[BagTopic, int, bytes]]:
@@ -192,14 +223,9 @@ def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, in
             if channels.get(record.id) != record:
                 channels[record.id] = record
                 topics[record.id] = _mcap_topic(record, schemas.get(record.schema_id))
-                if record.message_encoding == "cdr":
-                    report.topics.append(topics[record.id])
+                report.topics.append(topics[record.id])
         elif isinstance(record, Message) and record.channel_id in topics:
-            channel = channels[record.channel_id]
-            if channel.message_encoding == "cdr":
-                yield topics[record.channel_id], record.log_time, record.data
-            else:
-                other[f"messages on {channel.topic} (encoding {channel.message_encoding!r}, expected cdr)"] += 1
+            yield topics[record.channel_id], record.log_time, record.data
         elif isinstance(record, Message):
             other["messages on channels that are not described"] += 1
         elif isinstance(record, Attachment):
@@ -217,18 +243,18 @@ def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, in
 def _mcap_topic(channel: Channel, schema: Schema | None) -> BagTopic:
     digest = channel.metadata.get("topic_type_hash", "")
     offered = channel.metadata.get("offered_qos_profiles", "")
-    if schema is None:
-        return _topic(channel.topic, "", "", "", digest, offered)
-    return _topic(channel.topic, schema.name, schema.data.decode(errors="replace"), schema.encoding, digest, offered)
+    name, text, encoding = "", "", ""
+    if schema is not None:
+        name, text, encoding = schema.name, schema.data.decode(errors="replace"), schema.encoding
+    return _topic(Declared(channel.topic, name, text, encoding, digest, offered, channel.message_encoding))
 
 
-def _topic(name: str, msgtype: str, text: str, encoding: str, digest: str, offered: str) -> BagTopic:
-    try:
-        profiles = parse_qos(offered)
-    except Exception:  # damaged text makes the parser raise whatever it leads to
-        profiles = []
-    known = BagTopic.known(name, msgtype, profiles, digest)
-    return BagTopic(name, msgtype, text, known.digest, known.offered, encoding) if text else known
+def _topic(declared: Declared) -> BagTopic:
+    name, msgtype, text, encoding, digest, offered, wire = declared
+    known = BagTopic.known(name, msgtype, profiles(offered), digest)
+    if not text:
+        return replace(known, wire=wire)
+    return BagTopic(name, msgtype, text, known.digest, known.offered, encoding, wire)
 
 
 def _recover_sqlite3(path: Path, report: FileReport, scratch: Path) -> Iterator[tuple[BagTopic, int, bytes]]:
@@ -246,7 +272,7 @@ def _recover_sqlite3(path: Path, report: FileReport, scratch: Path) -> Iterator[
 
 
 def _sqlite3_topics(recovery: SqliteRecovery, report: FileReport) -> dict[int, BagTopic]:
-    topics = {number: _topic(*declared) for number, declared in recovery.topics.items()}
+    topics = {number: _topic(declared) for number, declared in recovery.topics.items()}
     report.topics, report.custom_data = list(topics.values()), recovery.custom_data
     return topics
 

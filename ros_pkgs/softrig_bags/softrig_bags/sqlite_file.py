@@ -68,8 +68,8 @@ class Sqlite3File:
                 )
             offered = to_yaml(qos_dicts(topic.offered))
             self._db.execute(
-                "INSERT INTO topics VALUES (?, ?, ?, 'cdr', ?, ?)",
-                (number, topic.name, topic.msgtype, offered, topic.digest),
+                "INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)",
+                (number, topic.name, topic.msgtype, topic.wire, offered, topic.digest),
             )
         self.counts[number] = 0
 

@@ -29,6 +29,7 @@ class Declared(NamedTuple):
     encoding: str
     digest: str
     offered: str
+    wire: str
 
 
 def journals(path: Path) -> list[Path]:
@@ -102,11 +103,11 @@ def _topics(database: sqlite3.Connection) -> dict[int, Declared]:
         rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
         texts = {row[0]: (row[1], row[2]) for row in rows if _all_text(row)}
     return {
-        number: Declared(name, msgtype, *texts.get(msgtype, ("", "")), hashed, profiles)
-        for number, name, msgtype, hashed, profiles in database.execute(
-            f"SELECT id, name, type, {digest}, {offered} FROM topics"
+        number: Declared(name, msgtype, *texts.get(msgtype, ("", "")), hashed, profiles, wire)
+        for number, name, msgtype, hashed, profiles, wire in database.execute(
+            f"SELECT id, name, type, {digest}, {offered}, serialization_format FROM topics"
         )
-        if _all_text((name, msgtype, hashed, profiles))
+        if _all_text((name, msgtype, hashed, profiles, wire))
     }
 
 
