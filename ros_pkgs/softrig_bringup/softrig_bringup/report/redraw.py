@@ -14,12 +14,14 @@ from softrig_bags.read import BagSignals, signals
 from softrig_bags.reader import BagReader
 from softrig_core import Rig, ScenarioError, rig_of
 from softrig_core.command_line import Parser
+from softrig_core.guard import say
 
 from ..folder import replace
 from ..options.packed import ABOUT, is_pack, opened
 from ..options.run_options import arguments, scenario_of
 from ..plots.curves import Curve, Source, with_plots
 from ..plots.pictures import UNDATED, plot_entry, plot_name, plot_run
+from .bag_rig import rig_of_bag
 from .looked import rig_of_pack
 from .record import read_run
 
@@ -32,41 +34,46 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
     Parameters
     ----------
     directory : Path
-        Of a run, or a bag that a run has written; a single .mcap file of it, or a pack.
+        Of a run, or any bag: a directory or a single file; or a pack.
+
+    Returns
+    -------
+    (Rig, BagSignals)
+        The rig that ran; of a bag that does not say of which scenario it is, or whose scenario is unknown here, one of
+        its topics alone, without units.
 
     Raises
     ------
     ScenarioError
-        Neither, or no bag in it, or its scenario is unknown here.
+        No bag, or none in it, or what was run is unknown here.
     """
-    if directory.is_file():
-        return _of_file(directory)
+    if is_pack(directory):
+        try:
+            return rig_of_pack(opened(directory))
+        except ScenarioError as error:
+            raise ScenarioError(f"{directory}: {error}") from None
     if (directory / ABOUT).is_file():  # a pack that somebody has unpacked
         return rig_of_pack(directory)
+    if not directory.exists():
+        raise ScenarioError(f"{directory}: no such file or folder, hence no bag in it; expected a run, a bag or a pack")
     bag = directory / "bag" if (directory / "metrics.json").is_file() else directory
-    if not bag.is_dir():
+    if not bag.exists():
         raise ScenarioError(
             f"{directory}: no bag in it, expected the directory of a run or a bag; pictures are drawn from the bag"
         )
     found = signals(bag)
-    if (bag.parent / "metrics.json").is_file():
+    if bag.is_dir() and (bag.parent / "metrics.json").is_file():
         return _as_it_ran(read_run(bag.parent).made_by), found
-    scenario = BagReader(bag).custom_data.get("scenario", "")
+    with BagReader(bag) as reader:
+        data = reader.custom_data
+    scenario, command = data.get("scenario", ""), data.get("command", "")
     if not scenario:
-        raise ScenarioError(f"{bag}: does not say of which scenario it is")
-    return rig_of(scenario), found
-
-
-def _of_file(path: Path) -> tuple[Rig, BagSignals]:
-    from ..options.like import recall
-
-    if is_pack(path):
-        try:
-            return rig_of_pack(opened(path))
-        except ScenarioError as error:
-            raise ScenarioError(f"{path}: {error}") from None
-    run = recall(path, _parser().parse_args)
-    return rig_of(scenario_of(run.options)), signals(run.bag)
+        return rig_of_bag(bag, found), found
+    try:
+        return _as_it_ran(command) if command else rig_of(scenario), found
+    except ScenarioError as error:
+        say(f"{bag}: shown without its rig, scenario {scenario} cannot be made here: {error}")
+        return rig_of_bag(bag, found), found
 
 
 def _parser() -> Parser:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from softrig_bags.compressed import SUFFIXES, plain
 from softrig_core import Rig, ScenarioError, rig_of, simulate
 from softrig_core.drawing import Drawing, drawing_for
 
@@ -46,7 +47,7 @@ def film_of(what: str, start: float = 0.0, end: float | None = None, speed: floa
     ScenarioError
         Nothing to draw, or nothing in that window.
     """
-    if not Path(what).is_dir():
+    if not Path(what).is_dir() and plain(Path(what)).suffix not in SUFFIXES:
         rig = rig_of(what)
         drawing = _drawing(rig)
         length = rig.scenario.duration

@@ -6,6 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
+from softrig_bags.compressed import SUFFIXES, plain
 from softrig_core.extras import need
 from softrig_nodes.processes.stopping import stoppable
 
@@ -17,7 +18,7 @@ from . import run_verb
 def view(options: argparse.Namespace) -> int:
     """Show what is named; gives the exit status."""
     path = Path(options.scenario)
-    if options.scenario and (path.is_dir() or path.suffix == ".mcap" or is_pack(path)):
+    if options.scenario and (path.is_dir() or plain(path).suffix in SUFFIXES or is_pack(path)):
         return _recorded(path, options.address)
     options.view, options.paused = True, not options.running
     return run_verb.run(options)
