@@ -213,7 +213,7 @@ def test_every_verb_takes_any_bag_or_refuses_it_in_a_line(run, tmp_path, capsys,
         if status:
             assert all(line.startswith("softrig: ") for line in said.err.splitlines()), (verb, said.err)
         if status == 2:
-            assert bag.name in said.err.splitlines()[-1], (verb, said.err)
+            assert bag.name in said.err or "nothing to compare" in said.err, (verb, said.err)
         found[verb] = WORDS[status]
     assert {p: p.read_bytes() for p in files} == files  # nothing is changed where it lies
     while OPEN:

@@ -38,10 +38,16 @@ def folder_of(parts: Sequence[str], apart: Sequence[str] = ()) -> str:
 
 
 def elsewhere(path: Path | None) -> list[str]:
-    """Return the whole path of a file or run that its name alone does not tell from others: not of this folder."""
+    """Return the path of a file whose name alone does not tell it from others: one that is not of this folder."""
     if path is None or path.absolute().parent == Path.cwd():
         return []
-    return [str(path.absolute())]
+    return [from_here(path)]
+
+
+def from_here(path: Path) -> str:
+    """Return a path as it is from this folder; the whole path where it is not below."""
+    whole = path.absolute()
+    return str(whole.relative_to(Path.cwd()) if whole.is_relative_to(Path.cwd()) else whole)
 
 
 def scenario_file(called: str) -> Path | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from softrig_core import ScenarioError
 from softrig_core.command_line import Number
 
-from .naming import elsewhere, folder_of, scenario_file
+from .naming import elsewhere, folder_of, from_here, scenario_file
 
 if TYPE_CHECKING:
     from softrig_core import Scenario
@@ -246,8 +246,8 @@ def folder_name(scenario: str, options: argparse.Namespace, only: Sequence[str] 
     parts += [*options.set, *(f"external_{name}" for name in options.external)]
     parts += [f"{name}_{value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
     apart = [*elsewhere(options.params_file), *elsewhere(scenario_file(options.scenario))]
-    apart += [str(options.like.absolute())] if options.like is not None else []
-    apart += [str(options.origin[0].absolute()), repr(options.origin[1])] if options.origin is not None else []
+    apart += [from_here(options.like)] if options.like is not None else []
+    apart += [from_here(options.origin[0]), repr(options.origin[1])] if options.origin is not None else []
     return folder_of(parts, apart)
 
 
