@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import linprog, minimize_scalar
 from softrig_core import ByHand, Level, ParameterError
 from softrig_core.solver.solver import Result
-from softrig_power.dispatch import branch
+from softrig_power.dispatch import branch, table_file
 from softrig_power.dispatch.baselines import lambda_iteration, repaired, swarm
 from softrig_power.dispatch.certify import Dispatch, InfeasibleError, Optimiser, lowering
 from softrig_power.dispatch.conditions import Conditions, Losses
@@ -23,6 +23,7 @@ from softrig_power.dispatch.two_stage import NoDispatch, _as_columns, arch_bound
 from softrig_power.dispatch.units import (
     BALANCE,
     COLUMNS,
+    MORE,
     NARROW,
     TableError,
     Units,
@@ -95,9 +96,12 @@ HEAD = ",".join(("unit", *COLUMNS))
         ("unit,p_min_MW\n", f"units.csv: no column {', '.join(COLUMNS[1:])}"),
         ("", f"units.csv: no column unit, {', '.join(COLUMNS)}"),
         (f"{HEAD}\na,1,2,3,4,5,6,7\nb,1,2,3,x,5,6,7\n", "units.csv, line 3, column b_usd_per_MWh: 'x' is no number"),
-        (f"{HEAD}\na,1,2\n", "units.csv, line 2, column a_usd_per_MW2h: None is no number"),
+        (f"{HEAD}\na,1,2\n", "units.csv, line 2: 3 fields, but the head has 8"),
         (f"{HEAD},ramp_up_MW\na,1,2,3,4,5,6,7,-1\n", "units.csv, line 2, column ramp_up_MW: -1, expected at least 0"),
-        (f"{HEAD},reserve_MW\na,1,2,3,4,5,6,7,nan\n", "units.csv, line 2, column reserve_MW: nan, expected at least 0"),
+        (
+            f"{HEAD},reserve_MW\na,1,2,3,4,5,6,7,nan\n",
+            "units.csv, line 2, column reserve_MW: nan, expected a finite number",
+        ),
     ],
 )
 def test_a_wrong_file_is_refused_by_line_and_column(tmp_path, text, words):
@@ -107,13 +111,40 @@ def test_a_wrong_file_is_refused_by_line_and_column(tmp_path, text, words):
     assert str(refused.value) == words
 
 
+ROW = "a,1,2,3,4,5,6,7"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f"{HEAD},ramp_up_MW\n{ROW},1\n", "line 2: ramp_up_MW needs p_now_MW, from which it counts"),
+        (f"{HEAD},ramp_up_MWh\n{ROW},1\n", "ramp_up_MWh is no part of a table of units (did you mean 'ramp_up_MW'?)"),
+        (f"{HEAD},prohibited zones\n{ROW},1\n", "prohibited zones is refused: no method here knows them"),
+        (f"{HEAD},zone_1_MW\n{ROW},1\n", "zone_1_MW is no part of a table of units; remove it"),
+        (f"{HEAD},unit\n{ROW},a\n", "column unit stands twice"),
+        (f"{HEAD},\n{ROW},8\n", "a column has no name"),
+        (f"{HEAD}\na,1,2,0,003,4,5,6,7\n", "line 2: 9 fields, but the head has 8; write decimal points, or separate"),
+        (f'{HEAD}\na,1,2,"0,003",4,5,6,7\n', "'0,003' is no number; it has a decimal comma"),
+        (f"{HEAD}\n# b\n", "line 2: 1 fields, but the head has 8"),
+        (f"{HEAD}\na,1,2,3,1_0,5,6,7\n", "column b_usd_per_MWh: 1_0, expected a finite number"),
+        (HEAD.replace("p_min_MW", "p_min_kW"), "no column p_min_MW (did you mean 'p_min_kW'?)"),
+        (HEAD.replace(",", ";") + "\na;1.000,5;2;3;4;5;6;7\n", "column p_min_MW: '1.000,5' is no number"),
+    ],
+)
+def test_what_would_be_read_wrongly_or_not_at_all_is_refused(tmp_path, text, words):
+    (tmp_path / "units.csv").write_text(text)
+    with pytest.raises(TableError) as refused:
+        Units.read(str(tmp_path / "units.csv"))
+    assert words in str(refused.value)
+
+
 def test_a_file_may_tell_of_some_units_more_than_of_others(tmp_path):
     (tmp_path / "u.csv").write_text(
-        f"{HEAD},reserve_MW,ramp_up_MW,p_now_MW\na,1,9,3,4,5,6,7,0,2,\nb,2,8,1,1,1,1,1,,,3\n"
+        f"{HEAD},reserve_MW,ramp_up_MW,p_now_MW\na,1,9,3,4,5,6,7,0,2,5\nb,2,8,1,1,1,1,1,,,3\n"
     )
     units = Units.read(str(tmp_path / "u.csv"))
     assert units.table.tolist() == [[1, 9, 3, 4, 5, 6, 7], [2, 8, 1, 1, 1, 1, 1]]
-    assert np.array_equal(units.now, [np.nan, 3.0], equal_nan=True)
+    assert units.now.tolist() == [5.0, 3.0]
     assert units.ramp_up.tolist() == [2.0, np.inf]
     assert units.ramp_down.tolist() == [np.inf, np.inf]
     assert units.ready.tolist() == [0.0, 6.0]  # the whole range where nothing is told
@@ -122,6 +153,31 @@ def test_a_file_may_tell_of_some_units_more_than_of_others(tmp_path):
     assert np.array_equal(twice.more, np.vstack([units.more, units.more]), equal_nan=True)
     assert Units.read("units_3").more is None
     assert Units.read("1*units_3").ids == Units.read("units_3").ids
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+@pytest.mark.parametrize("coding", ["utf-8", "utf-8-sig", "cp1252"])
+def test_tables_of_other_countries_are_read_with_their_commas_and_said(tmp_path, separator, coding, capfd):
+    """As spreadsheets write them: semicolons or tabs, decimal commas, empty columns and rows, a code page."""
+    rows = [HEAD, "Süd,100,600,0.001562,7.92,561,300,0.0315", "b,50.5,200,0.00482,7.97,78,150,0.063"]
+    text = (
+        "\r\n".join(r.replace(",", separator).replace(".", ",") + separator for r in rows) + f"\r\n{separator * 8}\r\n"
+    )
+    name = f"{coding}{ord(separator)}.csv"
+    (tmp_path / name).write_bytes(text.encode(coding))
+    units = Units.read(str(tmp_path / name))
+    Units.read(str(tmp_path / name))
+    assert units.ids == ("Süd", "b")
+    assert units.table.tolist() == [
+        [100, 600, 0.001562, 7.92, 561, 300, 0.0315],
+        [50.5, 200, 0.00482, 7.97, 78, 150, 0.063],
+    ]
+    assert capfd.readouterr().err.count(f"{name}: read with decimal commas") == 1
+
+
+def test_every_column_of_the_table_is_read_or_refused():
+    used = {name for name, (use, _) in table_file.UNITS.table.items() if use == "used"}
+    assert used == {"unit", *COLUMNS, *MORE}
 
 
 # The cost ----------------------------------------------------------------------------------------------
@@ -287,10 +343,12 @@ def test_losses_and_their_slopes_in_loops():
     ("text", "words"),
     [
         ("unit,a,b\na,1,2\nb,2,x\n", "l.csv, line 3, column b: 'x' is no number"),
-        ("unit,a,b\na,1,2\nb,2\n", "l.csv, line 3, column b: None is no number"),
+        ("unit,a,b\na,1,2\nb,2\n", "l.csv, line 3: 2 fields, but the head has 3"),
         ("unit,a,b\na,1,inf\nb,2,3\n", "l.csv, line 2, column b: inf, expected a finite number"),
         ("unit,a,b,b0\na,1,2,y\nb,2,3,1\n", "l.csv, line 2, column b0: 'y' is no number"),
         ("unit,a,b\nb,1,2\na,2,3\n", "l.csv: losses of the units b, a, expected a, b"),
+        ("unit,a,b,B0\na,1,2,0\nb,2,3,0\n", "l.csv: B0 is no column of a table of losses (did you mean 'b0'?)"),
+        ("unit,a,b,b00_MW\na,1,2,\nb,2,3,9\n", "l.csv, line 3: b00_MW belongs into the first row"),
         ("name,a,b\na,1,2\nb,2,3\n", "l.csv: losses of the units , , expected a, b"),
     ],
 )
@@ -302,7 +360,7 @@ def test_wrong_losses_are_refused_in_these_words(tmp_path, text, words):
 
 
 def test_losses_of_a_table_are_made_symmetric(tmp_path):
-    (tmp_path / "l.csv").write_text("unit,a,b,b0,b00_MW\na,1,2,0.5,0.25\nb,4,3,,9\n")
+    (tmp_path / "l.csv").write_text("unit,a,b,b0,b00_MW\na,1,2,0.5,0.25\nb,4,3,,\n")
     losses = Losses.read(str(tmp_path / "l.csv"), ("a", "b"))
     assert (losses.B.tolist(), losses.B0.tolist(), losses.B00) == ([[1, 3], [3, 3]], [0.5, 0.0], 0.25)
 
@@ -1118,7 +1176,8 @@ def test_what_takes_conditions(tmp_path):
 
     assert not conditioned()
     assert not conditioned(now="5")
-    assert not conditioned(up="5", down="5")
+    with pytest.raises(ParameterError, match="ramp_up_MW needs p_now_MW"):  # it had no effect without a word
+        conditioned(up="5", down="5")
     assert conditioned(now="5", up="5")
     assert conditioned(now="5", down="5")
     assert conditioned(reserve=1.0)

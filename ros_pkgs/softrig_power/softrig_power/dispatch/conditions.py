@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 
 import numpy as np
 from softrig_core import resource
+from softrig_core.errors import closest
 
-from .units import Array, TableError, Units
+from .table_file import LOSSES, TableError, read_rows
+from .units import Array, Units
 
 CONSTANT = "b00_MW"
 LINEAR = "b0"
@@ -47,25 +48,20 @@ class Losses:
             Another number or other names of units, something that is no number.
         """
         path = resource(source)
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-        names = tuple(row.get("unit") or "" for row in rows)
+        columns, rows = read_rows(path)
+        names = tuple(row.values.get("unit", "") for row in rows)
         if names != ids:
             raise TableError(f"{path.name}: losses of the units {', '.join(names)}, expected {', '.join(ids)}")
-
-        def number(k: int, column: str, default: str | None = None) -> float:
-            text = rows[k].get(column) or default
-            try:
-                found = float(text)  # type: ignore[arg-type]
-            except (TypeError, ValueError):
-                raise TableError(f"{path.name}, line {k + 2}, column {column}: {text!r} is no number") from None
-            if not np.isfinite(found):
-                raise TableError(f"{path.name}, line {k + 2}, column {column}: {found}, expected a finite number")
-            return found
-
-        B = np.array([[number(k, name) for name in ids] for k in range(len(ids))])
-        B0 = np.array([number(k, LINEAR, "0") for k in range(len(ids))])
-        return cls(0.5 * (B + B.T), B0, number(0, CONSTANT, "0"))
+        known = ("unit", *ids, LINEAR, CONSTANT)
+        for column in columns:
+            if column not in known:
+                raise TableError(f"{path.name}: {column} is no column of {LOSSES.title}{closest(column, known)}")
+        for row in rows[1:]:
+            if row.values.get(CONSTANT):
+                raise TableError(f"{row.where}: {CONSTANT} belongs into the first row")
+        B = np.array([[row.number(name) for name in ids] for row in rows])
+        B0 = np.array([row.number(LINEAR, 0.0) for row in rows])
+        return cls(0.5 * (B + B.T), B0, rows[0].number(CONSTANT, 0.0))
 
     def of(self, P: Array) -> float:
         """Losses of a dispatch, MW."""

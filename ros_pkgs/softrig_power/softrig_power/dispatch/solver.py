@@ -27,8 +27,9 @@ from .baselines import Baseline, lambda_iteration, swarm, without_ripples
 from .certify import Dispatch, InfeasibleError, Method, Optimiser
 from .conditions import Conditions, Losses
 from .enumeration import TooManyError, enumerate_kinks
+from .table_file import TableError
 from .two_stage import NoDispatch, arch_bounds
-from .units import TableError, Units, infeasible, marginal_cost
+from .units import Units, infeasible, marginal_cost
 
 
 class DispatchParams(SolverParams):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from softrig_core import resource
+from softrig_core import ScenarioError, resource
+from softrig_core.errors import closest
+
+from .table_file import UNITS, TableError, read_rows
 
 Array = NDArray[np.float64]
 COLUMNS = (
@@ -23,10 +25,6 @@ COLUMNS = (
 MORE = ("p_now_MW", "ramp_up_MW", "ramp_down_MW", "reserve_MW")  # columns that a table may have
 NARROW = 1e-6  # MW; a last arch shorter than this is part of the one before
 BALANCE = 1e-6  # MW; how far the sum may be from the demand
-
-
-class TableError(ValueError):
-    """A table of units that cannot be used; the text names row and column."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +91,11 @@ class Units:
         source : str
             A file name, a ``package://`` URI, or the name of a table that comes with the package (``units_13``);
             ``25*units_40`` has each of its units 25 times, the copies named ``1_2``, ``1_3``, ...
+
+        Raises
+        ------
+        TableError
+            A column is missing, unknown or refused (see `table_file.UNITS`), or a row is wrong; names it.
         """
         copies, star, table = source.partition("*")
         if star and copies.isdecimal() and int(copies) > 0:
@@ -100,31 +103,25 @@ class Units:
         if "/" not in source and not source.endswith(".csv"):
             source = f"package://softrig_power/dispatch/tables/{source}.csv"
         path = resource(source)
+        columns, found = read_rows(path)
+        missing = [c for c in ("unit", *COLUMNS) if c not in columns]
+        if missing:
+            near = closest(missing[0], [c for c in columns if c not in UNITS.table])
+            raise TableError(f"{path.name}: no column {', '.join(missing)}{near}")
+        try:
+            UNITS.check(columns, path.name)
+        except ScenarioError as error:
+            raise TableError(str(error)) from None
         ids, rows, more = [], [], []
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            missing = [c for c in ("unit", *COLUMNS) if c not in (reader.fieldnames or ())]
-            if missing:
-                raise TableError(f"{path.name}: no column {', '.join(missing)}")
-            for number, row in enumerate(reader, 2):
-                ids.append(row["unit"])
-                values = []
-                for column in (*COLUMNS, *MORE):
-                    if column in MORE and not row.get(column):
-                        values.append(np.nan)
-                        continue
-                    try:
-                        values.append(float(row[column]))
-                    except (TypeError, ValueError):
-                        raise TableError(
-                            f"{path.name}, line {number}, column {column}: {row[column]!r} is no number"
-                        ) from None
-                    if column in MORE and not values[-1] >= 0.0:
-                        raise TableError(
-                            f"{path.name}, line {number}, column {column}: {row[column]}, expected at least 0"
-                        )
-                rows.append(values[: len(COLUMNS)])
-                more.append(values[len(COLUMNS) :])
+        for row in found:
+            ids.append(row.values["unit"])
+            rows.append([row.number(column) for column in COLUMNS])
+            more.append([row.number(column, np.nan) for column in MORE])
+            for column, value in zip(MORE, more[-1], strict=True):
+                if value < 0.0:
+                    raise TableError(f"{row.where}, column {column}: {value:g}, expected at least 0")
+                if column.startswith("ramp") and np.isfinite(value) and not np.isfinite(more[-1][0]):
+                    raise TableError(f"{row.where}: {column} needs p_now_MW, from which it counts")
         if not rows:
             raise TableError(f"{path.name}: no unit in it")
         return cls(tuple(ids), np.array(rows), np.array(more) if np.isfinite(more).any() else None)

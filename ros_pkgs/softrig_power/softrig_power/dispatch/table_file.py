@@ -1,0 +1,134 @@
+"""Tables of units and of losses as CSV: their columns, and reading rows that are as wide as the head."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+
+from softrig_core.guard import say
+from softrig_core.kit.file_format import FileFormat
+
+UNITS = FileFormat(
+    "a table of units",
+    "softrig; CSV with commas and decimal points, or with semicolons or tabs and decimal commas",
+    {
+        "unit": ("used", "name of the unit"),
+        "p_min_MW": ("used", "lower limit"),
+        "p_max_MW": ("used", "upper limit"),
+        "a_usd_per_MW2h": ("used", "cost a P^2 + b P + c + abs(e sin(f (p_min - P)))"),
+        "b_usd_per_MWh": ("used", "see a"),
+        "c_usd_per_h": ("used", "see a"),
+        "e_usd_per_h": ("used", "see a"),
+        "f_rad_per_MW": ("used", "see a"),
+        "p_now_MW": ("used", "output now, from which the ramps count"),
+        "ramp_up_MW": ("used", "largest rise to the next dispatch; needs p_now_MW"),
+        "ramp_down_MW": ("used", "largest fall to the next dispatch; needs p_now_MW"),
+        "reserve_MW": ("used", "most reserve that the unit gives"),
+        "prohibited zones": ("refused", "no method here knows them"),
+        "fuels": ("refused", "no method here knows several cost curves of a unit"),
+    },
+)
+LOSSES = FileFormat(
+    "a table of losses",
+    "softrig; as a table of units",
+    {
+        "unit": ("used", "name of the unit, in the order of the table of units"),
+        "a column named as each unit": ("used", "B, 1/MW"),
+        "b0": ("used", "B0 of the unit, 0 when absent or empty"),
+        "b00_MW": ("used", "B00, in the first row"),
+    },
+)
+
+
+class TableError(ValueError):
+    """A table that cannot be used; the text names row and column."""
+
+
+class Row:
+    """A row of a table, with its line for messages."""
+
+    def __init__(self, where: str, values: Mapping[str, str], decimal_comma: bool) -> None:
+        self.where = where
+        self.values = values
+        self._comma = decimal_comma
+
+    def number(self, column: str, default: float | None = None) -> float:
+        """Return a finite number; `default` where the field is empty or there is no such column.
+
+        Raises
+        ------
+        TableError
+            It is no number, or missing.
+        """
+        text = self.values.get(column, "")
+        if not text and default is not None:
+            return default
+        shown = text
+        if self._comma:
+            text = text.replace(",", ".") if text.count(",") == 1 and "." not in text else text
+        try:
+            found = float(text)
+        except ValueError:
+            hint = "; it has a decimal comma in a file with decimal points" if text.count(",") == 1 else ""
+            raise TableError(f"{self.where}, column {column}: {shown!r} is no number{hint}") from None
+        if "_" in text or not math.isfinite(found):
+            raise TableError(f"{self.where}, column {column}: {shown}, expected a finite number")
+        return found
+
+
+@lru_cache(maxsize=64)
+def _told(text: str) -> None:
+    say(text)  # once, however often a table is read
+
+
+def read_rows(path: Path) -> tuple[tuple[str, ...], list[Row]]:
+    """Read the columns and rows of a table.
+
+    Separated by commas with decimal points, or by semicolons or tabs with decimal points or commas. Rows and columns
+    without any text are left out.
+
+    Raises
+    ------
+    TableError
+        A row that is wider or narrower than the head, a column that stands twice or has no name.
+    """
+    data = path.read_bytes()
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", errors="replace")  # what Excel writes on Windows
+    head = text.partition("\n")[0]
+    separator = next((mark for mark in (";", "\t") if mark in head), ",")
+    lines = [(k, [f.strip() for f in row]) for k, row in _numbered(text, separator)]
+    lines = [(k, row) for k, row in lines if any(row)]
+    columns = lines[0][1] if lines else []
+    used = len(columns)
+    while used and not columns[used - 1] and not any(any(row[used - 1 : used]) for _, row in lines):
+        used -= 1
+    columns = columns[:used]
+    twice = [name for name, count in Counter(columns).items() if count > 1 or not name]
+    if twice:
+        what = f"column {twice[0]} stands twice" if twice[0] else "a column has no name"
+        raise TableError(f"{path.name}: {what}")
+    body = [(k, row[:used] if not any(row[used:]) else row) for k, row in lines[1:]]
+    for k, row in body:
+        if len(row) != used:
+            comma = separator == "," and len(row) > used
+            hint = "; write decimal points, or separate columns by semicolons" if comma else ""
+            raise TableError(f"{path.name}, line {k}: {len(row)} fields, but the head has {used}{hint}")
+    fields = [field for _, row in body for field in row]
+    # a comma within a field: there are no thousands in tables that write points nowhere
+    decimal_comma = separator != "," and any("," in f for f in fields) and not any("." in f for f in fields)
+    if decimal_comma:
+        _told(f"{path.name}: read with decimal commas")
+    rows = [Row(f"{path.name}, line {k}", dict(zip(columns, row, strict=True)), decimal_comma) for k, row in body]
+    return tuple(columns), rows
+
+
+def _numbered(text: str, separator: str) -> list[tuple[int, list[str]]]:
+    reader = csv.reader(text.splitlines(keepends=True), delimiter=separator, skipinitialspace=True)
+    return [(reader.line_num, row) for row in reader]
