@@ -335,7 +335,7 @@ class Serving(ServingNode):
     def __init__(self, **values):
         self._parameters = {n: Parameter(n, value=v) for n, v in values.items()}
         self._parameters["empty"] = Parameter("empty", Parameter.Type.NOT_SET)
-        self._descriptors = {n: SimpleNamespace(floating_point_range=[]) for n in self._parameters}
+        self._descriptors = {n: SimpleNamespace(floating_point_range=[], type=0) for n in self._parameters}
         self._descriptors["empty"].floating_point_range = [1]
         self._credit, self.taken, self.refuses = ros.Credit(), [], ()
 
@@ -380,7 +380,9 @@ def test_what_is_set_together_is_taken_together_or_each_by_itself():
     node.remark = "of a set before"
     assert node.ask(k=7.0)[1] == [""]
     assert node.ask(empty="None")[2] == []  # as `ros2 param dump` says of one that has no value
-    assert node.ask(k="many")[2] == [{"k": "many"}]  # the range refuses it
+    assert node.ask(k="many") == ([False], ["parameter k = 'many': expected a number"], [])
+    assert node.ask(n=4.0)[2] == [{"n": 4}]
+    assert node.ask(n=4.5) == ([False], ["parameter n = 4.5: expected a whole number"], [])
     assert node.ask(words=["a"])[2] == []
     node._credit.left = -1.0
     (result,) = node._set([Parameter("k", value=5.0).to_parameter_msg()])

@@ -1,5 +1,6 @@
 """A node that was tuned, dumped and started again from the dump is the same node."""
 
+import math
 from contextlib import contextmanager
 from importlib.metadata import distribution
 from pathlib import Path
@@ -120,3 +121,32 @@ def test_a_parameter_that_is_not_there_is_named_and_the_others_are_set(domain):
     reason = "noize is no parameter of gain (did you mean 'noise'?)"
     assert [(r.successful, r.reason) for r in results] == [(True, ""), (False, reason)]
     assert (together.successful, together.reason) == (False, reason)
+
+
+def hostile():
+    """Values of wrong kinds, beyond all ranges, and none."""
+    for given in ("x", "", True, math.inf, -math.inf, math.nan, 5e-324, 1e308, 2**63 - 1, -(2**63), [math.nan], ["x"]):
+        yield lambda name, given=given: Parameter(name, value=given)
+    yield lambda name: Parameter(name, Parameter.Type.NOT_SET)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(("name", "block"), executables())
+def test_whatever_is_set_over_ros_each_parameter_stays_what_it_is(name, block, domain):
+    """By both services, with `list` and `describe` before and after; tests/core/test_declared_parameters.py has all."""
+
+    def seen():
+        names = sorted(done(client.list_parameters()).result.names)
+        described = done(client.describe_parameters(names)).descriptors
+        return names, [(d.name, d.type, d.read_only) for d in described if node._parameters[d.name].value is not None]
+
+    with started(name, block, domain) as (node, _, client, done):
+        empty = {n for n, p in node._parameters.items() if p.value is None}
+        before = seen()
+        for make in hostile():
+            wanted = [make(n) for n in before[0] if n not in empty]
+            results = done(client.set_parameters(wanted)).results
+            assert len(results) == len(wanted)
+            assert all(r.reason for r in results if not r.successful)
+            assert not done(client.set_parameters_atomically(wanted)).result.successful
+        assert seen() == before

@@ -162,3 +162,4 @@ def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -
             node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)
         if value == []:  # rclpy takes it for bytes
             node._parameters[declaration.name] = Parameter(declaration.name, ARRAYS[declaration.type], [])
+            node.describe_parameter(declaration.name).type = ARRAYS[declaration.type].value

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, field_validator
 
 from ..block.params import Params, param
+
+SLOWEST = 1e-12  # pace
 
 
 class RunOptions(Params):
@@ -39,13 +41,20 @@ class RunOptions(Params):
     paused: bool = param(False, "the node of the clock: holds the run at t = 0 until it is resumed")
     pace: float = param(
         0.0,
-        "lockstep, the node of the clock: simulated by wall-clock time, 0 = as fast as it goes",
+        "lockstep, the node of the clock: simulated by wall-clock time, 0 = as fast as it goes, else from 1e-12 on",
         ge=0,
         le=1e3,
         live=True,
     )
     again: str = param("", "lockstep: folder of the files of a run in which this node died, and comes back")
     changes: str = param("", "JSON of changes of parameters while it runs, written by the runner", max_length=1 << 20)
+
+    @field_validator("pace")
+    @classmethod
+    def _goes_on(cls, pace: float) -> float:
+        if 0.0 < pace < SLOWEST:  # the arithmetic of the wait would overflow
+            raise ValueError(f"expected 0 or at least {SLOWEST:g}")
+        return pace
 
 
 class InputLink(BaseModel):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from softrig_core.block.params import ParameterError, flatten
+from softrig_core.block.params import ParameterError, build, flatten
+from softrig_core.rig.options import RunOptions
 
 from ..adapter.adapter import Adapter
 from ..ros.ros import ServingNode, plain
@@ -36,11 +38,22 @@ class Tuning:
             removed = [p.name for p in parameters if p.name in values and p.type_ == Parameter.Type.NOT_SET]
             if removed:
                 raise ParameterError(f"parameter {removed[0]} has no value, expected one")
-            if pace is not None and not adapter.hold.go_at(pace):
+            if pace is not None and not adapter.hold.has_pace:
                 raise ParameterError("run.pace is that of the node of the clock, in lockstep, once it has begun")
+            run: Any = _options({p.name: plain(p) for p in parameters if p.name.startswith("run.")})
             replaced = adapter.step.set(values) if values else []
+            if pace is not None:  # last: all of it holds, or nothing
+                adapter.hold.go_at(run.pace)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         if replaced:
             self._node.remark = f"in place of {', '.join(replaced)} that was set before and had not come into effect"
         return SetParametersResult(successful=True)
+
+
+def _options(values: Mapping[str, Any]) -> RunOptions:
+    """Check values of the parameters that each node has besides those of its block."""
+    try:
+        return build(RunOptions, {name.removeprefix("run."): value for name, value in values.items()})  # type: ignore[return-value]
+    except ParameterError as error:
+        raise ParameterError(str(error).replace("parameter ", "parameter run.", 1)) from None

@@ -63,7 +63,19 @@ PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is alwa
 # A number without a point, as 1e-05, is text for YAML 1.1; a list with one of them is one text.
 NUMBERS = (Parameter.Type.INTEGER, Parameter.Type.STRING)
 LISTS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.STRING_ARRAY, Parameter.Type.STRING)
+EMPTY = (Parameter.Type.BOOL_ARRAY, Parameter.Type.BYTE_ARRAY)  # what a list without elements is taken for
 ARRAYS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.DOUBLE_ARRAY, Parameter.Type.STRING_ARRAY)
+
+KINDS = {
+    Parameter.Type.BOOL: "true or false",
+    Parameter.Type.INTEGER: "a whole number",
+    Parameter.Type.DOUBLE: "a number",
+    Parameter.Type.STRING: "text",
+    Parameter.Type.BOOL_ARRAY: "a list of true and false",
+    Parameter.Type.INTEGER_ARRAY: "a list of whole numbers",
+    Parameter.Type.DOUBLE_ARRAY: "a list of numbers",
+    Parameter.Type.STRING_ARRAY: "a list of texts",
+}
 
 SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
 
@@ -166,10 +178,25 @@ class ServingNode(Node):  # type: ignore[misc]
             reason = f"{strange} is no parameter of {self.get_name()}{closest(strange, self._descriptors)}"
             return SetParametersResult(successful=False, reason=reason)
         new = [p for p in wanted if p.name not in now or now[p.name].type_ != p.type_ or plain(now[p.name]) != plain(p)]
+        if reason := next(filter(None, map(self._misfit, new)), ""):
+            return SetParametersResult(successful=False, reason=reason)
         self.remark = ""
+        kinds = {p.name: self._descriptors[p.name].type for p in new}
         result = self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
+        if not result.successful:  # rclpy describes by then what it has refused
+            for name, kind in kinds.items():
+                self._descriptors[name].type = kind
         result.reason = result.reason or self.remark
         return result
+
+    def _misfit(self, wanted: Parameter) -> str:
+        """Say why a value cannot take the place of the one there is: rclpy takes any kind, and none for a removal."""
+        kind = self._parameters[wanted.name].type_ if wanted.name in self._parameters else Parameter.Type.NOT_SET
+        if kind in (Parameter.Type.NOT_SET, wanted.type_):
+            return ""
+        if wanted.type_ == Parameter.Type.NOT_SET:
+            return f"parameter {wanted.name} has no value, expected one"
+        return f"parameter {wanted.name} = {repr(plain(wanted))[:100]}: expected {KINDS.get(kind, kind.name)}"
 
     def _meant(self, message: Any) -> Parameter:
         """Give what is to be set: numbers as real ones where these are expected, whatever they were taken for."""
@@ -183,10 +210,12 @@ class ServingNode(Node):  # type: ignore[misc]
         with suppress(ValueError, TypeError, SyntaxError):
             if real and given.type_ in NUMBERS:
                 return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
+            if known.type_ == Parameter.Type.INTEGER and given.type_ == Parameter.Type.DOUBLE:
+                return Parameter(given.name, Parameter.Type.INTEGER, whole(given.value))
             if known.type_ == Parameter.Type.DOUBLE_ARRAY and given.type_ in LISTS:
                 values = literal_eval(given.value) if isinstance(given.value, str) else given.value
                 return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, values)])
-            if known.type_ in ARRAYS and given.type_ == Parameter.Type.BOOL_ARRAY and not given.value:
+            if known.type_ in ARRAYS and given.type_ in EMPTY and not given.value:
                 return Parameter(given.name, known.type_, [])
         return given
 
@@ -195,6 +224,13 @@ def plain(parameter: Parameter) -> Any:
     """Give a value as the block's parameters take it: arrays of any kind as lists."""
     value = parameter.value
     return value if value is None or isinstance(value, bool | int | float | str) else list(value)
+
+
+def whole(value: float) -> int:
+    """Give a real number as the whole one that it is; a ValueError where it is none."""
+    if not value.is_integer() or abs(value) >= 2.0**63:
+        raise ValueError(value)
+    return int(value)
 
 
 def guessed(value: Any) -> Any:

@@ -54,6 +54,11 @@ class Hold:
         """As it is now."""
         return self._pace.pace
 
+    @property
+    def has_pace(self) -> bool:
+        """Return whether this node has one: that of the clock, in lockstep, begun."""
+        return self._turn is not None and self._paced
+
     def begin(self, middleware: Middleware, turn: Callable[[], object]) -> None:
         """Serve a node that owns the clock; `turn` has its ticks go on, or stay."""
         self._turn, self._middleware = turn, middleware
@@ -62,8 +67,8 @@ class Hold:
         self.go_at(self.pace)
 
     def go_at(self, pace: float) -> bool:
-        """Take another pace from now on; whether this node has one: that of the clock, in lockstep, begun."""
-        if self._turn is None or not self._paced:
+        """Take another pace from now on; whether this node has one."""
+        if not self.has_pace:
             return False
         self._pace.change(pace, self._middleware.steady())
         self._until = 0
