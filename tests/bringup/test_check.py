@@ -1,5 +1,6 @@
 """`softrig check` and `run --junit`: what a company's continuous integration reads."""
 
+import csv
 import json
 from xml.etree import ElementTree
 
@@ -37,15 +38,15 @@ def test_what_holds_and_what_does_not_is_told_in_words_xml_and_json(files, tmp_p
     given = ["check", str(holds), str(fails), "--junit", str(junit), "--json", str(report), "--workers", "1"]
     assert main(given) == 1
     said = capsys.readouterr().out
-    assert "holds: 1 hold, 0 do not" in said
-    assert "fails: 0 hold, 1 do not" in said
+    assert f"{holds}: 1 hold, 0 do not" in said
+    assert f"{fails}: 0 hold, 1 do not" in said
     root, found = cases(junit)
     assert (root.get("tests"), root.get("failures"), root.get("errors")) == ("2", "1", "0")
-    assert found["holds", "supply"].find("failure") is None
-    message = found["fails", "supply"].find("failure").get("message")
+    assert found[str(holds), "supply"].find("failure") is None
+    message = found[str(fails), "supply"].find("failure").get("message")
     assert "expected ≥ 0 V; violated from" in message
     content = json.loads(report.read_text())
-    assert [c["scenario"] for c in content] == ["holds", "fails"]
+    assert [c["scenario"] for c in content] == [str(holds), str(fails)]
     assert next(m for m in content[1]["metrics"] if m["name"] == "supply")["pass"] is False
     assert main(["check", str(holds), "--workers", "1"]) == 0
 
@@ -61,7 +62,7 @@ def test_a_run_that_breaks_is_an_error_of_its_suite(files, tmp_path, capsys):
     status = main(["check", str(files[2]), "--junit", str(junit), "--workers", "1"])
     root, found = cases(junit)
     assert (status, root.get("errors")) == (3, "1")
-    assert found["breaks", "run"].find("error").get("message") in capsys.readouterr().out
+    assert found[str(files[2]), "run"].find("error").get("message") in capsys.readouterr().out
 
 
 def test_one_run_has_a_report_too(files, tmp_path):
@@ -71,9 +72,14 @@ def test_one_run_has_a_report_too(files, tmp_path):
     assert cases(junit)[1]["fails", "supply"].find("failure") is not None
 
 
-def test_bad_input_is_one_line_before_the_first_run(files, tmp_path, capsys):
-    assert main(["check", str(files[0]), "dc_motor_smc_b22"]) == 2
-    assert "did you mean" in capsys.readouterr().err
+def test_bad_input_is_said_and_the_rest_is_judged(files, tmp_path, capsys):
+    assert main(["check", str(files[0]), "dc_motor_smc_b22", "--workers", "1"]) == 2
+    said, error = capsys.readouterr()
+    assert f"{files[0]}: 1 hold, 0 do not" in said
+    assert "dc_motor_smc_b22: refused: scenario 'dc_motor_smc_b22' is unknown (did you mean" in said
+    assert error.splitlines()[-1] == "softrig: of 2 scenarios not judged: dc_motor_smc_b22"
+    assert main(["check", str(files[0]), str(files[2]), "dc_motor_smc_b22", "--workers", "1"]) == 3
+    capsys.readouterr()
     assert main(["check", str(files[0]), "--junit", str(tmp_path / "none" / "report.xml")]) == 2
     assert "there is no folder" in capsys.readouterr().err
 
@@ -83,3 +89,45 @@ def test_control_characters_in_a_name_leave_the_xml_readable(tmp_path):
     root, found = cases(tmp_path / "x.xml")
     assert found["a?[31m", "b?"].find("failure").get("message") == "c? <&>"
     assert root.get("failures") == "1"
+
+
+def test_a_class_is_judged_by_the_lecturers_file_and_by_path(files, tmp_path, monkeypatch, capsys):
+    """Each hands in task1.yaml; what they expect of themselves does not count, and what else they changed is named."""
+    monkeypatch.chdir(tmp_path)
+    task = tmp_path / "task1.yaml"
+    peak = "{function: final_value, arguments: {signal: motor/true_state/shaft/velocity}}"
+    task.write_text(HOLDS + f"figures: {{peak: {peak}}}\n"
+                    "expect: {peak: at least -1000}\n")  # fmt: skip
+    own = {"ann": "nodes: {dc_motor_smc: {parameters: {delta: 2.5}}}\n", "bob": "duration: 0.5\n", "eve": "nodes: 3\n"}
+    for name, text in own.items():
+        (tmp_path / "sub" / name).mkdir(parents=True)
+        lenient = HOLDS.replace("abs(voltage) <= 24", "abs(voltage) <= 1")
+        lenient = lenient.replace("duration: 1.0\n", "") if name == "bob" else lenient
+        (tmp_path / "sub" / name / "task1.yaml").write_text(lenient + text)
+    files_of = [f"sub/{name}/task1.yaml" for name in own]
+    words = [
+        "check",
+        "--against",
+        "task1.yaml",
+        *files_of,
+        "--marks",
+        "marks.csv",
+        "--junit",
+        "x.xml",
+        "--workers",
+        "1",
+    ]
+    assert main(words) == 2  # one cannot be read
+    said = capsys.readouterr().out
+    for name, differs in (("ann", "nodes.dc_motor_smc.parameters.delta"), ("bob", "duration")):
+        assert f"sub/{name}/task1.yaml: 2 hold, 0 do not\n  differs from task1.yaml: {differs}\n" in said
+    assert "sub/eve/task1.yaml: refused: " in said
+    with (tmp_path / "marks.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["scenario"], r["held"], r["judged"]) for r in rows] == [
+        (files_of[0], "2", "2"), (files_of[1], "2", "2"), (files_of[2], "0", "0"),
+    ]  # fmt: skip
+    assert (rows[0]["supply holds"], rows[2]["supply holds"]) == ("1", "")
+    assert float(rows[0]["supply"].split()[0]) > 0.0
+    assert rows[2]["error"]
+    assert {name for name, _ in cases(tmp_path / "x.xml")[1]} == {*files_of}

@@ -5,6 +5,7 @@ import random
 import re
 import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -123,7 +124,7 @@ def test_ranges_are_met_at_both_ends_and_in_between():
         ("motor/state/shaft/velocity", "0..1", "a signal takes a profile, such as 0..1.6"),
         ("plant.load_torques", "0..1*0", "expected 1 to 50 numbers, got 0"),
         ("plant.R+", "0..1", "only to signals can be added"),
-        ("plnt.R", "0..1", "did you mean 'plant'"),
+        ("plnt.R", "0..1", "did you mean plant.R"),
         ("plant.Rr", "0..1", "plant has no parameter 'Rr' .did you mean 'R'"),
         ("plant.load_torques", "0..1", "a list of 1: a number is searched"),
         ("plant.R", "0..1*3", "plant.R is 0"),
@@ -381,7 +382,7 @@ def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(undra
 def test_the_picture_of_the_worst_run_is_as_told(monkeypatch):
     """Of a requirement over two signals, one of them the same in both runs; of one over a command; of a figure."""
     drawn = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path: drawn.append((path, figure)))
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: drawn.append((str(path), figure)))
     scenario = load_scenario("dc_motor_smc_b2").changed(duration=0.4)
     about = {
         "speed": "motor/state/shaft/velocity",
@@ -392,7 +393,7 @@ def test_the_picture_of_the_worst_run_is_as_told(monkeypatch):
     nominal = scenario.having(shared=about, requirements=follows)
     runs = {"as it is": simulate(nominal), "worst": simulate(nominal.changed(overrides={"dc_motor_plant.J": 0.03}))}
     for name in ("follows", "strong", "overshoot"):
-        picture.draw_worst(runs, name, name, f"Worst of {name}")
+        picture.draw_worst(runs, name, Path(name), f"Worst of {name}")
     check_told("pictures/worst", (line for path, f in drawn for line in (path, *figure_lines(f))))
 
 

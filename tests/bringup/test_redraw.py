@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import pytest
 from matplotlib.image import imread
 from softrig_bringup.cli import main
 from softrig_bringup.plots.pictures import plot_entry
+from softrig_bringup.report.apart import names
+from softrig_bringup.report.record import read_run
 from softrig_bringup.report.redraw import rig_of_run
 
 SIGNAL = "motor/applied/armature"
@@ -88,3 +91,61 @@ def test_what_cannot_be_drawn_is_one_line(run, tmp_path, capsys):
         assert f"command: expected that of a run, got {command!r}" in capsys.readouterr().err
         assert main(["report", str(edited), "--out", str(tmp_path / "edited.html")]) == 0
         assert "This run has no pictures" in (tmp_path / "edited.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("style", "columns", "width", "font"),
+    [("ieee", 1, 88.9, "STIXGeneral"), ("ieee", 2, 182.0, "STIXGeneral"), ("elsevier", 1, 90.0, "DejaVuSans"),
+     ("springer", 1, 84.0, "DejaVuSans"), ("serif", 1, 120.0, "STIXGeneral")],
+)  # fmt: skip
+def test_a_picture_has_the_column_width_and_letters_of_its_publisher(run, tmp_path, style, columns, width, font):
+    words = ["--style", style, "--columns", str(columns), "--out", str(tmp_path)]
+    assert main(["draw", "plot", str(run), SIGNAL, *words]) == 0
+    (picture,) = tmp_path.glob("*.pdf")
+    content = picture.read_bytes()
+    (box,) = re.findall(rb"/MediaBox \[ ?0 0 ([\d.]+)", content)
+    assert float(box) == pytest.approx(72.0 * width / 25.4, abs=0.1)
+    assert b"/Type3" not in content
+    assert {name.split(b"+")[-1].split(b"-")[0].decode() for name in re.findall(rb"/FontName /(\S+)", content)} == {
+        font
+    }
+
+
+def test_no_pdf_of_softrig_has_type_3_letters(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-record", "--format", "pdf"]
+    assert main([*words, "--out", "a"]) == 0
+    study = ["study", "dc_motor_smc_b2", "--draw", "dc_motor_plant.R=0.3..0.5", "--draws", "5", "--duration", "0.1"]
+    assert main([*study, "--format", "pdf", "--workers", "1", "--out", "s"]) == 0
+    assert main(["draw", "plot", str(run), "--out", "p"]) == 0
+    found = [path for folder in "asp" for path in (tmp_path / folder).glob("*.pdf")]
+    assert len(found) > 6
+    assert [path.name for path in found if b"/Type3" in path.read_bytes()] == []
+
+
+def test_several_runs_are_drawn_over_one_another_and_replace_nothing(run, tmp_path, monkeypatch, capsys):
+    """Their pictures go to a folder of their own, those of one run below its folder."""
+    monkeypatch.chdir(tmp_path)
+    other = Path(shutil.copytree(run, tmp_path / "other"))
+    assert main(["draw", "plot", str(run), str(other), SIGNAL, "--csv", "--format", "svg"]) == 0
+    picture, table = (Path(line) for line in capsys.readouterr().out.split())
+    assert picture.parts[0] == "pictures"
+    text = picture.read_text()
+    assert "run" in text
+    assert "other" in text
+    head, *rows = csv.reader(table.open())
+    assert head == ["t (s)", f"{SIGNAL} of run (V)", f"{SIGNAL} of other (V)"]
+    assert all(row[1] == row[2] for row in rows)
+    assert main(["draw", "plot", "other"]) == 0
+    assert main(["draw", "plot", "other", SIGNAL, "--window", "0", "0.1"]) == 0
+    lines = capsys.readouterr().out.split()
+    assert len({*lines}) == 3
+    assert all(line.startswith("other/pictures/") and Path(line).is_file() for line in lines)
+    three = [f"very_long_name_of_a_run_that_fills_a_row_{k}" for k in range(2)]
+    for k, name in enumerate(three):
+        folder = Path(shutil.copytree(run, tmp_path / name))
+        content = json.loads((folder / "metrics.json").read_text())
+        content["parameters"]["dc_motor_smc"]["delta"] = 1.5 + k
+        content["changed"] = [f"dc_motor_smc.delta={1.5 + k}"]
+        (folder / "metrics.json").write_text(json.dumps(content))
+    assert names([(tmp_path / n, read_run(tmp_path / n)) for n in three]) == ["delta 1.5", "delta 2.5"]

@@ -13,7 +13,7 @@ from softrig_bringup.page.junit import Case, Suite, write_reports
 from softrig_bringup.page.wiring import Wiring, columns
 from softrig_bringup.page.wording import accepted, difference, in_words, measured, measured_here, number, short, spans
 from softrig_bringup.plots.curves import Curve
-from softrig_bringup.report import run_page, several
+from softrig_bringup.report import apart, run_page, several
 from softrig_bringup.report.record import RunRecord
 from softrig_bringup.report.redraw import _table
 from softrig_bringup.verbs.results_page import by_system, counts
@@ -256,10 +256,10 @@ def test_runs_in_one_picture_are_at_most_four_times_shorter_than_the_longest_of_
 
 def test_folders_are_called_by_as_much_of_their_path_as_tells_them_apart(tmp_path):
     paths = [tmp_path / p for p in ("a/x", "a/y", "b/x")]
-    assert several._tails(paths[:2]) == ["x", "y"]
-    assert several._tails(paths) == ["a/x", "a/y", "b/x"]
-    assert several._tails([paths[0], paths[0], paths[1]]) == ["x [1]", "x [2]", "y"]
-    assert several._tails([paths[0]]) == ["x"]
+    assert apart._tails(paths[:2]) == ["x", "y"]
+    assert apart._tails(paths) == ["a/x", "a/y", "b/x"]
+    assert apart._tails([paths[0], paths[0], paths[1]]) == ["x [1]", "x [2]", "y"]
+    assert apart._tails([paths[0]]) == ["x"]
 
 
 @pytest.mark.parametrize(
@@ -273,12 +273,12 @@ def test_folders_are_called_by_as_much_of_their_path_as_tells_them_apart(tmp_pat
     ],
 )
 def test_what_was_changed_is_parted_into_what_and_how(said, parted):
-    assert several._said(said) == parted
+    assert apart._said(said) == parted
 
 
 def test_parameters_are_taken_apart_to_their_leaves():
     found = dict(
-        several._leaves(
+        apart._leaves(
             "n",
             {
                 "k": 1.5,
@@ -316,9 +316,9 @@ def test_draws_are_named_by_what_their_names_share():
     runs = [run(seed=k) for k in range(4)]
     for named, found in (
         (["a-1", "a-2", "a-3", "a-4"], ["a"] * 4),
-        (["1", "2", "3", "4"], ["1 and others"] * 4),
+        (["1", "2", "3", "4"], ["lag"] * 4),
         (["a", "a-2", "a-3", "a-4"], ["a"] * 4),
-        (["run_1", "run_2", "run_3", "other"], ["run_1 and others"] * 4),
+        (["run_1", "run_2", "run_3", "other"], ["lag"] * 4),
     ):
         assert several.groups(runs, named) == found
     assert several.groups(runs[:2], ["a-1", "a-2"]) == ["a-1", "a-2"]  # a band needs three

@@ -19,6 +19,7 @@ from softrig_bringup import cli
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.options import packed
+from softrig_bringup.options.naming import folder_of
 from softrig_bringup.page.citations import Citation
 from softrig_bringup.page.wiring import Node, Wire, Wiring
 from softrig_bringup.report import redraw
@@ -1094,20 +1095,21 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
     more = ["--width", "50.8", "--font", "8", "--format", "svg", "--csv", "--window", "0", "0.02", "--out", "p"]
     for words in ([name], [name, *more], [], ["--no-title"]):
         assert main(["draw", "plot", ".", *words]) == 0
-    plain = {"font": None, "inches": None}
+    plain = {"font": None, "inches": None, "serif": False}
     assert asked == [
         ("lag state x position", [name], None, {"title": False} | plain),
-        ("lag state x position", [name], (0.0, 0.02), {"title": False, "font": 8.0, "inches": 2.0}),
+        ("lag state x position", [name], (0.0, 0.02), {"title": False, "font": 8.0, "inches": 2.0, "serif": False}),
         ("Position", [name], None, {"title": True} | plain),
         ("Position", [name], None, {"title": False} | plain),
     ]
+    of_one = f"pictures/{folder_of([lag.name], [str(lag)])}"
     assert capsys.readouterr().out.splitlines() == [
-        "pictures/plot_01_lag_state_x_position.pdf",
+        f"{of_one}/lag_state_x_position-{folder_of(['lag state x position'])[-8:]}/plot_01_lag_state_x_position.pdf",
         "p/plot_01_lag_state_x_position.svg",
         "p/plot_01_lag_state_x_position.csv",
-        *["pictures/plot_01_position.pdf"] * 2,
+        *[f"{of_one}/plot_01_position.pdf"] * 2,
     ]
-    assert (lag / "pictures/plot_01_position.pdf").read_text().startswith("300 {")
+    assert (lag / of_one / "plot_01_position.pdf").read_text().startswith("300 {")
     rows = (lag / "p/plot_01_lag_state_x_position.csv").read_text().splitlines()
     assert (rows[0], len(rows)) == ("t (s),lag/state/x/position (m)", 4)
 
@@ -1279,7 +1281,7 @@ def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch
 
 
 def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
-    good = {"scenario": "lag", "wall_s": 1.0, "error": "", "metrics": [], "claims": []}
+    good = {"scenario": "lag", "wall_s": 1.0, "error": "", "metrics": [], "claims": [], "kind": "", "differs": []}
     claim = {"key": "a", "false": "", "measured_text": "1", "holds": True}
     outcomes = []
     asked = []
@@ -1293,27 +1295,29 @@ def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
             1,
             ["lag: 1 hold, 1 do not", "  claim b: no"],
         ),
-        ([good, good | {"error": "gone"}], 3, ["lag: 0 hold, 0 do not", "lag: broke: gone"]),
+        ([good, good | {"error": "gone", "kind": "broke"}], 3, ["lag: 0 hold, 0 do not", "lag: broke: gone"]),
     ):
         outcomes[:] = found
         assert main(["check", "lag", "--workers", "2"]) == status
         assert capsys.readouterr().out.splitlines() == said
-    assert asked == [(["lag"], "check", 2)] * 3
+    assert asked == [([check.Judged("lag", "lag", "")], "check", 2)] * 3
     assert main(["check", "lag", "--json", "nowhere/x.json"]) == 2
     assert "nowhere/x.json: there is no folder" in capsys.readouterr().err
 
     def broken(name, thorough):
         raise RunError("gone")
 
-    assert check.judge("lag")["metrics"][0]["name"] == "last"
+    assert check.judge(check.Judged("lag", "lag", ""))["metrics"][0]["name"] == "last"
     monkeypatch.setattr(check, "simulate", broken)
-    assert {k: v for k, v in check.judge("lag").items() if k != "wall_s"} == {
+    assert {k: v for k, v in check.judge(check.Judged("lag", "lag", "")).items() if k != "wall_s"} == {
         "scenario": "lag",
         "metrics": [],
         "claims": [],
         "error": "gone",
+        "kind": "broke",
+        "differs": [],
     }
-    assert check.judge("lag")["wall_s"] >= 0.0
+    assert check.judge(check.Judged("lag", "lag", ""))["wall_s"] >= 0.0
 
 
 def test_claims_are_of_the_systems_that_are_asked_for(lag, monkeypatch, capsys):

@@ -25,7 +25,7 @@ STUDY = re.compile(
     r"study\.json|rows\.jsonl|table\.(parquet|csv)|summaries\.json|report\.html|softrig_files\.json|\.new"
 )
 FALSIFICATION = re.compile(
-    r"falsification\.json|outcome\.json|rows\.jsonl|report\.html|nominal|worst|worst\.png|small|\w+_(worst|small)\.yaml"
+    r"falsification\.json|outcome\.json|rows\.jsonl|report\.html|nominal|worst|worst\.(png|svg|pdf)|small|\w+_(worst|small)\.yaml"
     r"|softrig_files\.json|\.new"
 )
 MARKS = {"metrics.json": "run", "study.json": "study", "falsification.json": "falsification"}

@@ -16,6 +16,7 @@ from softrig_core.scenario.scenario_file import find
 from softrig_nodes.processes.placement import Placement
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
+from ..options.naming import folder_of
 from ..report.report import write_report
 from ..run.run import checked, execute, illustrate, save, summary
 from ..study.work import LARGE
@@ -39,13 +40,14 @@ def main(options: argparse.Namespace) -> int:
     changes |= {"requirements": options.requirement} if options.requirement else {}
     changes["over"] = dict(named(text, "--over", "LOW..HIGH") for text in options.over)
     task = falsification_of(options.what, changes)
-    out = options.out or Path("runs") / f"falsify_{task.name}"
+    said = [*options.over, *options.requirement, *(f"{k}_{changes[k]}" for k in keys if k in changes)]
+    out = options.out or Path("runs") / folder_of([f"falsify_{task.name}", *said])
     folder = ResultsFolder(out, FALSIFICATION)
     prepared = prepare(task)  # who is refused leaves no folder
     with folder.alone():
         try:
             outcome = falsify(task, prepared, out, workers=options.workers, scheduler=options.scheduler)
-            files = _write(task, outcome, out, not options.no_plots)
+            files = _write(task, outcome, out, not options.no_plots, options.format)
         finally:
             folder.close()
     _print(task, outcome, out, files)
@@ -54,16 +56,16 @@ def main(options: argparse.Namespace) -> int:
     return 1 if outcome.violated else 0
 
 
-def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool) -> dict[str, Path]:
+def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool, also: str) -> dict[str, Path]:
     """Write the runs that matter, their scenario files and the page; give the files."""
     files: dict[str, Path] = {}
     nominal = outcome.space.scenario.having(faults=_kept(outcome))
-    runs = {"nominal": _record(task, nominal, out / "nominal", plots)}
+    runs = {"nominal": _record(task, nominal, out / "nominal", plots, also)}
     for name, case in (("worst", outcome.case), ("small", outcome.small)):
         if case is not None:
             file = out / f"{task.name}_{name}.yaml"
             text = scenario_file(task, name, case, outcome)
-            runs[name] = _record(task, _standing_alone(text, file), out / name, plots)
+            runs[name] = _record(task, _standing_alone(text, file), out / name, plots, also)
             replace(file, text)
             files[name] = file
     if plots:
@@ -71,7 +73,7 @@ def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool) -> dic
     if plots and "worst" in runs and not runs["worst"].error:
         asked = (outcome.violated or list(outcome.names))[0]
         pair = {"as it is": runs["nominal"], "worst found": runs["worst"]}
-        draw_worst(pair, asked, out / PICTURE, task.title or task.name)
+        draw_worst(pair, asked, out / PICTURE, task.title or task.name, also)
     replace(out / "outcome.json", json.dumps(content(task, outcome), indent=1) + "\n")
     return files
 
@@ -98,7 +100,7 @@ def _kept(outcome: Outcome) -> dict[str, Any]:
     return {n: f.model_dump() for n, f in outcome.space.scenario.faults.items() if n not in added}
 
 
-def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool) -> Run:
+def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool, also: str) -> Run:
     """Run a case once more and write its bag, figures, pictures and page."""
     place = ResultsFolder(folder)
     place.clear()
@@ -106,7 +108,7 @@ def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool) 
     figures = [] if done.error else done.results
     save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), place)
     if plots:
-        illustrate(done, place)
+        illustrate(done, place, also)
     return done
 
 

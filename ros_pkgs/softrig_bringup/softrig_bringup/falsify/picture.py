@@ -19,7 +19,7 @@ from ..plots.pictures import save_figure, time_scale
 from ..plots.style import axis_title, quantity
 
 
-def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str) -> None:
+def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str, also: str = "") -> None:
     """Draw the signals of a requirement in several runs, a row a signal.
 
     Parameters
@@ -28,6 +28,8 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
         By label; what the last one violates is shaded.
     path : Path
         The PNG.
+    also : str
+        svg or pdf: a file of this kind beside it.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -69,4 +71,4 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
             ax.set_ylabel(axis_title((quantity(unit) if len(rows) == 1 else "") or name, unit))
         axes[-1].set_xlabel(axis_title("Time", time))
         figure.align_ylabels()
-        save_figure(figure, path, title, last.rig.scenario.name)
+        save_figure(figure, path, title, last.rig.scenario.name, also)

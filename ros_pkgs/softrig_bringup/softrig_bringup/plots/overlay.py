@@ -12,9 +12,9 @@ from softrig_core import Signals
 from softrig_core.scenario.scenario import PlotEntry
 
 from . import style as look
-from .axes import draw, fold_exponents, legend
+from .axes import draw, legend
 from .curves import Array, Curve, Shown, inside
-from .pictures import time_scale
+from .pictures import fit, lettered, time_scale
 from .style import axis_title, quantity
 
 if TYPE_CHECKING:
@@ -51,7 +51,23 @@ Drawn = Sequence[tuple[Overlay, Curve]]  # of one signal
 
 
 def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str, bytes]]:
-    """Draw each plot over time that at least two runs share: title and PNG.
+    """Draw each plot over time that at least two runs share: title and PNG; see `overlay_figures`."""
+    for entry, figure in overlay_figures(runs, note):
+        file = io.BytesIO()
+        figure.savefig(file, format="png")
+        yield entry.title + note, file.getvalue()
+
+
+def overlay_figures(
+    runs: Sequence[Overlay],
+    note: str = "",
+    *,
+    title: bool = True,
+    font: float | None = None,
+    inches: float | None = None,
+    serif: bool = False,
+) -> Iterator[tuple[PlotEntry, Figure]]:
+    """Draw each plot over time that at least two runs share.
 
     Each signal has its own axes, each run or group of draws its own colour. A group of `LEAST` or more runs is its
     median and the band between the quantiles `BAND`. A reference that is the same in all runs is drawn once.
@@ -60,21 +76,19 @@ def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str,
     ----------
     note : str
         Behind each title.
+    title, font, inches, serif
+        See `softrig_bringup.plots.pictures.plot_entry`.
     """
-    from matplotlib import rc_context
-
+    letters = int(110 * (inches or look.WIDTH) / look.WIDTH * 9.0 / (font or 9.0))
     for entry in _shared(runs):
         having = [run for run in runs if set(entry.signals) <= set(run.shown)]
         curves = {n: [(run, c) for run in having if len((c := _curve(run, n, entry.window)).x)] for n in entry.signals}
         if max(map(len, curves.values())) < 2:
             continue
-        with rc_context(look.style()):
-            figure = _figure(having[0].shown, entry, curves)
-            figure.suptitle(entry.title + note, x=0.008, ha="left", fontsize=12, fontweight="bold")
-            fold_exponents(figure)
-            file = io.BytesIO()
-            figure.savefig(file, format="png")
-        yield entry.title + note, file.getvalue()
+        with lettered(font, serif):
+            figure = _figure(having[0].shown, entry, curves, letters)
+            fit(figure, entry.title + note if title else "", font, inches)
+        yield entry, figure
 
 
 def _shared(runs: Sequence[Overlay]) -> list[PlotEntry]:
@@ -86,7 +100,7 @@ def _shared(runs: Sequence[Overlay]) -> list[PlotEntry]:
     return [found[0] for found in same.values() if len(found) > 1]
 
 
-def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, Drawn]) -> Figure:
+def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, Drawn], letters: int) -> Figure:
     from matplotlib.figure import Figure as New
 
     there = [n for n in entry.signals if curves[n]]
@@ -101,7 +115,7 @@ def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, D
         lines = [r for n in same if (r := _common([c for _, c in curves[n]], entry.signals[n]))]
         drawn = _overlaid(ax, curves[name], lines, scale)
         if [c.label for c in drawn] != said:  # once, if it is the same below
-            legend(ax, drawn, "", 110, what="runs")
+            legend(ax, drawn, "", letters, what="runs")
             said = [c.label for c in drawn]
         label = entry.signals[name] or name
         unit = about[name].unit

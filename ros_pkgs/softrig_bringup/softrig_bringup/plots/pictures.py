@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,6 +41,7 @@ def plot_entry(
     title: bool = True,
     font: float | None = None,
     inches: float | None = None,
+    serif: bool = False,
 ) -> Figure:
     """Draw one plot of a run.
 
@@ -51,25 +53,47 @@ def plot_entry(
         Size of the letters, points.
     inches : float, optional
         Width; the height follows, not below what the rows need.
+    serif : bool
+        Letters like Times.
     """
-    from matplotlib import rc_context
-
     source = Source(signals, rig)
-    own = {"font.size": font, "legend.fontsize": font, "axes.titlesize": font} if font else {}
-    with rc_context(look.style() | own):
+    with lettered(font, serif):
         letters = int(110 * (inches or look.WIDTH) / look.WIDTH * 9.0 / (font or 9.0))
         marks = marks_of(rig, signals)
         figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks, letters)
-        if inches:
-            wide, high = figure.get_size_inches()
-            figure.set_size_inches(inches, high * max(inches / wide, 0.7))
-        for ax in figure.axes if font else ():
-            for text in (*ax.texts, *(box.get_texts() if (box := ax.get_legend()) else ())):
-                text.set_fontsize(font)
-        if title:
-            figure.suptitle(entry.title, x=0.008, ha="left", fontsize=font or 12, fontweight="bold")
-        fold_exponents(figure)
+        fit(figure, entry.title if title else "", font, inches)
     return figure
+
+
+@contextmanager
+def lettered(font: float | None, serif: bool) -> Iterator[None]:
+    """Draw with letters of a size, in points, and kind."""
+    from matplotlib import rc_context
+
+    own = {"font.size": font, "legend.fontsize": font, "axes.titlesize": font} if font else {}
+    with rc_context(look.style() | own | (look.SERIF if serif else {})):
+        yield
+
+
+def fit(figure: Figure, title: str, font: float | None, inches: float | None) -> None:
+    """Give a figure its width, the size of its letters and its title."""
+    if inches:
+        wide, high = figure.get_size_inches()
+        figure.set_size_inches(inches, high * max(inches / wide, 0.7))
+    for ax in figure.axes if font else ():
+        for text in (*ax.texts, *(box.get_texts() if (box := ax.get_legend()) else ())):
+            text.set_fontsize(font)
+    if title:
+        figure.suptitle(title, x=0.008, ha="left", fontsize=font or 12, fontweight="bold")
+    fold_exponents(figure)
+
+
+def write_figure(figure: Figure, path: Path, **how: Any) -> None:
+    """Write a picture, its letters as letters in every format, equal figures as equal files."""
+    from matplotlib import rc_context
+
+    with rc_context(look.FONTS):
+        figure.savefig(path, metadata=UNDATED.get(path.suffix[1:]), **how)
 
 
 def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: int | None = None) -> list[Path]:
@@ -135,9 +159,9 @@ def save_figure(figure: Figure, path: Path, title: str, run: str, also: str = ""
     figure.suptitle(title, x=0.008, ha="left", fontsize=12, fontweight="bold")
     figure.text(0.992, 0.992, run, ha="right", va="top", fontsize=8, color=look.SOFT)
     fold_exponents(figure)
-    figure.savefig(path)
+    write_figure(figure, path)
     if also:
-        figure.savefig(path.with_suffix(f".{also}"), metadata=UNDATED[also])
+        write_figure(figure, path.with_suffix(f".{also}"))
 
 
 def _time_figure(source: Source, entry: PlotEntry, marks: Mapping[str, Sequence[Mark]], letters: int = 110) -> Figure:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from softrig_core.judge.units import pretty_unit
 
@@ -19,11 +19,41 @@ WIDTH = 10.0  # inch: 1100 pixels, the width of the report's column
 MANY = 8  # more curves than this in one axes get a colour scale instead of a legend
 
 
+class Paper(NamedTuple):
+    """What a publisher asks of a picture.
+
+    Parameters
+    ----------
+    widths : tuple of float
+        Of one and of two columns, mm.
+    font : float
+        Size of the letters, points.
+    serif : bool
+        Whether they are like Times.
+    """
+
+    widths: tuple[float, float]
+    font: float
+    serif: bool
+
+
+# the widths are those of the publishers' instructions for artwork
+PAPERS = {
+    "ieee": Paper((88.9, 182.0), 8.0, True),
+    "elsevier": Paper((90.0, 190.0), 8.0, False),
+    "springer": Paper((84.0, 174.0), 8.0, False),
+    "serif": Paper((120.0, 160.0), 10.0, True),
+}
+# Type 3 letters, matplotlib's default, are refused by many publishers' checks
+FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "softrig"}
+SERIF: dict[Any, Any] = {"font.family": "STIXGeneral", "mathtext.fontset": "stix"}  # matplotlib brings them
+
+
 def style() -> dict[Any, Any]:
     """Give matplotlib's settings for every picture of the suite."""
     from matplotlib.rcsetup import cycler
 
-    return {
+    return FONTS | {
         "font.size": 10.0,
         "axes.grid": True,
         "axes.axisbelow": True,
@@ -43,9 +73,6 @@ def style() -> dict[Any, Any]:
         "legend.handlelength": 1.6,
         "lines.linewidth": 1.4,
         "lines.solid_joinstyle": "round",
-        "pdf.fonttype": 42,  # text stays text
-        "svg.fonttype": "none",
-        "svg.hashsalt": "softrig",  # equal runs give equal files
         "xtick.color": "#444444",
         "ytick.color": "#444444",
     }

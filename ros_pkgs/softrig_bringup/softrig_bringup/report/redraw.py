@@ -6,24 +6,34 @@ import argparse
 import csv
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from io import StringIO
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from softrig_bags.read import BagSignals, signals
 from softrig_bags.reader import BagReader
 from softrig_core import Rig, ScenarioError, rig_of
 from softrig_core.command_line import Parser
 from softrig_core.guard import say
+from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.wire.signals import short_name
 
 from ..folder import replace
+from ..options.naming import folder_of
 from ..options.packed import ABOUT, is_pack, opened
 from ..options.run_options import arguments, scenario_of
-from ..plots.curves import Curve, Source, with_plots
-from ..plots.pictures import UNDATED, plot_entry, plot_name, plot_run
+from ..plots.curves import Curve, Source, inside, shown, with_plots
+from ..plots.overlay import Overlay, overlay_figures
+from ..plots.pictures import plot_entry, plot_name, plot_run, write_figure
+from ..plots.style import PAPERS
+from .apart import names as run_names
 from .bag_rig import rig_of_bag
-from .looked import rig_of_pack
+from .looked import record_of_pack, rig_of_pack
 from .record import read_run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MM = 25.4  # in an inch
 
@@ -98,37 +108,114 @@ def draw_missing(directory: Path, into: Path) -> list[Path]:
     return plot_run(found, rig, into)
 
 
+class Look(NamedTuple):
+    """How pictures are to look: letters in points, width in inches, of publishers the letters' kind."""
+
+    title: bool
+    font: float | None
+    inches: float | None
+    serif: bool
+
+
 def main(options: argparse.Namespace) -> int:
-    """Draw pictures of a run anew: of some signals, or the plots of its scenario; print their files."""
-    names, out, form = options.signals, options.out, options.format
-    rig, found = rig_of_run(options.run)
-    rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
-    out.mkdir(parents=True, exist_ok=True)
-    source = Source(found, rig)
-    for number, entry in enumerate(rig.scenario.plots, 1):
-        figure = plot_entry(
-            found,
-            rig,
-            entry,
-            title=not (options.no_title or names),
-            font=options.font,
-            inches=options.width and options.width / MM,
-        )
-        path = out / Path(plot_name(number, entry.title)).with_suffix(f".{form}")
+    """Draw pictures of runs anew: of some signals, or the plots of their scenario; print their files."""
+    runs = [Path(word) for word in options.what if _is_run(word)] or [Path(options.what[0])]
+    names = [word for word in options.what if Path(word) not in runs]
+    look = _look(options, bool(names))
+    out = options.out or _folder(runs, names, options.window)
+    drawn = _of_one(runs[0], names, options, look) if len(runs) == 1 else _of_several(runs, names, options, look)
+    number = 0
+    for number, (entry, figure, table) in enumerate(drawn, 1):
+        path = out / Path(plot_name(number, entry.title)).with_suffix(f".{options.format}")
+        path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            figure.savefig(path, dpi=300, metadata=UNDATED.get(form))
+            write_figure(figure, path, dpi=300)
         except RuntimeError as error:  # of the PGF backend
             raise ScenarioError(
-                f"{form}: {str(error).splitlines()[0]}; it needs LaTeX (xelatex), pdf does not"
+                f"{options.format}: {str(error).splitlines()[0]}; it needs LaTeX (xelatex), pdf does not"
             ) from None
         print(path)
         if options.csv:
-            replace(path.with_suffix(".csv"), _table([source.shown(entry, n) for n in entry.signals], source))
+            replace(path.with_suffix(".csv"), table)
             print(path.with_suffix(".csv"))
+    if not number:
+        raise ScenarioError(f"{', '.join(map(str, runs))}: nothing that two of them share is drawn over time")
     return 0
 
 
+def _is_run(word: str) -> bool:
+    path = Path(word)
+    return path.exists() and (path.is_file() or (path / "metrics.json").is_file() or (path / "metadata.yaml").is_file())
+
+
+def _look(options: argparse.Namespace, named: bool) -> Look:
+    """Give what the options ask for; what a publisher asks for stands behind what is said beside it."""
+    paper = PAPERS.get(options.style)
+    width = options.width or (paper.widths[int(options.columns) - 1] if paper else None)
+    title = not (options.no_title or named or paper)
+    return Look(
+        title, options.font or (paper.font if paper else None), width and width / MM, bool(paper and paper.serif)
+    )
+
+
+def _folder(runs: Sequence[Path], names: Sequence[str], window: Sequence[float] | None) -> Path:
+    """Name the folder of pictures by what they are of, below that of the run where there is one."""
+    of = [name.replace("/", " ") for name in names] + ([f"{a:g}_to_{b:g}_s" for a, b in [window]] if window else [])
+    if len(runs) > 1:
+        return Path("pictures") / folder_of(
+            [*(run.resolve().name for run in runs), *of], [str(r.resolve()) for r in runs]
+        )
+    home = next((p for p in (runs[0], runs[0].parent) if (p / "metrics.json").is_file()), None)
+    below = (
+        home / "pictures" if home else Path("pictures") / folder_of([runs[0].resolve().name], [str(runs[0].resolve())])
+    )
+    return below / folder_of(of) if of else below
+
+
+Drawing = Iterator[tuple[PlotEntry, "Figure", str]]
+
+
+def _of_one(run: Path, names: Sequence[str], options: argparse.Namespace, look: Look) -> Drawing:
+    rig, found = rig_of_run(run)
+    rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
+    source = Source(found, rig)
+    for entry in rig.scenario.plots:
+        figure = plot_entry(found, rig, entry, **look._asdict())
+        yield entry, figure, _table([source.shown(entry, n) for n in entry.signals], source)
+
+
+def _of_several(runs: Sequence[Path], names: Sequence[str], options: argparse.Namespace, look: Look) -> Drawing:
+    """Draw what several runs share over one another."""
+    records = [(run, record_of_pack(opened(run)) if is_pack(run) else read_run(run)) for run in runs]
+    called = run_names(records, options.label)
+    overlays = []
+    for path, label in zip(runs, called, strict=True):
+        rig, found = rig_of_run(path)
+        rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
+        overlays.append(Overlay(label, label, rig.scenario.plots, shown(rig), found))
+    for entry, figure in overlay_figures(overlays, **look._asdict()):
+        yield entry, figure, _side_by_side(entry, overlays)
+
+
+def _side_by_side(entry: PlotEntry, overlays: Sequence[Overlay]) -> str:
+    """Write the curves of several runs as CSV: a column a run and signal."""
+    curves = [
+        (
+            f"{short_name(name, over.shown)} of {over.label} ({over.shown[name].unit or '1'})",
+            inside(Curve("", "", *over.signals[name]), entry.window),
+        )
+        for name in entry.signals
+        for over in overlays
+        if name in over.shown
+    ]
+    return _columns([head for head, _ in curves], [curve for _, curve in curves])
+
+
 def _table(curves: Sequence[Curve], source: Source) -> str:
+    return _columns([f"{source.short(c.signal) or c.label} ({c.unit or '1'})" for c in curves], curves)
+
+
+def _columns(heads: Sequence[str], curves: Sequence[Curve]) -> str:
     """Write curves as CSV: a row a time, a cell empty where a signal has no sample."""
     rows: dict[float, list[str]] = {}
     for k, curve in enumerate(curves):
@@ -136,6 +223,6 @@ def _table(curves: Sequence[Curve], source: Source) -> str:
             rows.setdefault(t, [""] * len(curves))[k] = repr(x)
     text = StringIO()
     writer = csv.writer(text, lineterminator=os.linesep)
-    writer.writerow(["t (s)", *(f"{source.short(c.signal) or c.label} ({c.unit or '1'})" for c in curves)])
+    writer.writerow(["t (s)", *heads])
     writer.writerows([repr(t), *rows[t]] for t in sorted(rows))
     return text.getvalue()

@@ -11,10 +11,11 @@ from softrig_core.guard import say
 
 from ..options.packed import is_pack, opened
 from ..page.html import e, write_page
+from .apart import names
 from .looked import doubts, record_of_pack
 from .record import RunRecord, read_run
 from .run_page import run_section
-from .several import differences, index, names, overlaid, side_by_side
+from .several import differences, index, overlaid, side_by_side
 
 MARK = "metrics.json"  # of the folder of a run
 

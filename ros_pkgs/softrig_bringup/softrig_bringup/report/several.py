@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element
 
 from softrig_bags.errors import BagError
@@ -19,42 +17,13 @@ from softrig_core.verdict.figures import Result
 from ..page.html import NONE, e, mark, picture, table
 from ..page.wording import measured
 from ..plots.overlay import LEAST, Overlay, draw_overlay
+from .apart import differing, machine
 from .record import RunRecord
 from .run_page import verdict
 
 COLUMNS = 8  # figures that a table holds beside each other on a page 1,100 pixels wide
 MOST = 40  # rows of the table of what differs
 APART = 4.0  # runs of which one is so many times longer than the other have no picture in common
-
-
-def names(runs: Sequence[tuple[Path, RunRecord]], given: Sequence[str] = ()) -> list[str]:
-    """Name each run: as the command line says, by its own label, or by its folder.
-
-    Parameters
-    ----------
-    runs : sequence of (Path, RunRecord)
-    given : sequence of str
-        Names of the first runs.
-
-    Returns
-    -------
-    list of str
-        All different: of folders as much of their path as tells them apart, equal labels have the folder behind them.
-    """
-    folders = _tails([path for path, _ in runs])
-    wanted = [run.label for _, run in runs]
-    wanted[: len(given)] = given
-    return [f"{w} ({f})" if w and wanted.count(w) > 1 else w or f for w, f in zip(wanted, folders, strict=True)]
-
-
-def _tails(paths: Sequence[Path]) -> list[str]:
-    """The last parts of each path, as many as make them different."""
-    parts = [path.absolute().parts for path in paths]
-    for n in range(1, max(map(len, parts)) + 1):
-        found = ["/".join(p[-n:]) for p in parts]
-        if len({*found}) == len({*parts}):
-            break
-    return [f"{name} [{k}]" if found.count(name) > 1 else name for k, name in enumerate(found, 1)]
 
 
 def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
@@ -79,7 +48,8 @@ def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
             letters = zip(*(named[k] for k in mine), strict=False)
             shared = "".join(c[0] for c in takewhile(lambda c: len({*c}) == 1, letters))
             shared = shared.rstrip(" -_=,/([").removesuffix("seed").rstrip(" -_")
-            label = shared if shared and found.count(shared) <= (shared in [named[k] for k in mine]) else ""
+            shared = shared or runs[mine[0]].scenario
+            label = shared if found.count(shared) <= (shared in [named[k] for k in mine]) else ""
             for k in mine:
                 found[k] = label or f"{named[mine[0]]} and others"
     return found
@@ -89,75 +59,8 @@ def _draws(run: RunRecord) -> str:
     """What runs share that differ in their seed alone; empty for one that is no draw of anything."""
     if run.error or run.stopped or not run.code or any(node.outside for node in run.wiring.nodes.values()):
         return ""
-    same = (run.scenario, run.mode, run.duration_s, run.code, run.parameters, _machine(run), run.wiring.model_dump())
+    same = (run.scenario, run.mode, run.duration_s, run.code, run.parameters, machine(run), run.wiring.model_dump())
     return json.dumps(same, sort_keys=True)
-
-
-def _machine(run: RunRecord) -> dict[str, str]:
-    """Versions, without the commit: the code says which files count."""
-    return {k: v for k, v in run.versions.items() if k not in ("commit", "run.lock") or not run.code}
-
-
-def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Give what differs between runs, by what it is: its value in each of them, as text; empty where it is not there.
-
-    Returns
-    -------
-    changed : dict of str to list of str
-        What a person has done: another scenario, mode, seed or length, what the command line or a hand changed; code
-        of each package, nodes, what they ran on, and how they ended.
-    follows : dict of str to list of str
-        Parameters that differ because of it. Of runs between which nobody says what was changed, they are the change.
-    """
-    about: dict[str, Callable[[RunRecord], str]] = {
-        "scenario": lambda r: r.scenario,
-        "mode": lambda r: r.mode,
-        "seed": lambda r: str(r.seed),
-        "duration, s": lambda r: f"{r.duration_s:g}",
-        "ended": lambda r: "broke" if r.error else r.stopped,
-    }
-    found = {what: [say(r) for r in runs] for what, say in about.items()}
-    for kind, part in (("code of", lambda r: r.code), ("version of", _machine)):
-        for name in dict.fromkeys(name for r in runs for name in part(r)):
-            found[f"{kind} {name}"] = [part(r).get(name, "") for r in runs]
-    values: dict[str, list[str]] = {}
-    for node in dict.fromkeys(name for r in runs for name in r.wiring.nodes):
-        there = [r.wiring.nodes.get(node) for r in runs]
-        found[f"node {node}"] = [f"{n.executable}{', outside' if n.outside else ''}" if n else "" for n in there]
-        if len({*found[f"node {node}"]}) == 1:
-            parts = [dict(_leaves(node, r.parameters.get(node, {}))) for r in runs]
-            values |= {name: [p.get(name, "") for p in parts] for p in parts for name in p}
-    follows = {what: own for what, own in values.items() if len({*own}) > 1}
-    said = [dict(_said(text) for text in r.changed if r.stopped != text) for r in runs]
-    for what in dict.fromkeys(key for own in said for key in own):
-        found.setdefault(what, follows.pop(what, []) or [own.get(what, "as in the scenario") for own in said])
-    changed = {what: own for what, own in found.items() if len({*own}) > 1}
-    causes = {"scenario", *(key for own in said for key in own)} - {"seed"}
-    return (changed, follows) if causes & changed.keys() else (changed | follows, {})
-
-
-def _said(text: str) -> tuple[str, str]:
-    """Part what was changed into what and how: ``node.k=3``, ``duration 3``, or a text by itself."""
-    what, sign, value = text.partition("=")
-    if sign:
-        return what, value
-    what, _, value = text.partition(" ")
-    return ("duration, s", value) if what == "duration" else (what, value) if what == "seed" else (text, "yes")
-
-
-def _leaves(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Give each value below a name as text; what is JSON in a parameter is taken apart, too."""
-    if isinstance(value, str) and value[:1] in ("{", "["):
-        with suppress(ValueError):
-            value = json.loads(value)
-    if isinstance(value, dict):
-        for key, part in value.items():
-            yield from _leaves(f"{name}.{key}", part)
-    elif isinstance(value, list) and any(isinstance(part, dict) for part in value):
-        for k, part in enumerate(value):
-            yield from _leaves(f"{name}[{k}]", part)
-    else:
-        yield name, value if isinstance(value, str) else json.dumps(value)
 
 
 def differences(runs: Sequence[RunRecord], named: Sequence[str]) -> Iterator[Element]:

@@ -64,7 +64,7 @@ def main(options: argparse.Namespace) -> int:
     folder = ResultsFolder(out, STUDY)
     with folder.alone(), folder.anew() as new:
         write_table(rows, new, study.duration)
-        pictures = draw_study(study, rows, log.rows() if study.signals else (), new, units)
+        pictures = draw_study(study, rows, log.rows() if study.signals else (), new, units, options.format)
         (new / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
         write_page(new / "report.html", study.title, list(_page(study, rows, found, held, over, pictures, units)))
     _print(study, rows, found, held, over, out)

@@ -29,7 +29,7 @@ MOST = 6  # figures, and groups of curves, that a picture can hold
 
 
 def draw_study(
-    study: Study, rows: Sequence[Row], signals: Iterable[Row], folder: Path, units: Mapping[str, str]
+    study: Study, rows: Sequence[Row], signals: Iterable[Row], folder: Path, units: Mapping[str, str], also: str = ""
 ) -> list[Path]:
     """Draw what the study's form asks for.
 
@@ -41,6 +41,8 @@ def draw_study(
         Rows with the key ``signals``; read once.
     units : mapping
         Unit of each figure, parameter (``node.name``) and signal.
+    also : str
+        svg or pdf: a file of this kind beside each PNG.
 
     Returns
     -------
@@ -53,7 +55,7 @@ def draw_study(
     with rc_context(style()):
         for number, (title, figure) in enumerate(_figures(study, rows, signals, units), 1):
             paths.append(folder / plot_name(number, title))
-            save_figure(figure, paths[-1], title, study.name)
+            save_figure(figure, paths[-1], title, study.name, also)
     return paths
 
 

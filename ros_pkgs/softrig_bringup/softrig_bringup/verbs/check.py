@@ -3,55 +3,119 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import time
-from typing import Any
+from collections.abc import Iterator, Sequence
+from io import StringIO
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from softrig_core import Run, RunError, ScenarioError, figures_of, load_scenario, rig_of, simulate
+from softrig_core import Run, RunError, Scenario, ScenarioError, figures_of, load_scenario, rig_of, simulate
 from softrig_core.guard import say
+from softrig_core.scenario.scenario_file import find, locate
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
 from softrig_optim.sweep import sweep
 
+from ..folder import replace
 from ..page.junit import Case, Suite, write_reports
 from ..page.wording import NEVER, accepted, spans
 
+KEPT = ("figures", "expect", "claims", "requirements")  # what --against takes from its own file
+COMPARED = ("nodes", "shared", "faults", "changes", "duration", "seed")  # of what is judged, beside them
+
+
+class Judged(NamedTuple):
+    """What one argument names: how it is called in every report, the scenario, and that of the expectations."""
+
+    name: str
+    scenario: str
+    against: str
+
 
 def main(options: argparse.Namespace) -> int:
-    """Run scenarios in process and judge them; 1 when something does not hold, 3 when a run broke."""
-    names = options.scenarios
-    for name in names:  # bad input of any of them is said before the first run
-        figures_of(rig_of(load_scenario(name)))
-    for path in (options.junit, options.json):
+    """Run scenarios in process and judge them; 1 when something does not hold, 2 for bad input, 3 when a run broke."""
+    for path in (options.junit, options.json, options.marks):
         if path is not None and not path.absolute().parent.is_dir():
             raise ScenarioError(f"{path}: there is no folder {path.absolute().parent}")
-    outcomes = sweep(judge, names, title="check", workers=options.workers)
+    if options.against:  # the one that judges all
+        figures_of(rig_of(load_scenario(options.against)))
+    works = [Judged(_called(name), name, options.against) for name in options.scenarios]
+    outcomes = sweep(judge, works, title="check", workers=options.workers)
     suites = [suite_of(outcome) for outcome in outcomes]
-    for suite in suites:
+    for suite, outcome in zip(suites, outcomes, strict=True):
         bad = len(suite.failures)
-        verdict = f"broke: {suite.error}" if suite.error else f"{len(suite.cases) - bad} hold, {bad} do not"
+        verdict = f"{outcome['kind']}: {suite.error}" if suite.error else f"{len(suite.cases) - bad} hold, {bad} do not"
         print(f"{suite.name}: {verdict}")
         for case in suite.failures:
             print(f"  {case.name}: {case.failure}")
+        if outcome["differs"]:
+            print(f"  differs from {options.against}: {', '.join(outcome['differs'])}")
     write_reports(options.junit, suites, options.json, outcomes)
-    if any(suite.error for suite in suites):
-        say("a run broke")
-        return 3
+    if options.marks is not None:
+        replace(options.marks, _marks(suites))
+    if kinds := sorted({outcome["kind"] for outcome in outcomes} - {""}):
+        say(f"of {len(outcomes)} scenarios not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")
+        return 3 if "broke" in kinds else 2
     return 1 if any(suite.failures for suite in suites) else 0
 
 
-def judge(name: str) -> dict[str, Any]:
-    """Run one scenario in this process and give what is to be said of it, as plain data."""
+def _called(word: str) -> str:
+    """Name what is judged: a file by its path, which tells ``a/task.yaml`` from ``b/task.yaml``."""
+    return word if Path(word).suffix in (".yaml", ".yml") else load_name(word)
+
+
+def load_name(word: str) -> str:
+    """Give the name of a scenario; the word itself where there is none."""
+    return locate(word)[0] if find(word) is not None else word
+
+
+def judge(work: Judged) -> dict[str, Any]:
+    """Run one scenario in this process and give what is to be said of it, as plain data; bad input is said there."""
     started = time.perf_counter()
+    about: dict[str, Any] = {"scenario": work.name, "metrics": [], "claims": [], "kind": "", "differs": []}
     try:
-        return outcome_of(simulate(name, thorough=True), time.perf_counter() - started)
+        scenario = load_scenario(work.scenario)
+        if work.against:
+            reference = load_scenario(work.against)
+            about["differs"] = differing(scenario, reference)
+            scenario = scenario.having(**{key: getattr(reference, key) for key in KEPT})
+        about |= outcome_of(simulate(scenario, thorough=True), time.perf_counter() - started)
     except RunError as error:
-        return {
-            "scenario": load_scenario(name).name,
-            "wall_s": time.perf_counter() - started,
-            "metrics": [],
-            "claims": [],
-            "error": str(error),
-        }
+        about |= {"error": str(error), "kind": "broke"}
+    except ScenarioError as error:
+        about |= {"error": str(error), "kind": "refused"}
+    return about | {"scenario": work.name, "wall_s": round(time.perf_counter() - started, 3)}
+
+
+def differing(scenario: Scenario, reference: Scenario) -> list[str]:
+    """Name what a scenario has otherwise than another one, beside what is measured and expected."""
+    here, there = (dict(_leaves("", s.model_dump(mode="json", include={*COMPARED}))) for s in (scenario, reference))
+    return sorted(name for name in here.keys() | there.keys() if here.get(name) != there.get(name))
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from _leaves(f"{name}.{key}" if name else str(key), part)
+    else:
+        yield name, value
+
+
+def _marks(suites: Sequence[Suite]) -> str:
+    """Write a row a scenario: how much of what is judged holds, what was measured of each, and why one was not run."""
+    names = list(dict.fromkeys(case.name for suite in suites for case in suite.cases))
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["scenario", "held", "judged", *(part for name in names for part in (name, f"{name} holds")), "error"]
+    )
+    for suite in suites:
+        cases = {case.name: case for case in suite.cases}
+        held = [name for name, case in cases.items() if not case.failure]
+        cells = [part for n in names for part in ((cases[n].text, int(n in held)) if n in cases else ("", ""))]
+        writer.writerow([suite.name, len(held), len(cases), *cells, suite.error])
+    return text.getvalue()
 
 
 def outcome_of(run: Run, wall_s: float) -> dict[str, Any]:

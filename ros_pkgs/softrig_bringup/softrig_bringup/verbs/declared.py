@@ -76,11 +76,22 @@ def _run_and_look(verb: Verb) -> None:
     kinds = draw.add_subparsers(required=True, metavar="WHAT")
     text = "pictures of a run that is over, for a paper: size, letters, data"
     plot = verb("plot", "report.redraw:main", text, kinds)
-    plot.add_argument("run", type=Path, metavar="RUN", help="its folder, its bag, or a file of `pack`")
     plot.add_argument(
-        "signals", nargs="*", metavar="SIGNAL", help="one picture of these (default: the scenario's plots)"
+        "what",
+        nargs="+",
+        metavar="RUN|SIGNAL",
+        help="folder of a run, its bag, or a file of `pack`; of several what they share, over one another. Signals: "
+        "one picture of these (default: the scenario's plots)",
     )
-    plot.add_argument("--out", type=Path, default=Path("pictures"), metavar="DIR", help="they go here (pictures)")
+    plot.add_argument("--out", type=Path, metavar="DIR", help="they go here (RUN/pictures; of several: pictures/NAMES)")
+    plot.add_argument(
+        "--style",
+        choices=("ieee", "elsevier", "springer", "serif"),
+        default="",
+        help="width, letters, no title, as asked",
+    )
+    plot.add_argument("--columns", choices=("1", "2"), default="1", help="with --style: how wide (1)")
+    plot.add_argument("--label", action="append", default=[], metavar="TEXT", help="name of a run, in their order")
     plot.add_argument("--format", choices=("pdf", "svg", "png", "pgf"), default="pdf")
     plot.add_argument("--width", type=Number(float, 20, 1000), metavar="MM", help="width; the height follows")
     plot.add_argument("--font", type=Number(float, 3, 40), metavar="PT", help="size of the letters")
@@ -193,6 +204,7 @@ def _vary(verb: Verb) -> None:
     study.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
     study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")
+    study.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
     study.add_argument("--out", type=Path, metavar="DIR", help="results go here (runs/study_NAME and what is varied)")
     _workers(study)
     falsify = verb(
@@ -213,6 +225,7 @@ def _vary(verb: Verb) -> None:
     falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after the corners (cmaes)")
     falsify.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     falsify.add_argument("--first", action="store_true", default=None, help="end at the first violation")
+    falsify.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
     falsify.add_argument("--no-plots", action="store_true", help="scenario files and bags only")
     falsify.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/falsify_NAME)")
     _workers(falsify)
@@ -228,6 +241,15 @@ def _judge(verb: Verb) -> None:
         "check", "verbs.check:main", "figures, requirements and claims of many scenarios, for continuous integration"
     )
     check.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
+    check.add_argument(
+        "--against",
+        default="",
+        metavar="FILE",
+        help="what is measured and expected is that of this scenario, whatever the others say; names what else differs",
+    )
+    check.add_argument(
+        "--marks", type=Path, metavar="FILE", help="a row of CSV a scenario: how much holds, and each value"
+    )
     results = verb("results", "verbs.results:main", "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument(

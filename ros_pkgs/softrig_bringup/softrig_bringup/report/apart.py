@@ -1,0 +1,126 @@
+"""What tells runs apart: their names on a page, and what differs between them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from .record import RunRecord
+
+SHORT, LONGEST = 30, 60  # letters: of folders that name their runs, and of what differs between those
+
+
+def names(runs: Sequence[tuple[Path, RunRecord]], given: Sequence[str] = ()) -> list[str]:
+    """Name each run: as the command line says, by its own label, or by its folder.
+
+    Parameters
+    ----------
+    runs : sequence of (Path, RunRecord)
+    given : sequence of str
+        Names of the first runs.
+
+    Returns
+    -------
+    list of str
+        All different: of folders as much of their path as tells them apart, or, where that is long, what differs
+        between them; equal labels have it behind them.
+    """
+    folders = _tails([path for path, _ in runs])
+    if max(map(len, folders), default=0) > SHORT:
+        folders = _by_difference([run for _, run in runs]) or folders
+    wanted = [run.label for _, run in runs]
+    wanted[: len(given)] = given
+    return [f"{w} ({f})" if w and wanted.count(w) > 1 else w or f for w, f in zip(wanted, folders, strict=True)]
+
+
+def _by_difference(runs: Sequence[RunRecord]) -> list[str]:
+    """Name runs by what differs between them, ``delta 2, seed 3``; nothing where that is long or tells too little."""
+    changed, _ = differing(runs)
+    told = {what: own for what, own in changed.items() if not what.startswith(("code of", "version of", "node "))}
+    parts = [
+        [value if what in ("scenario", "mode", "ended") else f"{what.split('.')[-1]} {value}" for value in own]
+        for what, own in told.items()
+    ]
+    found = [", ".join(filter(None, own)) for own in zip(*parts, strict=True)]
+    fits = len({*found}) == len(runs) and all(found) and max(map(len, found)) <= LONGEST
+    return found if fits else []
+
+
+def _tails(paths: Sequence[Path]) -> list[str]:
+    """The last parts of each path, as many as make them different."""
+    parts = [path.absolute().parts for path in paths]
+    for n in range(1, max(map(len, parts)) + 1):
+        found = ["/".join(p[-n:]) for p in parts]
+        if len({*found}) == len({*parts}):
+            break
+    return [f"{name} [{k}]" if found.count(name) > 1 else name for k, name in enumerate(found, 1)]
+
+
+def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Give what differs between runs, by what it is: its value in each of them, as text; empty where it is not there.
+
+    Returns
+    -------
+    changed : dict of str to list of str
+        What a person has done: another scenario, mode, seed or length, what the command line or a hand changed; code
+        of each package, nodes, what they ran on, and how they ended.
+    follows : dict of str to list of str
+        Parameters that differ because of it. Of runs between which nobody says what was changed, they are the change.
+    """
+    about: dict[str, Callable[[RunRecord], str]] = {
+        "scenario": lambda r: r.scenario,
+        "mode": lambda r: r.mode,
+        "seed": lambda r: str(r.seed),
+        "duration, s": lambda r: f"{r.duration_s:g}",
+        "ended": lambda r: "broke" if r.error else r.stopped,
+    }
+    found = {what: [say(r) for r in runs] for what, say in about.items()}
+    for kind, part in (("code of", lambda r: r.code), ("version of", machine)):
+        for name in dict.fromkeys(name for r in runs for name in part(r)):
+            found[f"{kind} {name}"] = [part(r).get(name, "") for r in runs]
+    values: dict[str, list[str]] = {}
+    for node in dict.fromkeys(name for r in runs for name in r.wiring.nodes):
+        there = [r.wiring.nodes.get(node) for r in runs]
+        found[f"node {node}"] = [f"{n.executable}{', outside' if n.outside else ''}" if n else "" for n in there]
+        if len({*found[f"node {node}"]}) == 1:
+            parts = [dict(_leaves(node, r.parameters.get(node, {}))) for r in runs]
+            values |= {name: [p.get(name, "") for p in parts] for p in parts for name in p}
+    follows = {what: own for what, own in values.items() if len({*own}) > 1}
+    said = [dict(_said(text) for text in r.changed if r.stopped != text) for r in runs]
+    for what in dict.fromkeys(key for own in said for key in own):
+        found.setdefault(what, follows.pop(what, []) or [own.get(what, "as in the scenario") for own in said])
+    changed = {what: own for what, own in found.items() if len({*own}) > 1}
+    causes = {"scenario", *(key for own in said for key in own)} - {"seed"}
+    return (changed, follows) if causes & changed.keys() else (changed | follows, {})
+
+
+def machine(run: RunRecord) -> dict[str, str]:
+    """Versions, without the commit: the code says which files count."""
+    return {k: v for k, v in run.versions.items() if k not in ("commit", "run.lock") or not run.code}
+
+
+def _said(text: str) -> tuple[str, str]:
+    """Part what was changed into what and how: ``node.k=3``, ``duration 3``, or a text by itself."""
+    what, sign, value = text.partition("=")
+    if sign:
+        return what, value
+    what, _, value = text.partition(" ")
+    return ("duration, s", value) if what == "duration" else (what, value) if what == "seed" else (text, "yes")
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Give each value below a name as text; what is JSON in a parameter is taken apart, too."""
+    if isinstance(value, str) and value[:1] in ("{", "["):
+        with suppress(ValueError):
+            value = json.loads(value)
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from _leaves(f"{name}.{key}", part)
+    elif isinstance(value, list) and any(isinstance(part, dict) for part in value):
+        for k, part in enumerate(value):
+            yield from _leaves(f"{name}[{k}]", part)
+    else:
+        yield name, value if isinstance(value, str) else json.dumps(value)
