@@ -31,6 +31,10 @@ import sys  # noqa: E402
 
 sys.path.insert(0, str(PACKAGE / "python"))
 
+from softrig_core.bits import pin  # noqa: E402
+
+pin()  # as the command line does: what tests expect are its figures
+
 from softrig_core import Recording, Scenario, Signals, rig_of, run_inprocess  # noqa: E402
 from softrig_core.wire.recording import shard_topics  # noqa: E402
 from softrig_nodes.processes.domain import free_domain  # noqa: E402

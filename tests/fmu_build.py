@@ -7,10 +7,8 @@ import zipfile
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from softrig_drives.dc_motor.model import MotorConstants  # before numpy, which softrig pins
-
-# isort: split
 import fmpy
+from softrig_drives.dc_motor.model import MotorConstants
 
 SOURCES = Path(__file__).parent / "fmu_sources"
 HEADERS = Path(fmpy.__file__).parent / "c-code"

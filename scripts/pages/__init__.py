@@ -1,1 +1,5 @@
 """What makes the doc pages, and holds them to the code: ``scripts/softrig docs pages``, from a checkout."""
+
+from softrig_core.bits import pin
+
+pin()  # the same kernels on every CPU, before a part loads numpy

@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from softrig_core import bits
+from softrig_core import bits, needs
+from softrig_core.solver import worker
+from softrig_nodes.processes.executables import environment
 
 PACKAGES = sorted(p for p in (Path(__file__).parents[2] / "ros_pkgs").glob("softrig_*"))
 UNPINNED = {name: value for name, value in os.environ.items() if name not in bits.PINS}
@@ -23,30 +25,88 @@ def python(code, **variables):
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda p: p.name)
-def test_each_package_pins_before_it_imports_anything_else(package):
+def test_each_package_begins_with_the_core(package):
+    """A node's first import is of its package: what pins numpy's choice comes before anything that loads numpy."""
     statements = ast.parse((package / package.name / "__init__.py").read_text()).body
     harmless = ("__future__", "importlib", "typing")  # nothing of numpy in them
     first = next(s for s in statements if not isinstance(s, ast.Expr) and getattr(s, "module", "") not in harmless)
-    if package.name == "softrig_core":
-        stop = next(k for k, s in enumerate(statements) if ast.unparse(s) == "pin()")
-        assert all(
-            getattr(s, "module", "") in ("__future__", "importlib", "typing", "bits", "interrupt", "needs")
-            or ast.unparse(s) == "quiet_imports()"
-            for s in statements[1:stop]
-        )
-    else:
-        assert ast.unparse(first) == "import softrig_core as softrig_core"
+    expected = "from .bits import pin" if package.name == "softrig_core" else "import softrig_core as softrig_core"
+    assert ast.unparse(first) == expected
 
 
-@pytest.mark.parametrize("module", ["softrig_drives.dc_motor.plant", "softrig_core.block.codec"])
-def test_numpy_is_loaded_with_the_kernels_of_avx2(module):
-    """However the first import is made: by the entry point of a node, a study's worker, a user's script."""
-    code = f"import {module}, numpy; from softrig_core import bits; print(bits.blas_core(), bits.simd_level())"
-    seen = python(code).stdout.split()
-    assert not {"SkylakeX", "X86_V4", "AVX512_ICL"} & set(seen)
-    if bits.cpu_has_avx512():
-        assert seen[0] in ("Haswell", "X86_V2")  # another BLAS than OpenBLAS has no name
-        assert "X86_V3" in seen
+WIDE = """
+import builtins, io, os
+really = open
+def pretended(file, *others, **more):  # a CPU with AVX-512, whatever this one is
+    return io.StringIO("flags : avx2 avx512f") if file == "/proc/cpuinfo" else really(file, *others, **more)
+builtins.open = pretended
+"""
+PINNED = "print({name: os.environ.get(name) for name in ('OPENBLAS_CORETYPE', 'NPY_DISABLE_CPU_FEATURES')} == " + (
+    f"{bits.PINS})"
+)
+FOREIGN = """
+import signal, sys, warnings
+warnings.simplefilter("error")
+before = dict(os.environ), signal.getsignal(signal.SIGINT)
+if sys.argv[1] == "first":
+    import numpy
+import softrig_core, softrig_nodes, softrig_drives.dc_motor.plant, softrig_bags, softrig_bringup
+assert (dict(os.environ), signal.getsignal(signal.SIGINT)) == before
+import json, numpy
+print(json.dumps(softrig_core.simulate("dc_motor_smc_b2", duration=0.1).kernels))
+"""
+
+
+@pytest.mark.parametrize("order", ["first", "after"])
+def test_an_import_changes_nothing_in_the_process_of_a_user(order):
+    command = [sys.executable, "-c", WIDE + FOREIGN, order]
+    done = subprocess.run(command, capture_output=True, text=True, env=UNPINNED)
+    assert (done.returncode, done.stderr) == (0, "")
+    plain = "from softrig_core.bits import kernels; import json; print(json.dumps(kernels()))"
+    assert json.loads(done.stdout) == json.loads(python(plain).stdout)  # numpy's own choice, and the run says it
+
+
+def test_a_node_is_pinned_before_it_loads_numpy(tmp_path):
+    marker = tmp_path / "share/ament_index/resource_index/packages/mine"
+    marker.parent.mkdir(parents=True)
+    node = tmp_path / "lib/mine/node"
+    node.parent.mkdir(parents=True)
+    node.write_text(f"{WIDE}\nimport softrig_drives, sys\nassert 'numpy' not in sys.modules\n{PINNED}")
+    for is_node in (False, True):  # at first a script in some folder called lib
+        done = subprocess.run([sys.executable, node], capture_output=True, text=True, env=UNPINNED, check=True)
+        assert done.stdout == f"{is_node}\n"
+        marker.touch()
+
+
+def test_the_command_line_and_what_is_started_are_pinned(tmp_path, monkeypatch):
+    assert (
+        python(f"{WIDE}\nimport sys, softrig_bringup.cli\nassert 'numpy' not in sys.modules\n{PINNED}").stdout
+        == "True\n"
+    )
+    for name in bits.PINS:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(bits, "cpu_has_avx512", lambda: True)
+    assert environment(1, tmp_path).items() >= bits.PINS.items()
+    started = []
+    monkeypatch.setattr(subprocess, "Popen", lambda command, env, **_: started.append(env) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):  # nothing is started
+        worker._Process("module", "name", None)
+    assert started[0].items() >= bits.PINS.items()
+
+
+def test_a_wheels_prefix_is_found_and_joined_where_processes_start(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    environ = {"AMENT_PREFIX_PATH": "/a:/b"}
+    assert needs.prefixes(environ) == ["/a", "/b"]  # no wheel is there
+    (tmp_path / "share/ament_index/resource_index/packages").mkdir(parents=True)
+    (tmp_path / "share/ament_index/resource_index/packages/softrig_core").touch()
+    assert needs.prefixes({}) == [str(tmp_path)]
+    assert needs.prefixes({"AMENT_PREFIX_PATH": f"{tmp_path}:/a"}) == [str(tmp_path), "/a"]
+    needs.join_prefix(environ)
+    assert environ == {"AMENT_PREFIX_PATH": f"/a:/b:{tmp_path}"}
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/a")
+    assert environment(1, tmp_path)["AMENT_PREFIX_PATH"] == f"/a:{tmp_path}"
+    assert os.environ["AMENT_PREFIX_PATH"] == "/a"
 
 
 def test_what_the_user_has_set_stays():
@@ -68,32 +128,6 @@ def test_the_cpu_is_asked_once(tmp_path, flags, wide):
     if flags is not None:
         file.write_text(f"processor\t: 0\nflags\t\t: {flags}\nbugs\t\t: avx512f\n\nprocessor\t: 1\n")
     assert bits.cpu_has_avx512(str(file)) == wide
-
-
-@pytest.mark.skipif(not bits.cpu_has_avx512(), reason="numpy chooses nothing wider on this CPU")
-def test_numpy_before_softrig_is_said_once():
-    said = python("import numpy, softrig_core, softrig_drives.dc_motor.plant").stderr
-    assert said.count("numpy was loaded before softrig") == 1
-    assert "SkylakeX" in said
-    assert python("import numpy, softrig_core", **bits.PINS).stderr == ""
-    assert python("import softrig_core, numpy, softrig_drives").stderr == ""
-
-
-@pytest.mark.parametrize(
-    ("core", "level", "given", "said"),
-    [
-        ("SkylakeX", "X86_V2 X86_V3 X86_V4", {}, ("OpenBLAS SkylakeX", "numpy X86_V2 X86_V3 X86_V4")),
-        ("Haswell", "X86_V2 X86_V3", {}, ()),
-        ("", "X86_V2 X86_V3 X86_V4", {}, ("(numpy X86_V2 X86_V3 X86_V4)",)),
-        ("SkylakeX", "X86_V2 X86_V3", {bits.CORE: "SkylakeX"}, ()),
-    ],
-)
-def test_what_was_chosen_before_is_compared(monkeypatch, core, level, given, said):
-    monkeypatch.setattr(bits, "blas_core", lambda: core)
-    monkeypatch.setattr(bits, "simd_level", lambda: level)
-    text = bits.too_late(dict.fromkeys(bits.PINS) | given)
-    assert bool(text) == bool(said)
-    assert all(part in text for part in said)
 
 
 SINES = """
@@ -126,14 +160,3 @@ def test_the_digest_tells_another_math_library(monkeypatch):
     monkeypatch.setattr(math, "log1p", nearly)
     assert found() != bits.math_digest()
     assert len(calls) == bits.ARGUMENTS
-
-
-def test_a_worker_process_inherits_the_pins():
-    code = (
-        "import softrig_core, os, json, subprocess, sys\n"
-        "print(subprocess.run([sys.executable, '-c', 'import os, json; print(json.dumps(dict(os.environ)))'],"
-        "                     capture_output=True, text=True).stdout)"
-    )
-    there = json.loads(python(code).stdout)
-    expected = bits.PINS if bits.cpu_has_avx512() else {}
-    assert {name: there.get(name) for name in expected} == expected

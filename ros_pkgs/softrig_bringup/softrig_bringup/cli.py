@@ -14,13 +14,17 @@ from functools import partial
 from typing import Any
 
 from softrig_core import ScenarioError
+from softrig_core.bits import pin
 from softrig_core.command_line import Parser, without_ros
 from softrig_core.guard import guarded, quietly
+from softrig_core.needs import join_prefix
 
 from .verbs import declared
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+pin()  # nor on the CPU
+join_prefix()
 
 # with a command line of their own: (module, function, text)
 FOREIGN = {

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 
 from .bits import pin
 from .interrupt import quiet_imports
-from .needs import check, join_prefix
+from .needs import check, is_executable, join_prefix
 
-quiet_imports()
-pin()  # before numpy is loaded
+if is_executable():  # this process is a node: who imports the package elsewhere finds everything as it was
+    quiet_imports()
+    pin()  # before numpy is loaded
+    join_prefix()
 check()
-join_prefix()
 
 if TYPE_CHECKING:
     from .analysis.environment import RigEnv as RigEnv

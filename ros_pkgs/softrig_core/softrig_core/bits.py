@@ -1,14 +1,14 @@
 """What a machine decides about the last digits: numpy's and OpenBLAS's choice by CPU, the C library's functions.
 
-`pin` takes the choice away before numpy is loaded; the package's ``__init__`` calls it first. What decides the numbers
-of a run uses neither BLAS nor numpy's functions of arrays (doc/bits.md); checks and figures may.
+`pin` takes the choice away before numpy is loaded, in processes that softrig starts: the command line, nodes, workers.
+In any other the user's choice stays, and a run says which kernels it had. What decides the numbers of a run uses
+neither BLAS nor numpy's functions of arrays (doc/bits.md); checks and figures may.
 """
 
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Callable, Iterable, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, MutableMapping
 from functools import cache
 
 CORE, SIMD = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"
@@ -45,7 +45,7 @@ def cpu_has_avx512(cpuinfo: str = "/proc/cpuinfo") -> bool:
 def pin(environ: MutableMapping[str, str] = os.environ, *, wider: bool | None = None) -> None:
     """Choose the kernels of AVX2 where the CPU has wider ones, for this process and those that it starts.
 
-    What is set already stays. Where numpy is loaded already and has chosen others, that is said once, as a warning.
+    What is set already stays. Where numpy is loaded already, its own choice stays, too, which `kernels` tells.
 
     Parameters
     ----------
@@ -55,30 +55,14 @@ def pin(environ: MutableMapping[str, str] = os.environ, *, wider: bool | None = 
     """
     if not (cpu_has_avx512() if wider is None else wider):
         return
-    before = {name: environ.get(name) for name in PINS}
     environ.setdefault(CORE, PINS[CORE])
     if "NPY_ENABLE_CPU_FEATURES" not in environ:  # numpy takes one of the two
         environ.setdefault(SIMD, PINS[SIMD])
-    if "numpy" in sys.modules and environ is os.environ and (late := too_late(before)):
-        import warnings
-
-        warnings.warn(late, RuntimeWarning, stacklevel=2)
 
 
-def too_late(before: Mapping[str, str | None]) -> str:
-    """Say what numpy, loaded before `pin`, has chosen otherwise; empty where it has not, or was told to."""
-    chosen = {
-        "OpenBLAS": blas_core() if before[CORE] is None else "",
-        "numpy": simd_level() if not before[SIMD] else "",
-    }
-    other = [f"{name} {what}" for name, what in chosen.items() if "SkylakeX" in what or "V4" in what]
-    if not other:
-        return ""
-    return (
-        f"numpy was loaded before softrig, with the kernels of this CPU ({', '.join(other)}): what plants and laws "
-        "compute is the same, last digits of figures and checks may not be; import softrig_core first, or set "
-        f"{CORE}={PINS[CORE]} and {SIMD}='{PINS[SIMD]}'"
-    )
+def kernels() -> dict[str, str]:
+    """Return the kernels in use: ``blas``, those of numpy's OpenBLAS, and ``simd``, the levels of numpy's functions."""
+    return {"blas": blas_core(), "simd": simd_level()}
 
 
 @cache

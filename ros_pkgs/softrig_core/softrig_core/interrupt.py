@@ -72,10 +72,7 @@ def quiet_imports() -> None:
     Nothing has been done yet, and launch calls the stack of an import that was interrupted a process that has died.
     Afterwards, and in every other program, Python's own handler answers.
     """
-    library, _, executable = (sys.argv[0] if sys.argv else "").rpartition("/")
-    prefix, _, package = library.rpartition("/lib/")
-    index = f"{prefix}/share/ament_index/resource_index/packages/{package}"
-    if executable and "/" not in package and os.path.isfile(index) and _is_pythons_own():
+    if _is_pythons_own():
         signal.signal(signal.SIGINT, _while_importing)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
+from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
 
@@ -26,10 +27,24 @@ def check() -> None:
         )
 
 
-def join_prefix() -> None:
+def is_executable() -> bool:
+    """Whether this program is an executable of an installed package, ``PREFIX/lib/PACKAGE/NAME``, as ROS starts it."""
+    library, _, name = (sys.argv[0] if sys.argv else "").rpartition("/")
+    prefix, _, package = library.rpartition("/lib/")
+    return bool(name) and "/" not in package and _has(prefix, package)
+
+
+def prefixes(environ: Mapping[str, str] = os.environ) -> list[str]:
+    """Return the install prefixes, overlays first: ``AMENT_PREFIX_PATH``, and that of a wheel where it is not in it."""
+    found = [prefix for prefix in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    return found if sys.prefix in found or not _has(sys.prefix, "softrig_core") else [*found, sys.prefix]
+
+
+def join_prefix(environ: MutableMapping[str, str] = os.environ) -> None:
     """Put the prefix of a wheel behind `AMENT_PREFIX_PATH`, where a workspace would have been sourced."""
-    there = os.environ.get("AMENT_PREFIX_PATH", "")
-    if sys.prefix not in there.split(os.pathsep) and os.path.isfile(
-        f"{sys.prefix}/share/ament_index/resource_index/packages/softrig_core"
-    ):
-        os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join(p for p in (there, sys.prefix) if p)
+    if (found := os.pathsep.join(prefixes(environ))) != environ.get("AMENT_PREFIX_PATH", ""):
+        environ["AMENT_PREFIX_PATH"] = found
+
+
+def _has(prefix: str, package: str) -> bool:
+    return os.path.isfile(f"{prefix}/share/ament_index/resource_index/packages/{package}")

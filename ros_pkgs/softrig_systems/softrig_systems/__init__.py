@@ -1,1 +1,1 @@
-import softrig_core as softrig_core  # before numpy is loaded: it pins what numpy chooses by CPU
+import softrig_core as softrig_core  # first: in a node it pins what numpy chooses by CPU

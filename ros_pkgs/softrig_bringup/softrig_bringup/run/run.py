@@ -33,7 +33,7 @@ from softrig_core import (
     rig_of,
     run_inprocess,
 )
-from softrig_core.bits import blas_core, math_digest, simd_level
+from softrig_core.bits import kernels, math_digest
 from softrig_core.block.params import declarations, flatten
 from softrig_core.block.port import CLOCK
 from softrig_core.block.step import Step
@@ -238,8 +238,7 @@ def versions() -> dict[str, str]:
     machine = {
         "libc": " ".join(platform.libc_ver()).strip(),
         "math": math_digest(),
-        "blas": blas_core(),
-        "simd": simd_level(),
+        **kernels(),
     }
     found |= {name: value for name, value in machine.items() if value}
     for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "daqp", "rosbags", "ros-jazzy-rclpy"):

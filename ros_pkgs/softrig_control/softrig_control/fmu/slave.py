@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 from xml.etree.ElementTree import Element, SubElement
 
-import softrig_core
 from softrig_core import Plant, Port
 from softrig_core.block.link import Link, Rows
 from softrig_core.block.params import build, declarations, flatten
@@ -19,8 +18,6 @@ from softrig_core.block.schedule import Schedule
 from softrig_core.block.step import Step
 from softrig_core.judge.units import base
 from softrig_core.rig.installed import load_block
-
-assert softrig_core  # before numpy, which its import pins
 
 if TYPE_CHECKING:
     from pythonfmu import Fmi2Slave as Base

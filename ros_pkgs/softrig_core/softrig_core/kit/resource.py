@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 from os.path import isfile
 from pathlib import Path
 
+from .. import needs
+
 
 def prefixes() -> list[Path]:
-    """Give the install prefixes of the environment, overlays first: ``AMENT_PREFIX_PATH``."""
-    return [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    """Return the install prefixes, overlays first; see `softrig_core.needs.prefixes`."""
+    return [Path(prefix) for prefix in needs.prefixes()]
 
 
 def resource(source: str, kind: str = "file") -> Path:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from ..bits import kernels
 from ..block.held import Held
 from ..errors import RunError, ScenarioError
 from ..extras import need
@@ -62,6 +63,8 @@ class Run:
         Of a run that `branch` gave: the rig of the first one, whose changes are the scenario's own.
     wanted : list of Figure, optional
         What `figures_of` gives of the rig, where that is known.
+    kernels : mapping of str to str
+        After a run in process: those of numpy that this process has, see `softrig_core.bits.kernels`.
     branched : list of dict
         Where somebody went back while it ran: ``at_s``, ``from_s``, and ``left``, what keeps the branch that was left.
     """
@@ -79,6 +82,7 @@ class Run:
     begun: Rig | None = None
     wanted: list[Figure] | None = None
     branched: list[dict[str, Any]] = field(default_factory=list)
+    kernels: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def stopped_at(self) -> str:
@@ -295,6 +299,7 @@ def simulate(
     with bar as tell:
         run.blocks = run_inprocess(rig, number, recording, tell or None, runs, topics, thorough)
     run.wall_s = time.perf_counter() - started
+    run.kernels = kernels()
     return run
 
 

@@ -25,6 +25,8 @@ import weakref
 from collections.abc import Callable, Mapping
 from typing import IO, Any, ClassVar, Literal
 
+from ..bits import pin
+
 State = Literal["idle", "working", "done", "failed"]
 Figures = Mapping[str, "float | str"]
 LENGTH = struct.Struct("<Q")
@@ -193,6 +195,7 @@ class _Process:
         self.busy = False
         self.owner: Callable[[], Worker | None] = lambda: None
         variables = dict(os.environ)
+        pin(variables)
         # one thread each: a BLAS that splits sums by the number of cores would change last bits
         for one in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
             variables.setdefault(one, "1")

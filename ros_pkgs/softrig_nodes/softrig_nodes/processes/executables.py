@@ -9,8 +9,10 @@ import sys
 from os.path import isfile
 from pathlib import Path
 
+from softrig_core.bits import pin
 from softrig_core.errors import ScenarioError, closest
 from softrig_core.kit.resource import prefixes
+from softrig_core.needs import join_prefix
 from softrig_core.rig.installed import load_main
 
 PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
@@ -63,6 +65,8 @@ def environment(
     With `silence`, others take it for dead only after more than so many s; the profile for that is written there.
     """
     variables = dict(os.environ)
+    pin(variables)
+    join_prefix(variables)
     variables |= {
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": discovery,
