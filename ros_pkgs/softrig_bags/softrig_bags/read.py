@@ -92,12 +92,11 @@ class BagSignals(Signals):
             self.recording.topics[name].times.extend(found.times)
             self.recording.topics[name].data.extend(found.data)
 
-    def table(self, topic: str) -> Table:
-        """Give all columns of a topic."""
+    def _table(self, topic: str) -> Table:
         if topic not in self._tables and topic in self.recording.topics:
             reason = self.left_out[topic].reason
             raise BagError(f"{topic} ({self.recording.topics[topic].msgtype}) cannot be decoded: {reason}")
-        return super().table(topic)
+        return super()._table(topic)
 
     @property
     def decodable(self) -> list[str]:

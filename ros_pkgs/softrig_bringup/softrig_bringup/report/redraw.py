@@ -16,6 +16,7 @@ from softrig_bags.reader import BagReader
 from softrig_core import Rig, ScenarioError, rig_of
 from softrig_core.command_line import Parser
 from softrig_core.guard import say
+from softrig_core.rig.members import other_names
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.wire.signals import short_name
 
@@ -57,6 +58,11 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
     ScenarioError
         No bag, or none in it, or what was run is unknown here.
     """
+    rig, found = _recalled(directory)
+    return rig, found.known_as(other_names(rig))
+
+
+def _recalled(directory: Path) -> tuple[Rig, BagSignals]:
     if is_pack(directory):
         try:
             return rig_of_pack(opened(directory))

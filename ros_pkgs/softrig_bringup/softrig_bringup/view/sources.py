@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import Recording, Rig
+from softrig_core.rig.members import other_names
 from softrig_core.timebase import SECOND
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import ShardTail
@@ -62,6 +63,7 @@ class Growing:
 
     def __init__(self, rig: Rig, held: bool = True) -> None:
         self.rig, self.live, self.outcome = rig, True, ""
+        self._also = other_names(rig)
         self._names = [m.name for m in rig.members if not m.external]
         self._tracks = {topic: Track() for topic in rig.topics}
         self.status: dict[str, dict[str, Any]] = {name: {} for name in self._names}
@@ -104,7 +106,7 @@ class Growing:
 
     def take(self, recording: Recording, epoch: int = 0) -> None:
         """Add what is new."""
-        found = Signals(recording, epoch)
+        found = Signals(recording, epoch).known_as(self._also)
         for name, topic in recording.topics.items():
             if name in self._tracks and topic.times:
                 table = found.table(name)

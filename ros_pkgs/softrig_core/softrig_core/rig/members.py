@@ -127,6 +127,19 @@ def signal_units(rig: Members) -> dict[str, str]:
     return {name: "" if unit == "1" else unit for name, unit in (units | handed).items()}
 
 
+def other_names(rig: Members) -> dict[str, dict[str, str]]:
+    """Return, by topic, how outside nodes may call what a port of the rig reads, to the port's own names.
+
+    Channels by `Port.also`, and the elements of an array that comes without its shape, as a held port takes it.
+    """
+    found: dict[str, dict[str, str]] = {}
+    for port in (p for m in rig.members for p in m.inputs):
+        flat = {f"data/{i}": label for i, label in enumerate(port.labels)} if port.held and port.dims else {}
+        if names := dict(zip(port.also, port.channels, strict=False)) | flat:
+            found.setdefault(port.topic, {}).update(names)
+    return found
+
+
 def unit_of(source: Member, port: Port, label: str, seen: tuple[str, ...] = ()) -> str:
     """Give the unit of an output's value; of a link, which hands on what it does not know, that of its sender."""
     unit = port.units[port.places[label]]

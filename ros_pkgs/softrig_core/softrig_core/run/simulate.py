@@ -17,7 +17,7 @@ from ..block.held import Held
 from ..errors import RunError, ScenarioError
 from ..extras import need
 from ..judge.claims import NEVER
-from ..rig.members import signal_units
+from ..rig.members import other_names, signal_units
 from ..rig.rig import Rig
 from ..scenario.scenario import Draft, Scenario
 from ..timebase import SECOND
@@ -100,7 +100,7 @@ class Run:
     @cached_property
     def signals(self) -> Signals:
         """Signals by name ``topic/channel/field``; decoded once."""
-        return Signals(self.recording, self.epoch)
+        return Signals(self.recording, self.epoch).known_as(other_names(self.rig))
 
     @cached_property
     def results(self) -> list[Result]:

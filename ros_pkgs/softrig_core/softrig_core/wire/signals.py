@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,9 +82,38 @@ class Signals(Mapping[str, Signal]):
         self._tables: dict[str, Table] = {}
         self._known: dict[str, Signal] = {}
         self._times: dict[tuple[int, ...], tuple[Any, Array]] = {}  # topics of one node share theirs
+        self._also: Mapping[str, Mapping[str, str]] = {}
+        self._named: dict[str, Table] = {}
+
+    def known_as(self, also: Mapping[str, Mapping[str, str]]) -> Self:
+        """Give channels the names of a rig's ports; to be called before a table is asked for.
+
+        Parameters
+        ----------
+        also : mapping of str to mapping
+            By topic: name by which an outside node may call a channel, to its own (`Port.also`); or label of a
+            value to its own.
+        """
+        self._also = also
+        return self
 
     def table(self, topic: str) -> Table:
-        """Give all columns of a topic."""
+        """Give all columns of a topic; what a message lacks that others of its topic have is NaN."""
+        if topic not in self._also:
+            return self._table(topic)
+        if topic not in self._named:
+            self._named[topic] = self._renamed(topic, self._table(topic))
+        return self._named[topic]
+
+    def _renamed(self, topic: str, found: Table) -> Table:
+        names, columns = self._also[topic], dict[str, Array]()
+        for label, x in found.columns.items():
+            channel, _, field = label.rpartition("/")
+            own = names.get(label) or (f"{names.get(channel, channel)}/{field}" if channel else label)
+            columns[own] = np.where(np.isnan(columns[own]), x, columns[own]) if own in columns else x
+        return found._replace(columns=columns)
+
+    def _table(self, topic: str) -> Table:
         if topic not in self._tables:
             if topic not in self.recording.topics:
                 raise KeyError(f"no topic {topic!r}; recorded are {', '.join(self.recording.topics)}")
@@ -147,10 +176,8 @@ def _decode(topic: Topic, epoch: int) -> Table:
     rows = [
         dict(zip(_labels(topic.msgtype, m), (x for v in m.fields.values() for x in v), strict=True)) for m in messages
     ]
-    for row in rows:
-        if list(row) != labels and first.names:
-            raise ValueError(f"{topic.name}: channels change from {labels} to {list(row)}")
-    labels = list(dict.fromkeys(label for row in rows for label in row))  # arrays may change their shape
+    # by name: outside nodes may change order, fields and length, and several of them may publish on one topic
+    labels = list(dict.fromkeys(label for row in rows for label in row))
     stamps = np.array([m.stamp or 0 for m in messages], dtype=np.int64)
     columns = {k: np.array([row.get(k, np.nan) for row in rows], dtype=np.float64) for k in labels}
     return Table(t, (stamps - epoch) / SECOND, columns)

@@ -93,6 +93,7 @@ class MessageType:
         for name, count in fields.items():
             if names:
                 found += [f"{channel}/{name}" for channel in names[:count]]
+                found += [f"{name}/{i}" for i in range(len(names), count)]  # more values than names
             elif dims:
                 found += element_labels(dims)
             elif self.sizes[name] is None:

@@ -1,0 +1,159 @@
+"""Whatever a port takes live is recorded, read, shown, compared and exported by name, whatever form it has.
+
+A node outside may change the form of its messages while it runs: order of the channels, further fields, of any length,
+the other names that a port knows, the byte order. The measure is `Decoder`, by which the port took them.
+"""
+
+import random
+import struct
+
+import numpy as np
+import pyarrow.csv
+import pytest
+from softrig_bags.cli import main_bag, main_compare
+from softrig_bags.compare import compare
+from softrig_bags.read import signals
+from softrig_bags.write import write_bag
+from softrig_bringup.plots.curves import Source
+from softrig_bringup.view.sources import Growing
+from softrig_core import Block, BlockParams, Port, Recording, Rig
+from softrig_core.block.codec import Decoder
+from softrig_core.rig.members import other_names
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.signals import Signals
+
+STATE, ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+COMMAND = Port("command", "law/command", STATE, ("a", "b", "c"), ("effort",), ("V",) * 3, also=("j1", "j2", "j3"))
+GAINS = Port("gains", "law/gains", ARRAY, (), ("data",), ("1",) * 6, held=True, dims=(("row", 2), ("column", 3)))
+
+
+class Plant(Block[BlockParams]):
+    """Reads both."""
+
+    @classmethod
+    def ports(cls, params):
+        return (COMMAND, GAINS), ()
+
+    def update(self, x, t, **inputs):
+        return x, {}
+
+
+class Law(Block[BlockParams]):
+    """Is outside."""
+
+    @classmethod
+    def ports(cls, params):
+        plain = [Port(p.name, p.topic, p.msgtype, p.channels, p.fields, p.units, dims=p.dims) for p in (COMMAND, GAINS)]
+        return (), tuple(plain)
+
+    def update(self, x, t, **inputs):
+        return x, {}
+
+
+def big_endian(t, names, values):
+    """A JointState with efforts alone, most significant byte first."""
+    data = struct.pack(">II", *divmod(t, 10**9)) + struct.pack(">I", 1) + b"\0"
+
+    def padded(data, size):
+        return data + bytes(-len(data) % size)
+
+    data = padded(data, 4) + struct.pack(">I", len(names))
+    for name in names:
+        data = padded(data, 4) + struct.pack(">I", len(name) + 1) + name.encode() + b"\0"
+    for field in ((), (), values):
+        data = padded(data, 4) + struct.pack(">I", len(field))
+        data = (padded(data, 8) if field else data) + b"".join(struct.pack(">d", v) for v in field)
+    return b"\0\0\0\0" + data
+
+
+def command(chance, t):
+    """A command in one of the forms that the port takes."""
+    names = list(chance.choice([COMMAND.channels, COMMAND.also]))
+    if chance.random() < 0.7:
+        chance.shuffle(names)
+    values = [chance.uniform(-9, 9) for _ in names]
+    form = chance.randrange(5)
+    if form == 0:
+        return big_endian(t, names, values)
+    further = {"position": chance.choice([0, 1, 3, 5]), "velocity": chance.choice([0, 3])} if form > 1 else {}
+    counts = {"position": 0, "velocity": 0, **further, "effort": 3}
+    layout = Layout(STATE, chance.choice(["", "world", "base"]), names, counts)
+    extra = [chance.random() for _ in range(counts["position"] + counts["velocity"])]
+    return layout.encode(t, (*extra, *values))
+
+
+def gains(chance, k):
+    """An array with its shape, or flat, as people write it."""
+    shaped = chance.random() < 0.5
+    layout = Layout(ARRAY, counts={"data": 6}, dims=GAINS.dims if shaped else (), numbered=shaped)
+    return layout.encode(k, tuple(chance.uniform(-9, 9) for _ in range(6)))
+
+
+@pytest.fixture(scope="module", params=range(3))
+def taken(request):
+    """A recording in which forms change, and what the port took of each message."""
+    chance = random.Random(request.param)
+    recording = Recording([(COMMAND.topic, STATE), (GAINS.topic, ARRAY)])
+    values = {}
+    for number, (port, make) in enumerate(((COMMAND, command), (GAINS, gains))):
+        decode, found = Decoder(port), []
+        for k in range(60):
+            data = make(chance, k * 10**6)
+            recording.add(number, k * 10**6, data)
+            found.append(decode(data)[1])
+        values[port.topic] = dict(zip(port.labels, np.array(found).T, strict=True))
+    return recording, values
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return Rig.from_blocks({"plant": Plant(), "law": Law()}, duration=1.0)
+
+
+def check(found, values):
+    """Each value of the ports, of all messages."""
+    for topic, columns in values.items():
+        for label, x in columns.items():
+            assert np.array_equal(found(topic).columns[label], x), (topic, label)
+
+
+def test_a_run_has_what_its_port_took(taken, rig):
+    recording, values = taken
+    found = Signals(recording).known_as(other_names(rig))
+    check(found.table, values)
+    source = Source(found, rig)
+    for label, x in values[COMMAND.topic].items():
+        assert np.array_equal(source.curve(f"{COMMAND.topic}/{label}").y[:60], x)
+
+
+def test_a_page_has_what_its_port_took(taken, rig):
+    recording, values = taken
+    page = Growing(rig)
+    for first in range(0, 60, 7):
+        part = Recording((t.name, t.msgtype) for t in recording.topics.values())
+        for number, topic in enumerate(recording.topics.values()):
+            for t, data in list(zip(topic.times, topic.data, strict=True))[first : first + 7]:
+                part.add(number, t, data)
+        page.take(part)
+    check(page.pane(0.0, 1.0).table, values)
+
+
+def test_a_bag_has_what_its_port_took(taken, rig, tmp_path, capsys):
+    recording, values = taken
+    write_bag(tmp_path / "bag", recording)
+    raw, named = signals(tmp_path / "bag"), signals(tmp_path / "bag").known_as(other_names(rig))
+    check(named.table, values)
+    for topic in (COMMAND.topic, GAINS.topic):  # the two decoders of bags and of runs agree, all columns
+        one, other = Signals(recording).table(topic).columns, raw.table(topic).columns
+        assert set(one) == set(other)
+        assert all(np.array_equal(one[k], other[k], equal_nan=True) for k in one)
+    assert compare(raw, signals(tmp_path / "bag")).equal
+    assert main_compare([str(tmp_path / "bag")] * 2) == 0
+    assert main_bag(["export", str(tmp_path / "bag"), "--out", str(tmp_path / "csv")]) == 0
+    capsys.readouterr()
+    table = pyarrow.csv.read_csv(tmp_path / "csv/law.command.csv")
+    for own, also in zip(COMMAND.channels, COMMAND.also, strict=True):
+        columns = [table[f"{name}/effort"].to_numpy() for name in (own, also)]
+        assert np.array_equal(
+            np.where(np.isnan(columns[0]), columns[1], columns[0]), values[COMMAND.topic][f"{own}/effort"]
+        )
