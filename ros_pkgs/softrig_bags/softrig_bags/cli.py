@@ -275,8 +275,8 @@ def main_bag(argv: list[str]) -> int:
     mend.add_argument("--out", type=Path, metavar="DIR", help="new bag (default: in place, the old one is kept beside)")
     table = verbs.add_parser("export", help="signals as tables, one file a topic")
     table.add_argument("bag", type=_bag)
-    table.add_argument("--format", choices=("csv", "parquet"), default="csv")
-    table.add_argument("--out", type=Path, metavar="DIR", help="default: BAG_csv or BAG_parquet beside the bag")
+    table.add_argument("--format", choices=("csv", "parquet", "mat"), default="csv")
+    table.add_argument("--out", type=Path, metavar="DIR", help="default: BAG_csv, BAG_parquet, BAG_mat beside the bag")
     options = parser.parse_args(argv)
     if options.verb == "info":
         from .info import describe

@@ -1,7 +1,8 @@
-"""A bag's signals as tables, CSV or Parquet, one file a topic, in memory that does not grow with the bag."""
+"""A bag's signals as tables, CSV, Parquet or MAT, one file a topic; but for MAT in memory that does not grow."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,8 @@ from .reader import BagReader
 from .tables import Columns, Piece, stacked
 
 ROWS = 1 << 16  # that are written at a time
-FORMATS = ("csv", "parquet")
+FORMATS = ("csv", "parquet", "mat")
+LONGEST = 63  # letters of a variable of MATLAB
 OWN = ("time", "stamp")  # columns that every table has
 
 
@@ -30,7 +32,7 @@ def export(path: Path | str, directory: Path | str, file_format: str) -> list[Pa
     directory : Path or str
         Where the files go; is created.
     file_format : str
-        ``csv`` or ``parquet``.
+        ``csv``, ``parquet``, or ``mat`` (MATLAB 5: a column vector a signal, their names in `names`).
 
     Returns
     -------
@@ -44,7 +46,7 @@ def export(path: Path | str, directory: Path | str, file_format: str) -> list[Pa
     """
     need("pyarrow", "an export")
     if file_format not in FORMATS:
-        raise BagError(f"format {file_format!r}: expected csv or parquet")
+        raise BagError(f"format {file_format!r}: expected {', '.join(FORMATS)}")
     with BagReader(path) as bag:
         columns, epoch = Columns(bag), epoch_of(bag)[0]
         Path(directory).mkdir(parents=True, exist_ok=True)
@@ -52,7 +54,8 @@ def export(path: Path | str, directory: Path | str, file_format: str) -> list[Pa
 
         def file(topic: int) -> _TopicFile:
             if topic not in files:
-                files[topic] = _TopicFile(Path(directory) / f"{names[topic]}.{file_format}", epoch)
+                ending = "parquet" if file_format == "mat" else file_format
+                files[topic] = _TopicFile(Path(directory) / f"{names[topic]}.{ending}", epoch)
             return files[topic]
 
         names: list[str] = []
@@ -67,7 +70,8 @@ def export(path: Path | str, directory: Path | str, file_format: str) -> list[Pa
             say_left_out(path, columns)
             if not whole:
                 raise BagError(f"{path}: not one topic of it can be decoded, there is nothing to export")
-            return [file(i).close() for i in whole]
+            written = [file(i).close() for i in whole]
+            return [*map(_mat, written)] if file_format == "mat" else written
         finally:
             for opened in files.values():
                 opened.abort()
@@ -180,3 +184,37 @@ def _batches(path: Path, suffix: str) -> Iterator[Any]:
     names = pyarrow.csv.open_csv(path).schema.names
     numbers = pyarrow.csv.ConvertOptions({name: pyarrow.float64() for name in names}, null_values=[])
     yield from pyarrow.csv.open_csv(path, convert_options=numbers)
+
+
+def _mat(table: Path) -> Path:
+    """Write a table of a topic as a file for MATLAB in its place."""
+    import pyarrow.parquet
+    from scipy.io import savemat
+
+    columns = pyarrow.parquet.read_table(table)
+    variables: dict[str, Any] = {}
+    for heading in columns.column_names:
+        name = plain = _identifier(heading)
+        k = 1
+        while name in variables:
+            k += 1
+            name = f"{plain[: LONGEST - 4]}_{k}"
+        variables[name] = columns[heading].to_numpy()
+    variables["names"] = np.array(columns.column_names, dtype=object)
+    file = table.with_suffix(".mat")
+    part = table.with_name(f".{file.name}.part")
+    try:
+        savemat(part, variables, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
+        part.replace(file)
+    except (ValueError, OverflowError) as error:
+        raise BagError(f"{file}: {error}; a variable of MATLAB 5 has at most 2 GB: export csv or parquet") from None
+    finally:
+        part.unlink(missing_ok=True)
+    table.unlink()
+    return file
+
+
+def _identifier(heading: str) -> str:
+    """Return the name of a column as MATLAB's variables are called: letters, digits and _, a letter first."""
+    plain = re.sub(r"[^A-Za-z0-9]+", "_", heading).strip("_") or "x"
+    return (plain if plain[0].isalpha() else f"x{plain}")[:LONGEST]

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from softrig_core import ScenarioError
 from softrig_core.guard import say
+from softrig_core.verdict.figures import Result
 
 from ..options.packed import is_pack, opened
 from ..page.html import e, write_page
+from ..page.paper_table import Column, write_paper_table
+from ..page.wording import NEVER
 from .apart import names
 from .looked import doubts, record_of_pack
 from .record import RunRecord, read_run
@@ -22,9 +26,19 @@ MARK = "metrics.json"  # of the folder of a run
 
 def main(options: argparse.Namespace) -> int:
     """Write the page that is asked for."""
-    write_report(options.runs, options.out, options.label, doubted=True)
+    runs, named = write_report(options.runs, options.out, options.label, doubted=True)
     print(f"wrote {options.out}")
+    if options.table is not None:
+        measures = dict.fromkeys((m.name, m.unit) for run in runs for m in run.metrics)
+        have = [{(m.name, m.unit): _number(m) for m in run.metrics} for run in runs]
+        columns = [Column(*key, [own.get(key, math.nan) for own in have]) for key in measures]
+        write_paper_table(options.table, "run", named, columns)
+        print(f"wrote {options.table}")
     return 0
+
+
+def _number(metric: Result) -> float:
+    return metric.value if metric.value is not None else math.inf if metric.error == NEVER else math.nan
 
 
 def _with_their_runs(directories: Sequence[Path]) -> list[Path]:
@@ -38,7 +52,7 @@ def _with_their_runs(directories: Sequence[Path]) -> list[Path]:
 
 def write_report(
     directories: Sequence[Path], output: Path, labels: Sequence[str] = (), *, doubted: bool = False
-) -> None:
+) -> tuple[list[RunRecord], list[str]]:
     """Write one page about one or more runs.
 
     Parameters
@@ -52,6 +66,11 @@ def write_report(
         What the runs are called, in their order; of those that it does not reach, their own label or folder.
     doubted : bool
         Whether bags are held against what their metrics.json says of them; what does not fit is said and marked.
+
+    Returns
+    -------
+    list of RunRecord, list of str
+        The runs and their names.
 
     Raises
     ------
@@ -95,6 +114,7 @@ def write_report(
     if without:
         body.append(e("p", f"Left out, for want of a metrics.json: {', '.join(without)}", class_="note"))
     write_page(output, title, body)
+    return records, named
 
 
 def _of_pack(path: Path) -> tuple[Path, RunRecord]:

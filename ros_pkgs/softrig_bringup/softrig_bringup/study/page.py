@@ -22,6 +22,7 @@ from softrig_core.wire.signals import short_name
 from ..folder import STUDY, ResultsFolder
 from ..page.citations import cited, sources
 from ..page.html import NONE, e, mark, picture, table, write_page
+from ..page.paper_table import write_paper_table
 from ..page.wording import NEVER, accepted, short
 from ..terminal.listing import console as make_console, styled
 from ..terminal.tables import Cell, print_columns, print_judged
@@ -31,7 +32,7 @@ from .options import folder_name, study_of
 from .pictures import chosen, draw_study
 from .statistics import Statistics, statistics
 from .table import Row, claims, command, in_short, label, results, without_signals, write_table
-from .tabled import Tabled, tables
+from .tabled import Tabled, for_paper, tables
 from .work import absent, value_of
 
 FEW = 20  # runs whose figures are printed where a study has no summaries
@@ -65,6 +66,9 @@ def main(options: argparse.Namespace) -> int:
     with folder.alone(), folder.anew() as new:
         write_table(rows, new, study.duration)
         pictures = draw_study(study, rows, log.rows() if study.signals else (), new, units, options.format)
+        if over.lines:
+            for ending in ("csv", "tex"):
+                write_paper_table(new / f"statistics.{ending}", "case", *for_paper(over))
         (new / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
         write_page(new / "report.html", study.title, list(_page(study, rows, found, held, over, pictures, units)))
     _print(study, rows, found, held, over, out)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from ..page.html import NONE
+from ..page.paper_table import Column
 from ..page.wording import NEVER
 from .estimate import Estimate
 from .statistics import Statistics
@@ -66,6 +67,21 @@ def tables(found: Statistics) -> list[Tabled]:
         ),
     ]
     return [_without_case(table) for table in written if table.rows]
+
+
+def for_paper(found: Statistics) -> tuple[list[str], list[Column]]:
+    """Give means and half widths of their intervals, a row a case and a column a figure."""
+    groups, figures = (
+        [*dict.fromkeys(key)] for key in ([x.group for x in found.lines], [x.figure for x in found.lines])
+    )
+    lines = {(x.group, x.figure): x for x in found.lines}
+    units = {x.figure: x.unit for x in found.lines}
+    none = Estimate(math.nan)
+    columns = []
+    for figure in figures:
+        means = [lines[g, figure].mean if (g, figure) in lines else none for g in groups]
+        columns.append(Column(figure, units[figure], [m.value for m in means], [m.high - m.value for m in means]))
+    return groups, columns
 
 
 def _without_case(table: Tabled) -> Tabled:

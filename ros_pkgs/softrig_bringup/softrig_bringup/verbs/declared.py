@@ -66,6 +66,9 @@ def _run_and_look(verb: Verb) -> None:
     report.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="its folder, or a file of `pack`")
     report.add_argument("--out", type=Path, default=Path("report.html"))
     report.add_argument(
+        "--table", type=Path, metavar="FILE", help="figures of the runs as LaTeX (.tex, booktabs) or .csv, for a paper"
+    )
+    report.add_argument(
         "--label",
         action="append",
         default=[],
