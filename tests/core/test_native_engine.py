@@ -428,3 +428,18 @@ def test_forms_and_twins() -> None:
     for name in ("none", "__none", "a__"):
         with pytest.raises((AttributeError, ImportError)):
             getattr(twins, name)
+
+
+def test_a_name_that_a_text_lacks_is_a_defect_and_no_tick_given_up() -> None:
+    def lacking(text: Any) -> Any:
+        function = plain(text)
+
+        def call(*arguments: Any) -> Any:
+            if arguments[0] > 2:
+                return missing  # noqa: F821
+            return function(*arguments)
+
+        return call
+
+    with pytest.raises(NameError, match="name 'missing' is not defined"):
+        ended(going({"body": Body(), "law": Law()}, 22.0, make=lacking))

@@ -442,10 +442,11 @@ def test_an_input_of_many_numbers_is_an_array(size: int, refused: bool) -> None:
 
 def watching(blocks: dict[str, Any], at_once: bool) -> type[Observer[Params]]:
     """Give a class that hears all that blocks say: of each input how many messages, their stamps and numbers added."""
-    said = [port for block in blocks.values() for port in block.ports(block.p)[1]]
+    ports = [port for block in blocks.values() for port in block.ports(block.p)[1]]
+    said = [replace(port, name=f"{port.name}_{k}", unchecked=False) for k, port in enumerate(ports)]
 
     class Seeing(Observer[Params]):
-        INPUTS = tuple(replace(port, unchecked=False) for port in said)
+        INPUTS = tuple(said)
 
         def first(self) -> tuple[tuple[int, int, float], ...]:
             return ((0, 0, 0.0),) * len(said)

@@ -573,7 +573,9 @@ class _Later(Link):
             self.kept.append((call, *arguments))
 
 
-NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, NameError, TypeError)  # what gives a tick up
+# what gives a tick up: Python answers it, and tells what is wrong with it, if anything is. A name that does not exist
+# cannot come from a block's values (one that is unbound can): that is a defect of the text, which ends the run.
+NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, UnboundLocalError, TypeError)
 
 
 def _worth_another(kinds: Any) -> bool:
