@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +45,8 @@ class Block:
     def compact(self) -> Block:
         """Return the messages in a buffer of their own that holds nothing else."""
         at, start, parts = np.empty_like(self.at), 0, []
-        for length in np.unique(self.size).tolist():
-            chosen = self.size == length
+        for length in distinct(self.size):
+            chosen = np.flatnonzero(self.size == length)
             rows = rows_of(self.raw, self.at[chosen], length)
             parts.append(np.ascontiguousarray(rows).reshape(-1))
             at[chosen] = start + length * np.arange(len(rows))
@@ -86,6 +87,25 @@ def joined(blocks: Sequence[Block]) -> Block:
     at = np.concatenate([b.at + start for b, start in zip(blocks, starts.tolist(), strict=True)])
     raw, topic, t, size = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("raw", "topic", "t", "size"))
     return Block(raw, topic, t, at, size)
+
+
+def numbers_at(raw: Bytes, at: Ints, kind: str) -> NDArray[Any]:
+    """Return the numbers of one type, as numpy names it, that begin at some bytes of a buffer, aligned or not."""
+    width = int(kind[-1])
+    if not len(at):
+        return np.empty(0, kind)
+    return np.ndarray((len(raw) - width + 1,), kind, raw, strides=(1,))[at]  # type: ignore[call-overload, no-any-return]
+
+
+def distinct(numbers: Ints) -> list[int]:
+    """Return the different ones of some numbers that are not negative, in order."""
+    if not len(numbers):
+        return []
+    if numbers[0] == np.max(numbers) == np.min(numbers):
+        return [int(numbers[0])]
+    if np.max(numbers) < 1 << 16:
+        return np.flatnonzero(np.bincount(numbers)).tolist()
+    return np.unique(numbers).tolist()
 
 
 def rows_of(raw: Bytes, at: Ints, length: int) -> Bytes:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from softrig_core import SECOND, Signals
 
-from .block import Block
+from .block import Block, distinct
 from .definitions import UnknownType
 from .errors import BagError
 from .fields import bytes_that_differ, groups_of, visit_pairs
@@ -208,7 +208,7 @@ def compare(
         places = [{i: pair for pair in found if (i := pair.numbers[k]) is not None} for k in (0, 1)]
         streams = [side.blocks(list(place)) for side, place in zip(sides, places, strict=True)]
         for k, block in _in_step(streams):
-            for number in np.unique(block.topic).tolist():
+            for number in distinct(block.topic):
                 if number in places[k]:
                     places[k][number].add(k, block.take(np.flatnonzero(block.topic == number)))
         results = [pair.finish() for pair in found]

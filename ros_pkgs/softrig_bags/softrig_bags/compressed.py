@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from .block import Block, packed, rows_of
+from .block import Block, numbers_at, packed
 from .mcap_recover import LIMIT, inflate
 from .source import Damaged
 
@@ -99,7 +99,7 @@ def expanded_message(data: bytes) -> bytes | None:
     return whole if complete else None
 
 
-def decompressed(data: bytes, compression: str, size: int) -> bytes:
+def decompressed(data: bytes | memoryview, compression: str, size: int) -> bytes | memoryview:
     """Return the content of a chunk.
 
     Parameters
@@ -126,8 +126,10 @@ def decompressed(data: bytes, compression: str, size: int) -> bytes:
         )
     if compression not in ("", "zstd", "lz4"):
         raise Damaged(f"a chunk is compressed by {compression!r}, expected zstd or lz4")
+    content, whole = data, True
     try:
-        content, whole = (decompress(data), True) if told == size else inflate(data, compression, size)
+        if compression:
+            content, whole = (decompress(data), True) if told == size else inflate(bytes(data), compression, size)
     except ZstdError as error:
         raise Damaged(f"a chunk cannot be decompressed: {error}") from None
     if not whole or len(content) != size:
@@ -144,8 +146,8 @@ def plain_messages(block: Block) -> Block:
         One of them cannot be expanded.
     """
     long = np.flatnonzero(block.size >= 4)
-    heads = rows_of(block.raw, block.at[long], 4)
-    packed_rows = long[(heads == np.frombuffer(_MAGIC, np.uint8)).all(axis=1)]
+    at = block.at if len(long) == len(block) else block.at[long]
+    packed_rows = long[numbers_at(block.raw, at, "<u4") == int.from_bytes(_MAGIC, "little")]
     if not len(packed_rows):
         return block
     view = memoryview(block.raw)

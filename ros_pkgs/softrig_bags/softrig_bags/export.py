@@ -16,7 +16,7 @@ from .read import epoch_of, say_left_out
 from .reader import BagReader
 from .tables import Columns, Piece, stacked
 
-ROWS = 1 << 16  # that are written at a time
+ROWS = 1 << 14  # that are written at a time
 FORMATS = ("csv", "parquet", "mat")
 LONGEST = 63  # letters of a variable of MATLAB
 OWN = ("time", "stamp")  # columns that every table has

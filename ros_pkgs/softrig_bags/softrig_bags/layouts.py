@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,13 +18,17 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from softrig_core.wire.types import TYPES
 
-from .block import Bytes, Ints, rows_of
+from .block import Bytes, Ints, distinct, numbers_at, rows_of
 from .definitions import Types
 
 LONGEST = 4096  # elements of an array that become columns of their own
 LONGEST_OCTETS = 64  # elements of arrays of uint8, byte or char, which are images and other files more often
 MANY = 20_000  # values of a message; more make no table
 PADDING = 3  # bytes that may follow the last field: DDS fills up to four
+# and so many for each empty sequence of numbers of eight bytes: Fast CDR counts the alignment of its elements into the
+# length of a message, and `serialize_message` of rclcpp and rclpy gives buffers of that length
+ALIGNMENT = 4
+_LAST_LETTER = 0x10FFFF
 _KINDS = {
     "bool": "u1", "byte": "u1", "octet": "u1", "char": "u1", "wchar": "u2", "int8": "i1", "uint8": "u1", "int16": "i2",
     "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
@@ -80,22 +85,39 @@ class Template:
 
     def fits(self, rows: Bytes) -> NDArray[np.bool_]:
         """Return which rows of shape (n, length) are messages of this shape."""
-        good = np.ones(len(rows), bool)
-        for at, expected in self.fixed:
-            good &= (rows[:, at : at + len(expected)] == np.frombuffer(expected, np.uint8)).all(axis=1)
+        good: NDArray[np.bool_] = np.ones(len(rows), bool)
+        for begin, mask, expected in self._words:
+            found = rows[:, begin : begin + 8 * len(mask)].view("<u8")
+            good &= ((found & mask) == expected).all(axis=1)
+        for at, text in self.fixed:
+            if at + len(text) > self.length // 8 * 8:  # in the last bytes, which are no word
+                good &= (rows[:, at : at + len(text)] == np.frombuffer(text, np.uint8)).all(axis=1)
         return good
+
+    @cached_property
+    def _words(self) -> list[tuple[int, NDArray[np.uint64], NDArray[np.uint64]]]:
+        """Runs of words of eight bytes in which something is fixed: where they begin, which bits, and what they are."""
+        mask, expected = np.zeros(self.length // 8 * 8, np.uint8), np.zeros(self.length // 8 * 8, np.uint8)
+        for at, text in self.fixed:
+            n = len(mask[at : at + len(text)])
+            mask[at : at + n], expected[at : at + n] = 0xFF, np.frombuffer(text[:n], np.uint8)
+        used = np.flatnonzero(mask.view("<u8"))
+        runs = np.split(used, np.flatnonzero(np.diff(used) > 2) + 1) if len(used) else []
+        spans = [(int(run[0]), int(run[-1]) + 1) for run in runs]
+        return [(8 * a, mask.view("<u8")[a:b], expected.view("<u8")[a:b]) for a, b in spans]
 
     def values(self, rows: Bytes, leaf: Leaf) -> NDArray[Any]:
         """Return the numbers of a leaf, shape (n, elements), of the type that they have in the message."""
         width = int(leaf.kind[1:]) * leaf.n
-        part = np.ascontiguousarray(rows[:, leaf.at : leaf.at + width])
-        found = part.view(self.order + leaf.kind) if width else np.empty((len(rows), 0), leaf.kind)
+        if not width:
+            return np.empty((len(rows), 0), leaf.kind)
+        found = rows[:, leaf.at : leaf.at + width].view(self.order + leaf.kind)
         return found != 0 if leaf.flag else found
 
     def stamps(self, rows: Bytes) -> Ints:
         """Return the header stamps of messages, ns, shape (n,)."""
         at = self.stamp_at
-        parts = (rows[:, a : a + 4].copy().view(self.order + k)[:, 0] for a, k in ((at, "i4"), (at + 4, "u4")))
+        parts = (rows[:, a : a + 4].view(self.order + k)[:, 0] for a, k in ((at, "i4"), (at + 4, "u4")))
         seconds, rest = (part.astype(np.int64) for part in parts)
         return seconds * 10**9 + rest
 
@@ -132,12 +154,11 @@ def _has_stamp(i: int, name: str, msgtype: str) -> bool:
 
 def stamps_of(raw: Bytes, at: Ints) -> Ints:
     """Return the stamps in ns of messages that begin with one; all of them have at least 12 bytes."""
-    rows = rows_of(raw, at, 12)
     found = np.empty(len(at), np.int64)
-    little = (rows[:, 1] & 1).astype(bool)
+    little = (raw[at + 1] & 1).astype(bool)
     for order, chosen in (("<", little), (">", ~little)):
-        part = np.ascontiguousarray(rows[chosen, 4:])
-        seconds, rest = (part[:, a : a + 4].copy().view(order + k)[:, 0] for a, k in ((0, "i4"), (4, "u4")))
+        some = at if chosen.all() else at[chosen]
+        seconds, rest = numbers_at(raw, some + 4, order + "i4"), numbers_at(raw, some + 8, order + "u4")
         found[chosen] = seconds.astype(np.int64) * 10**9 + rest
     return found
 
@@ -151,6 +172,7 @@ class _Maker:
             raise Undecodable(f"its bytes begin with {data[:4].hex() or 'nothing'}, which is no CDR of ROS 2")
         self._types, self._data, self._wide = types, data, wide
         self._at = 4
+        self._empty = 0  # sequences of numbers of eight bytes
         self.found = Template(len(data), order, [(0, data[:2])])
         self.names: dict[str, tuple[int, str]] = {}  # texts by path: where they are
 
@@ -159,7 +181,7 @@ class _Maker:
             self.found.stamp_at = self._at
         self._struct(msgtype, "")
         left = len(self._data) - self._at
-        if left > PADDING:
+        if left > PADDING + ALIGNMENT * self._empty:
             raise Undecodable(f"it is {left} bytes longer than its definition")
         return self.found
 
@@ -225,6 +247,7 @@ class _Maker:
         width = int(kind[1:])
         if n:
             self._align(width)
+        self._empty += n == 0 and width == 8
         at = self._move(n * width, path)
         leaf = Leaf(path[1:], kind, at, n, name == "bool", name in _OCTETS and not single)
         self.found.leaves.append(leaf)
@@ -239,6 +262,10 @@ class _Maker:
         n = self._length(path)
         if name == "wstring":
             at = self._move(n * self._wide, path)
+            if self._wide == 4 and any(
+                x > _LAST_LETTER for x in np.frombuffer(self._data, f"{self.found.order}u4", n, at)
+            ):
+                raise Undecodable(f"{path[1:]} has letters that do not exist")
             self.found.leaves.append(Leaf(path[1:], "u1", at, n, text="utf-16" if self._wide == 2 else "utf-32"))
             return
         at = self._move(n, path)
@@ -390,7 +417,7 @@ class Decoder:
 
         Those of which one is no message of this type come one by one, with what is wrong in place of a template.
         """
-        for length in np.unique(size).tolist():
+        for length in distinct(size):
             chosen = np.flatnonzero(size == length)
             rows = rows_of(raw, at[chosen], length)
             known = self._templates.setdefault(length, [])

@@ -6,7 +6,7 @@ all optional; a file without them is as good as one with them.
 
 from __future__ import annotations
 
-import mmap
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .block import Block, Bytes, Ints, rows_of
+from .block import Block, Bytes, Ints, numbers_at
 from .compressed import decompressed
 from .mcap_file import (
     CHANNEL,
@@ -37,6 +37,8 @@ LATEST = 2**63 - 1  # ns: times are signed in every ROS API
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _CHUNK = struct.Struct("<QQQII")  # first and last time, size and checksum of the content, letters of the compression
 _MESSAGE_HEAD = 31  # bytes of a message record before its data
+_NOTED = (SCHEMA, CHANNEL, STATISTICS, METADATA, ATTACHMENT)
+_LONGEST = 1 << 16  # bytes of an attachment's head that are read
 _PROBE = 64  # records that are looked at one by one before their lengths are expected to repeat
 
 
@@ -87,17 +89,22 @@ class McapSource:
         self._schemas: dict[int, tuple[str, str, str]] = {}
         self._parts: list[Part] = []
         self._channels_stated: int | None = None
-        with self.path.open("rb") as file:
-            self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        self._view: Bytes = np.frombuffer(self._map, np.uint8)
-        self._walk()
-        if self._channels_stated is None or len(self.topics) < self._channels_stated:
-            for part in self._parts:  # channels need not be repeated outside of the chunks that use them
-                self._load(part)
+        self._file = self.path.open("rb", buffering=0)
+        try:
+            self._walk(os.fstat(self._file.fileno()).st_size)
+            if self._channels_stated is None or len(self.topics) < self._channels_stated:
+                for part in self._parts:  # channels need not be repeated outside of the chunks that use them
+                    self._load(part)
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Close the file."""
-        self._view = np.empty(0, np.uint8)
+        self._file.close()
+
+    def _read(self, at: int, n: int) -> bytes:
+        return os.pread(self._file.fileno(), n, at)
 
     @property
     def first(self) -> int:
@@ -118,43 +125,46 @@ class McapSource:
                 raise Damaged(f"a chunk has a message at {earliest} ns, but claims to begin at {part.first} ns")
             yield part.start, block, parts[k + 1].first if k + 1 < len(parts) else LATEST
 
-    def _walk(self) -> None:
+    def _walk(self, end: int) -> None:
         """Note all records outside of chunks."""
-        view, at, end = self._map, len(MAGIC), len(self._map)
-        if view[: len(MAGIC)] != MAGIC:
+        if self._read(0, len(MAGIC)) != MAGIC:
             raise Damaged("it does not begin as an MCAP file")
+        at = len(MAGIC)
         while at + _HEAD.size <= end:
-            code, length = _HEAD.unpack_from(view, at)
+            head = self._read(at, _HEAD.size + _CHUNK.size)
+            code, length = _HEAD.unpack_from(head)
             begin, after = at + _HEAD.size, at + _HEAD.size + length
             if after > end:
                 break
             if code == MESSAGE:
-                at = self._bare_messages(at, end)
+                at = self._bare_messages(at, length, end)
                 continue
             if code == CHUNK:
-                first, last, size, _, _ = _CHUNK.unpack_from(_least(view, begin, after, _CHUNK.size))
+                if length < _CHUNK.size:
+                    raise Damaged("a chunk is shorter than its fields")
+                first, last, size, _, _ = _CHUNK.unpack_from(head, _HEAD.size)
                 if size:
                     self._parts.append(Part(at, after, first, last, None))
             elif code == MESSAGE_INDEX and self._parts:
                 part = self._parts[-1]
-                since = part.hint[0] if part.hint else at
-                self._parts[-1] = part._replace(hint=(since, after))
+                self._parts[-1] = part._replace(hint=(part.hint[0] if part.hint else at, after))
             elif code == FOOTER:
-                if view[after : after + len(MAGIC)] != MAGIC:
+                if self._read(after, len(MAGIC)) != MAGIC:
                     break
                 return
-            else:
-                self._note(code, view[begin:after])
+            elif code in _NOTED:
+                self._note(code, self._read(begin, min(length, _LONGEST) if code == ATTACHMENT else length))
             at = after
         raise Damaged("the file is cut off: it has no footer")
 
-    def _bare_messages(self, at: int, end: int) -> int:
+    def _bare_messages(self, at: int, length: int, end: int) -> int:
         """Note a window of messages outside of chunks; return where the next record begins."""
-        stop = min(end, at + WINDOW)
-        starts, after = message_run(self._map, self._view, at, stop, end)
-        t = _heads(self._view, starts)[2]
-        self._parts.append(Part(at, after, int(np.min(t)), int(np.max(t)), None))
-        return after
+        content = self._read(at, min(max(WINDOW, _HEAD.size + length), end - at))
+        view = np.frombuffer(content, np.uint8)
+        starts, after = message_run(content, view, 0, len(content))
+        t = _heads(view, starts)[2]
+        self._parts.append(Part(at, at + after, int(np.min(t)), int(np.max(t)), None))
+        return at + after
 
     def _note(self, code: int, content: bytes) -> None:
         """Take what a record says, unless it is a message."""
@@ -186,41 +196,28 @@ class McapSource:
 
     def _load(self, part: Part) -> Block:
         """Read the messages of a part, in the order in which they were written."""
-        if self._map[part.start] != CHUNK:
-            starts, _ = message_run(self._map, self._view, part.start, part.end, part.end)
-            return self._block(self._view[part.start : part.end], starts - part.start)
-        content = self._content(part)
+        record = self._read(part.start, part.end - part.start)
+        if record[0] != CHUNK:
+            view = np.frombuffer(record, np.uint8)
+            return _block(view, message_run(record, view, 0, len(record))[0])
+        content = _content(record)
         view = np.frombuffer(content, np.uint8)
         starts, gaps = self._indexed(part, view) if part.hint else (np.empty(0, np.int64), [(0, len(content))])
         found = [starts]
         for at, stop in gaps:
             while at < stop:
                 if content[at] == MESSAGE:
-                    more, at = message_run(content, view, at, stop, stop)
+                    more, after = message_run(content, view, at, stop)
                     found.append(more)
-                    continue
-                code, length = _HEAD.unpack_from(_least(content, at, stop, _HEAD.size))
-                after = at + _HEAD.size + length
-                if after > stop:
+                else:
+                    code, length = _HEAD.unpack_from(_least(content, at, stop, _HEAD.size))
+                    after = at + _HEAD.size + length
+                    if after <= stop:
+                        self._note(code, bytes(content[at + _HEAD.size : after]))
+                if not at < after <= stop:
                     raise Damaged("a record in a chunk is cut off")
-                self._note(code, content[at + _HEAD.size : after])
                 at = after
-        return self._block(view, np.sort(np.concatenate(found)) if len(found) > 1 else starts)
-
-    def _content(self, part: Part) -> bytes:
-        """Return what a chunk holds, decompressed and checked."""
-        begin = part.start + _HEAD.size
-        _, _, size, checksum, letters = _CHUNK.unpack_from(self._map, begin)
-        at = begin + _CHUNK.size
-        compression = self._map[at : at + min(letters, 16)].decode(errors="replace")
-        (stored,) = struct.unpack_from("<Q", _least(self._map, at + letters, part.end, 8))
-        at += letters + 8
-        if at + stored > part.end:
-            raise Damaged("a chunk is shorter than it says")
-        content = decompressed(self._map[at : at + stored], compression, size)
-        if checksum and zlib.crc32(content) != checksum:
-            raise Damaged("Chunk checksum mismatch")
-        return content
+        return _block(view, np.sort(np.concatenate(found)) if len(found) > 1 else starts)
 
     def _indexed(self, part: Part, view: Bytes) -> tuple[Ints, list[tuple[int, int]]]:
         """Return where the messages begin that the index of a chunk names, and the gaps between them.
@@ -228,13 +225,13 @@ class McapSource:
         What the index leaves out is in a gap, and what is wrong in it makes the whole chunk a gap.
         """
         assert part.hint is not None
-        at, stop = part.hint
-        offsets = []
-        while at < stop:
-            code, length = _HEAD.unpack_from(self._map, at)
-            count = int.from_bytes(self._map[at + 11 : at + 15], "little") // 16
+        begin, stop = part.hint
+        index, at, offsets = self._read(begin, stop - begin), 0, []
+        while at < len(index):
+            code, length = _HEAD.unpack_from(index, at)
+            count = int.from_bytes(index[at + 11 : at + 15], "little") // 16
             if code == MESSAGE_INDEX and 16 * count + 6 <= length:
-                pairs = np.frombuffer(self._map, "<u8", 2 * count, at + 15)
+                pairs = np.frombuffer(index, "<u8", 2 * count, at + 15)
                 offsets.append(pairs[1::2].astype(np.int64))
             at += _HEAD.size + length
         whole = np.empty(0, np.int64), [(0, len(view))]
@@ -254,28 +251,40 @@ class McapSource:
         gaps = np.flatnonzero(before != edges)
         return starts, [(int(before[k]), int(edges[k])) for k in gaps]
 
-    def _block(self, view: Bytes, starts: Ints) -> Block:
-        channel, length, t = _heads(view, starts)
-        if len(t) and np.min(t) < 0:
-            raise Damaged("a message has a time of more than 63 bits")
-        return Block(view, channel, t, starts + _MESSAGE_HEAD, length - 22)
+
+def _content(record: bytes) -> bytes | memoryview:
+    """Return what a chunk holds, decompressed and checked."""
+    _, _, size, checksum, letters = _CHUNK.unpack_from(record, _HEAD.size)
+    at = _HEAD.size + _CHUNK.size
+    compression = record[at : at + min(letters, 16)].decode(errors="replace")
+    stored = int.from_bytes(_least(record, at + letters, len(record), 8), "little")
+    at += letters + 8
+    if at + stored > len(record):
+        raise Damaged("a chunk is shorter than it says")
+    content = decompressed(memoryview(record)[at : at + stored], compression, size)
+    if checksum and zlib.crc32(content) != checksum:
+        raise Damaged("Chunk checksum mismatch")
+    return content
+
+
+def _block(view: Bytes, starts: Ints) -> Block:
+    channel, length, t = _heads(view, starts)
+    if len(t) and np.min(t) < 0:
+        raise Damaged("a message has a time of more than 63 bits")
+    return Block(view, channel, t, starts + _MESSAGE_HEAD, length - 22)
 
 
 def _heads(view: Bytes, starts: Ints) -> tuple[Ints, Ints, Ints]:
     """Return channel, length of the record and time of messages."""
-    if not len(starts):
-        return (np.empty(0, np.int64),) * 3
-    rows = rows_of(view, starts, _MESSAGE_HEAD)
-    kinds = (("<u2", 9), ("<i8", 1), ("<i8", 15))
-    channel, length, t = (rows[:, at : at + int(k[2:])].copy().view(k)[:, 0].astype(np.int64) for k, at in kinds)
-    return channel, length, t
+    channel = numbers_at(view, starts + 9, "<u2").astype(np.int64)
+    return channel, _lengths(view, starts), numbers_at(view, starts + 15, "<i8")
 
 
 def _lengths(view: Bytes, starts: Ints) -> Ints:
-    return rows_of(view, starts + 1, 8).copy().view("<i8")[:, 0]
+    return numbers_at(view, starts + 1, "<i8")
 
 
-def message_run(content: bytes | mmap.mmap, view: Bytes, at: int, stop: int, end: int) -> tuple[Ints, int]:
+def message_run(content: bytes | memoryview, view: Bytes, at: int, stop: int) -> tuple[Ints, int]:
     """Find the message records that follow each other from a place on.
 
     Records are looked at one by one until their lengths repeat; from there on they are expected to go on so, which is
@@ -288,9 +297,7 @@ def message_run(content: bytes | mmap.mmap, view: Bytes, at: int, stop: int, end
     at : int
         Where the first record begins.
     stop : int
-        No record that begins there or later is looked at.
-    end : int
-        No record may go beyond it.
+        Where the buffer is to end; a record that goes beyond it is left out.
 
     Returns
     -------
@@ -300,21 +307,23 @@ def message_run(content: bytes | mmap.mmap, view: Bytes, at: int, stop: int, end
     Raises
     ------
     Damaged
-        A message goes beyond the end, or is shorter than its own head.
+        A message is shorter than its own head.
     """
     found, probe, unpack = [], _PROBE, _HEAD.unpack_from
     while True:
         starts: list[int] = []
         while len(starts) < probe and at + _HEAD.size <= stop and content[at] == MESSAGE:
             length = unpack(content, at)[1]
-            if length < 22 or at + 9 + length > end:
-                raise Damaged("a message is cut off")
+            if length < 22:
+                raise Damaged("a message is shorter than its fields")
+            if at + 9 + length > stop:
+                break
             starts.append(at)
             at += 9 + length
         found.append(np.array(starts, np.int64))
         if len(starts) < probe:
             return np.concatenate(found), at
-        ahead = _expected(view, np.array([*starts, at]), min(stop, end))
+        ahead = _expected(view, np.array([*starts, at]), stop)
         if len(ahead):
             found.append(ahead[:-1])
             at = int(ahead[-1])
@@ -385,7 +394,7 @@ def _lenient(data: bytes) -> str:
     return data.decode(errors="replace")
 
 
-def _least(view: bytes | mmap.mmap, at: int, end: int, n: int) -> bytes:
+def _least(view: bytes | memoryview, at: int, end: int, n: int) -> bytes | memoryview:
     if at + n > end:
         raise Damaged("a record is shorter than its fields")
     return view[at : at + n]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Block, Bytes, Ints, joined, rows_of
+from .block import Block, Bytes, Ints, distinct, joined, rows_of
 from .layouts import stamps_of
 
-ROWS = 1 << 14  # that come before partners are looked for
+ROWS = 1 << 13  # that come before partners are looked for
 SPILL = 1 << 26  # bytes of messages without a partner that are kept in memory; more wait in a file
 _SHORTEST = 12  # bytes of a message with a stamp
 
@@ -157,7 +157,7 @@ def equal_rows(a: Block, rows_a: NDArray[np.intp], b: Block, rows_b: NDArray[np.
     """Return which pairs of messages have equal bytes."""
     size = a.size[rows_a]
     same: NDArray[np.bool_] = size == b.size[rows_b]
-    for length in np.unique(size[same]).tolist():
+    for length in distinct(size[same]):
         chosen = np.flatnonzero(same & (size == length))
         one, two = rows_of(a.raw, a.at[rows_a[chosen]], length), rows_of(b.raw, b.at[rows_b[chosen]], length)
         words = length // 8 * 8

@@ -18,7 +18,7 @@ import numpy as np
 from softrig_core.guard import incomplete
 from softrig_core.wire.recording import relative
 
-from .block import Block, joined
+from .block import Block, distinct, joined
 from .compressed import SUFFIXES, Expanded, plain, plain_messages
 from .definitions import Types, UnknownType, complete, distribution_of, full_type, types_of
 from .errors import BagError
@@ -30,7 +30,7 @@ from .source import Damaged, Source, SourceTopic
 from .sqlite_source import SqliteSource
 from .topics import BagTopic
 
-BATCH = 1 << 23  # bytes of messages that are given at a time, about
+BATCH = 1 << 22  # bytes of messages that are given at a time, about
 _SQLITE = b"SQLite format 3\0"
 LATEST = 2**63 - 1
 
@@ -289,9 +289,9 @@ class BagReader:
                 continue
             except Damaged as error:
                 raise self._damaged(error, self.files[i]) from error
-            numbers, n = np.unique(block.topic, return_counts=True)
-            counted[i].update(dict(zip(numbers.tolist(), n.tolist(), strict=True)))
-            waiting.append(_Waiting((i, place), self._renumbered(i, block, numbers.tolist())))
+            numbers = distinct(block.topic)
+            counted[i].update({n: int(np.count_nonzero(block.topic == n)) for n in numbers})
+            waiting.append(_Waiting((i, place), self._renumbered(i, block, numbers)))
             size += int(block.size.sum())
             if size >= BATCH and (bound := min(bounds.values())) > np.min(waiting[0].block.t, initial=LATEST):
                 ready, waiting = _parted(waiting, bound)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Block, Ints
+from .block import Block, Ints, distinct
 from .definitions import UnknownType
 from .layouts import Decoder, Template, Undecodable
 from .reader import BagReader
@@ -89,7 +89,7 @@ class Columns:
 
     def pieces(self, block: Block) -> Iterator[tuple[int, Piece]]:
         """Return the tables of the topics in a block, by number of the topic."""
-        for topic in np.unique(block.topic).tolist():
+        for topic in distinct(block.topic):
             decoder = self.decoder(topic)
             if decoder is not None:
                 chosen = block.take(np.flatnonzero(block.topic == topic))
@@ -114,7 +114,7 @@ class Columns:
 
     def _note(self, topic: int, t: int, damage: str, n: int) -> None:
         left = self._left(topic)
-        if not left.messages:
+        if not left.messages or t < left.first:
             left.first, left.damage = t, damage
         left.messages += n
 
