@@ -205,7 +205,7 @@ def test_a_state_feedback_is_its_law(numbers, anti_windup, kr):
     law = StateFeedback((0.5, -2.0), float(ki), 0.25, 3.0, kr=kr, anti_windup=anti_windup)
     u = Fraction(kr) * r + ki * xi - a / 2 + 2 * b
     limited = max(min(u, 3), -3)
-    winds = anti_windup and (limited - u) * (r - y) < 0
+    winds = anti_windup and ((limited - u) * (r - y) > 0 if ki < 0 else (limited - u) * (r - y) < 0)
     expected = (float(xi if winds else xi + (r - y) / 4), float(limited))
     assert law(float(xi), float(r), (float(a), float(b)), float(y)) == expected
     settled = law.settle((float(a), float(b)), float(r))

@@ -1,4 +1,8 @@
-"""All figures of merit against loops over their samples, written from what their documentation says."""
+"""All figures of merit against loops, written from what their documentation says.
+
+Source of what is over time: Riemann sums over cells of 50 ms, of which all times of these records are multiples, so
+that the sums are exact; of a peak: the parabola that numpy puts through three points.
+"""
 
 import math
 import random
@@ -67,27 +71,63 @@ def least_squares(points):
 
 
 def growth(pairs):
+    new = [pair for k, pair in enumerate(pairs) if k == 0 or pair[1] != pairs[k - 1][1]]
     peaks = []
-    for (_, a), (t, b), (u, c) in zip(pairs, pairs[1:], pairs[2:], strict=False):
-        if a <= b > c and b > 0.0:
-            shift = 0.5 * (a - c) / (a - 2.0 * b + c)
-            peaks.append((t + shift * (u - t), math.log(b - 0.25 * (a - c) * shift)))
+    for three in zip(new, new[1:], new[2:], strict=False):
+        side = math.copysign(1.0, three[1][1])
+        a, b, c = (side * x for _, x in three)
+        if a < b > c and b > 0.0:
+            origin = three[1][0]
+            parabola = np.polynomial.Polynomial.fit([t - origin for t, _ in three], [a, b, c], 2)
+            top = float(parabola.deriv().roots()[0].real)
+            peaks.append((origin + top, math.log(float(parabola(top)))))
     if len(peaks) < 3:
         raise ValueError
     return least_squares(peaks)
 
 
-def settled(pairs, band):
+def settled(pairs, band, zero):
     for k in range(len(pairs), 0, -1):
         if abs(pairs[k - 1][1]) > band:
-            return pairs[k][0] if k < len(pairs) else math.inf
-    return pairs[0][0]
+            return pairs[k][0] - zero if k < len(pairs) else math.inf
+    return pairs[0][0] - zero
 
 
-def held_integral(pairs):
-    if len(pairs) < 2:
+CELL = 50_000_000  # ns
+
+
+def cells(signals, reference, start, end):
+    """The error in each cell in which both signals are held, and the length of the last sample in cells, for means."""
+    pairs = cut(signals["y"], start, end)
+    times = [tick(t) for t in signals["y"][0]]
+    last, newest = tick(pairs[-1][0]), max(tick(t[-1]) for t, _ in signals.values())
+    since = tick(start) if start is not None and times[0] <= tick(start) else tick(pairs[0][0])
+    until = max(last, newest if end is None else min(tick(end), newest))
+
+    def error(at):
+        return value_at(signals["y"], at * 1e-9) - (
+            value_at(signals["r"], at * 1e-9) if isinstance(reference, str) else reference
+        )
+
+    found = [error(at + CELL // 2) for at in range(since, until, CELL)]
+    if until > last:
+        return found, []
+    when = [tick(t) for t in signals["r"][0]] if isinstance(reference, str) else []
+    if len(pairs) > 1 and len(when) > 1 and last >= 2 * when[-1] - when[-2]:
+        return found, []
+    edges = sorted({t for t in [*times, *when] if since < t < until} | {since, until})
+    shortest = min([b - a for a, b in pairwise(edges)], default=CELL)
+    return found, [error(last)] * (shortest // CELL)
+
+
+def over_time(number):
+    return lambda *given: number([x for part in cells(*given) for x in part])
+
+
+def held_integral(signals, reference, start, end):
+    if len(cut(signals["y"], start, end)) < 2:
         raise ValueError
-    return sum(abs(e) for _, e in pairs) * (pairs[1][0] - pairs[0][0])
+    return sum(abs(e) for e in cells(signals, reference, start, end)[0]) * CELL * 1e-9
 
 
 def opposite(pairs):
@@ -95,15 +135,18 @@ def opposite(pairs):
     return max([0.0, *(abs(e) for _, e in pairs if e * first < 0.0)])
 
 
+OVER_TIME = {
+    "mean_error": over_time(lambda e: -statistics.fmean(e)),
+    "rms": over_time(lambda e: math.sqrt(statistics.fmean(x * x for x in e))),
+    "mean_square": over_time(lambda e: statistics.fmean(x * x for x in e)),
+    "mean_absolute": over_time(lambda e: statistics.fmean(map(abs, e))),
+    "integral_absolute": held_integral,
+    "mean": over_time(statistics.fmean),
+}
 OF_ERRORS = {
-    "mean_error": lambda pairs: statistics.fmean(-e for _, e in pairs),
-    "rms": lambda pairs: math.sqrt(statistics.fmean(e * e for _, e in pairs)),
     "peak": lambda pairs: max(abs(e) for _, e in pairs),
-    "mean_square": lambda pairs: statistics.fmean(e * e for _, e in pairs),
-    "mean_absolute": lambda pairs: statistics.fmean(abs(e) for _, e in pairs),
     "sum_absolute": lambda pairs: sum(abs(e) for _, e in pairs),
     "error_overshoot": opposite,
-    "integral_absolute": held_integral,
     "growth_rate": growth,
     "error_settling_time": settled,
 }
@@ -118,11 +161,12 @@ def variation(pairs):
 OF_VALUES = {
     "total_variation": variation,
     "peak_to_peak": lambda pairs: max(x for _, x in pairs) - min(x for _, x in pairs),
-    "mean": lambda pairs: statistics.fmean(x for _, x in pairs),
     "maximum": lambda pairs: max(x for _, x in pairs),
     "minimum": lambda pairs: min(x for _, x in pairs),
     "final_value": lambda pairs: pairs[-1][1],
-    "reach_time": lambda pairs, level: next((t for t, x in pairs if x >= level), math.inf),
+    "reach_time": lambda pairs, level, zero: next(
+        (t - zero for t, x in pairs if x == level or (x > level) != (pairs[0][1] > level)), math.inf
+    ),
 }
 
 
@@ -192,19 +236,36 @@ def hold_values(signals, cuts, reference, number):
     start, end = cuts
     limits = {"start": start, "end": end}
     told = {} if reference is None else {"reference": reference}
+    for name, of in OVER_TIME.items():
+        said = {} if name == "mean" else told or ({"reference": 0.0} if name == "mean_error" else {})
+        compared(
+            lambda of=of, said=said: of(signals, said.get("reference", 0.0), start, end),
+            lambda name=name, said=said: getattr(measures, name)(signals, "y", **said, **limits),
+        )
+
+    def since(pairs):
+        return {"zero": pairs[0][0] if start is None else start}
+
     for name, of in OF_ERRORS.items():
         more = {"band": number} if name == "error_settling_time" else {}
-        said = told or ({"reference": 0.0} if name == "mean_error" else {})
+        said = told
+
+        def wanted(of=of, more=more):
+            pairs = errors(signals, reference or 0.0, start, end)
+            return of(pairs, **more, **(since(pairs) if more else {}))
+
         compared(
-            lambda of=of, more=more: of(errors(signals, reference or 0.0, start, end), **more),
+            wanted,
             lambda name=name, more=more, said=said: getattr(measures, name)(signals, "y", **said, **more, **limits),
         )
     for name, of in OF_VALUES.items():
         more = {"level": number} if name == "reach_time" else {}
-        compared(
-            lambda of=of, more=more: of(cut(signals["y"], start, end), **more),
-            lambda name=name, more=more: getattr(measures, name)(signals, "y", **more, **limits),
-        )
+
+        def of_values(of=of, more=more):
+            pairs = cut(signals["y"], start, end)
+            return of(pairs, **more, **(since(pairs) if more else {}))
+
+        compared(of_values, lambda name=name, more=more: getattr(measures, name)(signals, "y", **more, **limits))
 
 
 def test_figures_of_steps():
@@ -330,5 +391,5 @@ def test_what_is_missing_is_named():
 
 
 def test_every_figure_is_among_them_and_has_no_bound_of_its_own():
-    assert sorted(measures.__all__) == sorted(OF_ERRORS | OF_VALUES | OF_STEPS)
+    assert sorted(measures.__all__) == sorted(OVER_TIME | OF_ERRORS | OF_VALUES | OF_STEPS)
     assert {getattr(measures, name).possible for name in measures.__all__} == {(-math.inf, math.inf)}

@@ -5,6 +5,7 @@ import math
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from conftest import make_scenario
 from faultrig import Gain, Lag, Source
@@ -80,6 +81,21 @@ def test_what_may_not_leave_a_block_is_told(said, reason):
         step.say(0)
     assert error.value.node == "odd"
     assert rows == []
+
+
+def test_after_a_refused_input_the_row_that_was_admitted_is_held():
+    """A block says arrays, one of them its own memory: neither their kind nor what becomes of them is held."""
+    row = np.array([0.5, 2.0])
+    answer = {"out": row}
+    step, rows = _alone(answer)
+    step.say(0)
+    row[:] = 9.0
+    answer["out"] = [7.0, 7.0]
+    step.bad = True
+    step.say(10_000_000)
+    assert rows == [((0.5, 2.0),), ((0.5, 2.0),)]
+    assert step.said == {"out": (0.5, 2.0)}
+    assert not step.bad
 
 
 def _alone(answer):

@@ -310,8 +310,12 @@ def test_figures_of_a_motion_are_loops_over_its_samples(sign, name):
     assert figures.overshoot(signals, v_d=v_d, start=0.09, drive=name) == near(100.0 * (max(fast) - 0.5) / 0.5)
     assert figures.dip(signals, v_d=v_d, start=0.09, drive=name) == near(100.0 * (0.5 - min(fast)) / 0.5)
     errors = [abs(w - v[int((at + 1e-9) / 0.001)]) for at, w in zip(when, wanted, strict=True)]
-    assert figures.iae(signals, drive=name) == near(0.005 * sum(errors))
-    assert figures.itae(signals, drive=name) == near(0.005 * sum(a * e for a, e in zip(when, errors, strict=True)))
+    holds = [0.005] * 39 + [0.199 - when[-1]]  # each reference until the next one, the last to the end of the record
+    first = when[0]
+    assert figures.iae(signals, drive=name) == near(sum(h * e for h, e in zip(holds, errors, strict=True)))
+    assert figures.itae(signals, drive=name) == near(
+        sum(h * (a - first) * e for h, a, e in zip(holds, when, errors, strict=True))
+    )
     means = [sum(F[k : k + 5]) / 5 for k in range(196)]
     assert figures.peak_force(signals, drive=name) == near(sign * max(sign * m for m in means))
     assert figures.peak_force(signals, sign=-sign, drive=name) == near(-sign * max(-sign * m for m in means))

@@ -37,7 +37,7 @@ class Pid:
 
         d_k = (d_(k-1) + Kd N (e_k - e_(k-1)))/(1 + N Ts)     backward difference, e_(-1) = 0
         u_k = Kp e_k + I_k + d_k
-        I_(k+1) = I_k + Ki e_k Ts                             unless |u_k| > u_max and u_k e_k > 0
+        I_(k+1) = I_k + Ki e_k Ts                             unless |u_k| > u_max and u_k Ki e_k > 0
 
     Parameters
     ----------
@@ -74,6 +74,7 @@ class Pid:
         integral, d, last = x
         d = (d + self._kd_n * (error - last)) / self._decay
         u = self._kp * error + integral + d
-        if abs(u) <= self._limit or u * error <= 0.0:
-            integral += self._ki_ts * error
+        step = self._ki_ts * error
+        if abs(u) <= self._limit or u * step <= 0.0:  # a reverse-acting law, Ki < 0, is driven on by the other sign
+            integral += step
         return PidState(integral, d, error), u

@@ -135,7 +135,7 @@ class StateFeedback:
         Gain of the reference, for a law without integrator.
     anti_windup : bool
         Conditional integration: xi holds while u is saturated and the error would drive it further into the limit,
-        (u_sat - u) (r - y) < 0.
+        (u_sat - u) (r - y) < 0; > 0 where ki < 0.
     """
 
     def __init__(
@@ -143,6 +143,7 @@ class StateFeedback:
     ) -> None:
         self._k = tuple(k)
         self._ki = ki
+        self._acts = -1.0 if ki < 0.0 else 1.0
         self._kr = kr
         self._dt = dt
         self._limit = limit
@@ -176,7 +177,7 @@ class StateFeedback:
         u = self._unlimited(xi, r, x)
         limited = min(max(u, -self._limit), self._limit)
         error = r - y
-        if not (self._anti_windup and (limited - u) * error < 0.0):
+        if not (self._anti_windup and (limited - u) * self._acts * error < 0.0):
             xi += error * self._dt
         return xi, limited
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from softrig_core import SignalMap
+from softrig_core.judge.measures import HALF_NS, held, mean_over, newest
 
 
 def repeatability(first: SignalMap, second: SignalMap, signal: str) -> float:
@@ -11,15 +12,18 @@ def repeatability(first: SignalMap, second: SignalMap, signal: str) -> float:
     Parameters
     ----------
     first, second : mapping
-        Signals of two recordings of equal length, such as `softrig_bags.read.signals` gives.
+        Signals of two recordings, such as `softrig_bags.read.signals` gives.
     signal : str
         Name of the error in both.
 
     Returns
     -------
     float
-        0 when the runs are equal.
+        Both squares are integrals over time; 0 when the runs are equal.
     """
-    _, e = first[signal]
-    _, other = second[signal]
-    return float(((e - other) ** 2).sum() / (e**2).sum())
+    t, e, gaps = held(first, signal)
+    when, other = second[signal]
+    at = newest(when, t + HALF_NS)
+    if at[0] < 0:
+        raise ValueError(f"{signal} of the second run has no value yet at {t[0]:g} s")
+    return mean_over((e - other[at]) ** 2, gaps) / mean_over(e**2, gaps)

@@ -129,7 +129,8 @@ def _placed(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
     elif figure.function is measures.peak and not isinstance(a.get("reference", 0.0), str):
         yield _extreme(mark, signals, a, _given(a, "reference", 0.0))
     elif figure.function in (measures.reach_time, measures.error_settling_time):
-        yield mark.at(lambda v: v, "time")
+        zero = measures.begin(signals[a["signal"]][0], a.get("start"))
+        yield mark.at(lambda v: zero + v, "time")
     elif figure.function in (measures.overshoot, measures.settling_time, measures.rise_time):
         yield from _step(figure, mark, signals)
 

@@ -28,8 +28,8 @@ def say(t):
             {answer} = step.asked(t)
         else:
             {answer} = respond(step.x, t{inputs})
-        step.said = found
 {checked}
+        step.said = {said}
 {failed}
 {kept}
     if events:
@@ -77,6 +77,7 @@ def sayer(step: Step) -> Callable[[int], None]:
     known: dict[str, Any] = {"respond": step.respond}
     rows = [f"row{k}" for k, _ in enumerate(step.outputs)]
     all_rows = "".join(f"{row}, " for row in rows)
+    said = f"{{{', '.join(f'{p.name!r}: {row}' for p, row in zip(step.outputs, rows, strict=True))}}}"
     checked, handed = "        rows = numbers = ()", []
     if step.outputs and step.plain:
         sizes = [f"type({row}) is tuple and len({row}) == {p.size}" for row, p in zip(rows, step.outputs, strict=True)]
@@ -89,6 +90,7 @@ def sayer(step: Step) -> Callable[[int], None]:
         known["bound"] = min(port.bound for port in step.outputs)
     elif step.outputs:
         checked = f"        {all_rows} = rows = step.checked(found)\n        numbers = ()"
+        said = f"{{name: row for name, row in {said}.items() if row is not None}}"
         handed.append("    step.spoken = [s if row is None else t for s, row in zip(step.spoken, rows)]")
     for number, fill in enumerate([*step.readers, *step.doubters]):
         row, port = rows[fill.output], fill.port
@@ -105,7 +107,9 @@ def sayer(step: Step) -> Callable[[int], None]:
         handed += _over(step, known)
     inputs = _inputs(step.asked_for)
     answer, kept = ("found", "") if step.plant else ("x, found", "    step.x = x")
-    text = SAY.format(answer=answer, inputs=inputs, checked=checked, failed=FAILED, kept=kept, handed="\n".join(handed))
+    text = SAY.format(
+        answer=answer, inputs=inputs, checked=checked, said=said, failed=FAILED, kept=kept, handed="\n".join(handed)
+    )
     return _made("say", text, step, known)
 
 

@@ -92,7 +92,7 @@ class Step(Held):
         self.plain = not any(p.sporadic or p.delayed for p in outputs)
         self.spoken: list[int | None] = [None] * len(outputs)  # of one that is not plain: when each output spoke last
         self.numbers: tuple[float, ...] = ()
-        self.said: Any = {}  # the newest answer: what is held when an input is refused
+        self.said: Any = {}  # the newest answer as it was admitted: what is held when an input is refused
         self.readers: list[Fill] = []
         self.doubters: list[Fill] = []
         self.asked_for = () if isinstance(block, Plant) else tuple(self.values)

@@ -15,7 +15,12 @@ final : float or str, optional
 initial : float or str
     Value that counts as 0 % of a step, or the name of a signal: its value before the window begins.
 reference : float or str
-    Constant, or the name of a signal (its newest value at each sample of `signal`).
+    Constant, or the name of a signal (its newest value at each sample of `signal`; means and integrals over time use
+    each of its own values, too).
+
+A sample holds until the next one, the last one to the end of the record. Means and integrals are over time: each value
+counts for as long as it holds. So a signal of which messages are lost, or whose stamps are uneven, has the figures of
+the same signal sent at each tick. Times are counted from `start`, or from the first sample.
 
 Raises
 ------
@@ -42,6 +47,7 @@ __all__ = [
     "rise_time", "rms", "settling_time", "sum_absolute", "total_variation",
 ]  # fmt: skip
 
+NS = 1e-9
 ROUNDING = 1e-9  # what is so little beyond what is possible is rounding
 HALF_NS = 5e-10  # s; times are whole ns: what is nearer to an end of a window than this is inside
 
@@ -147,7 +153,7 @@ def settling_time(
     if at not in ("crossing", "sample"):
         raise ValueError(f"at = {at!r}: expected 'crossing' or 'sample'")
     t, z = _step(signals, signal, final, initial, start, end)
-    zero = t[0] if start is None else start
+    zero = begin(t, start)
     error = z - 1.0
     outside = np.flatnonzero(np.abs(error) > band)
     if outside.size == 0:
@@ -165,16 +171,22 @@ def settling_time(
 def reach_time(
     signals: SignalMap, signal: str, *, level: float, start: float | None = None, end: float | None = None
 ) -> float:
-    """Time in s of the first sample at `level` or above; inf when there is none.
+    """Time in s until the first sample at `level` or beyond it, as seen from where the signal begins; inf without one.
 
     Parameters
     ----------
     level : float
         In the signal's unit.
+
+    Returns
+    -------
+    float
+        Counted from `start`, or from the first sample.
     """
     t, x = window(signals, signal, start, end)
-    reached = np.flatnonzero(x >= level)
-    return float(t[reached[0]]) if reached.size else float("inf")
+    beyond = x >= level if x[0] < level else x <= level
+    reached = np.flatnonzero(beyond)
+    return float(t[reached[0]] - begin(t, start)) if reached.size else float("inf")
 
 
 @figure("%")
@@ -209,14 +221,22 @@ def peak_to_peak(signals: SignalMap, signal: str, *, start: float | None = None,
 def mean_error(
     signals: SignalMap, signal: str, *, reference: float | str, start: float | None = None, end: float | None = None
 ) -> float:
-    """Mean of reference - signal."""
-    return -float(_error(signals, signal, reference, start, end)[1].mean())
+    """Mean over time of reference - signal."""
+    return -mean_over(*_held_error(signals, signal, reference, start, end))
 
 
-def _statistic(unit: str) -> Callable[[Callable[[Array], float]], Function]:
-    """Make a figure of what is a number of all samples of signal - reference."""
+def _over_time(unit: str) -> Callable[[Callable[[Array, Array], float]], Function]:
+    """Make a figure of what is a number of signal - reference and of how long each value holds (ns)."""
+    return _statistic(unit, lambda *given: _held_error(*given))  # which is defined below
 
-    def declare(number: Callable[[Array], float]) -> Function:
+
+def _of_samples(unit: str) -> Callable[[Callable[[Array, Array], float]], Function]:
+    """Make a figure of what is a number of the times and samples of signal - reference."""
+    return _statistic(unit, lambda *given: _error(*given))
+
+
+def _statistic(unit: str, values: Callable[..., tuple[Array, Array]]) -> Callable[[Callable[..., float]], Function]:
+    def declare(number: Callable[[Array, Array], float]) -> Function:
         @figure(unit)
         def statistic(
             signals: SignalMap,
@@ -226,7 +246,7 @@ def _statistic(unit: str) -> Callable[[Callable[[Array], float]], Function]:
             start: float | None = None,
             end: float | None = None,
         ) -> float:
-            return float(number(_error(signals, signal, reference, start, end)[1]))
+            return float(number(*values(signals, signal, reference, start, end)))
 
         statistic.__name__ = statistic.__qualname__ = number.__name__
         statistic.__doc__ = number.__doc__
@@ -235,38 +255,38 @@ def _statistic(unit: str) -> Callable[[Callable[[Array], float]], Function]:
     return declare
 
 
-@_statistic("{signal}")
-def rms(e: Array) -> float:
-    """Root of the mean square of signal - reference."""
-    return float(np.sqrt(np.mean(e**2)))
+@_over_time("{signal}")
+def rms(e: Array, holds: Array) -> float:
+    """Root of the mean square over time of signal - reference."""
+    return math.sqrt(mean_over(e**2, holds))
 
 
-@_statistic("{signal}")
-def peak(e: Array) -> float:
-    """Largest |signal - reference|."""
-    return np.abs(e).max()
+@_of_samples("{signal}")
+def peak(t: Array, e: Array) -> float:
+    """Largest |signal - reference| of a sample."""
+    return float(np.abs(e).max())
 
 
-@_statistic("{signal}^2")
-def mean_square(e: Array) -> float:
-    """Mean of the squares of signal - reference (MSE of an error)."""
-    return float(np.mean(e**2))
+@_over_time("{signal}^2")
+def mean_square(e: Array, holds: Array) -> float:
+    """Mean over time of the squares of signal - reference (MSE of an error)."""
+    return mean_over(e**2, holds)
 
 
-@_statistic("{signal}")
-def mean_absolute(e: Array) -> float:
-    """Mean of the absolute values of signal - reference (MAE of an error, MAC of a current, MAV of a voltage)."""
-    return np.abs(e).mean()
+@_over_time("{signal}")
+def mean_absolute(e: Array, holds: Array) -> float:
+    """Mean over time of |signal - reference| (MAE of an error, MAC of a current, MAV of a voltage)."""
+    return mean_over(np.abs(e), holds)
 
 
-@_statistic("{signal}")
-def sum_absolute(e: Array) -> float:
+@_of_samples("{signal}")
+def sum_absolute(t: Array, e: Array) -> float:
     """Sum of the absolute values of all samples (SAE); grows with their number."""
     return float(np.abs(e).sum())
 
 
-@_statistic("{signal}")
-def error_overshoot(e: Array) -> float:
+@_of_samples("{signal}")
+def error_overshoot(t: Array, e: Array) -> float:
     """Largest error of the sign opposite to that of the first error; 0 without one."""
     return max(0.0, float(-(e * np.sign(e[0])).min()))
 
@@ -280,17 +300,18 @@ def integral_absolute(
     start: float | None = None,
     end: float | None = None,
 ) -> float:
-    """Integral of the absolute value (IAE of an error), each sample held until the next."""
-    t, e = _error(signals, signal, reference, start, end)
+    """Integral over time of |signal - reference| (IAE of an error)."""
+    t, _ = window(signals, signal, start, end)
     if t.size < 2:
         raise ValueError(f"{signal} has {t.size} samples, needed 2")
-    return float(np.abs(e).sum() * (t[1] - t[0]))
+    _, e, gaps = _aligned(signals, signal, reference, start, end)
+    return float((np.abs(e) * gaps).sum() * NS)
 
 
 @figure("{signal}")
 def mean(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
-    """Mean value."""
-    return float(np.mean(window(signals, signal, start, end)[1]))
+    """Mean value over time."""
+    return mean_over(*held(signals, signal, start, end)[1:])
 
 
 @figure("s")
@@ -303,7 +324,7 @@ def error_settling_time(
     start: float | None = None,
     end: float | None = None,
 ) -> float:
-    """Time in s of the first sample from which on |signal - reference| stays within `band`, in the signal's unit.
+    """Time in s until the first sample from which on |signal - reference| stays within `band`, in the signal's unit.
 
     Parameters
     ----------
@@ -313,14 +334,12 @@ def error_settling_time(
     Returns
     -------
     float
-        inf when the last sample is outside.
+        Counted from `start`, or from the first sample. inf when the last sample is outside.
     """
     t, e = _error(signals, signal, reference, start, end)
     outside = np.flatnonzero(np.abs(e) > band)
-    if outside.size == 0:
-        return float(t[0])
-    k = int(outside[-1]) + 1
-    return float(t[k]) if k < t.size else float("inf")
+    k = int(outside[-1]) + 1 if outside.size else 0
+    return float(t[k] - begin(t, start)) if k < t.size else float("inf")
 
 
 @figure("1/s")
@@ -332,11 +351,11 @@ def growth_rate(
     start: float | None = None,
     end: float | None = None,
 ) -> float:
-    """Slope of the straight line of least squares through the logarithm of the peaks of signal - reference over time.
+    """Slope of the straight line of least squares through the logarithm of the peaks of |signal - reference| over time.
 
-    A peak is a positive sample not below the one before and above the one after; its height and time are those of the
-    parabola through the three. Of an oscillation of a linear system, exp(sigma t) cos(omega t), it is sigma, once other
-    modes are gone: negative is damped, positive grows; at the margin of stability it is zero, whatever the amplitude.
+    A peak is a maximum above zero or a minimum below it; its height and time are those of the parabola through it and
+    the different values before and after. Of an oscillation of a linear system, exp(sigma t) cos(omega t), the slope is
+    sigma, once other modes are gone: negative is damped, positive grows; at the margin of stability it is zero.
 
     Raises
     ------
@@ -344,13 +363,17 @@ def growth_rate(
         Fewer than three peaks.
     """
     t, x = _error(signals, signal, reference, start, end)
-    k = np.flatnonzero((x[1:-1] >= x[:-2]) & (x[1:-1] > x[2:]) & (x[1:-1] > 0.0)) + 1
+    new = np.flatnonzero(np.diff(x, prepend=np.nan))  # what only repeats the value before says nothing
+    t, x = t[new], x[new]
+    side = np.sign(x[1:-1])
+    before, here, after = side * x[:-2], side * x[1:-1], side * x[2:]
+    k = np.flatnonzero((before < here) & (after < here) & (here > 0.0))
     if k.size < 3:
         raise ValueError(f"{signal} has {k.size} peaks between {t[0]:g} and {t[-1]:g} s, needed 3 for a growth rate")
-    before, here, after = x[k - 1], x[k], x[k + 1]
-    shift = 0.5 * (before - after) / (before - 2.0 * here + after)  # of the top, in samples
-    heights, times = here - 0.25 * (before - after) * shift, t[k] + shift * (t[k + 1] - t[k])
-    return float(np.polyfit(times, np.log(heights), 1)[0])
+    u, v = (t[1:-1] - t[:-2])[k], (t[2:] - t[1:-1])[k]
+    rising, falling = (here - before)[k] / u, (after - here)[k] / v
+    slope, curve = (rising * v + falling * u) / (u + v), (falling - rising) / (u + v)  # of the parabola, at the sample
+    return float(np.polyfit(t[1:-1][k] - slope / (2.0 * curve), np.log(here[k] - slope**2 / (4.0 * curve)), 1)[0])
 
 
 @figure("{signal}")
@@ -402,6 +425,95 @@ def window(
         held = f"recorded from {t[0]:g} to {t[-1]:g} s" if t.size else "nothing is recorded"
         raise ValueError(f"{signal} has {max(0, last - first)} samples from {asked}, needed {least}; {held}")
     return t[first:last], x[first:last]
+
+
+def begin(t: Array, start: float | None) -> float:
+    """Return from when on times of a window count: `start`, or its first sample.
+
+    Parameters
+    ----------
+    t : array, shape (n,)
+        As `window` returns it.
+    start : float or None
+        s.
+    """
+    return float(t[0]) if start is None else start
+
+
+def held(
+    signals: SignalMap, signal: str, start: float | None = None, end: float | None = None
+) -> tuple[Array, Array, Array]:
+    """Cut a signal to a time window as it is held: with the value from before that the window begins with.
+
+    Parameters
+    ----------
+    start, end : float or None
+        As in `window`.
+
+    Returns
+    -------
+    t, x : arrays of shape (n,)
+    gaps : array, shape (n,)
+        How long each value holds, ns; the last one up to `end`, at most to the newest message of the record.
+
+    Raises
+    ------
+    KeyError
+        No such signal.
+    ValueError
+        No samples in the window.
+    """
+    t, x = window(signals, signal, start, end)
+    whole, values = signals[signal]
+    first = int(np.searchsorted(whole, t[0]))
+    if start is not None and first and t[0] - start > HALF_NS:
+        t, x = np.append(start, t), np.append(values[first - 1], x)
+    stop = max(float(t[-1]), min(_record_end(signals), math.inf if end is None else end))
+    return t, x, np.rint(np.diff(t, append=stop) / NS)
+
+
+def _record_end(signals: SignalMap) -> float:
+    told: float | None = getattr(signals, "end", None)
+    return max(float(t[-1]) for t, _ in signals.values() if t.size) if told is None else told
+
+
+def mean_over(x: Array, gaps: Array) -> float:
+    """Average values over the time for which they hold; the last one, if for none, for as long as the shortest.
+
+    Parameters
+    ----------
+    x, gaps : array, shape (n,)
+        Values; ns, as `held` returns them.
+    """
+    if gaps[-1] == 0.0:
+        gaps = np.append(gaps[:-1], np.min(gaps[:-1], initial=np.inf))
+    if (gaps == gaps[0]).all():  # the same, and the same bits whatever the period
+        return float(np.mean(x))
+    return float(np.average(x, weights=gaps))
+
+
+def interval(t: Array, signal: str) -> float:
+    """Return the time between two samples, s, for what is computed on an even grid.
+
+    Parameters
+    ----------
+    t : array, shape (n,)
+        s, at least two.
+    signal : str
+        Whose times these are.
+
+    Raises
+    ------
+    ValueError
+        The samples are not even: some are lost, or were taken at other times.
+    """
+    shortest, longest = float(np.min(np.diff(t))), float(np.max(np.diff(t)))
+    if longest - shortest > 4.0 * HALF_NS + 1e-6 * shortest:
+        raise ValueError(
+            f"{signal} has samples {shortest:g} to {longest:g} s apart, expected an even grid: take it as it is before "
+            "a link that loses or delays messages"
+        )
+    return float((t[-1] - t[0]) / (t.size - 1))
 
 
 def newest(times: Array, at: Array) -> NDArray[np.intp]:
@@ -505,9 +617,44 @@ def _error(
     if not isinstance(reference, str):
         return t, x - reference
     when, values = signals[reference]
-    if t.size > 1 and when.size > 1 and t[-1] > 2.0 * when[-1] - when[-2] - HALF_NS:
-        t, x = t[:-1], x[:-1]  # at the end of a run a plant speaks once more, its reference does not: no pair
-    held = newest(when, t)
-    if held.size and held[0] < 0:
+    if t.size > 1 and _unpaired(t, when):
+        t, x = t[:-1], x[:-1]
+    return t, x - values[_known(signal, reference, t, when)]
+
+
+def _unpaired(t: Array, when: Array) -> bool:
+    """Whether the last sample has no reference: at the end of a run a plant publishes once more than others."""
+    return bool(when.size > 1 and t[-1] > 2.0 * when[-1] - when[-2] - HALF_NS)
+
+
+def _known(signal: str, reference: str, t: Array, when: Array) -> NDArray[np.intp]:
+    at = newest(when, t)
+    if at.size and at[0] < 0:
         raise ValueError(f"{reference} has no value yet at {t[0]:g} s, where {signal} begins")
-    return t, x - values[held]
+    return at
+
+
+def _held_error(
+    signals: SignalMap, signal: str, reference: float | str, start: float | None, end: float | None
+) -> tuple[Array, Array]:
+    """Give signal - reference, and for how long each value holds (ns); for means over time."""
+    t, e, gaps = _aligned(signals, signal, reference, start, end)
+    if isinstance(reference, str) and t.size > 1 and not gaps[-1] and _unpaired(t, signals[reference][0]):
+        return e[:-1], gaps[:-1]
+    return e, gaps
+
+
+def _aligned(
+    signals: SignalMap, signal: str, reference: float | str, start: float | None, end: float | None
+) -> tuple[Array, Array, Array]:
+    """Give (t, signal - reference, gaps), with a value wherever either of them has a new one."""
+    t, x, gaps = held(signals, signal, start, end)
+    if not isinstance(reference, str):
+        return t, x - reference, gaps
+    when, values = signals[reference]
+    stop = float(t[-1]) + float(gaps[-1]) * NS
+    own = when[(when > t[0]) & (when < stop - HALF_NS)]
+    own = own[own - t[newest(t, own + HALF_NS)] > HALF_NS]
+    both = np.sort(np.concatenate([t, own]))
+    e = x[newest(t, both)] - values[_known(signal, reference, both, when)]
+    return both, e, np.rint(np.diff(both, append=stop) / NS)

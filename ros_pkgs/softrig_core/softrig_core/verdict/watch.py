@@ -224,6 +224,11 @@ class Seen(Mapping[str, Signal]):
         self._ports = {port.topic: (port, seen[name]) for name, port in ports.items()}
         self._tables: dict[str, tuple[Any, Any]] = {}
 
+    @property
+    def end(self) -> float:
+        """Time of the newest message, s: up to it the last sample of each signal is held."""
+        return max(kept.stamp for _, kept in self._ports.values()) / SECOND
+
     def topic(self, name: str) -> str:
         """Topic of a signal; empty where there is none."""
         return topic_of(name, self._ports)

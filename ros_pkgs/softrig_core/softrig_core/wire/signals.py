@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -96,6 +97,12 @@ class Signals(Mapping[str, Signal]):
         """
         self._also = also
         return self
+
+    @cached_property
+    def end(self) -> float:
+        """Time of the newest message of all signals, s: up to it the last sample of each is held."""
+        topics = [t for t in self.recording.topics.values() if t.msgtype in TYPES]
+        return (max((int(t.ticks()[-1]) for t in topics if len(t.ticks())), default=0) - self._epoch) / SECOND
 
     def table(self, topic: str) -> Table:
         """Give all columns of a topic; what a message lacks that others of its topic have is NaN."""

@@ -6,11 +6,13 @@ A flux is a complex array alpha + j beta in Wb; `start` and `end` (s) limit the 
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import SignalMap, figure, window
+from softrig_core.judge.measures import HALF_NS, held, mean_over, newest
 
 Array = NDArray[np.float64]
 Vectors = NDArray[np.complex128]
@@ -51,13 +53,8 @@ def circle(psi: Vectors) -> tuple[complex, float]:
 
 
 def leg_transitions(switches: Array) -> int:
-    """Count the changes of all legs; `switches` has shape (n, 3)."""
+    """Count the changes of one leg, shape (n,), or of all legs, shape (n, 3)."""
     return int(np.count_nonzero(np.diff(switches, axis=0)))
-
-
-def device_frequency(switches: Array, duration: float) -> float:
-    """Mean switching frequency of the six devices in Hz: leg transitions / 6 / duration."""
-    return leg_transitions(switches) / 6.0 / duration
 
 
 @figure("Wb", FLUX_ERROR)
@@ -100,10 +97,16 @@ def converter_error(
     start: float = 0.3,
     end: float | None = None,
 ) -> float:
-    """Mean or standard deviation of measured less true phase current in LSB (A); channel x is i_a, y is i_b."""
-    measured, true = (window(signals, f"currents_{kind}/{channel}", start, end)[1] for kind in ("meas", "true"))
-    error = (measured - true) / lsb
-    return float(error.mean() if statistic == "mean" else error.std())
+    """Mean or standard deviation of measured less true phase current in LSB (A); channel x is i_a, y is i_b.
+
+    Over time, each pair of samples of the same instant until the next measurement.
+    """
+    measured, true = f"currents_meas/{channel}", f"currents_true/{channel}"
+    t, x, holds = held(signals, measured, start, end)
+    at, both = _same(signals, true, t)
+    error, holds = (x[both] - signals[true][1][at]) / lsb, holds[both]
+    mean = mean_over(error, holds)
+    return mean if statistic == "mean" else math.sqrt(mean_over((error - mean) ** 2, holds))
 
 
 @figure("Wb")
@@ -138,9 +141,10 @@ def current_peak(signals: SignalMap, *, start: float | None = None, end: float |
 
 @figure("Hz", tuple(f"switches/{leg}/effort" for leg in ("Sa", "Sb", "Sc")))
 def switching_frequency(signals: SignalMap) -> float:
-    """Mean switching frequency of a device in Hz over the whole run."""
-    legs = [signals[f"switches/{leg}/effort"] for leg in ("Sa", "Sb", "Sc")]
-    return device_frequency(np.array([x for _, x in legs]).T, float(legs[0][0][-1]))
+    """Mean switching frequency of the six devices in Hz over the whole run: leg transitions / 6 / duration."""
+    legs = [window(signals, f"switches/{leg}/effort", None, None, least=2) for leg in ("Sa", "Sb", "Sc")]
+    t = legs[0][0]
+    return sum(leg_transitions(x) for _, x in legs) / 6.0 / float(t[-1] - t[0])
 
 
 def _vector(signals: SignalMap, topic: str, start: float | None, end: float | None) -> tuple[Array, Vectors]:
@@ -151,9 +155,23 @@ def _vector(signals: SignalMap, topic: str, start: float | None, end: float | No
 
 
 def _flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Vectors]:
-    """Pair estimate and truth of the same instant; the truth has one sample more, the end of the run."""
+    """Pair estimate and truth of the same instants; the truth has one sample more, the end of the run."""
     t, estimate = _vector(signals, "flux_estimate", start, end)
-    return t, estimate - _vector(signals, "flux_true", start, end)[1][: t.size]
+    at, both = _same(signals, "flux_true/x", t)
+    true = np.empty(at.size, np.complex128)
+    true.real, true.imag = (signals[f"flux_true/{axis}"][1][at] for axis in "xy")
+    return t[both], estimate[both] - true
+
+
+def _same(signals: SignalMap, name: str, t: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Give the places of a signal's samples of the same instants, and which of the instants those are."""
+    when = signals[name][0]
+    at = newest(when, t + HALF_NS)
+    both = at >= 0
+    both[both] = t[both] - when[at[both]] < HALF_NS
+    if not both.any():
+        raise ValueError(f"{name} has no sample at any of the {t.size} instants from {t[0]:g} s to {t[-1]:g} s")
+    return at[both], both
 
 
 def _component(z: complex, component: Component) -> float:

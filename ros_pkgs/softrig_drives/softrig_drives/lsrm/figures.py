@@ -9,9 +9,12 @@ name before the topics of one (``trapezoid``).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import SignalMap, figure, window
+from softrig_core.judge.measures import HALF_NS, NS, begin, held, mean_over, newest
 
 Array = NDArray[np.float64]
 
@@ -42,15 +45,15 @@ def dip(
 @figure("m", (SPEED, REFERENCE))
 def iae(signals: SignalMap, *, start: float | None = None, end: float | None = None, drive: str = "") -> float:
     """Integral of |v_ref - v| over the time in m."""
-    t, error = _tracking(signals, start, end, drive)
-    return float(error.sum() * _interval(t))
+    _, error, holds = _tracking(signals, start, end, drive)
+    return float((error * holds).sum())
 
 
 @figure("m s", (SPEED, REFERENCE))
 def itae(signals: SignalMap, *, start: float | None = None, end: float | None = None, drive: str = "") -> float:
-    """Integral of t |v_ref - v| over the time in m s."""
-    t, error = _tracking(signals, start, end, drive)
-    return float((t * error).sum() * _interval(t))
+    """Integral of t |v_ref - v| over the time in m s, t from `start` or the first sample on."""
+    t, error, holds = _tracking(signals, start, end, drive)
+    return float(((t - begin(t, start)) * error * holds).sum())
 
 
 @figure("N", (FORCE, POSITION))
@@ -63,13 +66,11 @@ def peak_force(
     end: float | None = None,
     drive: str = "",
 ) -> float:
-    """Largest (with `sign` -1: smallest) centred mean of the force over `width` (s), in N.
+    """Largest (with `sign` -1: smallest) mean over time of the force over any `width` (s), in N.
 
     Without `sign` that in the direction of the motion; of a motion both ways that of the larger size.
     """
-    t, F = window(signals, _of(drive, FORCE), start, end, least=2)
-    n = max(1, round(width / _interval(t)))
-    means = np.convolve(F, np.full(n, 1.0 / n), mode="valid")
+    means = _moving_means(signals, _of(drive, FORCE), width, start, end)
     if sign is None:
         x = window(signals, _of(drive, POSITION), start, end)[1]
         there, back = float(np.max(x) - x[0]), float(x[0] - np.min(x))
@@ -84,21 +85,22 @@ def peak_force(
 def mean_force(
     signals: SignalMap, *, pitch: float, pitches: int = 2, end: float | None = None, drive: str = ""
 ) -> float:
-    """Mean force in N over the last whole pole pitches (m) travelled before `end`."""
-    return float(_last_pitches(signals, pitch * pitches, end, drive).mean())
+    """Mean over time of the force in N over the last whole pole pitches (m) travelled before `end`."""
+    return mean_over(*_last_pitches(signals, pitch * pitches, end, drive))
 
 
 @figure("N", (FORCE, POSITION), PITCH)
 def force_ripple(
     signals: SignalMap, *, pitch: float, pitches: int = 2, end: float | None = None, drive: str = ""
 ) -> float:
-    """Standard deviation of the force in N over the last whole pole pitches (m) travelled before `end`."""
-    return float(_last_pitches(signals, pitch * pitches, end, drive).std())
+    """Standard deviation over time of the force in N over the last whole pole pitches (m) travelled before `end`."""
+    F, holds = _last_pitches(signals, pitch * pitches, end, drive)
+    return math.sqrt(mean_over((F - mean_over(F, holds)) ** 2, holds))
 
 
 @figure("s", (SPEED,))
 def arrival(signals: SignalMap, *, v_d: float, part: float = 0.99, drive: str = "") -> float:
-    """First time in s at which the speed is at `part` of v_d, linear between samples; inf when never."""
+    """First time of the run in s at which the speed is at `part` of v_d, linear between samples; inf when never."""
     t, v = signals[_of(drive, SPEED)]
     v, goal = np.sign(v_d) * v, part * abs(v_d)
     k = int(np.argmax(v >= goal))
@@ -107,23 +109,39 @@ def arrival(signals: SignalMap, *, v_d: float, part: float = 0.99, drive: str = 
     return float(t[k - 1] + (t[k] - t[k - 1]) * (goal - v[k - 1]) / (v[k] - v[k - 1])) if k else float(t[0])
 
 
-def _tracking(signals: SignalMap, start: float | None, end: float | None, drive: str) -> tuple[Array, Array]:
-    """Give the reference's instants and |v_ref - v| there; held in between, the reference is no target."""
-    t, reference = window(signals, _of(drive, REFERENCE), start, end, least=2)
+def _tracking(signals: SignalMap, start: float | None, end: float | None, drive: str) -> tuple[Array, Array, Array]:
+    """Give the reference's instants, |v_ref - v| there, and the times (s) to the next: in between it is no target."""
+    t, reference, gaps = held(signals, _of(drive, REFERENCE), start, end)
     when, v = signals[_of(drive, SPEED)]
-    return t, np.abs(reference - v[np.searchsorted(when, t, side="right") - 1])
+    at = newest(when, t)
+    if at[0] < 0:
+        raise ValueError(f"{_of(drive, SPEED)} has no value yet at {t[0]:g} s, where the reference begins")
+    return t, np.abs(reference - v[at]), gaps * NS
 
 
 def _of(drive: str, signal: str) -> str:
     return f"{drive}/{signal}" if drive else signal
 
 
-def _interval(t: Array) -> float:
-    return float((t[-1] - t[0]) / (t.size - 1))
+def _moving_means(signals: SignalMap, signal: str, width: float, start: float | None, end: float | None) -> Array:
+    """Give the means over time of a held signal over all stretches that begin or end at a sample."""
+    t, x, gaps = held(signals, signal, start, end)
+    edges = np.append(t, t[-1] + gaps[-1] * NS)
+    total = np.append(0.0, np.cumsum(x * np.diff(edges)))
+    begins = np.concatenate([edges, edges - width])
+    begins = begins[(begins > edges[0] - HALF_NS) & (begins + width < edges[-1] + HALF_NS)]
+    if not begins.size or width <= 0.0:
+        raise ValueError(
+            f"{signal} is recorded for {edges[-1] - edges[0]:g} s, expected width = {width:g} s or more, > 0"
+        )
+    return np.asarray((np.interp(begins + width, edges, total) - np.interp(begins, edges, total)) / width)
 
 
-def _last_pitches(signals: SignalMap, length: float, end: float | None, drive: str) -> Array:
-    x, F = (window(signals, _of(drive, name), None, end)[1] for name in (POSITION, FORCE))
+def _last_pitches(signals: SignalMap, length: float, end: float | None, drive: str) -> tuple[Array, Array]:
+    """Give the force over the last way of some length, and how long (ns) each value holds."""
+    x = window(signals, _of(drive, POSITION), None, end)[1]
+    _, F, gaps = held(signals, _of(drive, FORCE), None, end)
     if abs(x[-1] - x[0]) < length:
         raise ValueError(f"the translator moved {abs(x[-1] - x[0]):g} m, needed {length:g} m")
-    return F[np.abs(x - x[-1]) < length]
+    on = np.abs(x - x[-1]) < length
+    return F[on], gaps[on]

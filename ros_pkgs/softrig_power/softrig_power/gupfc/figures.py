@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import SignalMap, figure, window
+from softrig_core.judge.measures import HALF_NS, held, interval, mean_over, newest
 
 from .ports import TRACE
 
@@ -22,12 +23,14 @@ ANGLE, U1_ALPHA, U1_BETA = "shunt/command/angle/effort", "u1/x", "u1/y"
 
 @figure("rad", (ANGLE, U1_ALPHA, U1_BETA))
 def shunt_angle(signals: SignalMap, *, start: float | None = None, end: float | None = None) -> float:
-    """Mean angle alpha of the shunt converter's voltage ahead of bus 1, rad."""
-    t, angle = window(signals, ANGLE, start, end)
+    """Mean angle over time alpha of the shunt converter's voltage ahead of bus 1, rad."""
+    t, angle, gaps = held(signals, ANGLE, start, end)
     alpha, beta = (signals[name] for name in (U1_ALPHA, U1_BETA))
-    at = np.searchsorted(alpha[0], t - 1e-9)
+    at = newest(alpha[0], t + HALF_NS)
+    if at[0] < 0:
+        raise ValueError(f"{U1_ALPHA} has no value yet at {t[0]:g} s, where {ANGLE} begins")
     turned = np.exp(1j * angle) * (alpha[1][at] - 1j * beta[1][at])
-    return float(np.angle(turned.mean()))
+    return math.atan2(mean_over(turned.imag, gaps), mean_over(turned.real, gaps))
 
 
 @figure("{signal}", agreed=FREQUENCY)
@@ -50,8 +53,8 @@ def drift(
         ``mean``: largest difference of the mean over any cycle from that over the first. ``repeat``: largest
         difference of any sample from the one a cycle before.
     """
-    t, x = window(signals, signal, start, end)
-    samples = round(1.0 / (frequency * (t[1] - t[0])))
+    t, x = window(signals, signal, start, end, least=2)
+    samples = round(1.0 / (frequency * interval(t, signal)))
     if x.size < 2 * samples:
         raise ValueError(f"{signal}: {x.size} samples in the window, two cycles are {2 * samples}")
     if measure == "repeat":
@@ -74,10 +77,11 @@ def power_balance(
     Parameters
     ----------
     statistic : {"mean", "peak"}
-        Mean, or largest magnitude.
+        Mean over time, or largest magnitude.
     """
-    total = sum(window(signals, name, start, end)[1] for name in POWERS)
-    return float(np.mean(total)) if statistic == "mean" else float(np.abs(total).max())
+    gaps = held(signals, POWERS[0], start, end)[2]
+    total = np.asarray(sum(held(signals, name, start, end)[1] for name in POWERS))
+    return mean_over(total, gaps) if statistic == "mean" else float(np.abs(total).max())
 
 
 def cycles(
@@ -102,10 +106,11 @@ def cycles(
     column = 2 * TRACE.index(part)
     labels = [name for name in signals if name.startswith(topic + "/")]
     steps = 1 + max(int(name.rsplit("/", 1)[1].split(",")[0]) for name in labels)
-    t = signals[f"{topic}/0,{column}"][0]
-    periods = round(cycle / (t[1] - t[0])) * count
+    t = window(signals, f"{topic}/0,{column}", None, None, least=2)[0]
+    periods = round(cycle / interval(t[-2:], topic)) * count
     if t.size < periods:
         raise ValueError(f"{topic} has {t.size} messages, {count} cycles are {periods}")
+    interval(t[-periods:], topic)
     found = np.empty((periods, steps), dtype=complex)
     for step in range(steps):
         found[:, step] = (
@@ -137,11 +142,14 @@ def distortion(
 
 def _first_cycle(signals: SignalMap, axis: str, cycle: float) -> Array:
     """One component of the generator's voltage over the first cycle."""
-    t, x = signals[f"pulses/voltage/{axis}"]
-    half = 0.5 * float(t[1] - t[0])  # stamps are whole ns: no sample is counted that is nearer to the next cycle
+    t, x = window(signals, f"pulses/voltage/{axis}", None, None, least=2)
+    t = t - t[0]
+    half = 0.5 * float(t[1])  # stamps are whole ns: no sample is counted that is nearer to the next cycle
     if t[-1] < cycle - 3.0 * half:
         raise ValueError(f"pulses/voltage is recorded to {t[-1]:g} s, a cycle lasts {cycle:g} s")
-    return x[: int(np.searchsorted(t, cycle - half))]
+    count = int(np.searchsorted(t, cycle - half))
+    interval(t[:count], "pulses/voltage")
+    return x[:count]
 
 
 @figure("%", ("pulses/voltage/x", "pulses/voltage/y"), CYCLE)
@@ -172,4 +180,7 @@ def best_sigma(signals: SignalMap) -> float:
     t, thd = signals["pulses/quality/thd/position"]
     when, sigma = signals["shunt/command/sigma/effort"]
     best = float(t[int(np.argmin(thd))])
-    return float(sigma[int(np.searchsorted(when, best + 1e-9)) - 1])
+    at = int(newest(when, np.array([best + HALF_NS]))[0])
+    if at < 0:
+        raise ValueError(f"shunt/command/sigma/effort has no value yet at {best:g} s, where the distortion is least")
+    return float(sigma[at])

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from softrig_core import SignalMap, figure, window
-from softrig_core.judge.measures import HALF_NS
+from softrig_core import SignalMap, figure
+from softrig_core.judge.measures import HALF_NS, begin, held, mean_over
 
 from .array import split
 from .module import Array, ModuleParams
@@ -39,8 +39,8 @@ class _Run:
         end: float | None,
     ) -> None:
         self.module = ModuleParams(**module)
-        self.t, self.power = window(signals, POWER, start, end)
-        self.v = window(signals, VOLTAGE, start, end)[1]
+        self.t, self.power, self.gaps = held(signals, POWER, start, end)
+        self.v = held(signals, VOLTAGE, start, end)[1]
         names = [f"pv/environment/{kind}{k}/position" for kind in "gt" for k in range(1, len(first) // 2 + 1)]
         changes = signals[names[0]][0]
         rows = np.column_stack([signals[name][1] for name in names])
@@ -84,7 +84,7 @@ def efficiency(
 ) -> float:
     """Energy in % of the energy at the global maximum; over a whole run this is the energy share."""
     run = _Run(signals, module, first, start, end)
-    return float(100.0 * run.power.sum() / run.gmpp.sum())
+    return 100.0 * mean_over(run.power, run.gaps) / mean_over(run.gmpp, run.gaps)
 
 
 @figure("", READS, STRING)
@@ -117,4 +117,4 @@ def tracking_time(
     since, until = np.append(0, low + 1), np.append(low, run.t.size - 1)  # of each stretch between two drops
     stays = run.t[until] - run.t[np.minimum(since, until)] >= stay
     stays[-1] |= since[-1] < run.t.size
-    return float(run.t[since[stays][0]] - run.t[0]) if stays.any() else math.inf
+    return float(run.t[since[stays][0]] - begin(run.t, start)) if stays.any() else math.inf

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from softrig_core import SignalMap, figure
+from softrig_core import SignalMap, figure, window
+from softrig_core.judge.measures import HALF_NS, newest
 
 V = "lyapunov/V/position"
 
@@ -45,8 +46,8 @@ def level_covered(signals: SignalMap, *, delay: float, hold: float) -> float:
 
 
 def _over_a_delay(signals: SignalMap, delay: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    t, v = signals[V]
-    m = round(delay / float(t[1] - t[0]))
-    if v.size <= m:
+    t, v = window(signals, V, None, None)
+    late = t - t[0] > delay - HALF_NS
+    if not late.any():
         raise ValueError(f"V is recorded for {t[-1] - t[0]:g} s, needed more than the delay {delay:g} s")
-    return v[m:] / v[:-m] - 1.0
+    return np.asarray(v[late] / v[newest(t, t[late] - delay + HALF_NS)] - 1.0)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from softrig_core import SignalMap, figure
-from softrig_core.judge.measures import mean_square
+from softrig_core import SignalMap, figure, window
+from softrig_core.judge.measures import held, mean_over, mean_square
 
 from .model import Bottleneck, equilibrium
 
@@ -13,7 +15,7 @@ from .model import Bottleneck, equilibrium
 def mean_square_window(signals: SignalMap, signal: str, *, queue: float | str, N: int, C: float, tau_p: float) -> float:
     """Mean of (signal - w0)^2, w0 the window that holds the queue (packets) on this bottleneck: J_w of the paper.
 
-    Mean squares are the only reading of the undefined J that fits the sizes printed.
+    The mean is over time. Mean squares are the only reading of the undefined J that fits the sizes printed.
 
     Parameters
     ----------
@@ -30,13 +32,14 @@ def mean_square_window(signals: SignalMap, signal: str, *, queue: float | str, N
 
 @figure("{signal}")
 def deviation(signals: SignalMap, signal: str, *, last: float = 5.0) -> float:
-    """Standard deviation of the last `last` seconds."""
-    t, x = signals[signal]
-    return float(np.std(x[t >= t[-1] - last - 1e-6]))
+    """Standard deviation over time of the last `last` seconds."""
+    t, _ = window(signals, signal, None, None)
+    _, x, gaps = held(signals, signal, float(t[-1]) - last)
+    return math.sqrt(mean_over((x - mean_over(x, gaps)) ** 2, gaps))
 
 
 @figure("", ["network/truth/served/position"], {"capacity": "tcp/C"})
 def utilisation(signals: SignalMap, *, capacity: float) -> float:
     """Packets served over those that the link could have served at `capacity` (packet/s)."""
-    t, served = signals["network/truth/served/position"]
+    t, served = window(signals, "network/truth/served/position", None, None, least=2)
     return float(served[-1] - served[0]) / (capacity * float(t[-1] - t[0]))
