@@ -16,10 +16,10 @@ from softrig_core.block.port import CLOCK
 from softrig_core.block.runner import Runner
 from softrig_core.rig.members import Member
 from softrig_core.run.inprocess import wired
-from softrig_core.solver.rehearsal import rehearse
 from softrig_core.wire.cdr import Layout
 from softrig_nodes import run_processes
 from softrig_nodes.processes.placement import Placement
+from softrig_nodes.rehearsal import rehearse
 
 from .console import console
 from .loop import dc_motor_rig

@@ -16,7 +16,7 @@ from numpy import mean as average
 from softrig_core import Block, BlockParams, jit, number
 from softrig_core.kit import jit as module
 from softrig_core.kit.jit import power
-from softrig_core.solver.rehearsal import rehearse
+from softrig_nodes.rehearsal import rehearse
 
 RELAY = '''
 """A relay over a delay line with every function of the C library that a model uses."""

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 import pytest
 from softrig_core import Block, ByHand, Jobs, Level, Plant, RunError, Solver, SolverParams, jit, scalars
-from softrig_core.solver import rehearsal, worker as module
-from softrig_core.solver.rehearsal import rehearse
+from softrig_core.solver import worker as module
 from softrig_core.solver.solver import UNFINISHED
 from softrig_core.solver.worker import MOST_IDLE, Work, Worker
+from softrig_nodes import rehearsal
+from softrig_nodes.rehearsal import rehearse
 
 
 class Memory(NamedTuple):
@@ -255,7 +256,7 @@ def test_what_a_worker_knows_of_its_work(hands, monkeypatch):
     worker.warm()
     worker.warm()
     (process,) = hands
-    assert process.call == ("softrig_core.solver.rehearsal", "rehearse")
+    assert process.call == ("softrig_nodes.rehearsal", "rehearse")
     assert process.owner() is worker
     worker.submit("r", job := object())
     now(state="working", job=job)

@@ -187,7 +187,7 @@ def test_nothing_is_loaded_in_the_first_tick_of_a_node_in_real_time(package, exe
     code = f"""
 import sys
 from softrig_core import ByHand, Plant
-from softrig_core.solver.rehearsal import rehearse
+from softrig_nodes.rehearsal import rehearse
 from softrig_core.rig.installed import load_block
 kind = load_block({package!r}, {executable!r})
 rehearse(kind, kind.Params(), "node", always=True)

@@ -17,7 +17,7 @@ ROOMS = {
         "errors bits timebase entry guard interrupt needs extras command_line runners kit wire judge block former "
         "native solver scenario rig verdict run drawing analysis"
     ),
-    "softrig_nodes": "processes seam ros adapter lockstep realtime face group main container preloaded",
+    "softrig_nodes": "processes seam ros adapter lockstep realtime face group rehearsal main container preloaded",
     "softrig_bringup": "folder terminal options page plots film report run study falsify view verbs cli __main__",
 }
 LAYERS = {f"{package}.{room}": k for package, rooms in ROOMS.items() for k, room in enumerate(rooms.split())}

@@ -30,10 +30,10 @@ from softrig_core.judge import measures
 from softrig_core.kit.floats import numbers
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
-from softrig_robots.figures import repeatability
 from softrig_robots.rehab.computation import PUBLISHED, computation_times
 from softrig_robots.rehab.controller import VoltageController
 from softrig_robots.rehab.emvc import Emvc, EmvcGains
+from softrig_robots.rehab.figures import repeatability
 from softrig_robots.rehab.impedance import Impedance
 from softrig_robots.rehab.model import JOINTS, foot_jacobian, rehab_urdf
 from softrig_robots.rehab.patient import Patient

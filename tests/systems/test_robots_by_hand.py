@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from softrig_core import ByHand, Level, ParameterError, RunError, Sample, to_ns
 from softrig_core.block.params import build
-from softrig_robots.figures import repeatability
 from softrig_robots.joints import JointGains, PerJoint, motor_names, require_positive, spread
 from softrig_robots.manipulator.controller import VcsController
 from softrig_robots.manipulator.plant import ManipulatorPlant
 from softrig_robots.manipulator.trajectory import TrajectorySource
 from softrig_robots.rehab import computation, tuner
 from softrig_robots.rehab.controller import VoltageController
+from softrig_robots.rehab.figures import repeatability
 from softrig_robots.rehab.impedance import Impedance
 from softrig_robots.rehab.patient import Patient
 from softrig_robots.rehab.plant import RehabPlant

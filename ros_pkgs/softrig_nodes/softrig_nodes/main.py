@@ -18,7 +18,6 @@ from softrig_core.block.port import require_distinct
 from softrig_core.guard import secure_streams, tell
 from softrig_core.interrupt import interrupt
 from softrig_core.rig.options import RunOptions
-from softrig_core.solver.rehearsal import rehearse
 
 from .adapter.adapter import Adapter
 from .adapter.spin import spin
@@ -26,6 +25,7 @@ from .face.faces import Faces
 from .face.tuning import Tuning
 from .group import Group
 from .processes.executables import LOOPBACK, given_profile
+from .rehearsal import rehearse
 from .ros.leave import leave
 from .ros.messages import range_descriptor
 from .ros.profile import joining

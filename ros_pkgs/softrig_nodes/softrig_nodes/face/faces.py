@@ -15,8 +15,9 @@ from softrig_core.block.port import Port
 from ..adapter.adapter import WATCH_PERIOD, Adapter
 from ..ros.messages import diagnostic_array, marker_array, message_class
 from ..ros.ros import QOS, ServingNode
-from ..seam.hold import offer
 from .frames import Frames
+
+HOLDS = ("pause", "resume", "step")  # std_srvs/Trigger, below the name of the node of the clock
 
 
 class Faces:
@@ -39,7 +40,8 @@ class Faces:
             if port.msgtype == "std_msgs/msg/Bool" and port.name not in adapter.links.inputs:
                 node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{port.name}", self._presser(port))
         if adapter.pauses:
-            offer(node, adapter.hold, message_class("std_srvs/srv/Trigger"))
+            for name in HOLDS:
+                node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{name}", self._holder(name))
             if adapter.options.mode == "lockstep" and find_spec("simulation_interfaces") is not None:
                 _offer_simulation(node, adapter)
         self._measured: Future[tuple[int, Mapping[str, tuple[float, str]]]] | None = None
@@ -53,6 +55,13 @@ class Faces:
             return response
 
         return press
+
+    def _holder(self, name: str) -> Any:
+        def hold(request: Any, response: Any) -> Any:
+            response.success, response.message = self._adapter.hold.ask(name)
+            return response
+
+        return hold
 
     def _look(self) -> None:
         adapter = self._adapter

@@ -7,7 +7,6 @@ time nobody waits for anybody: there the clock of the rig stands (`node.realtime
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from softrig_core.timebase import SECOND, Pace
 
@@ -15,7 +14,6 @@ from .middleware import Middleware, Timer
 from .solving import BUSY, TOLD_EVERY
 from .tick import TICK, TickWriter
 
-SERVICES = ("pause", "resume", "step")  # std_srvs/Trigger, below the name of the node
 LOOK = SECOND // 100  # ns between two looks at the wall clock: ticks come in bursts as long as this
 
 
@@ -128,14 +126,3 @@ class Hold:
             self._pace.go_on(self._middleware.steady())
         self._middleware.post(self._turn)
         return True, {"pause": "paused", "step": "one step"}.get(what, "goes on")
-
-
-def offer(node: Any, hold: Hold, trigger: Any) -> None:
-    """Offer the services of a node; `trigger` is the class of std_srvs/Trigger."""
-    for name in SERVICES:
-
-        def answer(request: Any, response: Any, name: str = name) -> Any:
-            response.success, response.message = hold.ask(name)
-            return response
-
-        node.create_service(trigger, f"~/{name}", answer)

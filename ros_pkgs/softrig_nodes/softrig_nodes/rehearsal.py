@@ -7,10 +7,10 @@ import warnings
 from contextlib import suppress
 from typing import Any
 
-from ..block.block import Block, Plant
-from ..block.held import ByHand
-from ..kit.jit import Jit
-from .solver import Solver
+from softrig_core.block.block import Block, Plant
+from softrig_core.block.held import ByHand
+from softrig_core.kit.jit import Jit
+from softrig_core.solver.solver import Solver
 
 
 def rehearse(block_class: type[Block], params: Any, name: str, always: bool = False) -> bool:
