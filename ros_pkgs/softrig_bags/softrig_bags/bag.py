@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from softrig_core import Recording
 from softrig_core.guard import naming
 
 from .errors import BagError
 from .mcap_file import McapFile
+from .mcap_rows import write_recording
 from .sqlite_file import Sqlite3File
 from .topics import BagTopic, qos_dicts, to_yaml
 
@@ -150,6 +152,20 @@ class BagWriter:
                 self._unwritten += 1  # this message: no file has it
                 raise
         self._file.write(number, t, data)
+
+    def write_recording(self, recording: Recording, numbers: Mapping[str, int]) -> None:
+        """Append all messages of a recording by time, into the file that is open.
+
+        Parameters
+        ----------
+        numbers : mapping of str to int
+            Number of each topic, by its name in the recording.
+        """
+        if isinstance(self._file, McapFile):
+            write_recording(self._file, recording, numbers)
+            return
+        for t, topic, data in recording.messages():
+            self._file.write(numbers[topic.name], t, data)
 
     def _split(self, t: int) -> None:
         if self._started is not None:

@@ -7,11 +7,16 @@ back by two independent libraries in the tests. Format: https://mcap.dev/spec, p
 
 from __future__ import annotations
 
+import sys
 import zlib
+from array import array
 from collections.abc import Callable, Mapping
 from io import FileIO
 from pathlib import Path
 from struct import Struct, pack
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .topics import BagTopic, qos_dicts, to_yaml
 
@@ -62,7 +67,7 @@ class McapFile:
     def _start_chunk(self) -> None:
         self._parts: list[bytes] = []
         self._size = 0
-        self._index: dict[int, list[int]] = {}
+        self._index: dict[int, array[int]] = {}  # of each topic: time and place of each message, in turn
 
     @property
     def size(self) -> int:
@@ -95,10 +100,34 @@ class McapFile:
         parts.append(_MESSAGE_HEAD.pack(MESSAGE, size + 22, number, 0, t, t))
         parts.append(data)
         try:
-            self._index[number] += (t, self._size)
+            index = self._index[number]
         except KeyError:
-            self._index[number] = [t, self._size]
+            index = self._index[number] = array("Q")
+        index.append(t)
+        index.append(self._size)
         self._size += size + 31
+        if self._size >= self.CHUNK_BYTES:
+            self.flush()
+
+    @property
+    def waiting(self) -> int:
+        """Bytes in the open chunk."""
+        return self._size
+
+    def write_block(self, content: bytes, index: Mapping[int, tuple[NDArray[np.int64], NDArray[np.int64]]]) -> None:
+        """Append records of messages that belong into the open chunk.
+
+        Parameters
+        ----------
+        content : bytes
+            The records; the last one may reach beyond `CHUNK_BYTES`.
+        index : mapping of int to two int arrays of shape (n,)
+            By topic, in the order of their first messages: bag times in ns, and where in the content they begin.
+        """
+        for number, (times, places) in index.items():
+            rows = np.stack([times, places + self._size], axis=1).astype(np.uint64)
+            self._index.setdefault(number, array("Q")).frombytes(rows.tobytes())
+        self._put(content)
         if self._size >= self.CHUNK_BYTES:
             self.flush()
 
@@ -108,15 +137,15 @@ class McapFile:
             return
         content = b"".join(self._parts)
         compressed = self._compress(content)
-        times = [t for index in self._index.values() for t in index[::2]]
-        first, last = min(times), max(times)
+        times: list[NDArray[np.uint64]] = [np.frombuffer(index, np.uint64)[::2] for index in self._index.values()]
+        first, last = int(min(map(np.min, times))), int(max(map(np.max, times)))
         head = pack("<QQQI", first, last, len(content), zlib.crc32(content)) + _text(self.compression)
         head += pack("<Q", len(compressed))
         chunk = pack("<BQ", CHUNK, len(head) + len(compressed)) + head + compressed
         index, offsets = b"", {}
         for number, entries in self._index.items():
             offsets[number] = self._end + len(chunk) + len(index)
-            record = pack("<HI", number, 8 * len(entries)) + pack(f"<{len(entries)}Q", *entries)
+            record = pack("<HI", number, 8 * len(entries)) + _little(entries)
             index += _record(MESSAGE_INDEX, record)
         start = self._end
         self._write(chunk + index)
@@ -203,6 +232,13 @@ def _compressor(name: str) -> Callable[[bytes], bytes]:
     except ImportError:
         from backports import zstd
     return zstd.compress  # type: ignore[no-any-return, unused-ignore]
+
+
+def _little(entries: array[int]) -> bytes:
+    if sys.byteorder == "big":
+        entries = entries[:]
+        entries.byteswap()
+    return entries.tobytes()
 
 
 def _record(code: int, content: bytes) -> bytes:

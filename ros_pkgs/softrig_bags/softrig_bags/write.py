@@ -63,9 +63,7 @@ def write_bag(
             for topic in recording.topics.values():
                 offered = qos(durability=QosDurability.TRANSIENT_LOCAL, depth=1) if topic.name in latched else qos()
                 numbers[topic.name] = writer.add_topic(BagTopic.known(absolute(topic.name), topic.msgtype, [offered]))
-            write = writer.write
-            for t, topic, data in recording.messages():
-                write(numbers[topic.name], t, data)
+            writer.write_recording(recording, numbers)
             writer.close()
         except BaseException:
             writer.abort()

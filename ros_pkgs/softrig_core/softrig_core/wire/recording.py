@@ -302,11 +302,15 @@ class Recording:
         topic.times.insert(k, t)
         topic.data.insert(k, data)
 
-    def messages(self) -> Iterator[tuple[int, Topic, bytes]]:
-        """Give all messages by time; equal times in topic order, those of a topic as they came."""
+    def order(self) -> NDArray[np.int64]:
+        """Return the place among the topics of each message, by time; equal times in topic order."""
         ticks = [np.maximum.accumulate(topic.ticks()) for topic in self._order] or [np.empty(0, np.int64)]
         ranks = np.repeat(np.arange(len(ticks)), [len(times) for times in ticks])
-        order = ranks[np.argsort(np.concatenate(ticks), kind="stable")]
+        return ranks[np.argsort(np.concatenate(ticks), kind="stable")]
+
+    def messages(self) -> Iterator[tuple[int, Topic, bytes]]:
+        """Give all messages by time; equal times in topic order, those of a topic as they came."""
+        order = self.order()
         streams = [(topic, topic.stream()) for topic in self._order]
         for first in range(0, len(order), CHUNK):
             for rank in order[first : first + CHUNK].tolist():

@@ -1,0 +1,120 @@
+"""Messages of a recording in the form of MCAP, by blocks of numbers where it holds numbers.
+
+The bytes are those of `McapFile.write` called for each message: the same records in the same chunks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core import Recording
+from softrig_core.wire.recording import Topic
+
+from .mcap_file import MESSAGE, McapFile
+
+_HEAD = [("code", "u1"), ("length", "<u8"), ("number", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
+_HEAD_SIZE = np.dtype(_HEAD).itemsize
+_LENGTH = 22  # bytes of a message's record beside its data
+_BATCH = 1 << 20  # messages whose places are computed at a time
+
+
+class _Feed:
+    """Messages of a topic in their order, some at a time."""
+
+    def __init__(self, topic: Topic, number: int) -> None:
+        self.number = number
+        self._columns = topic.columns()
+        self._times, self._data = ([], []) if self._columns else (topic.times, topic.data)
+        self._taken = 0
+
+    def sizes(self, count: int) -> NDArray[np.int64] | int:
+        """Return how many bytes each of the first messages has that are not taken yet; one number if all have it."""
+        if self._columns is not None:
+            return self._columns.layout.length
+        return np.fromiter(map(len, self._data[self._taken : self._taken + count]), np.int64, count)
+
+    def take(self, count: int) -> tuple[NDArray[np.int64], NDArray[np.uint8] | list[bytes]]:
+        """Return times and bytes of the next messages; an array of shape (count, bytes) where all are of one length."""
+        first, last = self._taken, self._taken + count
+        self._taken = last
+        if self._columns is not None:
+            part, layout = self._columns.part(first, last), self._columns.layout
+            marks = np.arange(first, last) if layout.numbered else part.times
+            return part.times, layout.encode_block(marks, part.values)
+        data = self._data[first:last]
+        times = np.array(self._times[first:last], np.int64)
+        if len(set(map(len, data))) > 1:
+            return times, data
+        return times, np.frombuffer(b"".join(data), np.uint8).reshape(count, -1)
+
+
+def write_recording(file: McapFile, recording: Recording, numbers: Mapping[str, int]) -> None:
+    """Append all messages of a recording by time, equal times in topic order.
+
+    Parameters
+    ----------
+    numbers : mapping of str to int
+        Number of each topic in the file.
+    """
+    order = recording.order()
+    feeds = [_Feed(topic, numbers[name]) for name, topic in recording.topics.items()]
+    for first in range(0, len(order), _BATCH):
+        ranks = order[first : first + _BATCH]
+        sizes = np.empty(len(ranks), np.int64)
+        for rank, feed in enumerate(feeds):
+            rows = np.flatnonzero(ranks == rank)
+            sizes[rows] = feed.sizes(len(rows))
+        ends = np.cumsum(sizes + _HEAD_SIZE)
+        done = 0
+        while done < len(ranks):
+            before = int(ends[done - 1]) if done else 0
+            full = int(np.searchsorted(ends, before + file.CHUNK_BYTES - file.waiting)) + 1
+            part = slice(done, min(full, len(ranks)))
+            begins = ends[part] - sizes[part] - _HEAD_SIZE - before
+            _write_part(file, feeds, ranks[part], begins, int(ends[part.stop - 1]) - before)
+            done = part.stop
+
+
+def _write_part(file: McapFile, feeds: list[_Feed], ranks: NDArray[Any], at: NDArray[np.int64], size: int) -> None:
+    """Append messages that go into one chunk; `at` says where each begins."""
+    content = np.empty(size, np.uint8)
+    index = {}
+    known, begins = np.unique(ranks, return_index=True)
+    for rank in known[np.argsort(begins)].tolist():
+        places = at[np.flatnonzero(ranks == rank)]
+        times, data = feeds[rank].take(len(places))
+        number = feeds[rank].number
+        index[number] = times, places
+        if isinstance(data, list):
+            for k, message in enumerate(data):
+                _place(content, places[k : k + 1], number, times[k : k + 1], np.frombuffer(message, np.uint8)[None])
+        else:
+            _place(content, places, number, times, data)
+    file.write_block(content.tobytes(), index)
+
+
+def _place(
+    content: NDArray[np.uint8],
+    places: NDArray[np.int64],
+    number: int,
+    times: NDArray[np.int64],
+    data: NDArray[np.uint8],
+) -> None:
+    """Write the records of messages of one length where they belong."""
+    count, length = data.shape
+    kind = np.dtype([*_HEAD, ("data", "u1", (length,))])
+    steps = np.diff(places)
+    regular = not len(steps) or bool((steps == steps[0]).all())  # a rig publishes the same topics at each tick
+    if regular:
+        step = int(steps[0]) if len(steps) else kind.itemsize
+        rows: Any = np.ndarray((count,), kind, content.data, int(places[0]), (step,))
+    else:
+        rows = np.empty(count, kind)
+    rows["code"], rows["length"], rows["number"], rows["sequence"] = MESSAGE, _LENGTH + length, number, 0
+    rows["log"] = rows["publish"] = times
+    rows["data"] = data
+    if not regular:
+        content[places[:, None] + np.arange(kind.itemsize)] = rows.view(np.uint8).reshape(count, -1)
