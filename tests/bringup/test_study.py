@@ -30,7 +30,7 @@ from softrig_bringup.study import page, pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
 from softrig_bringup.study.draw import cases, count, drafts_of, draw
-from softrig_bringup.study.engine import _check, run_study
+from softrig_bringup.study.engine import check_study, run_study
 from softrig_bringup.study.options import folder_name, study_of
 from softrig_bringup.study.page import best
 from softrig_bringup.study.statistics import statistics
@@ -735,7 +735,7 @@ def test_every_shipped_study_can_run(monkeypatch):
     names = list_studies()
     assert {"dc_motor_gains", "pv_mppt_hits"} <= set(names)
     for name in names:
-        _check(shipped := load_study(name), drafts_of(shipped))
+        check_study(shipped := load_study(name), drafts_of(shipped))
 
 
 @pytest.mark.long

@@ -502,7 +502,9 @@ def test_only_plain_files_at_their_places_are_unpacked():
         seen.add(name)
     wrong = [*map(entry, BAD), entry("pack.json"), entry("bag/x", stat.S_IFLNK), entry("bag/y", stat.S_IFDIR)]
     for bad in wrong:
-        with pytest.raises(ScenarioError, match=r"expected plain files below scenario, packages and bag, each once"):
+        with pytest.raises(
+            ScenarioError, match=r"expected plain files below scenario, packages, bag, study, each once"
+        ):
             packed._check(bad, {"pack.json"})
     for stray in ("bag/z", "bag/a/b.mcap", "bag/x.zip"):
         with pytest.raises(ScenarioError, match=r"expected metadata.yaml and files of messages in bag$"):

@@ -22,7 +22,7 @@ RUN = re.compile(
     r"bag|log|left_\d+\.yaml|metrics\.json|report\.html|(overview|plot_\d\d_[a-z0-9_]*)\.(png|svg|pdf)|softrig_files\.json"
 )
 STUDY = re.compile(
-    r"study\.json|rows\.jsonl|table\.(parquet|csv)|statistics\.(csv|tex)|summaries\.json|report\.html|softrig_files\.json|\.new"
+    r"study\.(json|yaml)|rows\.jsonl|table\.(parquet|csv)|statistics\.(csv|tex)|summaries\.json|report\.html|softrig_files\.json|\.new"
 )
 FALSIFICATION = re.compile(
     r"falsification\.json|outcome\.json|rows\.jsonl|report\.html|nominal|worst|worst\.(png|svg|pdf)|small|\w+_(worst|small)\.yaml"

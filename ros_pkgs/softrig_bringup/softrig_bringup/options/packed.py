@@ -24,7 +24,8 @@ from softrig_core import ScenarioError
 from softrig_core.kit.compiled import cache_folder
 
 SUFFIX = ".softrig.zip"
-ABOUT, METRICS, SCENARIO, PACKAGES, BAG = "pack.json", "metrics.json", "scenario", "packages", "bag"
+ABOUT, METRICS, CRATE = "pack.json", "metrics.json", "ro-crate-metadata.json"
+SCENARIO, PACKAGES, BAG, STUDY = "scenario", "packages", "bag", "study"
 MOST = 4 << 30  # bytes, unpacked
 FILES = 10_000
 SMALL = 64 << 20  # bytes, unpacked: less is never too much for the size of the file
@@ -32,7 +33,9 @@ TIMES = 100  # unpacked by packed size; bags of real runs have 2 to 20
 HEAD = 512  # bytes of an entry in the list at the end of a file
 LARGEST = {ABOUT: 8 << 20, METRICS: 64 << 20}  # bytes of what is read as a whole
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError)
-_NAME = re.compile(rf"(?:{ABOUT}|{METRICS}|(?:{SCENARIO}|{PACKAGES}|{BAG})(?:/[^/\\\x00-\x1f\x7f]{{1,150}}){{1,20}})")
+_NAME = re.compile(
+    rf"(?:{ABOUT}|{METRICS}|{CRATE}|(?:{SCENARIO}|{PACKAGES}|{BAG}|{STUDY})(?:/[^/\\\x00-\x1f\x7f]{{1,150}}){{1,20}})"
+)
 _BAG = re.compile(rf"{BAG}/(?:metadata\.yaml|[^/]+\.(?:mcap|db3)(?:\.zstd)?)")
 _END = struct.Struct("<4s4H2LH")  # of a zip file: signature, ..., size of the list of entries, ...
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,99}$")]
@@ -206,7 +209,9 @@ def _check(entry: zipfile.ZipInfo, seen: Iterable[str]) -> None:
     parts = name.split("/")
     plain = _NAME.fullmatch(name) and "." not in parts and ".." not in parts and kind in (0, stat.S_IFREG)
     if not plain or name in seen or entry.orig_filename != name:
-        raise ScenarioError(f"{name[:100]!r}: expected plain files below {SCENARIO}, {PACKAGES} and {BAG}, each once")
+        raise ScenarioError(
+            f"{name[:100]!r}: expected plain files below {SCENARIO}, {PACKAGES}, {BAG}, {STUDY}, each once"
+        )
     if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or entry.flag_bits & 1:
         raise ScenarioError(f"{name[:100]!r}: expected it stored or deflated, and not encrypted")
     if parts[0] == BAG and not _BAG.fullmatch(name):

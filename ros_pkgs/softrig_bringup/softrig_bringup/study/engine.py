@@ -53,10 +53,7 @@ def run_study(
     """
     folder = ResultsFolder(out, STUDY)
     drafts = drafts_of(study)  # an edit while it runs does not change it
-    rigs = _check(study, drafts)
-    free = {"title", "source", "require", "summaries", "expect", "claims", "name"}  # what the rows do not depend on
-    scenarios = {name: draft.filled() for name, draft in drafts.items()}
-    given = study.model_dump(mode="json", exclude=free) | {"figures": _kept(study)} | made_of(scenarios, rigs)
+    given = content_of(study, drafts, check_study(study, drafts))
     same(given, out / "study.json", "study")
     if distinct and not (out / "study.json").exists():
         check_seeds(study, drafts)
@@ -74,6 +71,13 @@ def run_study(
             return log
         finally:
             folder.close()
+
+
+def content_of(study: Study, drafts: Mapping[str, Draft], rigs: Iterable[Rig]) -> dict[str, Any]:
+    """Give what the rows of a study depend on."""
+    free = {"title", "source", "require", "summaries", "expect", "claims", "name"}
+    scenarios = {name: draft.filled() for name, draft in drafts.items()}
+    return study.model_dump(mode="json", exclude=free) | {"figures": _kept(study)} | made_of(scenarios, rigs)
 
 
 def check_seeds(study: Study, drafts: Mapping[str, Draft]) -> None:
@@ -172,7 +176,7 @@ def _changed(there: dict[str, Any], here: dict[str, Any]) -> str:
     return ""
 
 
-def _check(study: Study, drafts: Mapping[str, Draft]) -> list[Rig]:
+def check_study(study: Study, drafts: Mapping[str, Draft]) -> list[Rig]:
     """Build the rig of the first run of each case, so that what is misspelt is said at once; give them."""
     rigs = []
     for case in _firsts(study, drafts):

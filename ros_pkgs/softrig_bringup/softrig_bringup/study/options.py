@@ -30,6 +30,8 @@ def study_of(options: Namespace) -> Study:
         Neither a study nor a scenario, or an option that cannot be read.
     """
     name: str = options.study
+    if not name:
+        raise ScenarioError("expected a study or a scenario, or --like FILE")
     changes = _changes(options)
     path = Path(name)
     file = path.suffix in (".yaml", ".yml") and isfile(path)

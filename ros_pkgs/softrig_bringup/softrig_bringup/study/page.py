@@ -29,6 +29,7 @@ from ..terminal.tables import Cell, print_columns, print_judged
 from .definition import Study, list_studies
 from .engine import beyond, run_study
 from .options import folder_name, study_of
+from .packed import FILE, differing, saved, unpacked
 from .pictures import chosen, draw_study
 from .statistics import Statistics, statistics
 from .table import Row, claims, command, in_short, label, results, without_signals, write_table
@@ -45,11 +46,18 @@ def main(options: argparse.Namespace) -> int:
     if options.study == "list":
         print("\n".join(sorted(list_studies())))
         return 0
-    study = study_of(options)
-    out = options.out or Path("runs") / folder_name(study.name, options)
+    study, before = (study_of(options), None) if options.like is None else _again(options)
+    name = f"study_{study.name}-again" if before is not None else folder_name(study.name, options)
+    out = options.out or Path("runs") / name
     widths = dict(map(_width, options.width))
     need("pyarrow", "the table of a study")  # before hours of runs, not after
-    log = run_study(study, out, workers=options.workers, scheduler=options.scheduler, distinct=not options.force)
+    log = run_study(
+        study,
+        out,
+        workers=options.workers,
+        scheduler=options.scheduler,
+        distinct=not (options.force or before is not None),
+    )
     rows = without_signals(log.rows())
     units = units_of(rows)
     found = results(study, rows, units)
@@ -65,6 +73,7 @@ def main(options: argparse.Namespace) -> int:
     folder = ResultsFolder(out, STUDY)
     with folder.alone(), folder.anew() as new:
         write_table(rows, new, study.duration)
+        (new / FILE).write_text(saved(study))
         pictures = draw_study(study, rows, log.rows() if study.signals else (), new, units, options.format)
         if over.lines:
             for ending in ("csv", "tex"):
@@ -72,9 +81,21 @@ def main(options: argparse.Namespace) -> int:
         (new / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
         write_page(new / "report.html", study.title, list(_page(study, rows, found, held, over, pictures, units)))
     _print(study, rows, found, held, over, out)
+    if before is not None:
+        other = list(differing(before, rows))
+        said = f"repeats {options.like} row for row" if not other else f"{len(other)} of {len(before)} rows are others"
+        print("; ".join([said, *other[:3]]))
+        return 1 if other else 0
     if any(row["error"] for row in rows):
         return 3
     return 0 if all(r.passed for r in found) and all(c.holds is not False for c in held) else 1
+
+
+def _again(options: argparse.Namespace) -> tuple[Study, list[dict[str, Any]]]:
+    given = ("grid", "draw", "against", "subject_to", "figures", "signals", "seeds", "duration", "search", "study")
+    if wrong := [name for name in given if getattr(options, name)]:
+        raise ScenarioError(f"--like repeats a study as it was: expected no {wrong[0]} beside it")
+    return unpacked(options.like)
 
 
 def _width(text: str) -> tuple[str, float]:

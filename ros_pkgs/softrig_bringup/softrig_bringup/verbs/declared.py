@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 
 from softrig_core.command_line import Number
@@ -25,8 +26,15 @@ def verbs(verb: Verb) -> None:
     new.add_argument("--only", choices=("law", "plant"), help="a law for a plant that is there, or a plant by itself")
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
     pack = verb("pack", "verbs.pack:main", "a run as one file, your own packages in it: `run --like FILE` elsewhere")
-    pack.add_argument("run", type=Path, metavar="RUN", help="its folder, or its bag")
+    pack.add_argument("run", type=Path, metavar="RUN", help="its folder, or its bag; or the folder of a study")
     pack.add_argument("--out", type=Path, metavar="FILE", help="the new file (SCENARIO.softrig.zip, here)")
+    pack.add_argument(
+        "--published",
+        type=_day,
+        default="1980-01-01",  # as the times in the file: the same run gives the same bytes
+        metavar="DATE",
+        help="for archives (RO-Crate): when it is published (1980-01-01)",
+    )
     pack.add_argument("--no-bag", action="store_true", help="without what was recorded: digests are compared")
     pack.add_argument("--sign", type=Path, metavar="KEY", help="sign it with an SSH key (ssh-keygen -Y), as FILE.sig")
     env = verb(
@@ -142,6 +150,13 @@ def _run_and_look(verb: Verb) -> None:
     )
 
 
+def _day(text: str) -> str:
+    try:
+        return date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a date as 2026-11-28, got {text!r}") from None
+
+
 def _pace(word: str) -> float:
     return 0.0 if word == "full" else Number(float, 0.001, 1000)(word)
 
@@ -152,7 +167,10 @@ def _vary(verb: Verb) -> None:
         "study.page:main",
         "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on",
     )
-    study.add_argument("study", help="name or file of a study, or a scenario; `study list` shows the studies")
+    study.add_argument(
+        "study", nargs="?", default="", help="name or file of a study, or a scenario; `study list` shows the studies"
+    )
+    study.add_argument("--like", type=Path, metavar="FILE", help="instead: the study of a file of `pack`, row for row")
     study.add_argument(
         "--grid",
         action="append",

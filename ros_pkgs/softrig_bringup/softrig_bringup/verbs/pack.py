@@ -25,16 +25,19 @@ from softrig_core.rig.code import fingerprints
 
 from ..options import repeat
 from ..options.cargo import GROUPS, brings
+from ..options.crate import crate
 from ..options.identity import HALF, asked_half, strangers
 from ..options.like import TAPE, Recalled, digests, from_outside, recall, repeated
 from ..options.packed import (
     ABOUT,
     BAG,
+    CRATE,
     FILES,
     METRICS,
     MOST,
     PACKAGES,
     SCENARIO,
+    STUDY,
     SUFFIX,
     About,
     about,
@@ -45,6 +48,11 @@ from ..options.packed import (
 from ..options.run_options import Again, scenario_of
 from ..options.signature import beside, sign, signed_by
 from ..page.citations import FILE as REFERENCES
+from ..run.run import versions
+from ..study.batch import Log
+from ..study.draw import count
+from ..study.packed import FILE, ROWS, of_folder, rows_alone, saved, standing_alone as standing_alone_study
+from ..study.table import without_signals
 
 _BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_modules"}  # not sources
 
@@ -59,11 +67,13 @@ class _Pack(NamedTuple):
 
 def main(options: argparse.Namespace) -> int:
     """Write the file and say what is in it; gives the exit status."""
+    if (options.run / "study.json").is_file():
+        return _pack_study(options)
     packed = collect(options.run, bag=not options.no_bag)
     out = options.out or Path(packed.about.scenario + SUFFIX)
     if out.is_dir():
         raise ScenarioError(f"--out {out}: is a folder, expected a file")
-    write(packed, out)
+    write(_described(packed, options.published), out)
     own = [f"package {name} {version}" for name, version in packed.about.packages.items() if name not in packed.lacks]
     bag = "its bag" if not options.no_bag else f"digests of {len(packed.about.digests)} topics in place of its bag"
     print(
@@ -78,6 +88,51 @@ def main(options: argparse.Namespace) -> int:
             f"not in it: package {name}, whose sources are in no workspace here (--workspace DIR); who runs it needs it"
         )
     return 0
+
+
+def _pack_study(options: argparse.Namespace) -> int:
+    packed, rows = collect_study(options.run)
+    out = options.out or Path(packed.about.scenario + ".study" + SUFFIX)
+    if out.is_dir():
+        raise ScenarioError(f"--out {out}: is a folder, expected a file")
+    write(_described(packed, options.published), out)
+    print(f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {rows} rows; elsewhere:")
+    print(f"  scripts/softrig study --like {out.name}")
+    if options.sign is not None:
+        sign(out, options.sign)
+        print(f"wrote {beside(out)}: {signed_by(out)}")
+    return 0
+
+
+def collect_study(folder: Path) -> tuple[_Pack, int]:
+    """Gather what somebody needs who repeats a study, and its rows; say how many.
+
+    Raises
+    ------
+    ScenarioError
+        No study, one of which something has changed since or that is not finished, or packages that are not softrig's.
+    """
+    study = of_folder(folder)
+    log = Log(folder / ROWS, count(study))
+    rows = without_signals(log.rows())
+    log.close()
+    if len(rows) < count(study):
+        raise ScenarioError(f"{folder}: {len(rows)} of {count(study)} rows are there; run the study to its end first")
+    content = json.loads((folder / "study.json").read_text())
+    if own := [name for name in content["code"] if not name.startswith("softrig_")]:
+        raise ScenarioError(
+            f"{folder}: it runs {', '.join(own)}, and a pack of a study brings no code; pack a run of it"
+        )
+    alone, scenarios = standing_alone_study(study)
+    files: dict[str, bytes | Path] = {}
+    for name, raw in scenarios.items():
+        text, files_of = raw_alone(raw)
+        files[f"{SCENARIO}/{name}.yaml"] = text
+        files |= {f"{SCENARIO}/{place}": path for place, path in files_of.items()}
+    files |= {f"{STUDY}/{FILE}": saved(alone).encode(), f"{STUDY}/{ROWS}": rows_alone(rows)}
+    table = [folder / name for name in ("statistics.csv", "summaries.json") if (folder / name).is_file()]
+    files |= {f"{STUDY}/{path.name}": path for path in table}
+    return _Pack(files, About(scenario=alone.scenario, versions=versions(), code=content["code"]), ()), len(rows)
 
 
 def collect(run: Path, *, bag: bool = True) -> _Pack:
@@ -140,6 +195,15 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
         places = [before.bag] if before.bag.is_file() else sorted(f for f in before.bag.iterdir() if f.is_file())
         files |= {f"{BAG}/{file.name}": file for file in places}
     return _Pack(files, said, tuple(name for name, folder in sources.items() if folder is None))
+
+
+def _described(packed: _Pack, published: str) -> _Pack:
+    """Add what archives read."""
+    said, files = packed.about, packed.files
+    verb = "study" if f"{STUDY}/{FILE}" in files else "run"
+    text = f"A {verb} of {said.scenario}: `softrig {verb} --like FILE` repeats it number for number."
+    sums = {place: _sha256(content) for place, content in files.items()}
+    return packed._replace(files={**files, CRATE: crate(said.scenario, text, said.versions, files, sums, published)})
 
 
 def write(packed: _Pack, out: Path) -> None:
@@ -245,6 +309,11 @@ def standing_alone(scenario: Scenario) -> tuple[bytes, Mapping[str, Path]]:
     dict of str to Path
         Relative place to file.
     """
+    return raw_alone(scenario.model_dump(mode="json", exclude_defaults=True, exclude={"name"}))
+
+
+def raw_alone(content: Mapping[str, Any]) -> tuple[bytes, Mapping[str, Path]]:
+    """Write the content of a scenario file, see `standing_alone`."""
     found: dict[str, Path] = {}
 
     def beside(value: Any) -> Any:
@@ -259,8 +328,7 @@ def standing_alone(scenario: Scenario) -> tuple[bytes, Mapping[str, Path]]:
         found.update({f"{folder}/{file.name}": file for file in path.parent.glob(f"{escape(path.stem)}.*")})
         return f"{folder}/{path.name}"
 
-    content = scenario.model_dump(mode="json", exclude_defaults=True, exclude={"name"})
-    content |= {key: beside(content[key]) for key in ("shared", "nodes") if key in content}
+    content = {**content, **{key: beside(content[key]) for key in ("shared", "nodes") if key in content}}
     return yaml.safe_dump(content, sort_keys=False, width=110, allow_unicode=True).encode(), found
 
 

@@ -1,0 +1,120 @@
+"""A study as one file: what it is made of and its rows, which `study --like FILE` repeats."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from softrig_core import ScenarioError, load_scenario
+from softrig_core.scenario.scenario_file import locate
+from softrig_core.scenario.yaml_file import read_mapping
+
+from ..options.cargo import brings, check_scenario
+from ..options.packed import SCENARIO, STUDY, about, is_pack, opened
+from .definition import Study, make_study
+from .draw import drafts_of
+from .engine import check_study, content_of, same
+from .table import Row
+
+FILE, ROWS = "study.yaml", "rows.jsonl"
+_PLACE = re.compile(r"(?<![\w.])/(?:[\w.+@-]+/)+")  # folders of this machine in what a run that broke says
+
+
+def saved(study: Study) -> str:
+    """Write all of a study as a file that `softrig study` reads."""
+    return str(yaml.safe_dump(study.model_dump(mode="json", exclude_defaults=True), sort_keys=False, width=110))
+
+
+def of_folder(folder: Path) -> Study:
+    """Read the study whose results are in a folder, as it was asked for.
+
+    Raises
+    ------
+    ScenarioError
+        It has none, or a scenario, code or file of it has changed since.
+    """
+    if not (folder / FILE).is_file():
+        raise ScenarioError(f"{folder}: no {FILE} in it, expected results of a study; run it again to write that file")
+    study = make_study(read_mapping(folder / FILE))
+    drafts = drafts_of(study)
+    same(content_of(study, drafts, check_study(study, drafts)), folder / "study.json", "study")
+    return study
+
+
+def standing_alone(study: Study) -> tuple[Study, dict[str, dict[str, Any]]]:
+    """Give a study that names its scenarios as the file has them, and the content of these by name."""
+    drafts = drafts_of(study)
+    names = {name: locate(name)[0] for name in drafts}
+    if len({*names.values()}) < len(names):
+        raise ScenarioError(f"{study.name}: two of its scenarios are called {min(names.values())}; rename one")
+    cases = {
+        case: own | ({"scenario": names[own["scenario"]]} if "scenario" in own else {})
+        for case, own in study.cases.items()
+    }
+    alone = study.model_copy(update={"scenario": names[study.scenario], "cases": cases})
+    return alone, {names[name]: draft.raw for name, draft in drafts.items()}
+
+
+def rows_alone(rows: Sequence[Row]) -> bytes:
+    """Write rows without folders of this machine: scenarios by name, what a broken run said without places."""
+    lines = []
+    for row in rows:
+        told = {**row, "scenario": locate(row["scenario"])[0], "error": _PLACE.sub("", row["error"])}
+        lines.append(json.dumps(told, separators=(",", ":")) + "\n")
+    return "".join(lines).encode()
+
+
+def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
+    """Read a study and its rows from a file that `softrig pack` has written.
+
+    Raises
+    ------
+    ScenarioError
+        Another file, or one that brings code.
+    """
+    if not is_pack(path):
+        raise ScenarioError(f"--like {path}: expected a file that `softrig pack` has written of a study")
+    folder = opened(path)
+    said = about(folder)
+    if not (folder / STUDY / FILE).is_file():
+        raise ScenarioError(f"--like {path}: it holds a run, expected a study; `softrig run --like` repeats it")
+    if names := brings(folder, said):
+        raise ScenarioError(f"--like {path}: it brings {', '.join(names)}; a study that brings code is not repeated")
+    study = make_study(read_mapping(folder / STUDY / FILE))
+
+    def place(name: str) -> str:
+        file = folder / SCENARIO / f"{name}.yaml"
+        if os.path.basename(name) != name or not file.is_file():
+            raise ScenarioError(f"--like {path}: no scenario {name!r} in it")
+        check_scenario(folder, load_scenario(str(file)), said)
+        return str(file)
+
+    cases = {
+        case: own | ({"scenario": place(str(own["scenario"]))} if "scenario" in own else {})
+        for case, own in study.cases.items()
+    }
+    found = study.model_copy(update={"scenario": place(study.scenario), "cases": cases})
+    with (folder / STUDY / ROWS).open("rb") as file:
+        return found, [json.loads(line) for line in file]
+
+
+def differing(before: Sequence[Row], after: Sequence[Row]) -> Iterator[str]:
+    """Name the rows that are not repeated, and the first thing in which each differs."""
+    there: Mapping[int, Row] = {row["number"]: row for row in after}
+    for row in before:
+        other = there.get(row["number"])
+        if other is None:
+            yield f"row {row['number']} is missing"
+            continue
+        for key in ("case", "seed", "overrides", "figures", "never"):
+            if row.get(key) != other.get(key):
+                yield f"row {row['number']}: {key} {row.get(key)} there, {other.get(key)} here"
+                break
+        else:
+            if bool(row["error"]) != bool(other["error"]):
+                yield f"row {row['number']}: {'broke' if row['error'] else 'ended'} there, not here"

@@ -1,0 +1,96 @@
+"""A study as one file: it repeats row for row elsewhere, says so, and tells nothing of the machine it comes from."""
+
+import hashlib
+import json
+import zipfile
+
+import pytest
+from softrig_bringup.cli import main
+from softrig_bringup.study import packed
+
+WORDS = ["study", "mine.yaml", "--against", "dc_motor_smc_b4", "--draw", "dc_motor_plant.R=0.3..0.5", "--draws", "2",
+         "--figures", "rise_time", "peak_current", "--duration", "1", "--workers", "1"]  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, undrawn):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text("title: mine\nextends: dc_motor_smc_b2\n")
+    assert main([*WORDS, "--out", "s"]) == 0
+    return tmp_path
+
+
+def test_a_study_packs_and_repeats_row_for_row(folder, capsys):
+    assert main(["pack", "s", "--out", "a.softrig.zip"]) == 0
+    assert "4 rows; elsewhere:\n  scripts/softrig study --like a.softrig.zip" in capsys.readouterr().out
+    (folder / "mine.yaml").unlink()  # elsewhere there is none
+    assert main(["study", "--like", "a.softrig.zip", "--workers", "1", "--out", "again"]) == 0
+    assert "repeats a.softrig.zip row for row" in capsys.readouterr().out
+    rows = [json.loads(line) for line in (folder / "again" / "rows.jsonl").read_text().splitlines()]
+    first = [json.loads(line) for line in (folder / "s" / "rows.jsonl").read_text().splitlines()]
+    assert [r["figures"] for r in rows] == [r["figures"] for r in first]
+    with zipfile.ZipFile("a.softrig.zip") as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    assert {"scenario/mine.yaml", "scenario/dc_motor_smc_b4.yaml", "study/study.yaml", "study/rows.jsonl"} <= {*content}
+    assert [name for name, text in content.items() if str(folder).encode() in text] == []
+    assert main(["pack", "again", "--out", "b.softrig.zip"]) == 0
+    rows[1]["figures"]["rise_time"] = 9.0
+    content["study/rows.jsonl"] = "".join(json.dumps(row) + "\n" for row in rows).encode()
+    about = json.loads(content["pack.json"])
+    about["files"]["study/rows.jsonl"] = hashlib.sha256(content["study/rows.jsonl"]).hexdigest()
+    with zipfile.ZipFile("other.softrig.zip", "w") as archive:
+        for name, text in (content | {"pack.json": json.dumps(about).encode()}).items():
+            archive.writestr(name, text)
+    capsys.readouterr()
+    assert main(["study", "--like", "other.softrig.zip", "--workers", "1", "--out", "third"]) == 1
+    assert "1 of 4 rows are others; row 1: figures {'rise_time': 9.0" in capsys.readouterr().out
+
+
+def test_an_archive_reads_what_is_in_a_pack(folder):
+    """RO-Crate 1.1: a descriptor of the root, which has a name, a description, a date, a licence and its parts."""
+    assert main(["pack", "s", "--out", "a.softrig.zip"]) == 0
+    assert main(["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-plots", "--out", "r"]) == 0
+    assert main(["pack", "r", "--out", "r.softrig.zip", "--published", "2026-11-28"]) == 0
+    assert main(["pack", "r", "--published", "28.11.2026"]) == 2
+    for name in ("a", "r"):
+        with zipfile.ZipFile(f"{name}.softrig.zip") as archive:
+            crate = json.loads(archive.read("ro-crate-metadata.json"))
+            files = {f: archive.read(f) for f in archive.namelist() if f not in ("pack.json", "ro-crate-metadata.json")}
+        assert crate["@context"] == "https://w3id.org/ro/crate/1.1/context"
+        entities = {entity["@id"]: entity for entity in crate["@graph"]}
+        assert len(entities) == len(crate["@graph"])
+        descriptor, root = entities["ro-crate-metadata.json"], entities["./"]
+        assert (descriptor["@type"], descriptor["about"]) == ("CreativeWork", {"@id": "./"})
+        assert descriptor["conformsTo"] == {"@id": "https://w3id.org/ro/crate/1.1"}
+        assert all(root[key] for key in ("name", "description", "datePublished", "license"))
+        assert [part["@id"] for part in root["hasPart"]] == [*files]
+        for place, content in files.items():
+            assert entities[place]["sha256"] == hashlib.sha256(content).hexdigest()
+            assert entities[place]["contentSize"] == str(len(content))
+            assert place.startswith("bag/") or str(folder).encode() not in content  # a bag says by what it was made
+        assert root["datePublished"] == ("2026-11-28" if name == "r" else "1980-01-01")
+
+
+def test_what_is_no_study_or_not_whole_is_refused(folder, capsys):
+    lines = (folder / "s" / "rows.jsonl").read_text().splitlines(keepends=True)
+    (folder / "s" / "rows.jsonl").write_text("".join(lines[:3]))
+    for words, said in (
+        (["pack", "s"], "s: 3 of 4 rows are there; run the study to its end first"),
+        (["study", "--like", "s"], "--like s: expected a file that `softrig pack` has written of a study"),
+        (["study", "--like", "x.zip", "--seeds", "2"], "--like repeats a study as it was: expected no seeds beside it"),
+        (["study"], "expected a study or a scenario, or --like FILE"),
+    ):
+        assert main(words) == 2
+        assert said in capsys.readouterr().err
+    (folder / "mine.yaml").write_text("title: mine\nextends: dc_motor_smc_b2\nseed: 4\n")
+    assert main(["pack", "s"]) == 2
+    assert "holds another study (scenario" in capsys.readouterr().err
+
+
+def test_a_row_that_broke_keeps_no_folder_of_its_machine():
+    row = {"number": 0, "scenario": "dc_motor_smc_b2", "case": "", "seed": 0, "overrides": {}, "figures": {},
+           "error": "node gain: ValueError: x (/home/ann/my rig/src/gain.py, line 3)", "wall_s": 0.1}  # fmt: skip
+    assert b"/home" not in packed.rows_alone([row])
+    assert list(packed.differing([row], [row])) == []
+    assert list(packed.differing([row], [])) == ["row 0 is missing"]
+    assert list(packed.differing([row], [row | {"error": ""}])) == ["row 0: broke there, not here"]
