@@ -424,22 +424,24 @@ def test_a_block_that_goes_back_is_as_it_was(seed):
         assert (held.params.R, held.block.p.R, held.reports) == (own, own, reports)
         assert held.block.events == []
     held.reset(3)
-    assert (held.x, held.reports, held.block.anew) == ((0, own), {}, set())
+    assert (held.x, held.reports, held.anew) == ((0, own), {}, set())
 
 
-def test_what_is_reported_anew_is_so_and_outside_of_a_run_all_is_at_once():
+def test_what_is_reported_is_noted_by_who_holds_the_block():
     block = Counting()
+    block.report(Level.WARN, "a", "before it is held")
+    held = ByHand(block)
+    assert (held.reports, block.events) == ({}, [])
     block.report(Level.WARN, "a", "first")
     block.report(Level.ERROR, "a", "second", anew=True)
-    assert (block.reports, block.anew) == ({"a": (Level.ERROR, "second", 2)}, {"a"})
+    assert block.events == [(Level.WARN, "a", "first", False), (Level.ERROR, "a", "second", True)]
+    held.tell()
+    assert (held.reports, held.anew, block.events) == ({"a": (Level.ERROR, "second", 2)}, {"a"}, [])
     block.withdraw("a")
     block.withdraw("none")
-    assert (block.reports, block.age("any"), block.health(), block.latched(), block.markers()) == ({}, 0, {}, {}, ())
-    block.events = []
-    block.report(Level.WARN, "b", "text")
-    block.withdraw("b")
-    assert block.events == [(Level.WARN, "b", "text", False), (None, "b", "", False)]
-    assert block.reports == {}
+    assert block.events == [(None, "a", "", False), (None, "none", "", False)]
+    held.tell()
+    assert (held.reports, block.age("any"), block.health(), block.latched(), block.markers()) == ({}, 0, {}, {}, ())
 
 
 def test_a_sample_before_the_first_message_is_of_time_zero():

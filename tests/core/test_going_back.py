@@ -10,7 +10,7 @@ import pytest
 from conftest import make_scenario
 from faultrig import Gain, Lag, Source
 from softrig_core import Rig, RunError, ScenarioError, Session, list_scenarios, rig_of, simulate
-from softrig_core.block.moment import keep
+from softrig_core.block.tables import Tables
 from softrig_core.run import session as module
 
 BEFORE, AFTER = 40, 50  # ticks
@@ -56,7 +56,7 @@ def same(a: Any, b: Any) -> bool:
 def held_against(one: Session, other: Session) -> None:
     assert one.error == other.error
     assert other.recording.topics == one.recording.topics
-    states, others = keep(one.steps.values()), keep(other.steps.values())
+    states, others = Tables(one.steps.values()).keep(), Tables(other.steps.values()).keep()
     assert [name for name in states if not same(states[name], others[name])] == []
 
 

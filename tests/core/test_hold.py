@@ -129,7 +129,7 @@ def test_in_real_time_the_clock_of_the_rig_stands_and_nothing_is_late_for_it(gro
     assert world.now - start == pytest.approx(60.0e9 + (0.6 - max(seen[5])) * 1e9, abs=0.2e9)
     for adapter in nodes:
         assert not {k: v for k, v in adapter.drive.counts().items() if v}
-        assert set(adapter.block.reports) <= {"clock"}
+        assert set(adapter.step.reports) <= {"clock"}
     expected, found = Signals(in_process(RIG)), Signals(run.recording, run.adapters[CLOCK].epoch)
     for name in (f"{p.topic}/{label}" for m in RIG.members for p in m.outputs for label in p.labels):
         x = expected[name].x.tolist()

@@ -58,7 +58,7 @@ class Node:
         return self.hand.said[topic]
 
     def reports(self):
-        return {key: f"{level.name} {text} ({n})" for key, (level, text, n) in self.adapter.block.reports.items()}
+        return {key: f"{level.name} {text} ({n})" for key, (level, text, n) in self.adapter.step.reports.items()}
 
 
 def linked(every="0.01", at_end=True, **more):

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from softrig_core import Block, BlockParams, Level
+from softrig_core import Block, BlockParams, ByHand, Level
 from softrig_core.block.answer import sum_of_products
 from softrig_core.kit.dense import total
 from softrig_core.kit.draws import Draws
@@ -1355,7 +1355,7 @@ def calling(case: str, typed: bool) -> Any:
     if isinstance(value, NotNative):
         return None
     code = Writer(program, told, {}).code(value) if not isinstance(value, Static) else None
-    owner = Owner()
+    mine = ByHand(owner := Owner())
     words = TEXTS if typed else {w: text for w, text in IN_PYTHON.items() if w not in OWN}
     scope = {"same_": same, "sum_of_products": sum_of_products, **BASE, **({} if typed else OWN), **program.names}
     scope |= {name: thing.py_func for name, thing in program.names.items() if isinstance(thing, Jit)}
@@ -1375,9 +1375,10 @@ def calling(case: str, typed: bool) -> Any:
 
     def reported() -> Any:
         """Give what has been reported natively, and in Python."""
-        other = Owner()
+        other = ByHand(Owner())
         program.reports.take_down(scope["told"], [other])
-        return other.reports, owner.reports
+        mine.tell()
+        return other.reports, mine.reports
 
     return names, call, python, reported
 
@@ -1449,7 +1450,7 @@ def test_reports_are_taken_down_as_if_they_were_told_one_by_one() -> None:
     exec(TEXTS["reported_"], scope)
     for seed in range(20):
         rng = random.Random(seed)
-        reports, natively, wanted = Reports(), [Owner(), Owner()], [Owner(), Owner()]
+        reports, natively, wanted = Reports(), [ByHand(Owner()), ByHand(Owner())], [ByHand(Owner()), ByHand(Owner())]
         keys = [(rng.randrange(2), rng.choice("abc"), rng.choice([Level.WARN, Level.ERROR])) for _ in range(6)]
         at = [
             reports.add(b, level, key, lambda row, k=k: f"{k}: {row[0]} {row[1]}", 2)
@@ -1461,7 +1462,8 @@ def test_reports_are_taken_down_as_if_they_were_told_one_by_one() -> None:
                 k, row = rng.randrange(6), (rng.random(), rng.random())
                 scope["reported_"](table, at[k], row)
                 block, key, level = keys[k]
-                wanted[block].report(level, key, f"{k}: {row[0]} {row[1]}")
+                wanted[block].block.report(level, key, f"{k}: {row[0]} {row[1]}")
+                wanted[block].tell()
             reports.take_down(table, natively)
             assert [list(b.reports.items()) for b in natively] == [list(b.reports.items()) for b in wanted]
 

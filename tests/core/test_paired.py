@@ -40,9 +40,11 @@ class Reader:
         self.is_plant, self.state, self.ticks, self.epoch, self.namespace = plant, "running", 0, 0, ""
         self.foreign, self.kept, self.values, self.paces, self.files = {}, [], {}, [], None
         self.sink = SimpleNamespace(add=lambda *said: self.kept.append(said))
-        self.step = SimpleNamespace(stamps={}, bad=False)
+        self.step = SimpleNamespace(
+            stamps={}, bad=False, note=lambda level, key, text: self.notes.append((level.name, key, text))
+        )
         self.refusals, self.failures, self.notes, self.waits_for = [], [], [], []
-        self.block = SimpleNamespace(note=lambda level, key, text: self.notes.append((level.name, key, text)))
+        self.block = None
         self.turns, self.inputs = 0, []
         self.table = PairedSenders(self, self._turn)
 

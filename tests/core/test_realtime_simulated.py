@@ -123,7 +123,7 @@ def test_a_tick_without_all_its_inputs_is_answered_after_a_part_of_the_period_an
     run.run()
     gain = run.adapters["gain"]
     assert gain.drive.incomplete >= 48
-    assert gain.block.reports["incomplete"][1] == "answered without what was due on lag/reference"
+    assert gain.step.reports["incomplete"][1] == "answered without what was due on lag/reference"
     assert gain.drive.statistics()["incomplete_ticks"] == gain.drive.incomplete
     found = Signals(run.recording, run.epoch)
     x, r, u = (
@@ -222,7 +222,7 @@ def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_s
         )
     world.run(run.epoch + 99 * MS)
     law = run.adapters["law"]
-    said = [law.inputs[0].last_refusal, *(text for _, text, _ in law.block.reports.values())]
+    said = [law.inputs[0].last_refusal, *(text for _, text, _ in law.step.reports.values())]
     assert any(told in text for text in said)
     u = Signals(run.recording, run.epoch)["lag/command/u/effort"].x
     assert list(u) == [1.0] * 5 + [1.0 if x > 1e9 else 0.0] + [1.0] * 4
@@ -240,7 +240,7 @@ def test_who_publishes_with_another_type_is_named_and_not_taken_for_who_is_expec
     plant = run.adapters["plant"]
     text = "lag/command exists with type std_msgs/msg/Float64, expected sensor_msgs/msg/JointState"
     assert [t for _, t in run.nodes["plant"].logs] == [text]
-    assert plant.block.reports["type of lag/command"] == (2, text, 1)
+    assert plant.step.reports["type of lag/command"] == (2, text, 1)
     assert plant.lacking == ["lag/command"]
     assert plant.state == "starting"
 
@@ -295,7 +295,7 @@ def test_a_law_notices_a_source_that_has_stopped():
     source = SimulatedRig(basic(0.5), world, "realtime", without=("plant", "gain"))
     assert source.epoch == run.epoch
     run.run()
-    reports = run.adapters["gain"].block.reports
+    reports = run.adapters["gain"].step.reports
     assert "no message on lag/reference for 0.05 s: the last one is held" in reports["stale lag/reference"][1]
     assert run.adapters["gain"].ticks > 190
 
@@ -388,8 +388,8 @@ def test_a_node_that_is_started_anew_rejoins_also_after_the_clock_was_set(step):
     assert again is not first
     assert again.ticks > 150
     assert not any(i.refused for a in run.adapters.values() for i in a.inputs)
-    assert ("clock" in again.block.reports) == (step != 0)
-    assert not any("stale" in key for key in run.adapters["source"].block.reports)
+    assert ("clock" in again.step.reports) == (step != 0)
+    assert not any("stale" in key for key in run.adapters["source"].step.reports)
 
 
 def test_of_commands_that_come_in_another_order_the_newest_stamp_counts_and_the_others_are_counted():
@@ -449,7 +449,7 @@ def test_who_takes_the_place_of_a_killed_law_is_believed_when_that_has_been_sile
     assert row.last_refusal == "2 publishers at once (again, gain), expected one"
     assert speak(1, 4050) == (2.0,)
     said = "of 2 publishers one alone has spoken for 1 s: it is believed"
-    assert run.adapters["plant"].block.reports["rivals lag/command"][1:] == (said, 1)
+    assert run.adapters["plant"].step.reports["rivals lag/command"][1:] == (said, 1)
     refused = row.refused
     row.matched(1)  # its lease is over
     run.adapters["plant"].drive.on_matched(row)
@@ -496,7 +496,7 @@ def test_a_law_far_behind_drops_what_is_older_than_the_window_and_says_so():
     assert stamps[-1] > world.now - run.epoch - 30 * MS
     dropped = gain.drive.statistics()["dropped_ticks"]
     assert dropped > 190
-    assert gain.block.reports["dropped"][1] == f"{dropped} ticks dropped: the law is too slow, or was held"
+    assert gain.step.reports["dropped"][1] == f"{dropped} ticks dropped: the law is too slow, or was held"
     assert gain.drive.missed >= dropped
 
 

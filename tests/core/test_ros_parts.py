@@ -197,12 +197,12 @@ def test_diagnostics_tell_the_worst_report_and_what_was_refused():
 
     usual = {"ticks": "0", "missed": "2", "solver": "fine"}
     assert told() == (b"\0", "starting", usual)
-    adapter.block.note(Level.WARN, "late", "it is late")
-    adapter.block.note(Level.WARN, "late", "it is late")
+    adapter.step.note(Level.WARN, "late", "it is late")
+    adapter.step.note(Level.WARN, "late", "it is late")
     assert told() == (b"\1", "starting", usual | {"late": "2 x it is late"})
-    adapter.block.note(Level.ERROR, "bad", "it is bad")
+    adapter.step.note(Level.ERROR, "bad", "it is bad")
     assert told()[0] == b"\2"
-    adapter.block.reports.clear()
+    adapter.step.reports.clear()
     one, two = (SimpleNamespace(port=SimpleNamespace(topic=t), refused=0, last_refusal="") for t in "ab")
     adapter.inputs, adapter.paces = [one], [two]
     assert told() == (b"\0", "starting", usual | {"refused a": "0"})

@@ -454,7 +454,7 @@ def test_a_topic_of_another_type_is_told_once_and_a_watch_writes_the_status(tmp_
     for _ in range(4):
         watch.call()
     assert str(adapter.error) == "hears nobody"
-    adapter.block.note(Level.WARN, "late", "it is late")
+    adapter.step.note(Level.WARN, "late", "it is late")
     watch.call()
     watch.call()
     assert hand.logs[1:] == ["WARN it is late"]

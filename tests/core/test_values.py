@@ -10,6 +10,7 @@ import pytest
 from softrig_core import Block, BlockParams, ByHand, Level, Plant, load_scenario, rig_of
 from softrig_core.block.block import Observer
 from softrig_core.block.runner import Runner
+from softrig_core.block.tables import Tables
 from softrig_core.kit.draws import SIZE
 from softrig_core.kit.floats import numbers, put, read, split
 from softrig_core.rig.installed import load_block
@@ -126,13 +127,12 @@ def test_going_back_to_any_tick_repeats_it(name, duration):
     ticks, states = Runner(list(steps.values())).run(), []
     for _ in range(5):
         next(ticks)
-    saved = {n: (s.save(), dict(s.values)) for n, s in steps.items()}
+    tables = Tables(steps.values())
+    kept = tables.keep()
     for _ in range(4):
         next(ticks)
         states.append({n: s.x for n, s in steps.items()})
-    for n, (kept, values) in saved.items():
-        steps[n].load(kept)
-        steps[n].values.update(values)
+    tables.go_back(kept)
     again = Runner(list(steps.values())).run(5)
     for before in states:
         next(again)

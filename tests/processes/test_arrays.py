@@ -324,7 +324,7 @@ def test_in_real_time_a_repeated_array_is_refused_and_a_lost_one_counted(loop):
     assert weigh.inputs[0].last_refusal == "number 5 from spread, expected 6 (already there)"
     assert [i.lost for i in weigh.inputs] == [2, 0]
     assert weigh.drive.statistics()["lost_arrays"] == 2
-    assert weigh.block.reports["lost lag/matrix"][:2] == (Level.WARN, "2 messages of spread are lost")
+    assert weigh.step.reports["lost lag/matrix"][:2] == (Level.WARN, "2 messages of spread are lost")
 
 
 def test_in_real_time_arrays_without_a_number_are_taken(loop):

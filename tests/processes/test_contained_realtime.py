@@ -228,7 +228,7 @@ def test_a_law_that_was_slow_once_has_not_been_silent(periods, missed, late, mon
     run = Contained(Rig.from_blocks({"plant": Lag(), "law": Slow()}, 0.3), monkeypatch)
     assert run.run() == {"done"}
     plant = run.adapters["plant"]
-    assert (len(slow), plant.drive.missed, list(plant.block.reports)) == (1, missed, [])
+    assert (len(slow), plant.drive.missed, list(plant.step.reports)) == (1, missed, [])
     assert plant.drive.statistics().get("late_ticks", 0) == late
 
 
@@ -362,7 +362,8 @@ def test_ticks_older_than_the_window_are_dropped_but_for_the_newest():
         schedule=SimpleNamespace(time=lambda k: 10 * k, next=lambda t: t // 10 * 10 + 10, tick=lambda t: t // 10),
         options=SimpleNamespace(patience=0.5),
         middleware=SimpleNamespace(timer=lambda *_: timer),
-        block=SimpleNamespace(note=lambda *_: None),
+        block=SimpleNamespace(),
+        step=SimpleNamespace(note=lambda *_: None),
         epoch=0,
         state="running",
     )

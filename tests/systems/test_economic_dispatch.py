@@ -427,8 +427,8 @@ def test_an_infeasible_demand_is_an_error_and_the_last_set_points_stay(node):
         assert level == Level.ERROR
         assert f"demand {demand:g} MW, but the units give 250 to 1200 MW" in text
         assert count == 1 + k
-        assert node.block.anew == {"infeasible"}  # logged each time
-        node.block.anew.clear()
+        assert node.anew == {"infeasible"}  # logged each time
+        node.anew.clear()
     assert ask(node, 5, 900.0)["setpoints"]
     assert "infeasible" not in node.reports  # diagnostics are those of the dispatch in effect
 
@@ -437,7 +437,7 @@ def test_an_infeasible_demand_is_an_error_and_the_last_set_points_stay(node):
 def test_without_a_dispatch_the_last_set_points_stay(answer, why):
     block = DispatchSolver(unit_table="units_3")
     assert block.answer(block.first(), 0, Result(0, None, answer, answer is not None), True)[1] == {}
-    assert block.reports == {"no dispatch": (Level.ERROR, f"{why}; the last set points stay", 1)}
+    assert block.events == [(Level.ERROR, "no dispatch", f"{why}; the last set points stay", True)]
 
 
 def test_another_table_counts_and_a_broken_one_does_not(node):

@@ -618,7 +618,7 @@ def steady_plant():
 def taken(command, age=0, k=1, bad=0):
     """What a plant makes of a command, and what it says."""
     plant = steady_plant()
-    plant.reports.clear()
+    plant.events.clear()
     x = plant.first()
     last = Command(1.0, 0.5, 400.0, bad)
     x = x._replace(commands=tuple(last if n == k else c for n, c in enumerate(x.commands)))

@@ -542,7 +542,7 @@ def test_what_a_planner_says_of_an_answer():
     request = SimpleNamespace(horizon=0.7)
 
     def said(new=True, **more):
-        planner.reports.clear()
+        planner.events.clear()
         found = Planned(
             **{
                 "values": (1.0,) * 10,

@@ -26,6 +26,7 @@ from softrig_core import (
     simulate,
 )
 from softrig_core.block.runner import Runner
+from softrig_core.block.tables import Tables
 from softrig_core.judge.measures import mean
 from softrig_core.run.inprocess import wired
 from softrig_optim.algorithms import AlgorithmParams, make
@@ -611,13 +612,12 @@ def test_going_back_in_mid_search_repeats_it(name):
     ticks = Runner(list(steps.values())).run()
     for _ in range(150):
         next(ticks)
-    saved = {n: (s.save(), dict(s.values)) for n, s in steps.items()}
+    tables = Tables(steps.values())
+    kept = tables.keep()
     told = steps["mppt_optimizer"].x.search.now.evaluations
     ways = []
     for _ in range(3):
-        for n, (kept, values) in saved.items():
-            steps[n].load(kept)
-            steps[n].values.update(values)
+        tables.go_back(kept)
         again = Runner(list(steps.values())).run(150)
         ways.append([(next(again), *(s.x for s in steps.values())) for _ in range(200)])
         assert steps["mppt_optimizer"].x.search.now.evaluations > told
@@ -649,7 +649,7 @@ def test_plant_waits_for_a_slow_tracker(gap, stale):
         end - world.now if topic == "/converter/duty" and begin < world.now < end else 10_000
     )
     assert set(run.run().values()) == {"done"}
-    reports = run.adapters["pv_plant"].block.reports
+    reports = run.adapters["pv_plant"].step.reports
     assert ("stale converter/duty" in reports) == stale
     assert ("recovered converter/duty" in reports) == stale
 

@@ -222,7 +222,7 @@ def test_conditions_that_can_be(irradiance, temperature, text):
     if len(irradiance) == len(temperature):
         assert array.possible(block, irradiance + temperature) == (not text)
         told = f"pv/environment refused, the last one holds: {text}"
-        assert block.reports == ({"environment": (Level.ERROR, told, 1)} if text else {})
+        assert block.events == ([(Level.ERROR, "environment", told, False)] if text else [])
 
 
 @pytest.mark.parametrize(
@@ -325,7 +325,7 @@ def test_the_plant_tells_what_it_is_and_what_its_sensors_say():
     assert said["port"] == pytest.approx((x.v * (1.0 + 0.1 * drawn[0]), i * (1.0 + 0.1 * drawn[1]), 40.0))
     after = block.advance(x, 0, duty=(0.1,), environment=None)
     assert after.k == 2
-    assert block.reports == {}
+    assert block.events == []
     quiet = PvPlant(temperature=(20.0, 30.0, 40.0, 70.0))
     assert quiet.outputs(x, 0)["port"] == pytest.approx((x.v, i, 40.0))
     assert quiet.advance(x, 0, duty=(0.1,), environment=None)[:5] == (*after[:4], 0)
@@ -337,7 +337,7 @@ def test_a_duty_beyond_its_limits_is_clipped_and_told(duty, used):
     x = told.first()
     assert told.advance(x, 0, duty=(duty,), environment=None) == silent.advance(x, 0, duty=(used,), environment=None)
     text = f"the duty {duty:g} is outside [0.1, 0.9]: clipped"
-    assert told.reports == ({"duty": (Level.WARN, text, 1)} if duty != used else {})
+    assert told.events == ([(Level.WARN, "duty", text, False)] if duty != used else [])
 
 
 def test_a_switched_period_is_one_circuit_after_the_other():

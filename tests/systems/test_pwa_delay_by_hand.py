@@ -727,7 +727,7 @@ def test_what_a_certificate_node_says():
         (Answer(None, "not applicable: why"), "not applicable: why"),
         (None, "no answer before the limit"),
     ):
-        node.reports.clear()
+        node.events.clear()
         assert node.answer(node.first(), 0, SimpleNamespace(answer=answer), True)[1] == {"verdict": (0.0,) * 5}
         assert node.reports["no_certificate"][:2] == (Level.WARN, said)
     smallest = Certificate(0.7, False, 0.25, matrices, eigenvalues[1:2], "Solved", 0.1)

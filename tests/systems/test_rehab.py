@@ -618,7 +618,7 @@ def test_reference_lost_in_real_time_brings_0_volt_or_stands_still(answer):
     volts = signals["motor_command/hip/effort"].x
     t, q = signals["joint_states/hip/position"]
     speed = signals["joint_states/hip/velocity"].x
-    block = run.adapters["voltage_controller"].block
+    block = run.adapters["voltage_controller"].step
     assert np.degrees(speed[6990]) > 6.0
     assert volts[7019] > 0.5  # 20 periods of patience
     if answer == "safe":

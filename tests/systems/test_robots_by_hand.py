@@ -420,13 +420,11 @@ def test_the_watch_of_the_leg_on_its_edges():
     ):
         assert watched(v=v, t=t, live=live)[1] is stops
     assert watched(safe=True)[1]
-    block.reports.clear()
+    block.events.clear()
     watched((2.3, -1.0), (5.0, 5.0))
     watched(v=(0.0, 3.0))
-    assert block.reports["safe"][1:] == (
-        "SAFE from t = 0.5 s, motors at 0 V: knee at 3 rad/s, limit 1 rad/s",
-        3 - 1,
-    )
+    assert [key for _, key, _, _ in block.events] == ["safe"] * 2
+    assert block.events[-1][2] == "SAFE from t = 0.5 s, motors at 0 V: knee at 3 rad/s, limit 1 rad/s"
 
 
 @pytest.mark.parametrize(("constant", "warns"), [(0.287 * 1.2, False), (0.287 * 1.21, True), (0.287 * 0.79, True)])

@@ -305,7 +305,7 @@ def test_limits_are_reported_or_act(tmp_path):
     p = pendulum(tmp_path, effort=1.5)
     for k in range(1000):
         p.advance(k * 10**6, motor_command=(2.6,))
-    told = {key: text for key, (_, text, _) in p.block.reports.items()}
+    told = {key: text for key, (_, text, _) in p.reports.items()}
     assert set(told) == {"position limit of hinge", "velocity limit of hinge", "effort limit of hinge"}
     assert "is outside of -1 to 1, the limits of " in told["position limit of hinge"]
     assert p.x.q[0] > 1.5
@@ -341,9 +341,9 @@ def test_an_impact_on_an_end_stop_has_the_impulse_of_the_mass_matrix():
 
 def test_notes_of_a_file_are_reported_by_the_nodes_that_read_it(tmp_path):
     text = placed("gazebo/**")
-    block = plant(tmp_path, text).block
+    block = plant(tmp_path, text)
     assert any("gazebo is ignored: settings of another simulator" in text for _, text, _ in block.reports.values())
     file = tmp_path / "robot.urdf"
-    block = ByHand(RobotDynamics(urdf=str(file), joints=("j1", "j3"))).block
+    block = ByHand(RobotDynamics(urdf=str(file), joints=("j1", "j3")))
     assert any("gazebo is ignored" in text for _, text, _ in block.reports.values())
     assert ManipulatorParams().start("position") == (0.0, 0.0, 0.0)

@@ -168,16 +168,13 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
 
     def _get_fmu_state(self) -> dict[str, Any]:
         """Give all that decides how it goes on, as PythonFMU keeps and writes it."""
-        step = self._step
-        kept = step.save(), dict(step.values), step.said, step.bad, self._k, self._numbers
+        kept = self._step.save(), self._k, self._numbers
         return {"kept": base64.b64encode(pickle.dumps(kept)).decode()}
 
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         """Go on from there; the bytes are those of the tool in whose process we are."""
-        step = self._step
-        saved, values, step.said, step.bad, self._k, numbers = pickle.loads(base64.b64decode(state["kept"]))
-        step.load(saved)
-        step.values.update(values)
+        kept, self._k, numbers = pickle.loads(base64.b64decode(state["kept"]))
+        self._step.load(kept)
         for name, row in numbers.items():
             self._numbers[name][:] = row
 

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..block.moment import keep, put_back
 from ..block.port import Port, Sample
 from ..block.runner import Runner
 from ..block.step import Step
+from ..block.tables import Tables
 from ..errors import RunError, ScenarioError, closest
 from ..kit.floats import numbers as numbers_of, others, put, read, split
 from ..rig.members import Member, signal_units
@@ -196,7 +196,7 @@ class StateMap:
     def _wire(self, seed: int, names: Sequence[str]) -> None:
         members = {m.name: m for m in self.rig.members if m.name in names}
         self._steps = wired(self.rig, {name: m.block(seed) for name, m in members.items()})
-        self._runner = Runner(list(self._steps.values()))
+        self._runner, self._tables = Runner(list(self._steps.values())), Tables(self._steps.values())
         self.probes = {name: _Probe() for name in self.places}
         for name, probe in self.probes.items():
             probe.put_in(self._steps[self.places[name].member.name], self.places[name])
@@ -211,7 +211,7 @@ class StateMap:
                     looks.append(self._read())
                 if k == self._first - 1:
                     break
-        self._saved = keep(self._steps.values())
+        self._saved = self._tables.keep()
         self.names, self.start = self._read()
         ends = np.cumsum([len(row) for row in self._now()]).tolist()
         self._kept, self._slices = self.start, list(map(slice, [0, *ends], ends))
@@ -341,7 +341,7 @@ class StateMap:
         fixed: Mapping[str, float] | None = None,
     ) -> Iterator[tuple[Array, dict[str, float]]]:
         """Go some periods on; gives what `__call__` gives after each of them."""
-        put_back(self._steps.values(), self._saved)
+        self._tables.go_back(self._saved)
         self._write(numbers, self._kept)
         added, fixed = added or {}, fixed or {}
         for name, probe in self.probes.items():

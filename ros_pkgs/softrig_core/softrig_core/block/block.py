@@ -65,6 +65,17 @@ class Level(IntEnum):
     ERROR = 2
 
 
+Reports = dict[str, tuple[Level, str, int]]  # by key: level, newest text, how often
+
+
+def note(reports: Reports, level: Level | None, key: str, text: str) -> None:
+    """Take down a report; one without a level withdraws what was reported under its key."""
+    if level is None:
+        reports.pop(key, None)
+    else:
+        reports[key] = level, text, reports[key][2] + 1 if key in reports else 1
+
+
 class Block(Generic[P]):
     """A controller, reference, observer, delay or other block with `update`.
 
@@ -132,15 +143,12 @@ class Block(Generic[P]):
         self.name = name
         self.ages: Callable[[str], int | None] | None = None  # set by who runs the block
         self.unanswered = 0  # ticks of its own between the newest answer and this one; in lockstep there are none
-        # reported in the tick under way; None: nobody holds it
-        self.events: list[tuple[Level | None, str, str, bool]] | None = None
-        self.reports: dict[str, tuple[Level, str, int]] = {}
-        self.anew: set[str] = set()  # keys of reports to be logged once more
+        self.events: list[tuple[Level | None, str, str, bool]] = []  # reported since who holds the block last looked
         try:
             self.setup()
             self.reset(0)
             self.first()
-            self.reports.clear()  # who holds the block asks again
+            self.events.clear()  # who holds the block asks again
             self._open = False
         except (ParameterError, ScenarioError, RunError):
             raise
@@ -259,8 +267,7 @@ class Block(Generic[P]):
         self._seed = seed
         for name in ("standard_normal", "uniform"):
             self.__dict__.pop(name, None)
-        self.reports.clear()
-        self.anew.clear()
+        self.events.clear()
 
     def generator(self) -> np.random.Generator:
         """Give a generator at the beginning of this block's random numbers, a function of (rig seed, block name)."""
@@ -280,30 +287,19 @@ class Block(Generic[P]):
 
     def report(self, level: Level, key: str, text: str, *, anew: bool = False) -> None:
         """Report an event of this tick, for /diagnostics; what is reported in a tick that is dropped is dropped."""
-        if self.events is None:
-            self.note(level, key, text, anew)
-        else:
-            self.events.append((level, key, text, anew))
+        self.events.append((level, key, text, anew))
 
     def withdraw(self, key: str) -> None:
         """Say that what was reported under a key is over, if anything was: it leaves /diagnostics."""
-        if self.events is None:
-            self.note(None, key, "")
-        else:
-            self.events.append((None, key, "", False))
+        self.events.append((None, key, "", False))
 
-    def note(self, level: Level | None, key: str, text: str, anew: bool = False) -> None:
-        """Take down an event: logged the first time a key appears or when it is `anew`, counted always.
-
-        One without a level withdraws what was reported under its key.
-        """
-        if level is None:
-            self.reports.pop(key, None)
-            return
-        if anew:
-            self.anew.add(key)
-        count = self.reports[key][2] if key in self.reports else 0
-        self.reports[key] = (level, text, count + 1)
+    @property
+    def reports(self) -> Reports:
+        """What a block that nobody holds has reported, by key; what one that is held has, see `Held.reports`."""
+        found: Reports = {}
+        for level, key, text, _ in self.events:
+            note(found, level, key, text)
+        return found
 
     def age(self, name: str) -> int | None:
         """Give the age of an input in ns at the tick under way: how long ago its newest message was stamped.

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from copy import copy
+from typing import Any, ClassVar, NamedTuple
 
-from .block import Block, Level
+from .block import Block, Level, Reports, note
 from .marker import Marker
 from .params import BlockParams
 
 
-class Saved(NamedTuple):
+class Kept(NamedTuple):
     """All that decides how a block goes on: references, where nothing of it is opaque."""
 
     params: BlockParams
     x: Any
-    reports: Mapping[str, tuple[Level, str, int]]
+    tables: Mapping[str, Any]
+    """By attribute, see `Held.TABLES`."""
+
+    values: Mapping[str, Any]
+    """See `Held.VALUES`."""
 
 
 class Held:
@@ -30,18 +35,24 @@ class Held:
     ----------
     x : named tuple
         What it remembers.
+    reports : dict of str to (Level, str, int)
+        What it has reported in ticks that were kept, by key: level, newest text, how often.
+    anew : set of str
+        Keys of reports to be logged once more.
     """
+
+    # all that changes besides x and the parameters: the only list of it
+    TABLES: ClassVar[tuple[str, ...]] = ("reports", "anew")  # dicts and sets that others have, too: changed in place
+    VALUES: ClassVar[tuple[str, ...]] = ()  # replaced
 
     x: Any
 
     def __init__(self, block: Block) -> None:
+        self.reports: Reports = {}
+        self.anew: set[str] = set()
+        block.events.clear()
         self.block, self.x = block, block.first()
-        block.events = []
-
-    @property
-    def reports(self) -> dict[str, tuple[Level, str, int]]:
-        """What the block has reported in ticks that were kept."""
-        return self.block.reports
+        self.tell()
 
     @property
     def params(self) -> BlockParams:
@@ -50,14 +61,22 @@ class Held:
 
     def tell(self) -> None:
         """Take down what the block has reported in a tick that is kept."""
-        for event in self.block.events or ():
-            self.block.note(*event)
+        for event in self.block.events:
+            self.note(*event)
         self.drop()
+
+    def note(self, level: Level | None, key: str, text: str, anew: bool = False) -> None:
+        """Take down a report: logged the first time its key appears or when it is `anew`, counted always.
+
+        One without a level withdraws what was reported under its key.
+        """
+        note(self.reports, level, key, text)
+        if anew:
+            self.anew.add(key)
 
     def drop(self) -> None:
         """Forget what it has reported in a tick that is not."""
-        if self.block.events:
-            self.block.events.clear()
+        self.block.events.clear()
 
     def change(self, params: BlockParams) -> None:
         """Go on with other parameters."""
@@ -77,17 +96,26 @@ class Held:
         """Give something to look at, see `Block.markers`."""
         return self.block.markers(self.x)
 
-    def save(self) -> Saved:
-        """Give what `load` goes back to."""
-        return Saved(self.block.p, self.block.save(self.x), dict(self.block.reports))
+    def save(self) -> Kept:
+        """Return all that changes, as it is now."""
+        return Kept(
+            self.block.p,
+            self.block.save(self.x),
+            {name: copy(getattr(self, name)) for name in self.TABLES},
+            {name: getattr(self, name) for name in self.VALUES},
+        )
 
-    def load(self, saved: Saved) -> None:
+    def load(self, kept: Kept) -> None:
         """Go back to what `save` gave, as often as wanted."""
-        if self.block.p is not saved.params:
-            self.block.change(saved.params)
-        self.x = self.block.load(saved.x)
-        self.block.reports.clear()
-        self.block.reports.update(saved.reports)
+        if self.block.p is not kept.params:
+            self.block.change(kept.params)
+        self.x = self.block.load(kept.x)
+        for name, table in kept.tables.items():
+            own = getattr(self, name)
+            own.clear()
+            own.update(table)
+        for name, value in kept.values.items():
+            setattr(self, name, value)
         self.drop()
 
 
@@ -106,6 +134,8 @@ class ByHand(Held):
     def reset(self, seed: int) -> None:
         """Go back to the first state, with the random numbers of a seed."""
         self.block.reset(seed)
+        self.reports.clear()
+        self.anew.clear()
         self.x = self.block.first()
 
     def update(self, t: int, /, **inputs: Any) -> Any:

@@ -6,7 +6,6 @@ It knows what the inputs of a tick are and how old, asks the block, and lets not
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -40,7 +39,7 @@ class Step(Held):
         What each input holds: the keywords of the block's methods. Who brings a message writes it here.
     stamps : dict of str to callable
         By input: gives the stamp of the newest message, ns, None before the first; missing: nothing ever comes.
-    changes : deque of Change
+    changes : tuple of Change
         Those that have not taken effect.
     bad : bool
         Whether something was refused that the next answer would have used.
@@ -66,6 +65,9 @@ class Step(Held):
     native : (int, str)
         How many of its ticks native code answered, and why Python answered the others.
     """
+
+    TABLES = (*Held.TABLES, "values")
+    VALUES = ("said", "numbers", "spoken", "t", "bad", "changes", "change_at")
 
     native: tuple[int, str] = (0, "")
 
@@ -177,7 +179,7 @@ class Step(Held):
 
     def plan(self, changes: Iterable[Change]) -> None:
         """Take these changes of parameters, and no others, when their times come."""
-        self.changes = deque(changes)
+        self.changes = tuple(changes)
         self.change_at = self.changes[0].at if self.changes else math.inf
 
     def set(self, values: Mapping[str, Any]) -> list[str]:
@@ -193,18 +195,16 @@ class Step(Held):
             waiting |= change.values if change.at <= self.t else {}
         now = revise(self.params, waiting) if waiting else self.params
         known = flatten(permit(type(self.block), now, values, self.name))
-        while self.changes and self.changes[0].at <= self.t:
-            self.changes.popleft()
-        self.changes.appendleft(Change(self.t, waiting | {name: known[name] for name in values}))
-        self.change_at = self.t
+        new = Change(self.t, waiting | {name: known[name] for name in values})
+        self.plan([new, *(change for change in self.changes if change.at > self.t)])
         return [name for name in values if name in waiting]
 
     def _change(self, t: int) -> None:
         """Take the changes that are due, those up to `t`, as one: so they are recorded, and so a rerun takes them."""
         taken: dict[str, Any] = {}
-        while self.changes and self.changes[0].at <= t:
-            taken |= self.changes.popleft().values
-        self.change_at = self.changes[0].at if self.changes else math.inf
+        for change in self.changes:
+            taken |= change.values if change.at <= t else {}
+        self.plan([change for change in self.changes if change.at > t])
         revised = revise(self.params, taken)
         self.change(revised)
         if self.link is not None:
@@ -256,7 +256,7 @@ class Step(Held):
             raise RunError(f"{self.name} refuses {port.topic} at t = {t / 1e9:.9g} s: {reason}")
         else:
             self.bad = True
-            self.block.note(Level.WARN, f"refused {port.name}", f"{port.topic}: {reason}")
+            self.note(Level.WARN, f"refused {port.name}", f"{port.topic}: {reason}")
 
     def failure(self, error: Exception) -> RunError:
         """Say that the block has failed, where, and why."""

@@ -15,6 +15,7 @@ import numpy as np
 from ..block.link import Link, Rows
 from ..block.runner import Runner
 from ..block.step import Step
+from ..block.tables import Tables
 from ..errors import RunError
 from .audience import NEVER, Answers, Audience, answered, numbers_of, stamps_of
 from .compile import compiled, plain
@@ -104,6 +105,7 @@ class Engine:
         self.native = Native()
         self._audience = Audience(self.steps, self.runner.schedule.time)
         self._watchers, self._every = self._audience.watchers, self._audience.every
+        self._watching = Tables(self._watchers)
         self._aside: dict[str, str] = {}  # members that are seldom due, so that Python may run their ticks, and why
         self._share()
         self._later = [_Later(s) for s in self.steps if self._deciding and s.link is not None]
@@ -366,7 +368,7 @@ class Engine:
         if self._smooth and self._decided(reached):
             return self._on(first, reached, last, after, rows)
         said = self._said_by(rows, first, reached)
-        begun = [(w.save(), dict(w.values)) for w in self._watchers]
+        begun = self._watching.keep()
         spoken = [s.spoken for s in self._core]
         try:
             self._audience.watch(self._recorded, first, reached, said)
@@ -374,9 +376,7 @@ class Engine:
             reached = self.runner.schedule.tick(
                 max(w.t for w in self._watchers if w.name in self._audience.tick_by_tick)
             )
-            for watcher, (saved, values) in zip(self._watchers, begun, strict=True):
-                watcher.load(saved)
-                watcher.values.update(values)
+            self._watching.go_back(begun)
             for s, before in zip(self._core, spoken, strict=True):
                 s.spoken = before
             if reached > first:
@@ -523,7 +523,7 @@ class Engine:
         self.native.ticks += last - first
         assert self._kept is not None
         if (reports := self._kept.text.program.reports) is not None and self._told[0]:
-            reports.take_down(self._told, [s.block for s in self._core])
+            reports.take_down(self._told, self._core)
         count = len(self._core)
         self._unpack = self._unpack or [unpacker(value) for value in after[:count]]
         stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=False))

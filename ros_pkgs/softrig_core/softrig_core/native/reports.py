@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..block.block import Block, Level
+from ..block.block import Level
+from ..block.held import Held
 
 EXACT = 1 << 53  # whole numbers up to it are floats
 HEAD = 3  # of a place: how often, the number of the first one and of the newest among all; its numbers after them
@@ -43,14 +44,14 @@ class Reports:
         self.size += HEAD + count
         return self.places[-1].at
 
-    def take_down(self, table: Sequence[float], blocks: Sequence[Block]) -> None:
-        """Have the blocks note what a table holds, as if they had been told one by one."""
+    def take_down(self, table: Sequence[float], held: Sequence[Held]) -> None:
+        """Note what a table holds of the reports of each block, as if they had been told one by one."""
         heard = [p for p in self.places if table[p.at]]
         newest: dict[tuple[int, str], Place] = {}
         for place in sorted(heard, key=lambda p: table[p.at + 2]):
             newest[place.block, place.key] = place
         for place in sorted(heard, key=lambda p: table[p.at + 1]):
-            reports, last = blocks[place.block].reports, newest[place.block, place.key]
+            reports, last = held[place.block].reports, newest[place.block, place.key]
             before = reports[place.key][2] if place.key in reports else 0
             text = last.text([float(v) for v in table[last.at + HEAD :]])
             reports[place.key] = last.level, text, before + int(table[place.at])

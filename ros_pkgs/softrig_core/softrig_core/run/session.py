@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from ..block.block import Block
-from ..block.moment import Moment, keep, put_back
 from ..block.params import ParameterError
 from ..block.runner import Runner
+from ..block.tables import Moment, Tables
 from ..errors import RunError, ScenarioError, closest
 from ..rig.contents import Look
 from ..rig.rig import Rig
@@ -95,8 +95,9 @@ class Session:
         self.recording, self._k, self.error = recording, k, ""
         self.steps = wired(self.rig, blocks)
         record(self.rig, self.steps, recording, {name: len(topic.times) for name, topic in recording.topics.items()})
+        self._tables = Tables(self.steps.values())
         if moment is not None:
-            put_back(self.steps.values(), moment)
+            self._tables.go_back(moment)
         self._runner = Runner(list(self.steps.values()))
         self._answered: Iterator[int | None] = self._runner.run(k)
 
@@ -275,7 +276,7 @@ class Session:
         if self._why:
             return
         try:
-            self._kept[self._k] = keep(self.steps.values())
+            self._kept[self._k] = self._tables.keep()
         except RunError as error:
             self._why = str(error)
             self._kept.clear()

@@ -345,20 +345,20 @@ class Adapter:
         """Name a topic that somebody publishes with another type: nothing of it ever arrives."""
         for item in self.inputs:
             key = f"type of {item.port.topic}"
-            if item.publishers or item.heard or key in self.block.reports:
+            if item.publishers or item.heard or key in self.step.reports:
                 continue
             other = other_types(self.middleware, item.port)
             if other:
                 text = f"{item.port.topic} exists with type {other}, expected {item.port.msgtype}"
-                self.block.note(Level.ERROR, key, text)
+                self.step.note(Level.ERROR, key, text)
                 self.log_once(key, Level.ERROR, text)
 
     def _watch(self) -> None:
         if self.shard is not None:
             self.shard.flush()
-        self._logged -= self.block.anew
-        self.block.anew.clear()
-        for key, (level, text, _) in self.block.reports.items():
+        self._logged -= self.step.anew
+        self.step.anew.clear()
+        for key, (level, text, _) in self.step.reports.items():
             self.log_once(key, level, text)
         self.drive.progress()
         if self._watches % LOOK_EVERY == 0:
@@ -386,7 +386,7 @@ class Adapter:
             "lacking": self.lacking,
             "epoch": self.epoch,
             "refused": refused,
-            "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
+            "reports": {key: [int(level), text, n] for key, (level, text, n) in self.step.reports.items()},
             "busy": self.drive.busy(),
             "held": self.hold.held,
             "pace": self.hold.pace,

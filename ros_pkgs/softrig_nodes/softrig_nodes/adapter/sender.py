@@ -103,7 +103,7 @@ class Sender(Input):
         elif number > expected:
             self.lost += number - expected
             text = f"{self.lost} messages of {self.who} are lost"
-            self.node.block.note(Level.WARN, f"lost {self.port.topic}", text)
+            self.node.step.note(Level.WARN, f"lost {self.port.topic}", text)
         self.following = None if number < 0 else number + 1
         return True
 

@@ -80,7 +80,7 @@ class Faces:
             self._measure(block)
         if not _read(self._diagnostics):
             return
-        adapter, reports = self._adapter, self._adapter.block.reports
+        adapter, reports = self._adapter, self._adapter.step.reports
         listened = adapter.inputs + adapter.paces
         refused = sum(i.refused for i in listened)
         level = Level.ERROR if refused else max((r[0] for r in reports.values()), default=Level.OK)

@@ -109,7 +109,7 @@ class Answering:
             self.dropped += 1
         if self.dropped > before:
             text = f"{self.dropped} ticks dropped: the law is too slow, or was held"
-            self._node.block.note(Level.ERROR, "dropped", text)
+            self._node.step.note(Level.ERROR, "dropped", text)
 
     def _give_up(self) -> None:
         """The oldest tick has waited long enough: answer with what is there."""
@@ -125,7 +125,7 @@ class Answering:
             for row in lacking:
                 row.expected = False
             topics = ", ".join(f.port.topic for f in lacking)
-            node.block.note(Level.WARN, "incomplete", f"answered without what was due on {topics}")
+            node.step.note(Level.WARN, "incomplete", f"answered without what was due on {topics}")
             self._say(stamp)
         elif not self._pending:
             self._following = stamp  # it may begin again

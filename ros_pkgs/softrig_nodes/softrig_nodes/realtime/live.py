@@ -177,7 +177,7 @@ class Live(Sender):
         self._rivals.hear(number, self.table.clock(), silence)
         if self._rivals.alone and not before and not self.local:
             text = f"of {self.publishers} publishers one alone has spoken for {silence / SECOND:g} s: it is believed"
-            self.node.block.note(Level.WARN, f"rivals {self.port.topic}", text)
+            self.node.step.note(Level.WARN, f"rivals {self.port.topic}", text)
 
     @property
     def disputed(self) -> bool:
@@ -342,7 +342,7 @@ class Live(Sender):
             table.stale.add(self.name)
             kind, rest = ("command", "safe input") if node.is_plant else ("message", "the last one is held")
             text = f"no {kind} on {self.port.topic} for {limit / SECOND:g} s: {rest}"
-            node.block.note(Level.ERROR, f"stale {self.port.topic}", text)
+            node.step.note(Level.ERROR, f"stale {self.port.topic}", text)
         return True
 
     def _silence(self) -> int:
@@ -356,7 +356,7 @@ class Live(Sender):
         if self.name in self.table.stale:
             self.table.stale.discard(self.name)
             what = "commands are" if self.node.is_plant else "messages are"
-            self.node.block.note(Level.WARN, f"recovered {self.port.topic}", f"{what} back")
+            self.node.step.note(Level.WARN, f"recovered {self.port.topic}", f"{what} back")
 
     def on_matched(self) -> None:
         """Two publishers on one input: neither is believed until one of them has gone, or has been silent for long."""

@@ -129,7 +129,7 @@ class Realtime(Link):
         if ahead:
             self._stand.follow(ahead)
             text = f"the clock of the rig is {ahead / SECOND:+.3f} s from this one: followed"
-            self.node.block.note(Level.WARN, "clock", text)
+            self.node.step.note(Level.WARN, "clock", text)
         self.node.epoch = epoch
         self.node.step.make()
         self.node.state = "running"
@@ -153,7 +153,7 @@ class Realtime(Link):
             self._silence_told = node.middleware.steady()
             for row in sorted(self.senders.rows, key=lambda row: row.name):
                 if row.name in self.senders.stale:
-                    node.middleware.log(Level.ERROR, node.block.reports[f"stale {row.port.topic}"][1])
+                    node.middleware.log(Level.ERROR, node.step.reports[f"stale {row.port.topic}"][1])
         end, begun = node.schedule.end, self._started if self._idle else node.epoch or self._started
         if end is not None and node.state == "running" and self.now() > begun + end + END_GRACE:
             node.finish()
@@ -338,7 +338,7 @@ class Realtime(Link):
                 node.broke(error)  # a mistake in its code
                 return
             text = str(error).removeprefix(f"{step.name}: ")
-            node.block.note(Level.ERROR, "failed", f"{text}; safe output")
+            node.step.note(Level.ERROR, "failed", f"{text}; safe output")
             step.said = {}
             step.hand_on(t, step.checked(step.held()))
         self._ticked(t)

@@ -1,0 +1,58 @@
+"""All that changes while a rig runs: kept as a value between two ticks, and gone back to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from ..errors import RunError, describe
+from .held import Kept
+from .step import Step
+
+Moment = Mapping[str, Kept]  # by name of the member
+
+
+class Tables:
+    """What the members of a rig, or some of them, hold: of each a row, which `Held` lists.
+
+    Parameters
+    ----------
+    steps : iterable of Step
+        All between the same two ticks whenever they are kept.
+    """
+
+    def __init__(self, steps: Iterable[Step]) -> None:
+        self._steps = tuple(steps)
+
+    def keep(self) -> Moment:
+        """Return what they hold now.
+
+        Raises
+        ------
+        RunError
+            What a block is made of cannot be kept; names it and says why.
+        """
+        found: dict[str, Kept] = {}
+        for step in self._steps:
+            try:
+                found[step.name] = step.save()
+            except Exception as error:
+                raise RunError(
+                    f"{step.name}: its state at t = {step.t / 1e9:.9g} s cannot be kept: {describe(error)}"
+                ) from error
+        return found
+
+    def go_back(self, moment: Moment) -> None:
+        """Have them hold what was kept, of them or of the same rig wired by another hand; as often as wanted.
+
+        Raises
+        ------
+        RunError
+            A block could not go back; names it and says why.
+        """
+        for step in self._steps:
+            kept = moment[step.name]
+            try:
+                step.load(kept)
+            except Exception as error:
+                t = kept.values["t"]
+                raise RunError(f"{step.name}: cannot go back to t = {t / 1e9:.9g} s: {describe(error)}") from error
