@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 from softrig_core import Recording, Rig, ScenarioError, jit, rig_of, simulate
-from softrig_core.block.runner import Runner
+from softrig_core.block.loop import Loop
 from softrig_core.native.compile import compiled, plain
 from softrig_core.native.engine import Engine
 from softrig_core.run.inprocess import record, wired
@@ -214,7 +214,7 @@ def ns_of(rig: Rig, make: Any) -> float:
         steps = wired(rig, {m.name: m.block(rig.scenario.seed) for m in rig.members})
         record(rig, steps, recording)
         members = list(steps.values())
-        for _ in Runner(members).run() if make is None else Engine(members, make).run():
+        for _ in Loop(members).run() if make is None else Engine(members, make).run():
             pass
 
     return least(run) / rig.ticks * 1e9

@@ -12,8 +12,8 @@ from typing import Any
 
 from rich.table import Table
 from softrig_core import Block, Recording, Rig, ScenarioError, list_scenarios, rig_of, run_inprocess
+from softrig_core.block.loop import Loop
 from softrig_core.block.port import CLOCK
-from softrig_core.block.runner import Runner
 from softrig_core.rig.members import Member
 from softrig_core.run.inprocess import wired
 from softrig_core.wire.cdr import Layout
@@ -166,7 +166,7 @@ class Timed(Recording):
 
 def _one_by_one(rig: Rig) -> None:
     """Run a rig without one text of all its members, in which none of them is called."""
-    for _ in Runner(list(wired(rig, {m.name: m.block(rig.scenario.seed) for m in rig.members}).values())).run():
+    for _ in Loop(list(wired(rig, {m.name: m.block(rig.scenario.seed) for m in rig.members}).values())).run():
         pass
 
 

@@ -9,6 +9,7 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- sources: dc_motor_smc -->                                  papers that these scenarios cite, with BibTeX
     <!-- picture: dc_motor_smc_b2 1 -->                             plot entry of a scenario; anew only with --runs
     <!-- animation: lsrm_fuzzy 0.8 0.9 -->                          its plant from 0.8 s to 0.9 s; anew only with --runs
+    <!-- code: softrig_core.block.loop say Loop.run -->            functions of a module, as they stand there
     <!-- rooms: softrig_core -->                                   rooms of a package, by their imports
     <!-- licences: run -->                                         of what lock files pin, or of what casadi has inside;
                                                                     anew only with --runs
@@ -24,13 +25,16 @@ Numbers in the text that people write have their sources too, see `numbers`.
 from __future__ import annotations
 
 import argparse
+import inspect
 import math
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
+from textwrap import dedent
 
 from softrig_bringup.page.citations import cited, listed
 from softrig_bringup.study.definition import list_studies, load_study
@@ -47,7 +51,7 @@ from .licences import licences
 from .plots import animate, animation, draw, picture
 from .rooms import rooms
 
-_KINDS = "format|licences|rooms|nodes|claims|scenarios|sources|picture|animation|measured"
+_KINDS = "format|licences|rooms|code|nodes|claims|scenarios|sources|picture|animation|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 LONG = 6  # rows of measurements; more are folded
 ANIMATION = re.compile(r"<!-- animation: (\S+) (\S+) (\S+) -->")
@@ -70,6 +74,7 @@ def generate(page: str, runs: bool = False) -> str:
             "animation": lambda: animation(first),
             "measured": lambda: measured(found[3]),
             "rooms": lambda: house(first),
+            "code": lambda: code(first, words),
             "licences": lambda: licences(found[3]),
             "format": lambda: file_format(getattr(import_module(first), words[0])),
         }
@@ -183,6 +188,12 @@ def file_format(found: FileFormat) -> str:
     counts = Counter(use for use, _ in found.table.values())
     told = ", ".join(f"{n} {use}" for use, n in counts.most_common())
     return folded(f"{found.title}: {len(found.table)} names, {told} ({found.standard})", "\n".join(lines))
+
+
+def code(module: str, names: Sequence[str]) -> str:
+    """Source of functions of a module, and of methods by the name of their class."""
+    found = (attrgetter(name)(import_module(module)) for name in names)
+    return "```python\n" + "\n\n\n".join(dedent(inspect.getsource(one)).rstrip() for one in found) + "\n```"
 
 
 def scenarios(prefixes: Sequence[str]) -> str:

@@ -35,7 +35,7 @@ from softrig_core import (
     scalars,
     simulate,
 )
-from softrig_core.block.runner import Runner
+from softrig_core.block.loop import Loop
 from softrig_core.kit.jit import our_numba
 from softrig_core.native import choice, engine
 from softrig_core.native.compile import plain
@@ -572,7 +572,7 @@ def core(made: Rig) -> list[Any]:
     """Give the steps of plant and law after a tick."""
     steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if m.name != "watcher"})
     found = list(steps.values())
-    next(iter(Runner(found).run()))
+    next(iter(Loop(found).run()))
     return found
 
 
@@ -591,7 +591,7 @@ def test_other_equations_are_another_text() -> None:
     def blocks(name: str) -> list[Any]:
         made = rig_of(name)
         steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if "evaluator" not in m.name})
-        next(iter(Runner(list(steps.values())).run()))
+        next(iter(Loop(list(steps.values())).run()))
         return list(steps.values())
 
     program = rig_text(blocks("optimal_control_mvim_a4"), []).program

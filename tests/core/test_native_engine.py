@@ -206,7 +206,7 @@ def test_a_text_is_compiled_beside_while_others_are_served(monkeypatch: pytest.M
 def test_a_run_that_goes_on_begins_with_its_tick() -> None:
     whole = ended(going({"body": Body(), "law": Law()}, 0.1))
     run = going({"body": Body(), "law": Law()}, 0.1)
-    for t in run.runner.run():
+    for t in run.loop.run():
         if t == 39_000_000:
             break
     ended(run, 40)

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from softrig_core import Block, BlockParams, Level, Observer, Plant, Rig, command, param, scalars
+from softrig_core.block.loop import Loop
 from softrig_core.block.port import Sample
-from softrig_core.block.runner import Runner
 from softrig_core.kit.draws import Draws
 from softrig_core.native import engine
 from softrig_core.native.batch_text import Form, batch_text, remembered
@@ -372,7 +372,7 @@ def stepped(blocks: dict[str, Any], native: str = "", ticks: int = 2, duration: 
     """Give the steps of a rig after some ticks, those that are native."""
     made = Rig.from_blocks(blocks, duration)
     steps = inprocess.wired(made, blocks)
-    going = iter(Runner(list(steps.values())).run())
+    going = iter(Loop(list(steps.values())).run())
     for _ in range(ticks):
         next(going)
     return [s for name, s in steps.items() if name in (native.split() or steps)]

@@ -29,7 +29,7 @@ from softrig_core import (
     simulate,
 )
 from softrig_core.block.codec import encoder
-from softrig_core.block.runner import YOUNG
+from softrig_core.block.loop import YOUNG
 from softrig_core.block.schedule import Schedule
 from softrig_core.run import session as module
 from softrig_core.run.branch import branched, parted

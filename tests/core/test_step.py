@@ -2,6 +2,7 @@
 
 import gc
 import math
+import re
 import subprocess
 import sys
 
@@ -11,11 +12,13 @@ from conftest import make_scenario
 from faultrig import Gain, Lag, Source
 from simulated import SimulatedRig, World
 from softrig_core import Block, Recording, Rig, RunError, Signals, rig_of, run_inprocess, scalars
+from softrig_core.block import step as step_module
 from softrig_core.block.link import Link
-from softrig_core.block.runner import Runner
+from softrig_core.block.loop import Loop, move, say
 from softrig_core.block.schedule import Schedule
 from softrig_core.block.step import Step
-from softrig_core.run.inprocess import wired
+from softrig_core.block.tables import Tables
+from softrig_core.run.inprocess import record, wired
 
 
 def overdriven(values, period=0.01):
@@ -130,7 +133,7 @@ def test_a_rig_is_stepped_tick_by_tick_with_a_member_that_python_plays():
     rig = Rig.from_blocks({"plant": Lag(), "law": Agent(), "source": Source()}, 0.1)
     blocks = {m.name: m.block(0) for m in rig.members}
     steps = wired(rig, blocks)
-    ticks = Runner(list(steps.values())).run()
+    ticks = Loop(list(steps.values())).run()
     x = 0.0
     for k in range(11):
         blocks["law"].action = float(k)
@@ -140,6 +143,44 @@ def test_a_rig_is_stepped_tick_by_tick_with_a_member_that_python_plays():
             x += 0.01 * (k - x)
     assert steps["plant"].x.x == x
     assert next(ticks, "over") == "over"
+
+
+KINDS = (
+    rig_of("dc_motor_smc_faults", duration=0.05),  # messages that are silent, late or bad
+    rig_of("dc_motor_fsfb_stretch_jitter", duration=0.3),
+    rig_of("lsrm_fuzzy_b5_trip", duration=0.01),
+    *(
+        rig_of(make_scenario(nodes, duration=0.4))
+        for nodes in (
+            {"plant": "plant", "spread": "spread", "peaks": "peaks", "weigh": "weigh"},  # arrays, which are numbered
+            {"plant": "plant", "source": "source", "link": "link", "law": "late_gain"},
+            {"plant": "plant", "source": "source", "gain": {"executable": "gain", "parameters": {"noise": 1.0}}},
+        )
+    ),
+)
+
+
+@pytest.mark.parametrize("rig", KINDS, ids=lambda rig: rig.scenario.name)
+def test_the_ticks_whose_text_is_written_are_those_of_the_loop(rig, monkeypatch):
+    """Messages, states, what inputs hold, reports: of the functions that a page shows, and of their written form."""
+
+    def ran():
+        steps = wired(rig, {m.name: m.block(3) for m in rig.members})
+        recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+        record(rig, steps, recording)
+        times = list(Loop(list(steps.values())).run())
+        kept = Tables(steps.values()).keep()
+        states = {
+            n: (re.sub(r" at 0x\w+", "", repr(k.x)), k.tables, k.values | {"said": dict(k.values["said"])})
+            for n, k in kept.items()
+        }
+        return times, recording.topics, states
+
+    written = ran()
+    monkeypatch.setattr(step_module, "sayer", lambda step: lambda t: say(step, t))
+    monkeypatch.setattr(step_module, "mover", lambda step: lambda t: move(step, t))
+    assert ran() == written
+    assert written[0][-1] == rig.end
 
 
 def test_what_is_recorded_as_numbers_is_the_bytes_of_each_message(monkeypatch):

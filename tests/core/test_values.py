@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from softrig_core import Block, BlockParams, ByHand, Level, Plant, load_scenario, rig_of
 from softrig_core.block.block import Observer
-from softrig_core.block.runner import Runner
+from softrig_core.block.loop import Loop
 from softrig_core.block.tables import Tables
 from softrig_core.kit.draws import SIZE
 from softrig_core.kit.floats import numbers, put, read, split
@@ -124,7 +124,7 @@ def test_a_tick_that_is_dropped_has_reported_nothing_and_draws_again():
 def test_going_back_to_any_tick_repeats_it(name, duration):
     rig = rig_of(load_scenario(name).changed(duration=duration))
     steps = wired(rig, {m.name: m.block(1) for m in rig.members})
-    ticks, states = Runner(list(steps.values())).run(), []
+    ticks, states = Loop(list(steps.values())).run(), []
     for _ in range(5):
         next(ticks)
     tables = Tables(steps.values())
@@ -133,7 +133,7 @@ def test_going_back_to_any_tick_repeats_it(name, duration):
         next(ticks)
         states.append({n: s.x for n, s in steps.items()})
     tables.go_back(kept)
-    again = Runner(list(steps.values())).run(5)
+    again = Loop(list(steps.values())).run(5)
     for before in states:
         next(again)
         assert {n: s.x for n, s in steps.items()} == before

@@ -42,7 +42,7 @@ def ran(rig: Rig, make: Make | None) -> tuple[Recording, Mapping[str, Any], str,
     answers = Engine(list(steps.values()), make or plain)
     error = ""
     try:
-        for _ in answers.run() if make else answers.runner.run():
+        for _ in answers.run() if make else answers.loop.run():
             pass
     except RunError as broken:
         error = str(broken)

@@ -25,7 +25,7 @@ from softrig_core import (
     rig_of,
     simulate,
 )
-from softrig_core.block.runner import Runner
+from softrig_core.block.loop import Loop
 from softrig_core.block.tables import Tables
 from softrig_core.judge.measures import mean
 from softrig_core.run.inprocess import wired
@@ -609,7 +609,7 @@ def test_going_back_in_mid_search_repeats_it(name):
     """Three times from the same tick: a search that is asked of an older state is told again what it knew then."""
     rig = rig_of(load_scenario(name).changed(duration=0.4))
     steps = wired(rig, {m.name: m.block(1) for m in rig.members})
-    ticks = Runner(list(steps.values())).run()
+    ticks = Loop(list(steps.values())).run()
     for _ in range(150):
         next(ticks)
     tables = Tables(steps.values())
@@ -618,7 +618,7 @@ def test_going_back_in_mid_search_repeats_it(name):
     ways = []
     for _ in range(3):
         tables.go_back(kept)
-        again = Runner(list(steps.values())).run(150)
+        again = Loop(list(steps.values())).run(150)
         ways.append([(next(again), *(s.x for s in steps.values())) for _ in range(200)])
         assert steps["mppt_optimizer"].x.search.now.evaluations > told
     assert ways[0] == ways[1] == ways[2]

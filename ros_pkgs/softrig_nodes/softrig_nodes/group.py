@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from softrig_core.block.codec import selection
 from softrig_core.block.fill import Pick
+from softrig_core.block.loop import Loop
 from softrig_core.block.port import Refused
-from softrig_core.block.runner import Runner
 from softrig_core.errors import RunError
 from softrig_core.native.choice import ticks_of
 
@@ -63,7 +63,7 @@ class Group:
         if len(nodes) > 1 and all(n.middleware.mute for n in nodes):
             self._ticks, tell = ticks_of(members, alone=lambda: all(step.alone for step in steps))
         else:
-            self._ticks, tell = Runner(members).run(), None
+            self._ticks, tell = Loop(members).run(), None
         for step in steps:
             step.join(names - {step.node.middleware.name}, self._begin, self._ticks, tell)
 

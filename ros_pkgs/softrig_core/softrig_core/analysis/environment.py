@@ -10,9 +10,9 @@ from typing import Any
 from ..block.block import Observer
 from ..block.held import ByHand
 from ..block.link import Link, Rows
+from ..block.loop import Loop
 from ..block.params import flatten
 from ..block.port import Port, Sample
-from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError, ScenarioError, closest
 from ..extras import need
@@ -239,7 +239,7 @@ class RigEnv(gym.Env[Array, Array]):
 
     def begin(self, tick: int = 0) -> None:
         """Go on from a tick of the runner, before which the steps are as they are, up to the agent."""
-        self._ticks = Runner(list(self.steps.values())).run(tick)
+        self._ticks = Loop(list(self.steps.values())).run(tick)
         ended = self._go_on()
         if ended:
             raise RunError(ended if isinstance(ended, str) else f"{self._law.name} has no tick in this run")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from copy import copy
 from itertools import accumulate
@@ -14,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..block.port import Sample
-from ..block.schedule import Schedule
+from ..block.schedule import Plan
 from ..block.step import Step
 from ..native.audience import answered
 from ..native.batch_text import Form, batch_text, remembered
@@ -224,7 +223,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         for s, x, numbers in zip(env.steps.values(), states, said, strict=True):
             if s.name != env.member.name:
                 s.x = unpacked(x)
-            answered(s, (k - 1) // (s.schedule.every // self._stride), numbers)
+            answered(s, (k - 1) // self._plan.every(s.schedule), numbers)
         self._k[j] = -1
         env.over = None
         env.begin(k)
@@ -248,7 +247,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         if not self._fits[j] and not self._fitted(j):
             return
         self._form.put(state, self._numbers[j], self._whole[j])
-        self._k[j] = self._clock.tick(env.clock.t)
+        self._k[j] = self._plan.clock.tick(env.clock.t)
 
     def _fitted(self, j: int) -> bool:
         """Whether the text is for an instance whose episode has begun; gives that its random numbers."""
@@ -284,12 +283,10 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         text = batch_text(steps, agent, said, self._form)
         blocks = [s.block for s in steps]
         program = text.program
-        self._stride = math.gcd(*(s.schedule.every for s in steps))
-        schedule = steps[0].schedule
-        ticks = (schedule.ticks or 0) // self._stride
-        self._clock = Schedule(schedule.clock * self._stride)
-        self._times = self._clock.times(0, ticks + 1) / SECOND
-        self._last = ticks - agent.schedule.every // self._stride
+        self._plan = Plan(s.schedule for s in steps)
+        ticks = self._plan.ticks or 0
+        self._times = self._plan.clock.times(0, ticks + 1) / SECOND
+        self._last = ticks - self._plan.every(agent.schedule)
         self._constants = program.constants(blocks)
         self._tables = dict(zip(program.arrays.values(), program.tables(blocks), strict=True))
         self._tables |= {name: follow(path, blocks).scratch() for path, name in program.scratches.items()}

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..block.loop import Loop
 from ..block.port import Port, Sample
-from ..block.runner import Runner
 from ..block.step import Step
 from ..block.tables import Tables
 from ..errors import RunError, ScenarioError, closest
@@ -188,15 +188,15 @@ class StateMap:
         rig = rig_of(rig, duration=max((first + periods + 1) * self.period, rig.scenario.duration))
         self.rig, self.t = rig, first * self.period
         self._wire(seed, [m.name for m in rig.members if m.name in whole])
-        stride = math.gcd(*(s.schedule.every for s in self._steps.values()))
-        self._first, self._every = first * every // stride, every // stride
+        self._every = every // self._loop.plan.stride
+        self._first = first * self._every
         self._come()
         self._check()
 
     def _wire(self, seed: int, names: Sequence[str]) -> None:
         members = {m.name: m for m in self.rig.members if m.name in names}
         self._steps = wired(self.rig, {name: m.block(seed) for name, m in members.items()})
-        self._runner, self._tables = Runner(list(self._steps.values())), Tables(self._steps.values())
+        self._loop, self._tables = Loop(list(self._steps.values())), Tables(self._steps.values())
         self.probes = {name: _Probe() for name in self.places}
         for name, probe in self.probes.items():
             probe.put_in(self._steps[self.places[name].member.name], self.places[name])
@@ -206,7 +206,7 @@ class StateMap:
         looks: list[tuple[list[str], Array]] = [self._read()]
         often = max(1, self._first // LOOKS)
         if self._first:
-            for k, _ in enumerate(self._runner.run()):
+            for k, _ in enumerate(self._loop.run()):
                 if k % often == 0 or k == self._first - 1:
                     looks.append(self._read())
                 if k == self._first - 1:
@@ -346,7 +346,7 @@ class StateMap:
         added, fixed = added or {}, fixed or {}
         for name, probe in self.probes.items():
             probe.said, probe.added, probe.fixed = math.nan, added.get(name, 0.0), fixed.get(name)
-        ticks = self._runner.run(self._first)
+        ticks = self._loop.run(self._first)
         for _ in range(periods):
             for probe in self.probes.values():
                 probe.said = math.nan

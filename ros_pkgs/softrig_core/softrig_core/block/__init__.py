@@ -1,1 +1,1 @@
-"""Blocks, and what a tick of one is: ports, parameters, schedule, step, runner."""
+"""Blocks, and what a tick of one is: ports, parameters, schedule, step, loop."""

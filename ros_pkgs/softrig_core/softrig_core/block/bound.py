@@ -25,7 +25,7 @@ def say(t):
     step.t = t
     try:
         if step.bad or t >= step.change_at:
-            {answer} = step.asked(t)
+            {asked} = step.asked(t)
         else:
             {answer} = respond(step.x, t{inputs})
 {checked}
@@ -108,7 +108,14 @@ def sayer(step: Step) -> Callable[[int], None]:
     inputs = _inputs(step.asked_for)
     answer, kept = ("found", "") if step.plant else ("x, found", "    step.x = x")
     text = SAY.format(
-        answer=answer, inputs=inputs, checked=checked, said=said, failed=FAILED, kept=kept, handed="\n".join(handed)
+        asked="_, found" if step.plant else answer,
+        answer=answer,
+        inputs=inputs,
+        checked=checked,
+        said=said,
+        failed=FAILED,
+        kept=kept,
+        handed="\n".join(handed),
     )
     return _made("say", text, step, known)
 

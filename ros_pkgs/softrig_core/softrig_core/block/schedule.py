@@ -8,7 +8,7 @@ clock's, hence equal times round to equal stamps.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -185,3 +185,64 @@ class Schedule:
         k = self.tick(t)
         found = self._time(k)
         return found if found <= t else self._time(k - 1)
+
+
+@lru_cache(maxsize=64)
+def _clock(period: Fraction) -> Schedule:
+    """Return the schedule of a clock without an end; a study asks for the same one in each of its runs."""
+    return Schedule(period)
+
+
+class Plan:
+    """The ticks at which any of some members is due, by their numbers.
+
+    Parameters
+    ----------
+    schedules : iterable of Schedule
+        Of the members; they have one clock and end together.
+
+    Attributes
+    ----------
+    stride : int
+        Ticks of the rig's clock from one of these ticks to the next.
+    clock : Schedule
+        Number to time in ns, and back.
+    ticks : int or None
+        Number of the last one; None: there is none.
+    """
+
+    def __init__(self, schedules: Iterable[Schedule]) -> None:
+        found = tuple(schedules)
+        self.stride = math.gcd(*(s.every for s in found))
+        self.clock = _clock(found[0].clock * self.stride)
+        self.ticks = None if found[0].ticks is None else found[0].ticks // self.stride
+
+    def every(self, schedule: Schedule) -> int:
+        """Return how many of these ticks are one of a member's own."""
+        return schedule.every // self.stride
+
+    def due(self, schedule: Schedule, k: int) -> bool:
+        """Return whether tick k is one of a member's own."""
+        return k % self.every(schedule) == 0
+
+    def following(self, schedule: Schedule, k: int) -> int:
+        """Return the first tick from k on that is one of a member's own."""
+        every = self.every(schedule)
+        return -(-k // every) * every
+
+    def newest(self, schedule: Schedule, k: int) -> int:
+        """Return the last tick up to k that is one of a member's own."""
+        return k - k % self.every(schedule)
+
+    def own(self, schedule: Schedule, first: int, last: int) -> range:
+        """Return a member's own ticks among those from `first` up to `last`, by its own numbers."""
+        every = self.every(schedule)
+        return range((first + every - 1) // every, (last + every - 1) // every)
+
+    def answers(self, schedule: Schedule, k: int) -> bool:
+        """Return whether a member that is no plant and is due at tick k answers it: at the end only some do."""
+        return k != self.ticks or schedule.last == self.clock.time(k)
+
+    def moves(self, schedule: Schedule, k: int) -> bool:
+        """Return whether a plant that is due at tick k moves on: not beyond the end."""
+        return self.ticks is None or k + self.every(schedule) <= self.ticks

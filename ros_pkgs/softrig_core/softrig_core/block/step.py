@@ -17,6 +17,7 @@ from .change import Change, permit, revise
 from .fill import Fill, Pick, Stamp
 from .held import Held
 from .link import Link, Rows
+from .loop import move, say
 from .params import flatten
 from .port import Port, Sample
 from .schedule import Schedule
@@ -125,21 +126,22 @@ class Step(Held):
             self.advance = mover(self)
 
     def _first_say(self, t: int) -> None:
+        say(self, t)
         self.say = sayer(self)
-        self.say(t)
 
     def _first_advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
+        move(self, t, values)
         self.advance = mover(self)
-        self.advance(t) if values is None else self.advance(t, values)
 
     def asked(self, t: int) -> Any:
-        """Ask the block for its answer, of a tick that is not as most are."""
+        """Return what the block remembers and answers at a tick; changes of parameters that are due take effect."""
         if t >= self.change_at:
             self._change(t)
         if self.bad:
             x, found = self.refused(t)
-            return found if self.plant else (x, found)
-        return self.respond(self.x, t, **{name: self.values[name] for name in self.asked_for})
+            return self.x if self.plant else x, found
+        found = self.respond(self.x, t, **{name: self.values[name] for name in self.asked_for})
+        return (self.x, found) if self.plant else found
 
     def hand_on(self, t: int, rows: Rows) -> None:
         """Hand on what no answer of the block is: to the readers here and to those elsewhere."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +11,7 @@ from ..block.answer import Heard, Messages, Where, part, parted, places
 from ..block.block import Observer
 from ..block.fill import Fill, picked
 from ..block.port import Sample
+from ..block.schedule import Plan
 from ..block.step import Step
 
 NEVER = -1  # of a time, ns
@@ -103,37 +103,28 @@ class Audience:
     ----------
     steps : sequence of Step
         Of the whole rig.
-    time : callable
-        Tick of the rig's clock to time in ns.
+    plan : Plan
+        Of these.
 
     Attributes
     ----------
     watchers : list of Step
         Observers that nobody reads.
-    every : dict of int to int
-        Of each step, by its `id`: ticks of the fastest member for each of its own.
     tick_by_tick : set of str
         Names of the watchers that do not take at once what is recorded.
     """
 
-    def __init__(self, steps: Sequence[Step], time: Callable[[int], int]) -> None:
-        self._time = time
+    def __init__(self, steps: Sequence[Step], plan: Plan) -> None:
+        self._plan = plan
         self.watchers = [s for s in steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
         slow = [w for w in self.watchers if type(w.block).at_once is Observer.at_once]  # type: ignore[attr-defined]
         self.tick_by_tick = {w.name for w in slow}
-        stride = math.gcd(*(s.schedule.every for s in steps))
-        self.every = {id(s): s.schedule.every // stride for s in steps}
-
-    def own(self, step: Step, first: int, last: int) -> range:
-        """Give the ticks of a step among those of the clock from `first` up to `last`, by its own numbers."""
-        every = self.every[id(step)]
-        return range((first + every - 1) // every, (last + every - 1) // every)
 
     def hand_out(self, core: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:
         """Hand out what the steps have said to those who record it."""
         times: dict[tuple[Any, range], Any] = {}
         for s in core:
-            own = self.own(s, first, last)
+            own = self._plan.own(s.schedule, first, last)
             if s.link is None or not own:
                 continue
             if (ticks := (s.schedule.period, own)) not in times:
@@ -146,14 +137,26 @@ class Audience:
         """Let those who only watch see what was said, tick after tick."""
         if not self.watchers:
             return
-        watchers = [(w, self.every[id(w)]) for w in self.watchers if not self._at_once(w, recorded, first, last, rows)]
+        watchers = [
+            (w, self._plan.every(w.schedule))
+            for w in self.watchers
+            if not self._at_once(w, recorded, first, last, rows)
+        ]
         told = []
         for s in recorded:
             readers = [read for w, _ in watchers for read in _readings(s, w)]
             if readers:
-                told.append((s, self.every[id(s)], self.own(s, first, last).start, rows[id(s)].listed(), readers))
+                told.append(
+                    (
+                        s,
+                        self._plan.every(s.schedule),
+                        self._plan.own(s.schedule, first, last).start,
+                        rows[id(s)].listed(),
+                        readers,
+                    )
+                )
         for k in sorted({k for _, every in watchers for k in range(-(-first // every) * every, last, every)}):
-            t = self._time(k)
+            t = self._plan.clock.time(k)
             for s, every, begin, (numbers, stamps), readers in told:
                 if (at := k // every - begin) >= 0:
                     s.t = s.schedule.time(k // every)
@@ -172,14 +175,14 @@ class Audience:
         self, watcher: Step, recorded: Sequence[Step], first: int, last: int, said: Mapping[int, Answers]
     ) -> bool:
         """Let one who watches have all that its ticks see, if it takes that so."""
-        ticks = self.own(watcher, first, last)
+        ticks = self._plan.own(watcher.schedule, first, last)
         if watcher.name in self.tick_by_tick:
             return False
         if not ticks:
             return True
         messages: dict[str, Messages] = {}
         for s in recorded:
-            found = self._seen(s, watcher, self.own(s, first, last), said[id(s)].numbers)
+            found = self._seen(s, watcher, self._plan.own(s.schedule, first, last), said[id(s)].numbers)
             if found is None:
                 self.tick_by_tick.add(watcher.name)
                 return False
@@ -198,7 +201,7 @@ class Audience:
     def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
         """Give what one who watches sees of a member, by its inputs; None where it has to be asked at each tick."""
         found: dict[str, Messages] = {}
-        every, often = self.every[id(watcher)], self.every[id(source)]
+        every, often = self._plan.every(watcher.schedule), self._plan.every(source.schedule)
         readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen
         if readings and max(every, often) % min(every, often):
             return None

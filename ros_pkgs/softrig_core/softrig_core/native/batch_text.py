@@ -6,11 +6,11 @@ before the agent's tick; what is said up to the agent is said once more at the b
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any
 
+from ..block.schedule import Plan
 from ..block.step import Step
 from .rig_text import LARGEST, RigText, _ages, _answered, _asked, _due, _inputs, _kept, _reached, _time, links
 from .translate import Program
@@ -144,10 +144,10 @@ def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Fo
         raise NotNative(f"{odd[0]}: what is silent at times, or late, has no form in batches yet")
     numbers = {id(s): k for k, s in enumerate(steps)}
     program = Program([s.block for s in steps], Writer, _ages(steps, ()))
-    stride = math.gcd(*(s.schedule.every for s in steps))
+    plan = Plan(s.schedule for s in steps)
     arrays: set[str] = set()
     time = steps[0].schedule
-    ns = (time.clock * stride * 10**9).as_integer_ratio()
+    ns = (plan.clock.period * 10**9).as_integer_ratio()
     if 2 * ns[0] * (time.ticks or 1) > LARGEST:
         raise NotNative("times beyond whole numbers of 64 bits")
     plants: list[str] = []
@@ -156,25 +156,25 @@ def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Fo
     for k, s in enumerate(steps):
         if s.plant:
             value = _asked(program, s, k, "outputs", {}, arrays)
-            plants += _due(s, stride, _answered(program, s, k, value, None, (), stride, True))
+            plants += _due(s, plan, _answered(program, s, k, value, None, (), plan, True))
     for k, s in enumerate(steps):
         if s is agent:
             before = list(body)
-            body += _due(s, stride, [f"r{k} = ({''.join(f'{x}, ' for x in said)})"])
+            body += _due(s, plan, [f"r{k} = ({''.join(f'{x}, ' for x in said)})"])
         elif not s.plant:
-            inputs = _inputs(s, numbers, (), program, stride, ns)
+            inputs = _inputs(s, numbers, (), program, plan, ns)
             value = _asked(program, s, k, "update", inputs, arrays)
-            body += _due(s, stride, _answered(program, s, k, value, f"x{k}", (), stride, True))
+            body += _due(s, plan, _answered(program, s, k, value, f"x{k}", (), plan, True))
     for k, s in enumerate(steps):
         if s.plant:
-            value = _asked(program, s, k, "advance", _inputs(s, numbers, (), program, stride, ns), arrays)
+            value = _asked(program, s, k, "advance", _inputs(s, numbers, (), program, plan, ns), arrays)
             if not isinstance(value, Dynamic):
                 raise NotNative(f"{s.name}: its state stays as it is")
-            body += _due(s, stride, [_kept(f"x{k}", value, s, True)])
+            body += _due(s, plan, [_kept(f"x{k}", value, s, True)])
     states, last = form.tree[1]
     handed = sorted(arrays)
     at = [0, *accumulate(len(s.numbers) for s in steps)]
-    every = agent.schedule.every // stride
+    every = plan.every(agent.schedule)
     given = ", ".join(["begin", "end", "n", "c", "F", "I", "R", "A", "K", *(_whole(a, program) for a in handed)])
     kept = ", ".join(f"({''.join(f'{name}{k}, ' for k, _ in enumerate(steps))})" for name in "xr")
     text = [

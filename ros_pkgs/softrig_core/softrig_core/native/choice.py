@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
 from ..block.block import Observer
-from ..block.runner import Runner
+from ..block.loop import Loop
 from ..block.step import Step
 from .compile import compiled, plain
 from .engine import Engine, known
@@ -44,28 +44,28 @@ def ticks_of(
     Returns
     -------
     ticks : iterator
-        As `Runner.run`; a run without end goes one by one.
+        As `Loop.run`; a run without end goes one by one.
     tell : callable
         Has the steps know what of them was native so far.
     """
-    runner = Runner(steps)
-    if runner.ticks is None:
+    loop = Loop(steps)
+    if loop.plan.ticks is None:
         _say_why(steps, "a run without an end")
-        return runner.run(), bool
-    ticks = runner.ticks
+        return loop.run(), bool
+    ticks = loop.plan.ticks
     engines: list[Engine] = []
 
     def run() -> Iterator[int | None]:
         first, tick = 0, cost(steps)
         if tick is None:
-            first, tick = yield from _timed(runner)
+            first, tick = yield from _timed(loop)
             if first <= ticks:  # else it was over before one knew
                 _costs[_classes(steps)] = tick
         left = (ticks + 1 - first) * tick
         reason = unwanted(steps, left, runs)
         if reason and not writes(steps, left):
             _spent[_classes(steps)] = _spent.get(_classes(steps), 0.0) + left
-            yield from runner.run(first)
+            yield from loop.run(first)
             return
         engines.append(Engine(steps, plain if reason else compiled, alone))
         _say_why(steps, reason)
@@ -95,11 +95,11 @@ def cost(steps: Sequence[Step]) -> float | None:
     return _costs.get(_classes(steps))
 
 
-def _timed(runner: Runner) -> Generator[int | None, None, tuple[int, float]]:
+def _timed(loop: Loop) -> Generator[int | None, None, tuple[int, float]]:
     """Answer the first ticks one by one; give how many they were, and what one costs, s of this thread."""
     count, took, spent = 0, [], 0.0
     began = time.thread_time()
-    for t in runner.run():
+    for t in loop.run():
         spent += time.thread_time() - began
         if t is not None:
             if count % ROUND == 0:  # the first of them is one tick, in which much is made

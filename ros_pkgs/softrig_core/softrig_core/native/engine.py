@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..block.link import Link, Rows
-from ..block.runner import Runner
+from ..block.loop import Loop
 from ..block.step import Step
 from ..block.tables import Tables
 from ..errors import RunError
@@ -79,7 +79,7 @@ class Engine:
     Parameters
     ----------
     steps : sequence of Step
-        As for `Runner`; wired, none of them waits for anything.
+        As for `Loop`; wired, none of them waits for anything.
     make : callable
         Makes the function of a text: `compiled` or `plain`.
     alone : callable, optional
@@ -101,17 +101,18 @@ class Engine:
         self.steps, self._make, self._typed = tuple(steps), make, make is not plain
         self._alone, self._longest = alone, GO if alone is None else SHORT_GO
         self._compiling: threading.Thread | None = None
-        self.runner = Runner(self.steps)
+        self.loop = Loop(self.steps)
         self.native = Native()
-        self._audience = Audience(self.steps, self.runner.schedule.time)
-        self._watchers, self._every = self._audience.watchers, self._audience.every
+        self._plan = self.loop.plan
+        self._audience = Audience(self.steps, self._plan)
+        self._watchers = self._audience.watchers
         self._watching = Tables(self._watchers)
         self._aside: dict[str, str] = {}  # members that are seldom due, so that Python may run their ticks, and why
         self._share()
         self._later = [_Later(s) for s in self.steps if self._deciding and s.link is not None]
         self._cut = False  # whether native code gave up the last tick that it began
         self._smooth = False  # whether all who watch take what is recorded at once
-        self._time = self.runner.schedule.time
+        self._time = self._plan.clock.time
         self._kept: _Kept | None = None
         self._newest: list[Any] = []  # what is made anew at times, and for which keys the constants are
         self._keys: list[Any] = []
@@ -129,7 +130,7 @@ class Engine:
         Parameters
         ----------
         first : int
-            As for `Runner.run`.
+            As for `Loop.run`.
 
         Yields
         ------
@@ -139,7 +140,7 @@ class Engine:
         Raises
         ------
         RunError
-            As `Runner.run`.
+            As `Loop.run`.
         """
         try:
             yield from self._run(first)
@@ -158,10 +159,10 @@ class Engine:
             s.native = s.native[0], why
 
     def _run(self, k: int) -> Iterator[int | None]:
-        assert self.runner.ticks is not None
-        last = self.runner.ticks
+        assert self._plan.ticks is not None
+        last = self._plan.ticks
         # from here on a plant that is due would be moved beyond the end, which Python does not do
-        end = min((last - last % self._every[id(s)] for s in self.steps if s.plant), default=last)
+        end = min((self._plan.newest(s.schedule, last) for s in self.steps if s.plant), default=last)
         failures = 0
         fits, fresh = False, True  # whether there is a text, and it is to be looked at again
         while k <= last:
@@ -209,14 +210,14 @@ class Engine:
                         self.native.reason = "many ticks are given up"
                         break
             fresh = fresh or (bool(k) and self._next_change(k) <= k)
-            for t in self.runner.run(k):
+            for t in self.loop.run(k):
                 yield t
                 if t is not None:
                     break
             k += 1
             fresh = fresh or self._others()
         if k <= last:
-            yield from self.runner.run(k)
+            yield from self.loop.run(k)
 
     def _free(self) -> bool:
         """Whether native code may answer the next ticks."""
@@ -229,7 +230,7 @@ class Engine:
         compiling = self._compiling is not None and self._compiling.is_alive()
         outside = "somebody outside of this process, or a person, has a part in its ticks"
         self.native.reason = "its text is being compiled" if compiling else outside
-        for number, t in enumerate(self.runner.run(k), 1):
+        for number, t in enumerate(self.loop.run(k), 1):
             yield t
             if number % LOOK == 0 and t is not None and self._free():
                 return
@@ -258,20 +259,20 @@ class Engine:
     def _decided(self, k: int) -> bool:
         """Whether a member wants a tick to be Python's."""
         t = self._time(k)
-        return any(k % self._every[id(s)] == 0 and s.block.decides(s.x, t) for s in self._deciding)
+        return any(self._plan.due(s.schedule, k) and s.block.decides(s.x, t) for s in self._deciding)
 
     def _next_change(self, k: int) -> int:
         """Give the first tick, from k on, by whose time parameters are to change."""
         at = min(s.change_at for s in self.steps)
         if at == math.inf:
             return 1 << 62
-        first = self.runner.schedule.tick(int(at))
+        first = self._plan.clock.tick(int(at))
         return max(k, first if self._time(first) >= at else first + 1)
 
     def _next_stop(self, k: int) -> int:
         """Give the first tick, from k on, that is one of Python's."""
         left = [s for s in self.steps if s.bad or s.name in self._aside]  # bad: something refused between its ticks
-        due = [-(-k // self._every[id(s)]) * self._every[id(s)] for s in left]
+        due = [self._plan.following(s.schedule, k) for s in left]
         return min(self._next_change(k), *due) if due else self._next_change(k)
 
     def _share(self) -> None:
@@ -279,7 +280,7 @@ class Engine:
         self._core = [s for s in self.steps if s not in self._watchers and s.name not in self._aside]
         self._links, self._speakers = links(self._core), speakers(self._core)
         self._deciding = [s for s in self._core if decides(s)]
-        self._core_alone = Runner(self._core)
+        self._core_alone = Loop(self._core)
 
     # the text -----------------------------------------------------------------------------------------------------
 
@@ -321,8 +322,8 @@ class Engine:
             self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
             tables |= {name: self._drawn(draws, self._guess()) for name, draws in self._sources.items()}
         except NotNative as reason:
-            often = RARE * min(self._every[id(s)] for s in core)
-            self._aside |= {s.name: str(reason) for s in core if self._every[id(s)] >= often}
+            often = RARE * min(self._plan.every(s.schedule) for s in core)
+            self._aside |= {s.name: str(reason) for s in core if self._plan.every(s.schedule) >= often}
             if any(s.name in self._aside for s in core):
                 _refused[kinds] = str(reason)
                 self._share()
@@ -352,7 +353,7 @@ class Engine:
         return found if self._typed else found.tolist()
 
     def _guess(self) -> int:
-        return min(1 << 20, 2 * (self.runner.ticks or 0) + (1 << 13))
+        return min(1 << 20, 2 * (self._plan.ticks or 0) + (1 << 13))
 
     def _watched(self, step: Step) -> bool:
         return any(fill.source is step for w in self._watchers for fill in w.fed.values())
@@ -373,9 +374,7 @@ class Engine:
         try:
             self._audience.watch(self._recorded, first, reached, said)
         except RunError:  # of one who watches: all again up to that tick, which Python answers
-            reached = self.runner.schedule.tick(
-                max(w.t for w in self._watchers if w.name in self._audience.tick_by_tick)
-            )
+            reached = self._plan.clock.tick(max(w.t for w in self._watchers if w.name in self._audience.tick_by_tick))
             self._watching.go_back(begun)
             for s, before in zip(self._core, spoken, strict=True):
                 s.spoken = before
@@ -386,7 +385,7 @@ class Engine:
         if reached > first:
             self._take(first, reached, after)
             self._audience.hand_out(self._core, first, reached, said)
-            one_clock = self._core_alone.schedule.clock == self.runner.schedule.clock
+            one_clock = self._core_alone.plan.clock.clock == self._plan.clock.clock
             self._smooth = one_clock and not self._audience.tick_by_tick and self._alone is None
         return reached
 
@@ -419,8 +418,8 @@ class Engine:
                     link.kept = None
             self.native.decided += 1
             for s in self._recorded:
-                if reached % self._every[id(s)] == 0:
-                    row = len(self._audience.own(s, first, reached))
+                if self._plan.due(s.schedule, reached):
+                    row = len(self._plan.own(s.schedule, first, reached))
                     rows[id(s)].put(row, numbers_of(s), stamps_of(s))
             reached = at = reached + 1
             if reached == last or self._others() or any(s.bad for s in self._core):
@@ -433,7 +432,7 @@ class Engine:
 
     def _places(self, first: int, last: int) -> dict[int, Answers]:
         """Give what native code writes the answers of ticks from `first` up to `last` into, and have it handed that."""
-        counts = {id(s): len(self._audience.own(s, first, last)) for s in self._recorded}
+        counts = {id(s): len(self._plan.own(s.schedule, first, last)) for s in self._recorded}
         rows = {
             id(s): Answers(np.empty((size, counts[id(s)])).T, np.empty((counts[id(s)], stamps), np.int64))
             if self._typed  # column after column in memory: so they are read
@@ -460,7 +459,7 @@ class Engine:
 
     def _said_by(self, rows: dict[int, Answers], first: int, last: int) -> dict[int, Answers]:
         """Give the answers of ticks from `first`, where their places begin, up to `last`."""
-        counts = {id(s): len(self._audience.own(s, first, last)) for s in self._recorded}
+        counts = {id(s): len(self._plan.own(s.schedule, first, last)) for s in self._recorded}
         return {key: Answers(*(table[: counts[key]] for table in answers)) for key, answers in rows.items()}
 
     def _handed(self, begin: int) -> tuple[Any, ...]:
@@ -529,7 +528,7 @@ class Engine:
         stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=False))
         spoken = dict(zip(self._speakers, map(int, self._when[1 + len(self._links) :]), strict=True))
         for k, s in enumerate(self._core):
-            own = self._audience.own(s, first, last)
+            own = self._plan.own(s.schedule, first, last)
             if not own:
                 continue
             s.x = applied(self._unpack[k], after[k])

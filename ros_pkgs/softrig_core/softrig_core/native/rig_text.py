@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +10,7 @@ from typing import Any
 from ..block.block import Block
 from ..block.fill import Fill
 from ..block.port import Sample
+from ..block.schedule import Plan
 from ..block.step import Step
 from .reports import Reports
 from .translate import GIVEN_UP, LONGEST, Program, made
@@ -118,16 +118,16 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
     silent = [(k, steps[k].outputs[j]) for k, j in spoken]
     program = Program([s.block for s in steps], Writer, _ages(steps, kept), silent, typed)
     program.reports = Reports() if reports else None
-    stride = math.gcd(*(s.schedule.every for s in steps))
+    plan = Plan(s.schedule for s in steps)
     arrays: set[str] = set()
     time = steps[0].schedule
-    ns = (time.clock * stride * 10**9).as_integer_ratio()
-    inputs = [_inputs(s, numbers, kept, program, stride, ns) for s in steps]
+    ns = (plan.clock.period * 10**9).as_integer_ratio()
+    inputs = [_inputs(s, numbers, kept, program, plan, ns) for s in steps]
 
     def answered(k: int, value: Value, state: str | None) -> list[str]:
         step = steps[k]
-        lines = _answered(program, step, k, value, state, recorded, stride, typed)
-        return _due(step, stride, lines + _handed_on(program, k, step, kept, spoken))
+        lines = _answered(program, step, k, value, state, recorded, plan, typed)
+        return _due(step, plan, lines + _handed_on(program, k, step, kept, spoken))
 
     plants = [k for k, s in enumerate(steps) if s.plant]
     others = [k for k, s in enumerate(steps) if not s.plant]
@@ -142,7 +142,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         value = _asked(program, steps[k], k, "advance", inputs[k], arrays)
         if not isinstance(value, Dynamic):
             raise NotNative(f"{steps[k].name}: its state stays as it is")
-        body += _due(steps[k], stride, [_kept(f"x{k}", value, steps[k], typed)])
+        body += _due(steps[k], plan, [_kept(f"x{k}", value, steps[k], typed)])
     stamped = tuple(k for k, s in enumerate(steps) if any(p.delayed for p in s.outputs))
     state = ", ".join(
         [
@@ -159,8 +159,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         raise NotNative("times beyond whole numbers of 64 bits")
     head = [f"def rig({', '.join(['first', 'last', 'n', 'c', 's', *handed])}):", f"    {state}, = s"]
     head += [
-        f"    e{numbers[id(s)]} = (n[2] + {s.schedule.every // stride - 1}) // {s.schedule.every // stride}"
-        for s in recorded
+        f"    e{numbers[id(s)]} = (n[2] + {plan.every(s.schedule) - 1}) // {plan.every(s.schedule)}" for s in recorded
     ]
     head += [
         "    for k in range(first, last):",
@@ -168,7 +167,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         f"        t = {_time('k', ns)}",
         *([f"        {WHEN}[0] = t"] if WHEN in arrays else []),
     ]
-    body = [*_decided(program, steps, state, stride, arrays), *body]
+    body = [*_decided(program, steps, state, plan, arrays), *body]
     rig = "\n".join([*head, *(f"        {line}" for line in body), "    n[0] = last", f"    return ({state},)"])
     texts = TEXTS if typed else {w: text for w, text in IN_PYTHON.items() if w not in OWN}
     words = [texts[w] for w in sorted(program.words) if w in texts]
@@ -212,7 +211,7 @@ def _ages(steps: Sequence[Step], kept: Sequence[Link]) -> dict[tuple[int, str], 
 
 
 def _inputs(
-    step: Step, numbers: Mapping[int, int], kept: Sequence[Link], program: Program, stride: int, ns: tuple[int, int]
+    step: Step, numbers: Mapping[int, int], kept: Sequence[Link], program: Program, plan: Plan, ns: tuple[int, int]
 ) -> dict[str, Value]:
     """Say where a step has its inputs from: of whom, and which numbers."""
     found: dict[str, Value] = {}
@@ -233,7 +232,7 @@ def _inputs(
                 else Group(tuple(Dynamic(f"h{link}[{p}]", float(v)) for p, v in enumerate(values)))
             )
         else:
-            every, k = fill.source.schedule.every // stride, numbers[id(fill.source)]
+            every, k = plan.every(fill.source.schedule), numbers[id(fill.source)]
             time = _time(f"(k - k % {every})" if every > 1 else "k", ns)
             found[port.name] = _read(program, fill, f"r{k}", f"z{k}", time, values)
     return found
@@ -292,14 +291,14 @@ def _asked(program: Program, step: Step, k: int, name: str, inputs: Mapping[str,
     return made(program, method, [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)], inputs, arrays)
 
 
-def _decided(program: Program, steps: Sequence[Step], state: str, stride: int, arrays: set[str]) -> list[str]:
+def _decided(program: Program, steps: Sequence[Step], state: str, plan: Plan, arrays: set[str]) -> list[str]:
     """Go no further where a member has its tick left to Python."""
     lines: list[str] = []
     for k, step in enumerate(steps):
         if decides(step):
             writer = Writer(program, _decided, {})  # type: ignore[arg-type]
             test = writer.truth(_asked(program, step, k, "decides", {}, arrays))
-            lines += _due(step, stride, [*writer.lines, f"if {test}:", f"    return ({state},)"])
+            lines += _due(step, plan, [*writer.lines, f"if {test}:", f"    return ({state},)"])
     return lines
 
 
@@ -315,7 +314,7 @@ def _answered(
     value: Value,
     state: str | None,
     recorded: Sequence[Step],
-    stride: int,
+    plan: Plan,
     typed: bool,
 ) -> list[str]:
     """Take an answer: its state, its numbers checked, written into the table."""
@@ -359,7 +358,7 @@ def _answered(
     if any(s is step for s in recorded) and not typed:
         lines += [f"o{k}.append(q{k})", *([f"p{k}.append(z{k})"] if stamps else [])]
     elif any(s is step for s in recorded):
-        at = f"k // {step.schedule.every // stride} - e{k}"
+        at = f"k // {plan.every(step.schedule)} - e{k}"
         lines += [f"o{k}[{at}, {i}] = q{k}[{i}]" for i in range(size + len(flags))]
         lines += [f"p{k}[{at}, {i}] = z{k}[{i}]" for i, _ in enumerate(stamps)]
     return lines
@@ -396,6 +395,6 @@ class _Nowhere:
 _NOWHERE: Any = _Nowhere()
 
 
-def _due(step: Step, stride: int, lines: list[str]) -> list[str]:
-    every = step.schedule.every // stride
+def _due(step: Step, plan: Plan, lines: list[str]) -> list[str]:
+    every = plan.every(step.schedule)
     return lines if every == 1 else [f"if k % {every} == 0:", *(f"    {line}" for line in lines)]

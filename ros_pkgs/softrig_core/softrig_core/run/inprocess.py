@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from ..block.block import Block, Observer
 from ..block.codec import encoder
 from ..block.link import Link, Rows
+from ..block.loop import YOUNG
 from ..block.port import CLOCK, Port, Sample
-from ..block.runner import YOUNG
 from ..block.step import Step
 from ..errors import ScenarioError
 from ..native.choice import ticks_of

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from ..block.codec import Decoder
 from ..block.link import Link
+from ..block.loop import Loop
 from ..block.port import Sample
-from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
 from ..rig.members import Member
@@ -42,7 +42,7 @@ def feed(member: Member, seed: int, recording: Recording) -> Recording:
     answers = Recording((p.topic, p.msgtype) for p in member.outputs)
     keeper(step, answers, step.outputs, range(len(step.outputs)))
     _Fed(step, [_Input(step, member, name, recording) for name in member.links])
-    for _ in Runner([step]).run():
+    for _ in Loop([step]).run():
         pass
     return answers
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from ..block.block import Block
+from ..block.loop import Loop
 from ..block.params import ParameterError
-from ..block.runner import Runner
 from ..block.tables import Moment, Tables
 from ..errors import RunError, ScenarioError, closest
 from ..rig.contents import Look
@@ -98,19 +98,19 @@ class Session:
         self._tables = Tables(self.steps.values())
         if moment is not None:
             self._tables.go_back(moment)
-        self._runner = Runner(list(self.steps.values()))
-        self._answered: Iterator[int | None] = self._runner.run(k)
+        self._loop = Loop(list(self.steps.values()))
+        self._answered: Iterator[int | None] = self._loop.run(k)
 
     @property
     def ticks(self) -> int:
         """Number of the last tick, those before which nobody is due left out."""
-        assert self._runner.ticks is not None
-        return self._runner.ticks
+        assert self._loop.plan.ticks is not None
+        return self._loop.plan.ticks
 
     @property
     def t(self) -> float:
         """Time of the next tick, s; of the last one when the run is over."""
-        return self._runner.schedule.time(min(self._k, self.ticks)) / SECOND
+        return self._loop.plan.clock.time(min(self._k, self.ticks)) / SECOND
 
     @property
     def over(self) -> bool:
@@ -120,7 +120,7 @@ class Session:
     @property
     def run(self) -> Run:
         """What the run is up to here; what comes later is not in it."""
-        at = self._runner.schedule.time(self._k)
+        at = self._loop.plan.clock.time(self._k)
         return Run(self.rig, self.seed, self.recording.before(at), error=self.error, blocks=dict(self.steps))
 
     def step(self, ticks: int = 1) -> None:
@@ -239,7 +239,7 @@ class Session:
         other._turned = [turned for turned in self._turned if turned.k < k + (t is None)]
         other._kept = {at: moment for at, moment in self._kept.items() if at <= k}
         other._look = Look({})  # blocks of the same classes
-        other.recording, other._runner = self.recording, self._runner  # of which `_come` takes what was before
+        other.recording, other._loop = self.recording, self._loop  # of which `_come` takes what was before
         other._come({m.name: m.block(self.seed) for m in self.rig.members}, k)
         return other
 
@@ -254,7 +254,7 @@ class Session:
         """Give the first tick that is not before t, s."""
         if not t >= 0.0:
             raise ScenarioError(f"t = {t} s: expected a time of at least 0")
-        schedule, at = self._runner.schedule, to_ns(min(t, self.rig.scenario.duration + 1.0))
+        schedule, at = self._loop.plan.clock, to_ns(min(t, self.rig.scenario.duration + 1.0))
         k = schedule.tick(at)
         return min(k + (schedule.time(k) < at), self.ticks + 1)
 
@@ -263,7 +263,7 @@ class Session:
         begin = max(self._kept, default=None)
         if begin is None:
             raise RunError(f"this run cannot go back: {self._why}")
-        recording = self.recording.before(self._runner.schedule.time(begin))
+        recording = self.recording.before(self._loop.plan.clock.time(begin))
         self._begin(blocks, recording, begin, self._kept[begin])
         for turned in self._turned:
             if turned.k >= begin:  # what the kept state does not know

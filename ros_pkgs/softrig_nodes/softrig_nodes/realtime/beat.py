@@ -5,10 +5,9 @@ They need not wait for messages: what one says is in the inputs of the others be
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from softrig_core.block.schedule import Schedule
+from softrig_core.block.schedule import Plan
 from softrig_core.block.step import Step
 from softrig_core.timebase import SECOND
 
@@ -31,10 +30,9 @@ class Beat:
 
     def __init__(self, drives: Sequence[Realtime], commands: Sequence[tuple[Step, Live, Realtime]]) -> None:
         self._drives, self._commands = drives, commands
-        schedule = drives[0].node.schedule
-        stride = math.gcd(*(d.node.schedule.every for d in drives))
-        self._grid = Schedule(schedule.clock * stride)
-        self._members = [(d, d.node.schedule.every // stride) for d in drives]
+        plan = Plan(d.node.schedule for d in drives)
+        self._grid = plan.clock
+        self._members = [(d, plan.every(d.node.schedule)) for d in drives]
         self._number = -1
         self._timer = drives[0].node.middleware.timer(SOON, self._tick)
         self._timer.cancel()

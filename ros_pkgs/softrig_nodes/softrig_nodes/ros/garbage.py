@@ -10,7 +10,7 @@ from __future__ import annotations
 import gc
 from typing import Any
 
-from softrig_core.block.runner import YOUNG
+from softrig_core.block.loop import YOUNG
 
 CLEAN, UNCLEAN = 100, 10  # steps to the next look, after one without and with a cycle
 

@@ -1,0 +1,138 @@
+"""What a tick is, in all placements: `doc/tick.md` shows these functions as they stand here.
+
+`say` and `move` answer a member's first tick. `bound.py` writes their text with the names of the member in it, which
+takes half of the time: that answers those that follow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import count
+from typing import Any
+
+from ..errors import RunError
+from .schedule import Plan
+
+Step = Any  # `softrig_core.block.step.Step`, which imports this
+KNOWN = 10_000  # ticks of which it is kept who is due
+YOUNG = 200_000  # new objects between two searches for reference cycles: what a tick makes dies with it
+
+
+def say(step: Step, t: int) -> None:
+    """Answer a tick: a plant shows its outputs, another one takes its inputs and answers.
+
+    Raises
+    ------
+    RunError
+        The block failed, or gave what may not leave it; its `node` is the name of the step.
+    """
+    step.t = t
+    with _named(step):
+        x, found = step.asked(t)  # update, outputs, finish, refused; before it changes of parameters that are due
+        rows = step.checked(found)  # size, finite, within Port.limits
+        step.x, step.said = x, {p.name: row for p, row in zip(step.outputs, rows, strict=True) if row is not None}
+    step.hand_on(t, rows)  # to the inputs that they fill in this process, then to the link
+    if not step.plant and step.link is not None:
+        step.link.over(t)
+
+
+def move(step: Step, t: int, values: Mapping[str, Any] | None = None) -> None:
+    """Move a plant on from a tick over one period, with what its inputs hold or with other values.
+
+    Raises
+    ------
+    RunError
+        See `say`.
+    """
+    step.t = t
+    with _named(step):
+        step.x = step.block.advance(step.x, t, **(step.values if values is None else values))
+    if step.link is not None:
+        step.link.over(t)
+
+
+@contextmanager
+def _named(step: Step) -> Iterator[None]:
+    """Take down what a block reports at a tick; a failure gets the name of the step, and the time."""
+    try:
+        yield
+    except RunError as error:
+        error.node = step.name
+        raise
+    except Exception as error:
+        raise step.failure(error) from error
+    finally:
+        step.tell()
+
+
+class Loop:
+    """The members of a rig that live in this process: all of them, some, or one.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        Plants first, then the others, each after those that it reads. Their schedules have one clock and end together.
+    """
+
+    def __init__(self, steps: Sequence[Step]) -> None:
+        self.steps, self.plan = tuple(steps), Plan(s.schedule for s in steps)
+        self._again = math.lcm(*(self.plan.every(s.schedule) for s in self.steps))  # ticks after which the same are due
+        self._known: dict[int, tuple[list[Step], list[Step]]] = {}
+
+    def run(self, first: int = 0) -> Iterator[int | None]:
+        """Answer tick after tick.
+
+        Parameters
+        ----------
+        first : int
+            Tick to begin with, where the members are in the state of then.
+
+        Yields
+        ------
+        int or None
+            The time of a tick that is over, ns; None again and again while the next one to answer lacks something.
+
+        Raises
+        ------
+        RunError
+            A block failed, or gave what may not leave it.
+        """
+        plan = self.plan
+        ends = math.inf if plan.ticks is None else plan.ticks - self._again  # from here on not all that are due go on
+        for k in count(first) if plan.ticks is None else range(first, plan.ticks + 1):
+            t = plan.clock.time(k)
+            plants, others = self._known.get(k % self._again) or self._due(k)
+            for plant in plants:
+                plant.say(t)
+            lacking = _answer(others if k < ends else [s for s in others if plan.answers(s.schedule, k)], t)
+            while lacking:  # what it waits for may need what another one here has to say
+                yield None
+                lacking = _answer(lacking, t)
+            for plant in plants:
+                if k < ends or plan.moves(plant.schedule, k):
+                    while plant.link is not None and plant.link.lacks(t):
+                        yield None
+                    plant.advance(t)
+            yield t
+
+    def _due(self, k: int) -> tuple[list[Step], list[Step]]:
+        """Return the plants that are due at a tick, and the others."""
+        due = [s for s in self.steps if self.plan.due(s.schedule, k)]
+        found = [s for s in due if s.plant], [s for s in due if not s.plant]
+        if self._again <= KNOWN:
+            self._known[k % self._again] = found
+        return found
+
+
+def _answer(steps: Sequence[Step], t: int) -> list[Step]:
+    """Have those answer that lack nothing; returns the others."""
+    lacking: list[Step] = []
+    for step in steps:
+        waits = lacking and any(fill.source in lacking for fill in step.fed.values())
+        if waits or (step.link is not None and step.link.lacks(t)):
+            lacking.append(step)
+        else:
+            step.say(t)
+    return lacking
