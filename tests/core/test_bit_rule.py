@@ -55,7 +55,7 @@ EXEMPT = {
     "softrig_core.block.answer": "whether values are below a bound",
     "softrig_core.judge.measures.growth_rate": "judges what was recorded",
     "softrig_core.native.calls": "the word itself: of whole numbers it is translated, of others it stays Python's",
-    "softrig_core.native.rig_text": COUNT,
+    "softrig_core.native.turns": COUNT,
     "softrig_core.run.inprocess._Keeper.send_all": COUNT,
     "softrig_core.run.simulate.Run.__repr__": COUNT,
     "softrig_core.scenario.yaml_file": COUNT,

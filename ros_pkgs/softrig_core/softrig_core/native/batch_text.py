@@ -10,14 +10,12 @@ from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any
 
-from ..block.schedule import Plan
 from ..block.step import Step
-from .rig_text import LARGEST, RigText, _ages, _answered, _asked, _due, _inputs, _kept, _reached, _time, links
+from .rig_text import RigText, written_out
 from .translate import Program
+from .turns import Turns
 from .twins import packed
-from .value import Dynamic, NotNative
-from .words import TEXTS
-from .writer import Writer
+from .value import NotNative
 
 
 class Form:
@@ -140,41 +138,25 @@ def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Fo
     NotNative
         What of them native code does not know.
     """
-    if odd := [link.fill.port.name for link in links(steps)]:
+    turns = Turns(steps)
+    if odd := [one.fill.port.name for one in turns.kept]:
         raise NotNative(f"{odd[0]}: what is silent at times, or late, has no form in batches yet")
-    numbers = {id(s): k for k, s in enumerate(steps)}
-    program = Program([s.block for s in steps], Writer, _ages(steps, ()))
-    plan = Plan(s.schedule for s in steps)
-    arrays: set[str] = set()
-    time = steps[0].schedule
-    ns = (plan.clock.period * 10**9).as_integer_ratio()
-    if 2 * ns[0] * (time.ticks or 1) > LARGEST:
-        raise NotNative("times beyond whole numbers of 64 bits")
-    plants: list[str] = []
+    turns.check_times()
+    program = turns.program
+    plants = [line for k, s in enumerate(steps) if s.plant for line in turns.show(k)]
     before: list[str] = []
     body: list[str] = []
     for k, s in enumerate(steps):
-        if s.plant:
-            value = _asked(program, s, k, "outputs", {}, arrays)
-            plants += _due(s, plan, _answered(program, s, k, value, None, (), plan, True))
-    for k, s in enumerate(steps):
         if s is agent:
             before = list(body)
-            body += _due(s, plan, [f"r{k} = ({''.join(f'{x}, ' for x in said)})"])
+            body += turns.act(k, said)
         elif not s.plant:
-            inputs = _inputs(s, numbers, (), program, plan, ns)
-            value = _asked(program, s, k, "update", inputs, arrays)
-            body += _due(s, plan, _answered(program, s, k, value, f"x{k}", (), plan, True))
-    for k, s in enumerate(steps):
-        if s.plant:
-            value = _asked(program, s, k, "advance", _inputs(s, numbers, (), program, plan, ns), arrays)
-            if not isinstance(value, Dynamic):
-                raise NotNative(f"{s.name}: its state stays as it is")
-            body += _due(s, plan, [_kept(f"x{k}", value, s, True)])
+            body += turns.answer(k, turns.inputs(k))
+    body += [line for k, s in enumerate(steps) if s.plant for line in turns.move(k, turns.inputs(k))]
     states, last = form.tree[1]
-    handed = sorted(arrays)
+    handed = sorted(turns.arrays)
     at = [0, *accumulate(len(s.numbers) for s in steps)]
-    every = plan.every(agent.schedule)
+    every = turns.plan.every(agent.schedule)
     given = ", ".join(["begin", "end", "n", "c", "F", "I", "R", "A", "K", *(_whole(a, program) for a in handed)])
     kept = ", ".join(f"({''.join(f'{name}{k}, ' for k, _ in enumerate(steps))})" for name in "xr")
     text = [
@@ -188,20 +170,18 @@ def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Fo
         *(f"        r{k} = {form.read(program, tree)}" for k, tree in enumerate(last[1])),
         "        a = A[i]",
         f"        for k in range(K[i], K[i] + {every}):",
-        f"            t = {_time('k', ns)}",
+        f"            t = {turns.time('k')}",
         *(f"            {line}" for line in (*plants, *body)),
         f"        z_ = ({kept})",
         f"        k = K[i] + {every}",
-        f"        t = {_time('k', ns)}",
+        f"        t = {turns.time('k')}",
         *(f"        {line}" for line in (*plants, *before)),
         "        K[i] = k",
         *(f"        R[{at[k] + j}, i] = r{k}[{j}]" for k, s in enumerate(steps) for j, _ in enumerate(s.numbers)),
         *(f"        {line}" for line in form.write("z_")),
     ]
     rig = "\n".join(text)
-    words = [TEXTS[w] for w in sorted(program.words)]
-    whole = "\n\n".join([*words, *_reached(program.functions, rig), rig]) + "\n"
-    return RigText(whole, program, tuple(handed), ())
+    return RigText(written_out(program, rig), program, tuple(handed), ())
 
 
 def _whole(name: str, program: Program) -> str:

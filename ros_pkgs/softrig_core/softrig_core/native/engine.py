@@ -19,8 +19,9 @@ from ..block.tables import Tables
 from ..errors import RunError
 from .audience import NEVER, Answers, Audience, answered, numbers_of, stamps_of
 from .compile import compiled, plain
-from .rig_text import WHEN, RigText, decides, links, rig_text, speakers
+from .rig_text import RigText, rig_text
 from .translate import follow
+from .turns import WHEN, decides, holdings, speakers
 from .twins import Way, applied, form, packed, packer, unpacked, unpacker
 from .value import NotNative
 
@@ -278,7 +279,7 @@ class Engine:
     def _share(self) -> None:
         """Say which members are to be native."""
         self._core = [s for s in self.steps if s not in self._watchers and s.name not in self._aside]
-        self._links, self._speakers = links(self._core), speakers(self._core)
+        self._holdings, self._speakers = holdings(self._core), speakers(self._core)
         self._deciding = [s for s in self._core if decides(s)]
         self._core_alone = Loop(self._core)
 
@@ -342,7 +343,7 @@ class Engine:
     def _forms(self) -> list[Any]:
         """Give the types of what each member remembers and holds: a text is for these."""
         forms = [(tuple(map(form, s.values.values())), form(s.x)) for s in self._core]
-        return [*forms, tuple(link.form for link in self._links)]
+        return [*forms, tuple(one.form for one in self._holdings)]
 
     def _others(self) -> bool:
         """Whether states or constants are of other types, or made anew: the text may be another."""
@@ -441,7 +442,7 @@ class Engine:
         }
         assert self._kept is not None
         reports = self._kept.text.program.reports
-        sizes = 1 + len(self._links) + len(self._speakers), reports.size if reports else 0
+        sizes = 1 + len(self._holdings) + len(self._speakers), reports.size if reports else 0
         if self._typed:
             self._n, self._when, self._told = np.zeros(3, np.int64), np.zeros(sizes[0], np.int64), np.zeros(sizes[1])
         else:
@@ -470,11 +471,11 @@ class Engine:
             *(applied(way, s.x) for way, s in zip(self._pack, self._core, strict=True)),
             *(numbers_of(s) for s in self._core),
             *(stamps_of(self._core[k]) for k in kept.text.stamped),
-            *(packed(link.value) for link in self._links),
+            *(packed(one.value) for one in self._holdings),
         )
         spoken = [self._core[k].spoken[j] for k, j in self._speakers]
         self._n[:] = 0, 0, begin
-        self._when[:] = [0, *(link.stamp for link in self._links), *(NEVER if t is None else t for t in spoken)]
+        self._when[:] = [0, *(one.stamp for one in self._holdings), *(NEVER if t is None else t for t in spoken)]
         self._told[:] = [0.0] * len(self._told)
         return self._n, self._constants, before, *self._arrays
 
@@ -526,7 +527,7 @@ class Engine:
         count = len(self._core)
         self._unpack = self._unpack or [unpacker(value) for value in after[:count]]
         stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=False))
-        spoken = dict(zip(self._speakers, map(int, self._when[1 + len(self._links) :]), strict=True))
+        spoken = dict(zip(self._speakers, map(int, self._when[1 + len(self._holdings) :]), strict=True))
         for k, s in enumerate(self._core):
             own = self._plan.own(s.schedule, first, last)
             if not own:
@@ -536,9 +537,9 @@ class Engine:
             answered(s, own[-1], after[count + k], stamps.get(k, ()), newest)
             if self._typed:
                 s.native = s.native[0] + len(own), ""
-            for link, value in zip(self._links, after[len(after) - len(self._links) :], strict=True):
-                fill = link.fill
-                if link.source == k and newest.get(fill.output, s.t) >= self._time(first):
+            for one, value in zip(self._holdings, after[len(after) - len(self._holdings) :], strict=True):
+                fill = one.fill
+                if one.source == k and newest.get(fill.output, s.t) >= self._time(first):
                     fill.reader.values[fill.port.name] = unpacked(value)
 
 

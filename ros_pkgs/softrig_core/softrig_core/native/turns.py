@@ -1,0 +1,336 @@
+"""The turns of a rig's members as native text: what each is asked, what becomes of its answer, how a plant moves on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ..block.block import Block
+from ..block.fill import Fill
+from ..block.port import Port, Sample
+from ..block.schedule import Plan
+from ..block.step import Step
+from .translate import GIVEN_UP, LONGEST, Program, made
+from .twins import form, packed
+from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
+from .ways import alike
+from .writer import Writer
+
+EDGE = 1.0 - 1e-9  # what is nearer to the bound of a port is left to the check of Python
+LARGEST = 1 << 62
+FEW = 3  # squares of fewer numbers are written out
+# table of times, ns: of the tick, of what each holding is of, at which each that may be silent spoke last
+WHEN = "when"
+
+
+@dataclass(frozen=True)
+class Holding:
+    """What brings no message of its tick at each tick of the native members: whoever reads it keeps the newest.
+
+    Attributes
+    ----------
+    source : int or None
+        Number of the native member that speaks; None: Python runs it, between native ticks.
+    fill : Fill
+    """
+
+    source: int | None
+    fill: Fill
+
+    @property
+    def value(self) -> Any:
+        """What the reader has."""
+        return self.fill.reader.values[self.fill.port.name]
+
+    @property
+    def stamp(self) -> int:
+        """Of what the reader has, ns: its age counts from there."""
+        return self.value.stamp if isinstance(self.value, Sample) else self.fill.told() or 0
+
+    @property
+    def form(self) -> Any:
+        """What a text is for: whether something has come, and of which types."""
+        return form(self.value), self.fill.told() is None
+
+
+def holdings(steps: Sequence[Step]) -> list[Holding]:
+    """Give those between native members that are silent at times, or late, or doubted, and those from other members."""
+    found: list[Holding] = []
+    for k, s in enumerate(steps):
+        found += [Holding(k, fill) for fill in (*(f for f in s.readers if f.silent), *s.doubters)]
+    for s in steps:
+        found += [Holding(None, fill) for fill in s.fed.values() if fill.source not in steps]
+    return found
+
+
+def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
+    """Give the numbers of the outputs that are silent at times: of the member, and of its output."""
+    return [(k, j) for k, s in enumerate(steps) for j, p in enumerate(s.outputs) if p.sporadic]
+
+
+def decides(step: Step) -> bool:
+    """Whether there are ticks that a member has left to Python."""
+    return type(step.block).decides is not Block.decides
+
+
+class Turns:
+    """Writes the turns of members.
+
+    In the text of a tick k at time t: of member i, x{i} is what it remembers, q{i} what it answers, r{i} its newest
+    answer, z{i} the stamps of its delayed outputs; h{j} is what holding j keeps.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        Plants first, then the others, each after those that it reads; each has answered a tick.
+    recorded : sequence of Step
+        Those whose answers are written into tables o{i}, stamps into p{i}.
+    typed : bool
+        See `rig_text`.
+
+    Attributes
+    ----------
+    arrays : set of str
+        What the text is handed beside states.
+    kept : list of Holding
+    spoken : list of (int, int)
+        Numbers of the outputs that are silent at times: of the member, and of its output.
+    """
+
+    def __init__(self, steps: Sequence[Step], recorded: Sequence[Step] = (), typed: bool = True) -> None:
+        self.steps, self.recorded, self.typed = steps, recorded, typed
+        self.plan = Plan(s.schedule for s in steps)
+        self.kept, self.spoken = holdings(steps), speakers(steps)
+        silent = [(k, steps[k].outputs[j]) for k, j in self.spoken]
+        self.program = Program([s.block for s in steps], Writer, self._ages(), silent, typed)
+        self.arrays: set[str] = set()
+        self._ns = (self.plan.clock.period * 10**9).as_integer_ratio()
+        self._numbers = {id(s): k for k, s in enumerate(steps)}
+
+    def check_times(self) -> None:
+        """Make sure that whole numbers of 64 bits hold all times of the run."""
+        if 2 * self._ns[0] * (self.steps[0].schedule.ticks or 1) > LARGEST:
+            raise NotNative("times beyond whole numbers of 64 bits")
+
+    def time(self, k: str) -> str:
+        """Write the time of a tick, ns."""
+        n, d = self._ns
+        return f"{k} * {n}" if d == 1 else f"(2 * {k} * {n} + {d}) // {2 * d}"
+
+    def every(self, k: int) -> int:
+        """Return at how many ticks of the text a member has one of its own."""
+        return self.plan.every(self.steps[k].schedule)
+
+    # the turns ----------------------------------------------------------------------------------------------------
+
+    def show(self, k: int) -> list[str]:
+        """Write what a plant says at a tick."""
+        return self._due(k, self._answered(k, self._asked(k, "outputs", {}), None) + self._handed_on(k))
+
+    def answer(self, k: int, inputs: Mapping[str, Value]) -> list[str]:
+        """Write what another one answers."""
+        return self._due(k, self._answered(k, self._asked(k, "update", inputs), f"x{k}") + self._handed_on(k))
+
+    def move(self, k: int, inputs: Mapping[str, Value]) -> list[str]:
+        """Write how a plant moves on."""
+        value = self._asked(k, "advance", inputs)
+        if not isinstance(value, Dynamic):
+            raise NotNative(f"{self.steps[k].name}: its state stays as it is")
+        return self._due(k, [self._state(k, value)])
+
+    def act(self, k: int, said: Sequence[str]) -> list[str]:
+        """Write what a member says that is told what to say."""
+        return self._due(k, [f"r{k} = ({''.join(f'{x}, ' for x in said)})"])
+
+    def decided(self, state: str) -> list[str]:
+        """Write that the text goes no further where a member has its tick left to Python."""
+        lines: list[str] = []
+        for k, step in enumerate(self.steps):
+            if decides(step):
+                writer = self._writer(k)
+                test = writer.truth(self._asked(k, "decides", {}))
+                lines += self._due(k, [*writer.lines, f"if {test}:", f"    return ({state},)"])
+        return lines
+
+    def inputs(self, k: int) -> dict[str, Value]:
+        """Say where a member has its inputs from: of whom, and which numbers."""
+        step, found = self.steps[k], {}
+        for port in step.inputs:
+            found[port.name] = self._input(step, port)
+        return found
+
+    # its parts ----------------------------------------------------------------------------------------------------
+
+    def _due(self, k: int, lines: list[str]) -> list[str]:
+        every = self.every(k)
+        return lines if every == 1 else [f"if k % {every} == 0:", *(f"    {line}" for line in lines)]
+
+    def _writer(self, k: int) -> Writer:
+        """Return what writes on behalf of a member's method, which an error names."""
+        step = self.steps[k]
+        return Writer(self.program, getattr(type(step.block), "outputs" if step.plant else "update"), {})
+
+    def _holding(self, fill: Fill | None) -> int | None:
+        """Return the number of the holding that an input is filled from; None: it gets each tick's."""
+        return next((i for i, one in enumerate(self.kept) if one.fill is fill), None)
+
+    def _ages(self) -> dict[tuple[int, str], int | str | None]:
+        """Give the ages of inputs: 0 of what is said at each tick of the reader; else how they are written."""
+        found: dict[tuple[int, str], int | str | None] = {}
+        for k, step in enumerate(self.steps):
+            for port in step.inputs:
+                fill = step.fed.get(port.name)
+                held = self._holding(fill)
+                if fill is None or (held is not None and fill.told() is None):
+                    found[k, port.name] = None
+                elif held is not None:
+                    found[k, port.name] = f"max(int({WHEN}[0] - {WHEN}[{held + 1}]), 0)"
+                elif step.schedule.every % fill.source.schedule.every == 0:
+                    found[k, port.name] = 0
+        return found
+
+    def _input(self, step: Step, port: Port) -> Value:
+        fill, values = step.fed.get(port.name), step.values[port.name]
+        held = self._holding(fill)
+        if fill is None and (not port.held or values is not None):
+            raise NotNative(f"{step.name}: {port.topic} does not come from a member of the rig")
+        if fill is None or values is None:
+            return Static(None)
+        if port.size > LONGEST:
+            raise NotNative(f"{step.name}: {port.topic} has {port.size} numbers, expected at most {LONGEST}")
+        if held is not None:
+            if isinstance(values, Sample):
+                return Dynamic(f"h{held}", packed(values))
+            return Group(tuple(Dynamic(f"h{held}[{p}]", float(v)) for p, v in enumerate(values)))
+        k = self._numbers[id(fill.source)]
+        every = self.every(k)
+        return self._read(fill, f"r{k}", f"z{k}", self.time(f"(k - k % {every})" if every > 1 else "k"), values)
+
+    def _read(self, fill: Fill, numbers: str, stamps: str, time: str, values: Any) -> Value:
+        """Write what a reader makes of an output, which has `values` of it now."""
+        outputs, delayed = fill.source.outputs[: fill.output], fill.stamp == "own"
+        before = sum(p.size for p in outputs)
+        data = values.data if isinstance(values, Sample) else values
+        row = [
+            Dynamic(f"{numbers}[{before + p}]" if type(p) is int else repr(p), float(v))
+            for p, v in zip(fill.places, data, strict=True)
+        ]
+        if not isinstance(values, Sample):
+            return Group(tuple(row))
+        stamp = f"{stamps}[{len([p for p in outputs if p.delayed])}]" if delayed else time
+        return Dynamic(
+            f"{self.program.name(Sample, 'Sample')}({stamp}, ({''.join(f'{v.code}, ' for v in row)}))",
+            Sample(values.stamp, tuple(float(v) for v in data)),
+        )
+
+    def _asked(self, k: int, name: str, inputs: Mapping[str, Value]) -> Value:
+        step, program = self.steps[k], self.program
+        state: Value = Dynamic(f"x{k}", packed(step.x, program.typed))
+        program.aside = decides(step)  # what it remembers may be what it decides by: no way is the one of most ticks
+        given = [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)]
+        return made(program, getattr(type(step.block), name), given, inputs, self.arrays)
+
+    def _answered(self, k: int, value: Value, state: str | None) -> list[str]:
+        """Take an answer: its state, its numbers checked, written into the table."""
+        step, typed, writer = self.steps[k], self.typed, self._writer(k)
+        x, size = Dynamic(""), sum(p.size for p in step.outputs)
+        try:
+            if state is not None:
+                first, value = writer.parts(value, _NOWHERE)
+                x = writer.dynamic(first)
+                writer.emit(f"y{k} = {x.code}")
+            if isinstance(value, Dynamic) and value.keys is not None:
+                value = writer.unfolded(value)
+            numbers: list[str] = []
+            stamps: list[str] = []
+            found: Any = value.items if isinstance(value, Record) else {}
+            flags: list[str] = []
+            for port in step.outputs:
+                said = found[port.name]
+                if port.sporadic:
+                    flag, said = writer.parts(said, _NOWHERE)
+                    flags.append(writer.code(flag))
+                if port.delayed:
+                    stamps.append(writer.code(writer.attribute(said, "stamp", _NOWHERE)))
+                    said = writer.attribute(said, "data", _NOWHERE)
+                row = writer.parts(said, _NOWHERE)
+                if len(row) != port.size:
+                    raise NotNative(f"{port.name} has {len(row)} values, expected {port.size}")
+                whole = size >= FEW and not typed and isinstance(said, Dynamic) and type(said.sample) is tuple
+                numbers += [f"*{writer.code(said)}"] if whole else [f"float({writer.code(one)})" for one in row]
+        except (NotNative, AttributeError, KeyError, ValueError) as error:
+            raise NotNative(f"{step.name}: its answer: {error}") from None
+        lines = writer.lines
+        if numbers:
+            bound = min(p.bound for p in step.outputs) * EDGE
+            lines += _row_of(f"q{k}", numbers, flags, size, bound, typed)
+            lines.append(f"r{k} = q{k}")
+        if stamps:
+            lines.append(f"z{k} = ({''.join(f'{z}, ' for z in stamps)})")
+        if state is not None:
+            lines.append(self._state(k, replace(x, code=f"y{k}")))
+        if any(s is step for s in self.recorded) and not typed:
+            lines += [f"o{k}.append(q{k})", *([f"p{k}.append(z{k})"] if stamps else [])]
+        elif any(s is step for s in self.recorded):
+            at = f"k // {self.every(k)} - e{k}"
+            lines += [f"o{k}[{at}, {i}] = q{k}[{i}]" for i in range(size + len(flags))]
+            lines += [f"p{k}[{at}, {i}] = z{k}[{i}]" for i, _ in enumerate(stamps)]
+        return lines
+
+    def _state(self, k: int, value: Dynamic) -> str:
+        """Take a state, which must be of the type of the one before."""
+        typed = self.typed
+        known = not typed and is_sure(value) and alike(value.sample, packed(self.steps[k].x, typed))
+        return f"x{k} = {value.code}" if known else f"x{k} = same_(x{k}, {value.code})"
+
+    def _handed_on(self, k: int) -> list[str]:
+        """Hand what is said to those who keep it, with its time; what is new in kind or not to be taken is Python's."""
+        step, kept = self.steps[k], self.kept
+        lines: list[str] = []
+        flag = sum(p.size for p in step.outputs)
+        for j, port in enumerate(step.outputs):
+            said: list[str] = []
+            for i, one in enumerate(kept):
+                if (one.source, one.fill.output) != (k, j):
+                    continue
+                if one.value is None or one.fill.told() is None:
+                    said.append(GIVEN_UP)
+                    continue
+                value = self._read(one.fill, f"q{k}", f"z{k}", "t", one.value)
+                row = isinstance(value, Group)
+                said.append(f"h{i} = {self._writer(k).code(value)}")
+                said.append(f"{WHEN}[{i + 1}] = {'t' if row else f'h{i}.stamp'}")
+                for p, limit in enumerate(one.fill.port.limits if port.unchecked else ()):
+                    said += [f"if not abs(h{i}{'' if row else '.data'}[{p}]) <= {limit!r}:", f"    {GIVEN_UP}"]
+            if port.sporadic:
+                said.append(f"{WHEN}[{1 + len(kept) + self.spoken.index((k, j))}] = t")
+                said = [f"if q{k}[{flag}] != 0.0:", *(f"    {line}" for line in said)]
+                flag += 1
+            lines += said
+        return lines
+
+
+def _row_of(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bound: float, typed: bool) -> list[str]:
+    """Write what takes all numbers of an answer, flags of silence after them; beyond the bound they are Python's."""
+    told = "".join(f"{flag}, " for flag in flags)
+    if typed or size < FEW:
+        squares = " + ".join(f"{q}[{i}] * {q}[{i}]" for i in range(size))
+        return [f"{q} = ({', '.join(numbers)}, {told})", f"if not ({squares} <= {bound!r}):", f"    {GIVEN_UP}"]
+    return [
+        f"{q} = ({', '.join(numbers)},)",
+        f"squares_ = sum_of_products({q}, {q})",
+        "if type(squares_) is not float:",
+        f"    {q} = tuple(map(float, {q}))",
+        f"    squares_ = sum_of_products({q}, {q})",
+        f"if not (squares_ <= {bound!r} and len({q}) == {size}):",
+        f"    {GIVEN_UP}",
+        *([f"{q} = (*{q}, {told})"] if flags else []),
+    ]
+
+
+class _Nowhere:
+    lineno = 1
+
+
+_NOWHERE: Any = _Nowhere()
