@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from softrig_power.fault_location.location import Locator
-from softrig_power.fault_location.objective import LocatorParams
-from softrig_power.fault_location.parameters import RATES, RigParams
-from softrig_power.fault_location.simulation import FaultedLine
+from softrig_power.fault_location.line.parameters import RATES, RigParams
+from softrig_power.fault_location.line.simulation import FaultedLine
+from softrig_power.fault_location.method.location import Locator
+from softrig_power.fault_location.method.objective import LocatorParams
 from softrig_power.fault_location.study import simulate
 
 from .timing import least

@@ -16,9 +16,9 @@ from softrig_drives.lsrm.plant import LsrmPlant
 from softrig_power.dispatch.certify import Optimiser
 from softrig_power.dispatch.units import Units
 from softrig_power.fault_location import study
-from softrig_power.fault_location.location import locate
-from softrig_power.fault_location.objective import LocatorParams
-from softrig_power.fault_location.parameters import RigParams
+from softrig_power.fault_location.line.parameters import RigParams
+from softrig_power.fault_location.method.location import locate
+from softrig_power.fault_location.method.objective import LocatorParams
 from softrig_power.pv.plant import PvPlant
 from softrig_power.rectifier.plant import RectifierPlant
 from softrig_robots.manipulator.plant import ManipulatorPlant

@@ -6,10 +6,10 @@ import struct
 import comtrade
 import numpy as np
 import pytest
-from softrig_power.fault_location.comtrade_cfg import COMTRADE, SettingsError, read_settings, sections
-from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade
 from softrig_power.fault_location.locate_tool import _budget, _params, _parser
-from softrig_power.fault_location.record import RecordError, Status
+from softrig_power.fault_location.records.comtrade_cfg import COMTRADE, SettingsError, read_settings, sections
+from softrig_power.fault_location.records.comtrade_file import ComtradeFileError, read_comtrade
+from softrig_power.fault_location.records.record import RecordError, Status
 
 RATE = 4000.0
 PHASES = ("A", "B", "C")

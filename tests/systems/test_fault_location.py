@@ -20,20 +20,20 @@ from softrig_core.block.params import build
 from softrig_nodes import run_processes
 from softrig_power.fault_location import pictures, study, study_tool
 from softrig_power.fault_location.cases import PUBLISHED, Case
-from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
-from softrig_power.fault_location.confidence import Confidence, ErrorBudget, confidence, describe, shifted
-from softrig_power.fault_location.inception import inception, windowed
+from softrig_power.fault_location.line.measurement import butterworth
+from softrig_power.fault_location.line.parameters import RATES, RigParams
+from softrig_power.fault_location.line.simulation import FaultedLine
 from softrig_power.fault_location.locate_tool import read, to_bag
-from softrig_power.fault_location.location import Locator, locate
 from softrig_power.fault_location.locator import FaultLocator
 from softrig_power.fault_location.marker import LocationMarker
-from softrig_power.fault_location.measurement import butterworth
-from softrig_power.fault_location.objective import LocatorParams
-from softrig_power.fault_location.parameters import RATES, RigParams
+from softrig_power.fault_location.method.confidence import Confidence, ErrorBudget, confidence, describe, shifted
+from softrig_power.fault_location.method.inception import inception, windowed
+from softrig_power.fault_location.method.location import Locator, locate
+from softrig_power.fault_location.method.objective import LocatorParams
 from softrig_power.fault_location.plant import LinePlant
-from softrig_power.fault_location.record import CHANNELS, Record, RecordError, Status
-from softrig_power.fault_location.resample import resampled
-from softrig_power.fault_location.simulation import FaultedLine
+from softrig_power.fault_location.records.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
+from softrig_power.fault_location.records.record import CHANNELS, Record, RecordError, Status
+from softrig_power.fault_location.records.resample import resampled
 from told import check_told, figure_lines
 
 AG = Case("AG", 50.0, 0.0)

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 from softrig_power.fault_location.cases import Case
-from softrig_power.fault_location.location import locate
-from softrig_power.fault_location.objective import LocatorParams
-from softrig_power.fault_location.parameters import RATES, RigParams, grounded, phases
-from softrig_power.fault_location.record import Record
+from softrig_power.fault_location.line.parameters import RATES, RigParams, grounded, phases
+from softrig_power.fault_location.method.location import locate
+from softrig_power.fault_location.method.objective import LocatorParams
+from softrig_power.fault_location.records.record import Record
 from softrig_power.fault_location.study import simulate
 from softrig_power.lines.modal import CLARKE
 

@@ -14,38 +14,27 @@ from scipy.signal import butter, sosfilt
 from softrig_bags.write import write_bag
 from softrig_core import Level, ParameterError, Recording, RunError, ScenarioError
 from softrig_core.block.params import build
-from softrig_power.fault_location import (
-    confidence as trust,
-    ends,
-    equations,
-    figures,
-    locate_tool,
-    location,
-    measurement,
-    pictures,
-    resample,
-    simulation,
-    study,
-    study_tool,
-    transient,
-)
+from softrig_power.fault_location import figures, locate_tool, pictures, study, study_tool
 from softrig_power.fault_location.cases import Case
-from softrig_power.fault_location.comtrade_file import ComtradeFileError, _text, read_comtrade, write_comtrade
-from softrig_power.fault_location.confidence import Confidence, ErrorBudget
-from softrig_power.fault_location.inception import inception, windowed
-from softrig_power.fault_location.line_file import line_data
-from softrig_power.fault_location.location import Location, Locator
+from softrig_power.fault_location.line import measurement, simulation
+from softrig_power.fault_location.line.line_file import line_data
+from softrig_power.fault_location.line.network import LEAST_RESISTANCE, network, steady
+from softrig_power.fault_location.line.parameters import RATES, RigParams, grounded, phases
+from softrig_power.fault_location.line.simulation import FaultedLine
 from softrig_power.fault_location.locator import FaultLocator
 from softrig_power.fault_location.marker import LocationMarker
-from softrig_power.fault_location.network import LEAST_RESISTANCE, network, steady
-from softrig_power.fault_location.objective import LocatorParams, Objective, check_travel
-from softrig_power.fault_location.parameters import RATES, RigParams, grounded, phases
+from softrig_power.fault_location.method import confidence as trust, ends, equations, location, transient
+from softrig_power.fault_location.method.confidence import Confidence, ErrorBudget
+from softrig_power.fault_location.method.inception import inception, windowed
+from softrig_power.fault_location.method.location import Location, Locator
+from softrig_power.fault_location.method.objective import LocatorParams, Objective, check_travel
+from softrig_power.fault_location.method.search import brent, integer_grid
 from softrig_power.fault_location.plant import LinePlant, LinePlantParams
 from softrig_power.fault_location.ports import record_port
-from softrig_power.fault_location.record import CHANNELS, Record, RecordError, Status
-from softrig_power.fault_location.rows import Rows
-from softrig_power.fault_location.search import brent, integer_grid
-from softrig_power.fault_location.simulation import FaultedLine
+from softrig_power.fault_location.records import resample
+from softrig_power.fault_location.records.comtrade_file import ComtradeFileError, _text, read_comtrade, write_comtrade
+from softrig_power.fault_location.records.record import CHANNELS, Record, RecordError, Status
+from softrig_power.fault_location.records.rows import Rows
 from softrig_power.lines import bergeron
 from softrig_power.lines.modal import CLARKE
 from softrig_power.lines.section import Section
@@ -732,7 +721,7 @@ def test_brent_keeps_to_the_cells_beside_the_lowest_point_of_the_grid_and_its_en
 
 
 def test_whole_samples_are_multiples_of_what_a_wave_passes_in_one(monkeypatch):
-    from softrig_power.fault_location import search
+    from softrig_power.fault_location.method import search
 
     def written(model, both, rate, first, count, out):
         assert (model, both, rate, first, count) == (work.model, "ends 2", 20_000.0, 3, 4)

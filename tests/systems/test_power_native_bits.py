@@ -7,8 +7,10 @@ import pytest
 from softrig_power.dispatch import branch
 from softrig_power.dispatch.conditions import Losses
 from softrig_power.dispatch.units import NARROW, Units
-from softrig_power.fault_location import equations, resample, simulation
-from softrig_power.fault_location.parameters import RigParams
+from softrig_power.fault_location.line import simulation
+from softrig_power.fault_location.line.parameters import RigParams
+from softrig_power.fault_location.method import equations
+from softrig_power.fault_location.records import resample
 from softrig_power.lines import bergeron
 from softrig_power.lines.modal import CLARKE
 from softrig_power.lines.section import Section

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-import random
 import types
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
@@ -147,8 +146,8 @@ def _parts(value: Any) -> tuple[str, Iterable[Any]]:
         )
     if hasattr(value, "bit_generator"):
         return "", (value.bit_generator.state,)
-    if isinstance(value, random.Random):
-        return str(hash(value.getstate())), ()
+    if hasattr(value, "getstate"):  # random.Random
+        return "", (value.getstate(),)
     if isinstance(value, itertools.count):
         return repr(value), ()
     if isinstance(value, types.GeneratorType):

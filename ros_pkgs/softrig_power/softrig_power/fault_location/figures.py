@@ -6,7 +6,7 @@ import numpy as np
 from softrig_core import SignalMap, figure
 
 from .ports import LOCATION, VERDICT
-from .record import Status
+from .records.record import Status
 
 
 def _last(signals: SignalMap, topic: str, names: tuple[str, ...], name: str) -> float:

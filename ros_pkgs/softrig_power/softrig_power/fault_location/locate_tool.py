@@ -16,13 +16,13 @@ from softrig_core.block.params import build
 from softrig_core.command_line import named
 from softrig_core.wire.cdr import parse
 
-from .comtrade_file import ComtradeFileError, read_comtrade
-from .confidence import ErrorBudget, conditions, confidence, describe
-from .inception import inception, windowed
-from .line_file import line_data
-from .location import locate
-from .objective import LocatorParams
-from .record import COLUMNS, GROUPS, TOPICS, Record, RecordError
+from .line.line_file import line_data
+from .method.confidence import ErrorBudget, conditions, confidence, describe
+from .method.inception import inception, windowed
+from .method.location import locate
+from .method.objective import LocatorParams
+from .records.comtrade_file import ComtradeFileError, read_comtrade
+from .records.record import COLUMNS, GROUPS, TOPICS, Record, RecordError
 
 EPOCH = 10**15  # ns, no simulated time comes so far
 

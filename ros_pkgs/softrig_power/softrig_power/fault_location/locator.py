@@ -10,13 +10,13 @@ import numpy as np
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, array, button, param
 
-from .confidence import ErrorBudget, confidence
-from .equations import TAPS, model, objectives
-from .location import Location, Locator
-from .objective import LocatorParams, check_travel
+from .method.confidence import ErrorBudget, confidence
+from .method.equations import TAPS, model, objectives
+from .method.location import Location, Locator
+from .method.objective import LocatorParams, check_travel
 from .ports import LOCATION, OBJECTIVE, VERDICT, location_port, record_port, streams
-from .record import COLUMNS, GROUPS, Record, RecordError, Status
-from .rows import Rows
+from .records.record import COLUMNS, GROUPS, Record, RecordError, Status
+from .records.rows import Rows
 
 Answer = Mapping[str, "tuple[float, ...] | None"]
 NO_BUDGET = ErrorBudget(sync_us=0.0, ratio=0.0, reactance=0.0, resistance=0.0)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .cases import LENGTH, PLACES, PUBLISHED, Case
-from .location import Location, Locator
-from .objective import LocatorParams
-from .record import Record
+from .method.location import Location, Locator
+from .method.objective import LocatorParams
+from .records.record import Record
 
 if TYPE_CHECKING:
     from .study import Row

@@ -12,11 +12,11 @@ from softrig_core import BlockParams, Level, Plant, Port, button, param, vector3
 from softrig_core.kit.draws import Draws
 
 from ..lines.modal import CLARKE
-from .parameters import RATES, RigParams
+from .line.parameters import RATES, RigParams
+from .line.simulation import CHANNELS, FaultedLine, State as LineState, advance
 from .ports import record_port, streams
-from .record import GROUPS
-from .rows import Rows
-from .simulation import CHANNELS, FaultedLine, State as LineState, advance
+from .records.record import GROUPS
+from .records.rows import Rows
 
 
 class State(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from softrig_core import Port, array, vector3
 
-from .record import COLUMNS, GROUPS, TOPICS
+from .records.record import COLUMNS, GROUPS, TOPICS
 
 LOCATION = ("x_km", "f_min", "f_max", "mode", "n_eval", "scatter_km")
 VERDICT = ("status", "mode", "f_max")

@@ -13,11 +13,11 @@ from softrig_core.block.params import build
 from softrig_optim.sweep import sweep
 
 from .cases import PUBLISHED, Case
-from .location import locate
-from .objective import Algorithm, LocatorParams
-from .parameters import RATES, RigParams
-from .record import Record
-from .simulation import CHANNELS, FaultedLine
+from .line.parameters import RATES, RigParams
+from .line.simulation import CHANNELS, FaultedLine
+from .method.location import locate
+from .method.objective import Algorithm, LocatorParams
+from .records.record import Record
 
 METHODS: tuple[str, ...] = get_args(Algorithm)
 Settings = Mapping[str, Any]

@@ -13,9 +13,9 @@ from softrig_core.command_line import without_ros
 from softrig_core.guard import guarded
 
 from .cases import PUBLISHED
-from .location import locate
-from .objective import LocatorParams
-from .parameters import FaultParams, RigParams
+from .line.parameters import FaultParams, RigParams
+from .method.location import locate
+from .method.objective import LocatorParams
 from .study import METHODS, SENSITIVITY, Row, as_csv, published_jobs, run, sensitivity, simulate
 
 

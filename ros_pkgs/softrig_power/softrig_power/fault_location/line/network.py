@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from softrig_core.kit import dense
 
-from ..lines.bergeron import Lines, branch, branch_impedance, discrete_two_port, lines, steady_history
-from ..lines.modal import CLARKE
+from ...lines.bergeron import Lines, branch, branch_impedance, discrete_two_port, lines, steady_history
+from ...lines.modal import CLARKE
 from .parameters import FaultParams, RigParams, grounded, phases
 
 Array = NDArray[np.float64]

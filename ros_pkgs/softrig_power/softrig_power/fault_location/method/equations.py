@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from softrig_core import jit
 
-from ..lines.section import Section
+from ...lines.section import Section
 
 Array = NDArray[np.float64]
 Equations = Literal[

@@ -8,10 +8,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lines.modal import AERIAL
+from ...lines.modal import AERIAL
+from ..records.record import GROUPS, Record
 from .equations import model, objectives
 from .objective import Objective
-from .record import GROUPS, Record
 
 Array = NDArray[np.float64]
 WIRED = 1e-3  # of the voltage: ends that agree as well as this are not asked how they are wired

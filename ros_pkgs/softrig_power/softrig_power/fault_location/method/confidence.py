@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from softrig_core import Params, param
 
+from ..records.record import GROUPS, Record, Status
 from .equations import lagrange
 from .location import Location, Locator, locate
 from .objective import LocatorParams
-from .record import GROUPS, Record, Status
 
 Array = NDArray[np.float64]
 STRETCHES = 8  # of the window, that locate by themselves

@@ -8,8 +8,8 @@ from typing import Literal, Self
 from pydantic import model_validator
 from softrig_core import Params, param
 
-from ..lines.bergeron import LEAST_DELAY
-from ..lines.section import Section
+from ...lines.bergeron import LEAST_DELAY
+from ...lines.section import Section
 
 FaultType = Literal["AG", "BG", "CG", "AB", "BC", "CA", "ABG", "BCG", "CAG", "ABC", "ABCG", "none"]
 Profile = Literal["raw1m", "raw100k", "raw20k", "m100k", "m20k", "m10k", "m4k"]

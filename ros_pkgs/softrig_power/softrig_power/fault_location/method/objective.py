@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 from softrig_core import Params, param
 
-from ..lines.modal import AERIAL
+from ...lines.modal import AERIAL
+from ..line.parameters import LineParams
+from ..records.record import Record, RecordError, Status
 from .equations import TAPS, Equations, Model, model, objectives
-from .parameters import LineParams
-from .record import Record, RecordError, Status
 
 Array = NDArray[np.float64]
 Algorithm = Literal["brent", "woa", "gwo", "integer_grid", "phasor", "travelling_wave"]

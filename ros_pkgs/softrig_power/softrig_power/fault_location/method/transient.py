@@ -8,8 +8,8 @@ import math
 import numpy as np
 from softrig_core.kit import dense
 
+from ..records.record import RecordError, Status
 from .objective import Objective
-from .record import RecordError, Status
 
 QUIET = 20.0  # times the largest step of the quiet part make an arrival
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..records.record import Record, RecordError, Status
 from . import search, transient
 from .ends import contradiction
 from .objective import LocatorParams, Objective
-from .record import Record, RecordError, Status
 
 NOWHERE = 0.02  # of the voltage: ends that disagree by more and nowhere less are not those of a healthy line
 NEAR_END = 1e-3  # km, a minimum this near to an end of the line is one at the end

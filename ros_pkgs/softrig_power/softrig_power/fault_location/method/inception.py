@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..records.record import GROUPS, Record, RecordError, Status
 from .objective import LocatorParams
-from .record import GROUPS, Record, RecordError, Status
 
 CHANGE = 0.2  # of the largest value of a channel group in the first cycle
 AFTER = 1e-3  # s from the inception to the window, as in the study of the paper

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from softrig_core import jit
 from softrig_core.kit import dense
 
-from ..lines.bergeron import histories, store
-from ..lines.modal import CLARKE
+from ...lines.bergeron import histories, store
+from ...lines.modal import CLARKE
 from .measurement import Chain, chain, filter_step, steady_filter
 from .network import Network, line_history, network, steady
 from .parameters import RigParams, phases
