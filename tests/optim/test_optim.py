@@ -13,11 +13,12 @@ from pathlib import Path
 import faultrig
 import numpy as np
 import pytest
+import softrig_optim.sweep as sweeping
 from conftest import PATIENCE, make_scenario, until
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 from scipy.optimize import differential_evolution, minimize_scalar
-from softrig_core import ByHand, Level, Plant, ScenarioError, rig_of, run_inprocess
+from softrig_core import ByHand, Level, Plant, RunError, ScenarioError, rig_of, run_inprocess
 from softrig_core.solver.worker import Worker, _Process
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.de import DifferentialEvolution
@@ -799,6 +800,67 @@ def test_an_address_without_a_scheduler_is_named(monkeypatch):
         for address in ("nonsense", "tcp://127.0.0.1:1", "what://is", ":", "tcp://127.0.0.1:1"):
             with pytest.raises(ScenarioError, match=rf"--scheduler {address}: no Dask scheduler there"):
                 Workers(scheduler=address).map(abs, [1])
+
+
+class Cluster:
+    """A scheduler whose workers say what they are made of, and that goes away when it gets work."""
+
+    status = "closed"
+
+    def __init__(self, scheduler=None, workers=None):
+        self._scheduler, self._workers = scheduler, workers or {}
+
+    def run_on_scheduler(self, function):
+        if self._scheduler is not None:
+            raise self._scheduler
+        return function()
+
+    def nthreads(self):
+        return dict.fromkeys(self._workers or ["w"], 1)
+
+    def run(self, function, on_error):
+        assert on_error == "return"
+        return {
+            address: function() | found if isinstance(found, dict) else found
+            for address, found in self._workers.items()
+        }
+
+    def submit(self, *_, **__):
+        import distributed
+
+        raise distributed.comm.CommClosedError("gone")
+
+    def close(self):
+        pass
+
+
+def test_peers_that_lack_softrig_or_have_other_versions_are_named():
+    sweeping._check_peers(Cluster(workers={"tcp://a:1": {}}), "tcp://s:8786")
+    lacks = ModuleNotFoundError("No module named 'softrig_optim'")
+    for cluster, said in (
+        (
+            Cluster(scheduler=lacks),
+            "--scheduler tcp://s:8786: it cannot import softrig (No module named 'softrig_optim')",
+        ),
+        (Cluster(workers={"tcp://a:1": {}, "tcp://b:2": lacks}), "worker tcp://b:2 cannot import softrig"),
+        (Cluster(workers={"tcp://a:1": {"numpy": "1.0"}}), "worker tcp://a:1 has numpy 1.0, here "),
+    ):
+        with pytest.raises(ScenarioError) as refused:
+            sweeping._check_peers(cluster, "tcp://s:8786")
+        assert str(refused.value).startswith(said)
+        assert "has numpy" in said or "start it by `scripts/softrig python -m distributed.cli.dask_" in str(
+            refused.value
+        )
+
+
+def test_a_scheduler_that_goes_away_says_how_to_go_on(monkeypatch):
+    import distributed
+
+    monkeypatch.setattr(distributed, "as_completed", lambda: iter(()))
+    workers = Workers(scheduler="tcp://s:8786")
+    workers._client = Cluster()
+    with pytest.raises(RunError, match=r"the scheduler has gone; what is done is kept, and the same command goes on"):
+        workers.map(abs, [1])
 
 
 def test_sweep_on_a_local_cluster():

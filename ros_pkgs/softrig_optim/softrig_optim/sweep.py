@@ -12,16 +12,16 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import islice
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
-from softrig_core import ScenarioError
+from softrig_core import RunError, ScenarioError
 from softrig_core.extras import need
-from softrig_core.guard import is_quiet
+from softrig_core.guard import is_quiet, say
 
 C = TypeVar("C")
 R = TypeVar("R")
@@ -169,7 +169,10 @@ class Workers:
         need("distributed", f"scheduler {self._scheduler}")
         import distributed
 
-        self._client = client = self._client or _connected(self._scheduler)
+        if self._client is None:
+            self._client = _connected(self._scheduler)
+            _check_peers(self._client, self._scheduler)
+        client = self._client
         open_: dict[Any, Chunk[C]] = {}
         workers = max(1, sum(client.nthreads().values()))
         done = distributed.as_completed()
@@ -180,10 +183,18 @@ class Workers:
                 open_[future.key] = chunk
                 done.add(future)
 
-        submit(workers * AHEAD)
-        for future in done:
-            yield from self._told(open_.pop(future.key), future.result())
-            submit(1)
+        try:
+            submit(workers * AHEAD)
+            for future in done:
+                yield from self._told(open_.pop(future.key), future.result())
+                submit(1)
+        except (CancelledError, OSError, distributed.comm.CommClosedError) as error:
+            if isinstance(error, OSError) and client.status == "running":  # of the case itself
+                raise
+            raise RunError(
+                f"--scheduler {self._scheduler}: the scheduler has gone; what is done is kept, and the same command "
+                "goes on from there"
+            ) from None
 
 
 def _each(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R], float]:
@@ -283,6 +294,41 @@ def _connected(scheduler: str) -> Any:
             f"--scheduler {scheduler}: no Dask scheduler there, expected an address as tcp://127.0.0.1:8786: {error}"
         ) from None
     return distributed.Client(scheduler)
+
+
+def _made_of() -> dict[str, str]:
+    """Say what decides numbers on this host; runs on workers too."""
+    from importlib.metadata import version
+
+    return {"Python": ".".join(map(str, sys.version_info[:2]))} | {n: version(n) for n in ("softrig_core", "numpy")}
+
+
+def _check_peers(client: Any, scheduler: str) -> None:
+    """Make sure that scheduler and workers can import softrig, in the versions of this host.
+
+    Raises
+    ------
+    ScenarioError
+        One cannot, or has others; says how they are started.
+    """
+    how = "start it by `scripts/softrig python -m distributed.cli.dask_{kind}` of the same checkout and packages"
+    try:
+        client.run_on_scheduler(_made_of)
+    except Exception as error:  # whatever unpickling raises there
+        why = str(error).splitlines()[0][:200]
+        raise ScenarioError(
+            f"--scheduler {scheduler}: it cannot import softrig ({why}); {how.format(kind='scheduler')}"
+        ) from None
+    if not client.nthreads():
+        say(f"no worker has joined {scheduler} yet: waiting; {how.format(kind='worker')}")
+        client.wait_for_workers(1)
+    here = _made_of()
+    for address, found in client.run(_made_of, on_error="return").items():
+        if isinstance(found, Exception):
+            why = str(found).splitlines()[0][:200]
+            raise ScenarioError(f"worker {address} cannot import softrig ({why}); {how.format(kind='worker')}")
+        if other := [f"{name} {found.get(name)}, here {own}" for name, own in here.items() if found.get(name) != own]:
+            raise ScenarioError(f"worker {address} has {', '.join(other)}; expected the versions of this host")
 
 
 @contextmanager

@@ -1,0 +1,36 @@
+"""What a shell brings in and would get between softrig and its packages: left out, in a line that names it."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("PYTHONHOME", "/usr", "PYTHONHOME=/usr is left out: it belongs to another Python"),
+        ("PYTHONPATH", "{}/broken:{}/mine", "PYTHONPATH: {}/broken is left out: numpy in it would replace"),
+        ("LD_LIBRARY_PATH", "/conda/lib:/mine", "LD_LIBRARY_PATH: /conda/lib is left out: conda's libraries"),
+    ],
+)
+def test_what_would_replace_a_package_of_the_set_up_is_left_out(tmp_path, name, value, said):
+    (tmp_path / "broken" / "numpy").mkdir(parents=True)
+    (tmp_path / "broken" / "numpy" / "__init__.py").write_text("raise ImportError('broken')\n")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "my_law.py").write_text("")
+    code = "import numpy, os, sys; print(os.environ.get('LD_LIBRARY_PATH', '')); print(sys.path); import my_law"
+    ours = ("PYTHON", "VIRTUAL_ENV", "LD_", "AMENT_", "COLCON_", "_ROS_")
+    user = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+    user |= {"PYTHONPATH": str(tmp_path / "mine"), "CONDA_PREFIX": "/conda", name: value.replace("{}", str(tmp_path))}
+    if name == "PYTHONHOME":
+        user["PYTHONPATH"] = str(tmp_path / "mine")
+    done = subprocess.run([SOFTRIG, "python", "-c", code], env=user, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert said.replace("{}", str(tmp_path)) in done.stderr
+    if name == "LD_LIBRARY_PATH":
+        assert "/conda/lib" not in done.stdout
+        assert "/mine" in done.stdout
