@@ -32,7 +32,12 @@ FOREIGN = {
     "bag play": ("softrig_bags.cli", "main_play", "play a bag back"),
     "bag compare": ("softrig_bags.cli", "main_compare", "find the first difference between two bags"),
     "bag": ("softrig_bags.cli", "main_bag", "record, play, compare, info, repair, export"),
-    "export": ("softrig_control.fmu.export", "main", "nodes of a scenario as FMUs, for other tools"),
+    "export c": (
+        "softrig_core.export.command",
+        "main",
+        "nodes of a scenario as C99 that is held against Python bit for bit",
+    ),
+    "export": ("softrig_control.fmu.export", "main", "nodes of a scenario as FMUs or C, for other tools"),
     "locate": (
         "softrig_power.fault_location.locate_tool",
         "main",

@@ -195,6 +195,8 @@ class Calls(Expressions):
     def _reported(self, own: Static, node: ast.Call) -> Value:
         """Count a report, and keep the numbers of its text."""
         reports, parts = self.program.reports, wording(node.args[2]) if len(node.args) == 3 else None
+        if reports is not None and not reports.worded:
+            return self._counted(own, node)
         if reports is None or parts is None or node.keywords:
             raise GivesUp("a report whose text is not written out")
         head = [self.value(a) for a in node.args[:2]]
@@ -215,6 +217,20 @@ class Calls(Expressions):
         self.program.words.add("reported_")
         self.arrays.add("told")
         self.emit(f"reported_(told, {at}, ({''.join(f'{x}, ' for x in numbers)}))")
+        return NONE
+
+    def _counted(self, own: Static, node: ast.Call) -> Value:
+        """Count a report whose text nobody wants."""
+        reports = self.program.reports
+        assert reports is not None
+        level, key = (self.value(a) for a in node.args[:2])
+        if not isinstance(level, Static) or is_made_text(level):
+            raise GivesUp("a report whose level is made in the tick")
+        known = key.value if isinstance(key, Static) and not is_made_text(key) else self.function.__name__.strip("_")
+        at = reports.add(self.program.number(own.value), self.program.guard(level), str(known), lambda row: "", 1)
+        self.program.words.add("reported_")
+        self.arrays.add("told")
+        self.emit(f"reported_(told, {at}, (0.0, ))")
         return NONE
 
     def _shown(self, value: Value, numbers: list[str], node: ast.AST) -> Callable[[Sequence[float]], Any]:

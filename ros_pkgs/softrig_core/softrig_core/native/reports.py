@@ -33,10 +33,13 @@ class Reports:
     ----------
     size : int
         Of the table; its first number counts all reports.
+    worded : bool
+        Whether their texts are wanted. Without them every report can be counted, also one whose text is made elsewhere.
     """
 
     places: list[Place] = field(default_factory=list)
     size: int = 1
+    worded: bool = True
 
     def add(self, block: int, level: Level, key: str, text: Callable[[Sequence[float]], str], count: int) -> int:
         """Give a line that reports `count` numbers its place in the table."""

@@ -1,0 +1,185 @@
+"""One function under way: its names, its lines, and values as others of another type."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from ..native.value import NotNative
+from .kinds import (
+    BOOL,
+    COMPLEX,
+    REAL,
+    Absent,
+    Kind,
+    Maybe,
+    Number,
+    Table,
+    Tuple,
+    identifier,
+    united,
+)
+from .unit import Unit, Value, literal
+
+VARIANTS = 12  # of a name of Python that has several types, one after the other
+
+
+class Base:
+    """Reads one function for given types of its arguments; see `Reader`."""
+
+    def __init__(
+        self, unit: Unit, function: Any, kinds: tuple[Kind, ...], tables: tuple[Any, ...], python: bool
+    ) -> None:
+        self.unit, self.kinds, self.handed, self.python = unit, kinds, tables, python
+        self.function = function
+        if isinstance(function, str):
+            tree = ast.parse(unit.texts[function]).body[0]
+            self.title = function
+        else:
+            tree = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
+            self.title = function.__name__.strip("_")
+        assert isinstance(tree, ast.FunctionDef)
+        self.tree = tree
+        self.kinds_of: dict[str, Kind] = {}  # of C's variables
+        self.result: Kind | None = None
+        self.local_tables: dict[str, Table] = {}
+        self.lines: list[str] = []
+        self.env: dict[str, Value] = {}
+        self.loops: list[list[tuple[str, bool]]] = []  # names that each loop binds, and whether they were bound before
+        self.discards = self.ended = False
+        self.temporaries = 0
+
+    def unknown(self, what: str, node: ast.AST | None = None) -> NotNative:
+        """Return what C does not know here."""
+        return NotNative(f"{self.title}, line {getattr(node, 'lineno', 0)}: {what}")
+
+    def emit(self, line: str) -> None:
+        """Add a line of C."""
+        self.lines.append(line)
+
+    def fresh(self, kind: Kind, c: str) -> Value:
+        """Return a value under a name of its own."""
+        if isinstance(kind, (Absent, Table)):
+            return Value(kind, c)
+        name = f"u{self.temporaries}"
+        self.temporaries += 1
+        name = self._variable(name, kind)
+        self.emit(f"{name} = {c};")
+        return Value(kind, name)
+
+    def _c(self, name: str) -> str:
+        """Return C's name for one of Python: the text has its `v_` already, a `jit` function has not."""
+        return name if isinstance(self.function, str) and name.startswith("v_") else f"v_{name}"
+
+    def _carried(self, name: str) -> str:
+        """Return the variable that holds a name from turn to turn of a loop."""
+        return f"{self._c(name)}_l"
+
+    def _variable(self, name: str, kind: Kind) -> str:
+        """Return C's variable for a name of Python that has a type; of another type, another variable."""
+        for k in range(VARIANTS):
+            c = f"{self._c(name)}{f'_{k}' if k else ''}"
+            known = self.kinds_of.get(c)
+            if known is None or (isinstance(known, Number) and isinstance(kind, Number)) or known == kind:
+                both = united(known, kind)
+                assert both is not None
+                self.kinds_of[c] = both
+                return c
+            both = united(known, kind)
+            if both is not None and not isinstance(known, Absent) and not isinstance(kind, (Absent, Number)):
+                self.kinds_of[c] = both
+                return c
+        raise self.unknown(f"{name} has too many types")
+
+    def give_up(self) -> None:
+        """Discard the tick here."""
+        self.discards = True
+        self.emit("s->discarded = true;")
+        self._leave()
+        self.ended = True
+
+    def _leave(self) -> None:
+        self.emit("return @ZERO@;")
+
+    def named(self, value: Value) -> Value:
+        """Return a value by a name, so that it stays as it is."""
+        if value.thing is not None or isinstance(value.kind, (Absent, Table)):
+            return value
+        return self.fresh(value.kind, value.c)
+
+    def coerced(self, value: Value, kind: Kind) -> Value:
+        """Return a value as one of another type, which holds it."""
+        if value.kind == kind:
+            return value
+        if isinstance(kind, Number) and isinstance(value.kind, Number):
+            return Value(kind, f"(({kind.c})({value.c}))")
+        if kind == COMPLEX and isinstance(value.kind, Number):
+            return self.group([self.coerced(value, REAL), Value(REAL, literal(0.0))], COMPLEX)
+        if isinstance(kind, Maybe) and isinstance(value.kind, Absent):
+            return Value(kind, f"({self.unit.c(kind)}){{ .some = false }}")
+        if isinstance(kind, Maybe) and not isinstance(value.kind, Maybe):
+            inner = self.coerced(value, kind.item)
+            return Value(kind, f"({self.unit.c(kind)}){{ .some = true, .item = {inner.c} }}")
+        if isinstance(kind, Maybe) and isinstance(value.kind, Maybe):
+            one = self.named(value)
+            inner = self.coerced(Value(value.kind.item, f"{one.c}.item"), kind.item)
+            return Value(kind, f"({self.unit.c(kind)}){{ .some = {one.c}.some, .item = {inner.c} }}")
+        if isinstance(value.kind, Maybe):  # it must be there
+            one = self.named(value)
+            self._check(f"!{one.c}.some")
+            return self.coerced(Value(value.kind.item, f"{one.c}.item"), kind)
+        if isinstance(kind, Tuple) and isinstance(value.kind, Tuple) and len(kind.items) == len(value.kind.items):
+            parts = [self.coerced(p, k) for p, k in zip(self.parts(value, self.tree), kind.items, strict=True)]
+            return self.group(parts, kind)
+        raise self.unknown("a value that changes its type")
+
+    def group(self, parts: Sequence[Value], kind: Tuple) -> Value:
+        """Return a tuple of its parts."""
+        inner = ", ".join(
+            f".{identifier(n)} = {p.c}"
+            for n, p in zip(kind.names, parts, strict=True)
+            if not isinstance(p.kind, Absent)
+        )
+        return Value(kind, f"({self.unit.c(kind)}){{ {inner or '0'} }}")
+
+    def _check(self, wrong: str) -> None:
+        """Discard the tick where a condition holds."""
+        self.discards = True
+        self.emit(f"if ({wrong}) {{")
+        self.emit("    s->discarded = true;")
+        self.emit("    return @ZERO@;")
+        self.emit("}")
+
+    def parts(self, value: Value, node: ast.AST) -> list[Value]:
+        """Return the parts of a tuple."""
+        if isinstance(value.thing, tuple):
+            return list(value.thing)
+        if isinstance(value.kind, Maybe):
+            value = self.coerced(value, value.kind.item)
+        if isinstance(value.kind, Tuple):
+            one = value if value.c.replace("_", "").replace(".", "").replace("->", "").isalnum() else self.named(value)
+            return [
+                Value(k, "0" if isinstance(k, Absent) else f"{one.c}.{identifier(n)}")
+                for k, n in zip(value.kind.items, value.kind.names, strict=True)
+            ]
+        if isinstance(value.kind, Table) and len(value.kind.shape) == 1:
+            return [Value(value.kind.item, f"{value.c}[{k}]") for k in range(value.kind.shape[0])]
+        raise self.unknown("something whose length is not fixed", node)
+
+    def truth(self, value: Value, node: ast.AST) -> str:
+        """Return C's condition for the truth of a value."""
+        if isinstance(value.kind, Absent):
+            return "false"
+        if value.kind == BOOL:
+            return value.c
+        if isinstance(value.kind, Number):
+            return f"({value.c} != 0)"
+        if isinstance(value.kind, Tuple):
+            return "true" if value.kind.items else "false"
+        raise self.unknown("the truth of something that is no number", node)
+
+    def _simple(self, value: Value) -> Value:
+        return value if value.c.replace("_", "").replace(".", "").replace("->", "").isalnum() else self.named(value)

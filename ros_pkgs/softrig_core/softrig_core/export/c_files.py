@@ -1,0 +1,760 @@
+"""The files of an exported block: header, source, golden rows, replay program, description."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from ..block.block import Block
+from ..block.params import ParameterError, build, declarations, flatten
+from ..block.port import Port, Sample
+from ..errors import RunError
+from ..native.translate import as_slot, follow, written
+from ..native.twins import packed
+from ..native.value import NotNative
+from ..rig.members import Member
+from .drawn import Raised
+from .golden import Call, methods
+from .kinds import ABSENT, INT, Absent, Kind, Maybe, Number, Tuple, identifier, kind_of
+from .law import Form, Law, input_kind, law_of
+from .reader import Reader
+from .unit import Unit, Value, literal
+
+SUPPORT = "softrig_c.h"
+SHIFTS = (1.0625, 0.9375, 0.5, 2.0, -1.0)  # factors by which a parameter is tried, until one is in its bounds
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What is written for a block.
+
+    Attributes
+    ----------
+    name : str
+        Of the node: prefix of all names, and of the files.
+    files : mapping of str to str
+        Text by file name.
+    libm : tuple of str
+        Functions of the C library whose last bits another library may round otherwise.
+    settable : tuple of str
+        Parameters that `NODE_params` has.
+    channels : tuple of str
+        The values that it publishes, as ``topic/label``.
+    discards : tuple of str
+        What it answers by SR_GAVE_UP although Python does not raise there: ways that have no C.
+    """
+
+    name: str
+    files: Mapping[str, str]
+    libm: tuple[str, ...]
+    settable: tuple[str, ...]
+    channels: tuple[str, ...]
+    discards: tuple[str, ...]
+
+
+def c_files(
+    member: Member,
+    block: Block,
+    golden: Sequence[Call],
+    drawn: Sequence[Sequence[Call | Raised]],
+    *,
+    single: bool = False,
+) -> Exported:
+    """Write a block as C.
+
+    Parameters
+    ----------
+    block : Block
+        As at the begin of the run.
+    golden : sequence of Call
+        Of a run, from its first tick on.
+    drawn : sequence of sequences of Call or Raised
+        Further calls, each sequence from the first state on.
+    single : bool
+        Numbers are float.
+
+    Raises
+    ------
+    NotNative
+        What of it cannot be C, and its line.
+    """
+    return _Files(member, block, golden, drawn, single).exported()
+
+
+class _Files:
+    def __init__(
+        self,
+        member: Member,
+        block: Block,
+        golden: Sequence[Call],
+        drawn: Sequence[Sequence[Call | Raised]],
+        single: bool,
+    ) -> None:
+        self.single = single
+        self.member, self.block, self.golden, self.drawn = member, block, golden, drawn
+        self.name = re.sub(r"\W", "_", member.name)
+        self.inputs, self.outputs = member.inputs, member.outputs
+        self.methods = methods(block)
+        calls = [*golden, *(c for calls in drawn for c in calls if isinstance(c, Call))]
+        self.law: Law = law_of(block, _punctual(member), self.inputs, self.outputs, calls)
+        self.slots = list(self.law.program.slots)
+        self.values = [as_slot(follow(path, [block])) for path in self.slots]
+        self.fields = _fields([written(path) for path in self.slots])
+        self.settable = _settable(block, self.law, self.slots, self.values)
+        constants = [(kind_of(v), f"s->k.{f}") for v, f in zip(self.values, self.fields, strict=True)]
+        places = {p.at: k for k, p in enumerate(self.law.reports.places)}
+        self.unit = Unit(self.name, Reader, self.law.texts, self.law.program.names, constants, places)
+        self.forms = self._forms(calls)
+        self.state_types = [self.unit.c(state) for state in self.forms]
+        self.constant_types = [self.unit.c(kind_of(v)) for v in self.values]
+        self.in_header = len(self.unit.typedefs)
+        self.roots = {form: self._root(form, calls) for form in self.law.roots}
+
+    # reading ------------------------------------------------------------------------------------------------------
+
+    def _forms(self, calls: Sequence[Call]) -> list[Kind]:
+        """Return the types that the state has at some time, the first one first."""
+        states = [kind_of(packed(self.block.first()))]
+        for call in calls:
+            for x in (call.x, call.after):
+                kind = kind_of(packed(x))
+                if kind not in states:
+                    states.append(kind)
+        return states
+
+    def _root(self, form: Form, calls: Sequence[Call]) -> Any:
+        kinds: list[Kind] = [ABSENT, ABSENT]
+        handed: list[Any] = ["", ""]
+        for name in self.law.arrays[form]:
+            if name == "told":
+                kinds.append(ABSENT)
+                handed.append("")
+                continue
+            value = self.unit.table(self._array(name), name)
+            kinds.append(value.kind)
+            handed.append(value.c)
+        kinds += [form.state, INT, *(input_kind(p) for p in self.inputs if p.name in form.there)]
+        handed += [None] * (len(kinds) - len(handed))
+        return self.unit.call(self.law.roots[form], tuple(kinds), tuple(handed), True)
+
+    def _array(self, name: str) -> Any:
+        program = self.law.program
+        for path, known in program.arrays.items():
+            if known == name:
+                return np.ascontiguousarray(follow(path, [self.block]))
+        if name in program.draws.values():
+            raise NotNative("it draws random numbers, which come from the rig's seed")
+        if name in program.scratches.values():
+            raise NotNative("it calls a CasADi function")
+        raise NotNative(f"it needs {name}, which only a rig has")
+
+    # writing ------------------------------------------------------------------------------------------------------
+
+    def exported(self) -> Exported:
+        """Return all files."""
+        header, source = self.header(), self.source()
+        channels = tuple(f"{p.topic}/{label}" for p in self.outputs for label in p.labels)
+        discards = tuple(sorted(set(self.law.program.seldom)))
+        digest = hashlib.sha256((header + source).encode()).hexdigest()[:16]
+        files = {
+            SUPPORT: (resources.files(__package__) / SUPPORT).read_text(),
+            f"{self.name}.h": header.replace("@DIGEST@", digest),
+            f"{self.name}.c": source,
+            f"{self.name}_rows.txt": self.rows(),
+            f"{self.name}_replay.c": self.replay(),
+            f"{self.name}.json": self.description(digest),
+        }
+        return Exported(self.name, files, tuple(sorted(self.unit.libm)), tuple(self.settable), channels, discards)
+
+    def header(self) -> str:
+        """Return the header."""
+        n, upper = self.name, self.name.upper()
+        title = (inspect.getdoc(type(self.block)) or n).splitlines()[0]
+        period = self.member.schedule.period
+        reports = self.law.reports.places
+        lines = [
+            f"/** @file {n}.h",
+            f" * {title}",
+            " *",
+            f" * Written by `softrig export c`. {type(self.block).__module__}.{type(self.block).__qualname__}",
+            " * No dynamic memory, no static data but constant tables, no recursion. SI units.",
+            " */",
+            f"#ifndef {upper}_H",
+            f"#define {upper}_H",
+            "",
+            *(["#ifndef SR_FLOAT", "#define SR_FLOAT", "#endif"] if self.single else []),
+            f'#include "{SUPPORT}"',
+            "",
+            f'#define {upper}_DIGEST "@DIGEST@" /**< of this build */',
+            f"#define {upper}_PERIOD_NUMERATOR {period.numerator} /**< period, s, as a fraction */",
+            f"#define {upper}_PERIOD_DENOMINATOR {period.denominator}",
+            "",
+            *self._params(),
+            *self._ports("in", self.inputs),
+            *self._ports("out", self.outputs),
+            *(t.rstrip("\n") for t in self.unit.typedefs[: self.in_header]),
+            "",
+        ]
+        if reports:
+            lines += ["/** Reports, counted in the member `reports`; their texts are in the JSON file. */", "enum {"]
+            lines += [f"    {upper}_REPORT_{k} = {k}, /**< {_comment(p.key)} */" for k, p in enumerate(reports)]
+            lines += ["};", ""]
+        lines += [
+            "/** All that the node remembers; its constants. Treat the members as private. */",
+            f"typedef struct {n} {{",
+            "    struct {",
+            *(
+                f"        {t} {f}; /**< {_comment(written(p))} */"
+                for t, f, p in zip(self.constant_types, self.fields, self.slots, strict=True)
+            ),
+            *([] if self.slots else ["        uint8_t nothing;"]),
+            "    } k;",
+            "    union {",
+            *(f"        {t} f{i};" for i, t in enumerate(self.state_types)),
+            "    } x;",
+            "    uint8_t form; /**< which of them holds the state */",
+            "    bool discarded;",
+            *([f"    uint32_t reports[{len(reports)}];", f"    uint32_t pending[{len(reports)}];"] if reports else []),
+            f"}} {n};",
+            "",
+            "#ifdef __cplusplus",
+            'extern "C" {',
+            "#endif",
+            "",
+            "/** Go to the state before the first tick.",
+            f" * @param params see {n}_params; NULL: the values of the scenario */",
+            f"void {n}_init({n} *s, const {n}_params *params);",
+            "",
+            "/** Take other parameters between two ticks; the state stays as it is. */",
+            f"void {n}_set({n} *s, const {n}_params *params);",
+            "",
+        ]
+        for method, head in self._heads().items():
+            lines += [
+                f"/** {_WORDS[method]}",
+                " * @return SR_DONE, or SR_GAVE_UP where Python raises an error */",
+                f"{head};",
+                "",
+            ]
+        return "\n".join([*lines, "#ifdef __cplusplus", "}", "#endif", "", "#endif", ""])
+
+    def _heads(self) -> dict[str, str]:
+        n = self.name
+        given, out = f"const {n}_in *in", f"{n}_out *out"
+        heads = {
+            "update": f"int {n}_step({n} *s, {given}, {out}, int64_t t_ns)",
+            "outputs": f"int {n}_outputs({n} *s, {out}, int64_t t_ns)",
+            "advance": f"int {n}_advance({n} *s, {given}, int64_t t_ns)",
+        }
+        return {method: heads[method] for method in self.methods}
+
+    def _params(self) -> list[str]:
+        n = self.name
+        info = type(self.block.p).model_fields
+        lines = [
+            "/** Parameters that may be set; the others are compiled in, since constants follow from them. */",
+            f"typedef struct {n}_params {{",
+        ]
+        defaults = []
+        for name, (k, *_) in self.settable.items():
+            kind = kind_of(self.values[k])
+            text = info[name.split(".")[0]].description or "" if name.split(".")[0] in info else ""
+            lines.append(f"    {self.unit.c(kind)} {identifier(name)}; /**< {_comment(text)} */")
+            defaults.append(_initial(self.values[k]))
+        if not self.settable:
+            lines.append("    uint8_t nothing;")
+            defaults.append("0")
+        lines += [
+            f"}} {n}_params;",
+            "",
+            f"#define {n.upper()}_PARAMS {{ {', '.join(defaults)} }} /**< of the scenario */",
+            "",
+        ]
+        return lines
+
+    def _ports(self, kind: str, ports: Sequence[Port]) -> list[str]:
+        lines = [f"/** {'Inputs' if kind == 'in' else 'Outputs'}. */", f"typedef struct {self.name}_{kind} {{"]
+        for port in ports:
+            if _may_lack(port) if kind == "in" else port.sporadic:
+                lines.append(
+                    f"    bool has_{identifier(port.name)}; /**< false: {_comment(port.topic)} has no value */"
+                )
+            each = ", ".join(f"{label} {unit}" for label, unit in zip(port.labels, port.units, strict=True))
+            if port.delayed:
+                lines.append(f"    int64_t {identifier(port.name)}_stamp_ns; /**< when it was acquired */")
+            told = f"{_comment(port.topic)}: {_comment(each)}"
+            lines.append(f"    real_t {identifier(port.name)}[{max(port.size, 1)}]; /**< {told} */")
+        return [*lines, *([] if ports else ["    uint8_t nothing;"]), f"}} {self.name}_{kind};", ""]
+
+    def source(self) -> str:
+        """Return the source."""
+        n = self.name
+        body = [self._init(), *(self._method(method, head) for method, head in self._heads().items())]
+        tables, functions = self.unit.used([root.name for root in self.roots.values()])
+        parts = [
+            f"/* {n}.c: see {n}.h. Written by `softrig export c`. */",
+            f'#include "{n}.h"\n\n#include <stddef.h>\n',
+            *self.unit.typedefs[self.in_header :],
+            *tables,
+            "",
+            *functions,
+            *body,
+        ]
+        return "\n".join(parts)
+
+    def _init(self) -> str:
+        n = self.name
+        first = packed(self.block.first())
+        lines = [
+            f"void {n}_set({n} *s, const {n}_params *params)",
+            "{",
+            *(
+                f"    s->k.{self.fields[k]} = params->{identifier(name)};"
+                for name, ks in self.settable.items()
+                for k in ks
+            ),
+            "    (void)s;",
+            "    (void)params;",
+            "}",
+            "",
+            f"void {n}_init({n} *s, const {n}_params *params)",
+            "{",
+            f"    static const {n} zero;",
+            "    *s = zero;",
+        ]
+        for field, kind, value in zip(self.fields, self.constant_types, self.values, strict=True):
+            initial = _initial(value)
+            lines.append(f"    s->k.{field} = {f'({kind}){initial}' if initial.startswith('{') else initial};")
+        lines.append(f"    s->x.f0 = ({self.state_types[0]}){_initial(first)};")
+        lines += ["    if (params != NULL) {", f"        {n}_set(s, params);", "    }", "}", ""]
+        return "\n".join(lines)
+
+    def _method(self, method: str, head: str) -> str:
+        """Write a function that a user calls: choose by the form, compute, check, take over."""
+        with_out = method != "advance"
+        lines = [head, "{", "    bool known = false;"]
+        if self.law.reports.places:
+            count = len(self.law.reports.places)
+            lines += [f"    for (unsigned i = 0; i < {count}u; i++) {{", "        s->pending[i] = 0;", "    }"]
+        if method != "outputs":
+            lines.append("    (void)in;")
+        lines += ["    (void)t_ns;", "    s->discarded = false;"]
+        for form, root in self.roots.items():
+            if form.method == method:
+                lines += [f"    {line}" for line in self._way(form, root)]
+        wrong = ["    if (!known || s->discarded) {"]
+        if with_out:
+            for port in self.outputs:
+                name = identifier(port.name)
+                wrong += [f"        out->{name}[{i}] = {literal(v)};" for i, v in enumerate(port.safe)]
+                if port.delayed:
+                    wrong.append(f"        out->{name}_stamp_ns = t_ns;")
+                if port.sporadic:
+                    wrong.append(f"        out->has_{name} = false;")
+        wrong += ["        return SR_GAVE_UP;", "    }"]
+        lines += wrong
+        if self.law.reports.places:
+            lines += [
+                f"    for (unsigned i = 0; i < {count}u; i++) {{",
+                "        s->reports[i] += s->pending[i];",
+                "    }",
+            ]
+        return "\n".join([*lines, "    return SR_DONE;", "}", ""])
+
+    def _way(self, form: Form, root: Any) -> list[str]:
+        there = [p for p in self.inputs if form.method != "outputs"]
+        tests = [f"s->form == {self.forms.index(form.state)}u"]
+        for port in there:
+            if _may_lack(port):
+                tests.append(f"{'' if port.name in form.there else '!'}in->has_{identifier(port.name)}")
+        given = ["s", f"s->x.f{self.forms.index(form.state)}", "t_ns"]
+        for port in there:
+            if port.name in form.there:
+                name = identifier(port.name)
+                numbers = ", ".join(f"in->{name}[{i}]" for i in range(port.size)) or "0"
+                stamped = f"in->{name}_stamp_ns, {{ {numbers} }}" if port.delayed else numbers
+                given.append(f"({self.unit.c(input_kind(port))}){{ {stamped} }}")
+        lines = [f"if (!known && {' && '.join(f'({t})' for t in tests)}) {{", "    known = true;"]
+        lines.append(f"    {self.unit.c(root.result)} r = {root.name}({', '.join(given)});")
+        inner: list[str] = []
+        state: Value | None = None
+        if form.method == "advance":
+            state = Value(root.result, "r")
+        elif form.method == "update":
+            state = Value(root.result.items[0], "r.f0")
+        if form.method != "advance":
+            k = 1 if form.method == "update" else 0
+            inner += self._published(*(Value(root.result.items[i], f"r.f{i}") for i in (k, k + 1)))
+        lines += ["    if (!s->discarded) {", *(f"        {line}" for line in inner), "    }"]
+        if state is not None:
+            lines += ["    if (!s->discarded) {", *(f"        {line}" for line in self._taken(state)), "    }"]
+        lines.append("}")
+        return lines
+
+    def _published(self, row: Value, stamps: Value) -> list[str]:
+        """Write what takes the numbers of an answer, each finite and within the limit of its port."""
+        assert isinstance(row.kind, Tuple)
+        assert isinstance(stamps.kind, Tuple)
+        names, stamped = iter(row.kind.names), iter(stamps.kind.names)
+        lines: list[str] = []
+        checks: list[str] = []
+        for port in self.outputs:
+            name, at = identifier(port.name), ""
+            if port.sporadic:
+                at = f"{row.c}.{next(names)}"
+                lines.append(f"out->has_{name} = ({at} != SR_REAL(0));")
+            if port.delayed:
+                lines.append(f"out->{name}_stamp_ns = {stamps.c}.{next(stamped)};")
+            for i, limit in enumerate(port.limits):
+                c = f"{row.c}.{next(names)}"
+                lines.append(f"out->{name}[{i}] = {c};")
+                if not port.unchecked:
+                    inside = f"SR_MATH(fabs)({c}) <= {literal(limit)}"
+                    checks.append(f"if ({f'({at} != SR_REAL(0)) && ' if at else ''}!({inside})) {{")
+                    checks += ["    s->discarded = true;", "}"]
+        return [*checks, *lines]
+
+    def _taken(self, state: Value) -> list[str]:
+        """Write what takes the state over, in the form that it has now."""
+        if state.kind in self.forms:
+            k = self.forms.index(state.kind)
+            return [f"s->x.f{k} = {state.c};", f"s->form = {k}u;"]
+        lines: list[str] = []
+        for k, form in enumerate(self.forms):
+            tests: list[str] = []
+            code = self._as(state, form, tests)
+            if code is None:
+                continue
+            test = " && ".join(tests) or "true"
+            lines += [f"{'} else ' if lines else ''}if ({test}) {{", f"    s->x.f{k} = {code};", f"    s->form = {k}u;"]
+        return [*lines, "} else {", "    s->discarded = true;", "}"] if lines else ["s->discarded = true;"]
+
+    def _as(self, value: Value, kind: Kind, tests: list[str]) -> str | None:
+        """Return a value as one of a type, with the conditions under which it is one; None: never."""
+        if isinstance(value.kind, Maybe):
+            if isinstance(kind, Absent):
+                tests.append(f"!{value.c}.some")
+                return "0"
+            tests.append(f"{value.c}.some")
+            return self._as(Value(value.kind.item, f"{value.c}.item"), kind, tests)
+        if value.kind == kind:
+            return value.c
+        if isinstance(kind, Number) and isinstance(value.kind, Number) and kind.rank > value.kind.rank:
+            return f"({kind.c}){value.c}"
+        if isinstance(kind, Tuple) and isinstance(value.kind, Tuple) and len(kind.items) == len(value.kind.items):
+            parts = [
+                self._as(Value(k, f"{value.c}.{identifier(n)}"), wanted, tests)
+                for k, n, wanted in zip(value.kind.items, value.kind.names, kind.items, strict=True)
+            ]
+            if None in parts:
+                return None
+            inner = ", ".join(
+                f".{identifier(n)} = {p}"
+                for n, p, k in zip(kind.names, parts, kind.items, strict=True)
+                if not isinstance(k, Absent)
+            )
+            return f"({self.unit.c(kind)}){{ {inner or '0'} }}"
+        return None
+
+    # rows and their replay ----------------------------------------------------------------------------------------
+
+    def rows(self) -> str:
+        """Return the golden rows, one call a line: ``method status t inputs... | outputs...``, numbers as %a."""
+        lines = []
+        for calls in (self.golden, *self.drawn):
+            if calls:
+                lines.append("init")
+            for call in calls:
+                number = self.methods.index(call.method)
+                raised = isinstance(call, Raised)
+                row = [f"{number} {int(raised)} {call.t}"]
+                if call.method != "outputs":
+                    row += self._numbers(self.inputs, call.inputs, _may_lack)
+                if call.method != "advance":
+                    safe = {
+                        p.name: None if p.sporadic else Sample(call.t, p.safe) if p.delayed else p.safe
+                        for p in self.outputs
+                    }
+                    row += self._numbers(
+                        self.outputs, safe if isinstance(call, Raised) else call.outputs, lambda p: p.sporadic
+                    )
+                lines.append(" ".join(row))
+        return "\n".join(lines) + "\n"
+
+    @staticmethod
+    def _numbers(ports: Sequence[Port], values: Mapping[str, Any], flagged: Any) -> list[str]:
+        row = []
+        for port in ports:
+            given = values.get(port.name)
+            if flagged(port):
+                row.append(str(int(given is not None)))
+            if port.delayed:
+                row.append(str(0 if given is None else given.stamp))
+                given = None if given is None else given.data
+            row += [float(v).hex() for v in (given if given is not None else (0.0,) * port.size)]
+        return row
+
+    def replay(self) -> str:
+        """Return the program that replays the rows and compares."""
+        n = self.name
+        cases = []
+        for number, method in enumerate(self.methods):
+            reads = [f"    {line}" for line in _read("in", self.inputs, _may_lack)] if method != "outputs" else []
+            call = {
+                "update": f"{n}_step(&node, &in, &out, t)",
+                "outputs": f"{n}_outputs(&node, &out, t)",
+                "advance": f"{n}_advance(&node, &in, t)",
+            }[method]
+            compared = [f"    {line}" for line in _compare(self.outputs)] if method != "advance" else []
+            cases += [
+                f"        case {number}:",
+                *(f"        {line}" for line in reads),
+                f"            status = {call};",
+                *(f"        {line}" for line in compared),
+                "            break;",
+            ]
+        return _REPLAY.format(n=n, cases="\n".join(cases), channels=sum(p.size for p in self.outputs))
+
+    def description(self, digest: str) -> str:
+        """Return the JSON description."""
+        m, p = self.member, flatten(self.block.p)
+        ports = [
+            {
+                "direction": way,
+                "name": port.name,
+                "topic": port.topic,
+                "type": port.msgtype,
+                "values": [
+                    {"label": label, "unit": unit, "limit": limit, "safe": safe}
+                    for label, unit, limit, safe in zip(port.labels, port.units, port.limits, port.safe, strict=True)
+                ],
+            }
+            for way, ports in (("in", self.inputs), ("out", self.outputs))
+            for port in ports
+        ]
+        found = {
+            "node": m.name,
+            "class": f"{type(self.block).__module__}:{type(self.block).__qualname__}",
+            "digest": digest,
+            "period_s": [m.schedule.period.numerator, m.schedule.period.denominator],
+            "parameters": {k: v for k, v in p.items() if isinstance(v, (int, float, str, bool, list, tuple))},
+            "settable": list(self.settable),
+            "ports": ports,
+            "constants": [
+                {"path": written(path), "field": field, "value": value}
+                for path, field, value in zip(self.slots, self.fields, self.values, strict=True)
+            ],
+            "guards": [written(path) for path in self.law.program.guards],
+            "discards": sorted(set(self.law.program.seldom)),
+            "state_forms": len(self.forms),
+            "reports": [
+                {"code": k, "level": r.level.name, "key": r.key} for k, r in enumerate(self.law.reports.places)
+            ],
+            "library_functions": sorted(self.unit.libm),
+            "golden_rows": len(self.golden),
+            "drawn_rows": sum(map(len, self.drawn)),
+        }
+        return json.dumps(found, indent=1, default=str) + "\n"
+
+
+_WORDS = {
+    "update": "Answer one tick.",
+    "outputs": "Compute the outputs at t.",
+    "advance": "Move the state on by one period with the inputs held.",
+}
+
+_REPLAY = """/* Replays {n}_rows.txt and compares bit for bit; prints what differs. Written by `softrig export c`. */
+#include "{n}.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define CHANNELS {channels}
+
+static unsigned long rows, differing, gave_up, wrong_status;
+static int sequence;               /* the first one is of the run, the others have drawn inputs */
+static double error[CHANNELS + 1]; /* of the run: largest by channel, and the largest number there */
+static double scale[CHANNELS + 1];
+
+static void compare(int channel, real_t got, real_t wanted)
+{{
+    if (sequence == 1) {{
+        scale[channel] = fmax(scale[channel], fabs((double)wanted));
+        error[channel] = fmax(error[channel], fabs((double)got - (double)wanted));
+    }}
+    if (!((got == wanted && (signbit(got) != 0) == (signbit(wanted) != 0)) || (got != got && wanted != wanted))) {{
+        differing++;
+    }}
+}}
+
+static real_t number(char **at)
+{{
+    return (real_t)strtod(*at, at);
+}}
+
+int main(int argc, char **argv)
+{{
+    static char line[1 << 16];
+    {n} node;
+    {n}_in in;
+    {n}_out out;
+    FILE *file = fopen(argc > 1 ? argv[1] : "{n}_rows.txt", "r");
+    if (file == NULL) {{
+        fprintf(stderr, "cannot read the rows\\n");
+        return 2;
+    }}
+    memset(&in, 0, sizeof in);
+    memset(&out, 0, sizeof out);
+    while (fgets(line, sizeof line, file) != NULL) {{
+        char *at = line;
+        int status = 0;
+        if (strncmp(line, "init", 4) == 0) {{
+            {n}_init(&node, NULL);
+            sequence++;
+            continue;
+        }}
+        const long method = strtol(at, &at, 10);
+        const long wanted = strtol(at, &at, 10);
+        const int64_t t = (int64_t)strtoll(at, &at, 10);
+        rows++;
+        switch (method) {{
+{cases}
+        default:
+            fprintf(stderr, "a row of an unknown method\\n");
+            return 2;
+        }}
+        gave_up += (status != 0) ? 1u : 0u;
+        wrong_status += ((status != 0) != (wanted != 0)) ? 1u : 0u;
+        (void)t;
+    }}
+    fclose(file);
+    printf("{{\\"rows\\": %lu, \\"differing\\": %lu, ", rows, differing);
+    printf("\\"gave_up\\": %lu, \\"wrong_status\\": %lu, \\"errors\\": [", gave_up, wrong_status);
+    for (int i = 0; i < CHANNELS; i++) {{
+        printf("%s[%.3g, %.3g]", (i > 0) ? ", " : "", error[i], scale[i]);
+    }}
+    printf("]}}\\n");
+    return (differing != 0 || wrong_status != 0) ? 1 : 0;
+}}
+"""
+
+
+def _read(struct: str, ports: Sequence[Port], flagged: Any) -> list[str]:
+    lines = []
+    for port in ports:
+        name = identifier(port.name)
+        if flagged(port):
+            lines.append(f"{struct}.has_{name} = strtol(at, &at, 10) != 0;")
+        if port.delayed:
+            lines.append(f"{struct}.{name}_stamp_ns = (int64_t)strtoll(at, &at, 10);")
+        if port.size:
+            lines += [f"for (int i = 0; i < {port.size}; i++) {{", f"    {struct}.{name}[i] = number(&at);", "}"]
+    return lines
+
+
+def _compare(ports: Sequence[Port]) -> list[str]:
+    lines: list[str] = []
+    channel = 0
+    for port in ports:
+        name = identifier(port.name)
+        if port.sporadic:
+            lines += [
+                f"if ((strtol(at, &at, 10) != 0) != out.has_{name}) {{",
+                "    differing++;",
+                "}",
+            ]
+        if port.delayed:
+            lines += [f"if ((int64_t)strtoll(at, &at, 10) != out.{name}_stamp_ns) {{", "    differing++;", "}"]
+        if port.size:
+            test = f"out.has_{name}" if port.sporadic else "true"
+            lines += [f"for (int i = 0; i < {port.size}; i++) {{", "    const real_t expected = number(&at);"]
+            lines += [f"    if ({test}) {{", f"        compare({channel} + i, out.{name}[i], expected);", "    }", "}"]
+        channel += port.size
+    return lines
+
+
+def _may_lack(port: Port) -> bool:
+    return port.held
+
+
+def _punctual(member: Member) -> set[str]:
+    """Return the inputs that have a new message at each tick of the node, whose age is therefore 0."""
+    return {
+        name
+        for name, link in member.links.items()
+        if member.schedule.every % link.source.schedule.every == 0 and not link.port.sporadic
+    }
+
+
+def _settable(block: Block, law: Law, slots: Sequence[Any], values: Sequence[Any]) -> dict[str, tuple[int, ...]]:
+    """Return the live parameters that constants of the text repeat, and on which nothing else depends: name to slots.
+
+    Tried, not deduced: another block is made with that parameter moved.
+    """
+    found: dict[str, tuple[int, ...]] = {}
+    first, known = block.first(), flatten(block.p)
+    live = {d.name for d in declarations(type(block.p)) if d.live}
+    for name, value in known.items():
+        if name not in live or type(value) not in (int, float) or value not in values:
+            continue
+        other, now = _moved(block, known, name)
+        if other is None or law.program.differs([other]):
+            continue
+        others = [as_slot(follow(p, [other])) for p in slots]
+        moved = tuple(k for k, (a, b) in enumerate(zip(values, others, strict=True)) if a != b)
+        repeated = all(values[k] == value and others[k] == now and type(values[k]) is type(value) for k in moved)
+        tables = all(
+            np.array_equal(np.asarray(follow(p, [block])), np.asarray(follow(p, [other]))) for p in law.program.arrays
+        )
+        if moved and repeated and tables and other.first() == first:
+            found[name] = moved
+    return found
+
+
+def _moved(block: Block, known: Mapping[str, Any], name: str) -> tuple[Block | None, Any]:
+    """Return a block with one parameter moved within its bounds, and its value; None where no other value is taken."""
+    value = known[name]
+    for factor in SHIFTS:
+        other = type(value)(value * factor) if value else type(value)(factor)
+        if other == value:
+            other = value + 1
+        try:
+            return type(block)(build(type(block.p), {**known, name: other}), name=block.name), other
+        except (ParameterError, RunError, TypeError, ValueError):
+            continue
+    return None, value
+
+
+def _fields(paths: Sequence[str]) -> list[str]:
+    """Return names of C for paths of Python, each once."""
+    found: list[str] = []
+    for path in paths:
+        name = identifier(path.removeprefix("p.")) or "value"
+        while name in found:
+            name += "_"
+        found.append(name)
+    return found
+
+
+def _initial(value: Any) -> str:
+    """Return how C initialises a value."""
+    if isinstance(value, complex):
+        return f"{{ .real = {literal(value.real)}, .imag = {literal(value.imag)} }}"
+    if isinstance(value, tuple):
+        names = getattr(value, "_fields", None) or [f"f{k}" for k in range(len(value))]
+        parts = [f".{identifier(n)} = {_initial(v)}" for n, v in zip(names, value, strict=True) if v is not None]
+        return f"{{ {', '.join(parts) or '0'} }}"
+    return literal(value)
+
+
+def _comment(text: str) -> str:
+    return " ".join(text.replace("*/", "* /").split())

@@ -1,0 +1,235 @@
+"""Calls in a function: of the text, of `jit` functions, of the standard library."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..kit.compiled import Compiled
+from ..kit.jit import Jit, power
+from .expressions import Expressions
+from .kinds import (
+    ABSENT,
+    BOOL,
+    COMPLEX,
+    INT,
+    REAL,
+    Absent,
+    Maybe,
+    Number,
+    Table,
+    Tuple,
+    tuple_of,
+    united,
+)
+from .unit import Value, literal
+
+UNARY_MATH = [
+    "acos",
+    "acosh",
+    "asin",
+    "asinh",
+    "atan",
+    "atanh",
+    "ceil",
+    "cos",
+    "cosh",
+    "erf",
+    "exp",
+    "expm1",
+    "fabs",
+    "floor",
+    "log",
+    "log10",
+    "log1p",
+    "log2",
+    "sin",
+    "sinh",
+    "sqrt",
+    "tan",
+    "tanh",
+    "trunc",
+]
+BINARY_MATH = {"atan2": "atan2", "copysign": "copysign", "fmod": "fmod", "pow": "pow", "power": "pow"}
+EXACT = {"sqrt", "fabs", "floor", "ceil", "trunc", "copysign", "fmod", "rint"}  # IEEE 754 fixes their bits
+
+
+class Calls(Expressions):
+    """Reads calls; see `Reader`."""
+
+    def _value_call(self, node: ast.Call) -> Value:
+        if node.keywords:
+            raise self.unknown("a call with words", node)
+        if isinstance(node.func, ast.Name) and node.func.id == "reported_":
+            return self._reported(node)
+        if isinstance(node.func, ast.Attribute) and node.func.attr == "conjugate":
+            real, imag = self.parts(self.value(node.func.value), node)
+            return self.group([real, Value(REAL, f"(-{imag.c})")], COMPLEX)
+        function = self.value(node.func)
+        if function.thing is None:
+            raise self.unknown("a call of something that is computed", node)
+        called = function.thing
+        if called in (tuple, list, any, all) and len(node.args) == 1:
+            parts = self._generated(node.args[0])
+            if called in (any, all):
+                tests = [self.truth(p, node) for p in parts]
+                return Value(
+                    BOOL, f"({(' || ' if called is any else ' && ').join(tests) or str(called is all).lower()})"
+                )
+            return self.group(parts, tuple_of([p.kind for p in parts]))
+        given: list[Value] = []
+        for one in node.args:
+            given += self.listed(one.value) if isinstance(one, ast.Starred) else [self.value(one)]
+        return self.called(called, given, node)
+
+    def _generated(self, node: ast.expr) -> list[Value]:
+        if (
+            isinstance(node, (ast.GeneratorExp, ast.ListComp))
+            and len(node.generators) == 1
+            and not node.generators[0].ifs
+        ):
+            found, outer = [], dict(self.env)
+            for part in [self.named(v) for v in self.listed(node.generators[0].iter)]:
+                self._bind_apart(node.generators[0].target, part)
+                found.append(self.named(self.value(node.elt)))
+            self.env = outer
+            return found
+        return self.listed(node)
+
+    def _bind_apart(self, target: ast.expr, value: Value) -> None:
+        if isinstance(target, ast.Name):
+            self.env[target.id] = value
+        elif isinstance(target, ast.Tuple):
+            for one, part in zip(target.elts, self.parts(value, target), strict=True):
+                self._bind_apart(one, part)
+        else:
+            raise self.unknown("an assignment in a list", target)
+
+    def _reported(self, node: ast.Call) -> Value:
+        """Count a report; the numbers in its text stay behind."""
+        at = node.args[1]
+        place: int = ast.literal_eval(at)
+        self.emit(f"s->pending[{self.unit.reports[place]}]++;")
+        return Value(ABSENT, "0")
+
+    def called(self, called: Any, given: list[Value], node: ast.AST) -> Value:
+        """Return what a call gives."""
+        if isinstance(called, str):
+            return self._function(called, given, node, True)
+        if isinstance(called, Jit):
+            return self._function(called.py_func, given, node, False)
+        if isinstance(called, Compiled):
+            raise self.unknown("a casadi function", node)
+        if isinstance(called, type) and issubclass(called, tuple) and hasattr(called, "_fields"):
+            return self.group(
+                given, Tuple(tuple(v.kind for v in given), called._fields, called.__name__.rpartition("__")[2])
+            )  # type: ignore[attr-defined]
+        if called is power:
+            return self._math("pow", given, node)
+        name = getattr(called, "__name__", "")
+        if called is getattr(math, name, None):
+            if name in ("isfinite", "isnan", "isinf"):
+                return Value(BOOL, f"sr_{name}({self.coerced(given[0], REAL).c})")
+            if name in ("floor", "ceil", "trunc"):  # whole numbers in Python
+                return Value(INT, f"sr_int(SR_MATH({name})({self.coerced(given[0], REAL).c}))")
+            if name in ("radians", "degrees"):
+                factor = literal(math.pi / 180.0 if name == "radians" else 180.0 / math.pi)
+                return Value(REAL, f"({self.coerced(given[0], REAL).c} * {factor})")
+            return self._math(name, given, node)
+        return self._builtin(called, given, node)
+
+    def _math(self, name: str, given: Sequence[Value], node: ast.AST) -> Value:
+        c = BINARY_MATH.get(name, name)
+        if name not in BINARY_MATH and name not in UNARY_MATH:
+            raise self.unknown(f"math.{name}", node)
+        if c not in EXACT:
+            self.unit.libm.add(c)
+        return Value(REAL, f"SR_MATH({c})({', '.join(self.coerced(v, REAL).c for v in given)})")
+
+    def _function(self, function: Any, given: list[Value], node: ast.AST, python: bool) -> Value:
+        given = [self.coerced(v, v.kind.item) if isinstance(v.kind, Maybe) and not python else v for v in given]
+        tables: list[Any] = []
+        for value in given:
+            is_table = isinstance(value.kind, Table) or value.thing is not None
+            tables.append(
+                value.c if is_table and isinstance(value.thing, np.ndarray) else "" if value.thing is not None else None
+            )
+        done = self.unit.call(function, tuple(v.kind for v in given), tuple(tables), python)
+        handed = [
+            v.c for v, t in zip(given, tables, strict=True) if t is None and not isinstance(v.kind, (Absent, Table))
+        ]
+        handed += [v.c for v, t in zip(given, tables, strict=True) if t is None and isinstance(v.kind, Table)]
+        c = f"{done.name}({', '.join(['s', *handed])})"
+        if isinstance(done.result, Absent):
+            self.emit(f"(void){c};")
+            found = Value(ABSENT, "0")
+        else:
+            found = self.fresh(done.result, c)
+        if done.discards:
+            self.discards = True
+            self.emit("if (s->discarded) {")
+            self.emit("    return @ZERO@;")
+            self.emit("}")
+        return found
+
+    def _builtin(self, called: Any, given: list[Value], node: ast.AST) -> Value:
+        numbers = [v.kind for v in given if isinstance(v.kind, Number)]
+        if called is complex and len(numbers) == len(given):
+            parts = [self.coerced(v, REAL) for v in given]
+            return self.group([*parts, Value(REAL, literal(0.0))][:2], COMPLEX)
+        if called is abs and given[0].kind == COMPLEX:
+            self.unit.libm.add("hypot")
+            real, imag = self.parts(given[0], node)
+            return self.fresh(REAL, f"SR_MATH(hypot)({real.c}, {imag.c})")
+        if called in (min, max):
+            if len(given) == 1:
+                given = self.parts(given[0], node)
+            best = self._simple(given[0])
+            for one_ in given[1:]:
+                one = self._simple(one_)
+                kind = united(one.kind, best.kind)
+                if not isinstance(kind, Number):
+                    raise self.unknown(f"{called.__name__} of something that is no number", node)
+                a, b = self.coerced(one, kind), self.coerced(best, kind)
+                best = self.fresh(kind, f"(({a.c} {'<' if called is min else '>'} {b.c}) ? {a.c} : {b.c})")
+            return best
+        if called is len:
+            kind = given[0].kind
+            size = kind.shape[0] if isinstance(kind, Table) else len(self.parts(given[0], node))
+            return Value(INT, literal(size))
+        if called is np.array and len(given) == 1:
+            return self._array(given[0], node)
+        if len(numbers) != len(given) or not given:
+            raise self.unknown(f"{getattr(called, '__name__', called)}()", node)
+        one, kind = given[0], numbers[0]
+        if called is float or called is np.float64:
+            return self.coerced(one, REAL)
+        if called is bool:
+            return Value(BOOL, self.truth(one, node))
+        if called in (int, np.int64):
+            return self.coerced(one, INT) if kind != REAL else Value(INT, f"sr_int({one.c})")
+        if called in (abs, np.abs):
+            if kind == REAL:
+                return Value(REAL, f"SR_MATH(fabs)({one.c})")
+            one = self._simple(self.coerced(one, INT))
+            return Value(INT, f"(({one.c} < 0) ? (-{one.c}) : {one.c})")
+        if called is round and len(given) == 1:
+            return self.coerced(one, INT) if kind != REAL else Value(INT, f"sr_int(SR_MATH(rint)({one.c}))")
+        if called in (np.sqrt, np.floor, np.ceil, np.trunc):
+            return Value(REAL, f"SR_MATH({called.__name__})({self.coerced(one, REAL).c})")
+        if called in (np.isfinite, np.isnan, np.isinf):
+            return Value(BOOL, f"sr_{called.__name__}({self.coerced(one, REAL).c})")
+        raise self.unknown(f"{getattr(called, '__name__', called)}()", node)
+
+    def _array(self, given: Value, node: ast.AST) -> Value:
+        """Return an array on the stack, made of a tuple."""
+        name = f"w{len(self.local_tables)}"
+        parts = [self.coerced(p, REAL) for p in self.parts(given, node)]
+        self.local_tables[name] = table = Table(REAL, (len(parts),))
+        for k, part in enumerate(parts):
+            self.emit(f"{name}[{k}] = {part.c};")
+        return Value(table, name)

@@ -1,0 +1,113 @@
+"""The verb ``softrig export c``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..command_line import Parser
+from ..errors import ScenarioError
+from ..native.value import NotNative
+from ..rig.rig import Rig
+from ..run.expand import rig_of
+from ..solver.solver import Solver
+from .c_files import Exported, c_files
+from .check import Replayed, replayed
+from .drawn import drawn_calls
+from .golden import golden_calls, member_of
+
+ROWS, DRAWN = 5000, 2000  # calls of the run, and of drawn inputs
+NOTED = 1e-3  # of a channel's scale: a difference of single precision that is named
+
+
+def export_c(
+    rig: Rig, node: str, folder: Path, *, rows: int = ROWS, drawn: int = DRAWN, single: bool = False
+) -> Exported:
+    """Write a node of a rig as C99, with golden rows and a program that replays them.
+
+    Parameters
+    ----------
+    node : str
+        Its name.
+    folder : Path
+        The files go here.
+    rows, drawn : int
+        Most calls of the scenario's run, and of drawn inputs, that become golden rows.
+    single : bool
+        ``real_t`` is float.
+
+    Returns
+    -------
+    Exported
+
+    Raises
+    ------
+    ScenarioError
+        There is no such node, or what it does has no C: names the line.
+    """
+    seed = rig.scenario.seed
+    member = member_of(rig, node)
+    if issubclass(member.block_class, Solver):
+        raise ScenarioError(f"{node} cannot be exported as C: it is a solver, whose work runs in a process of its own")
+    golden = golden_calls(rig, node, seed, rows)
+    if not golden:
+        raise ScenarioError(f"{node} has no tick in {rig.scenario.name}, so there is nothing to hold its C against")
+    for absent in (True, False):  # inputs that the run never lacked may have no text of their own
+        more = drawn_calls(member, member.block(seed), golden, drawn, seed, absent=absent)
+        try:
+            done = c_files(member, member.block(seed), golden, more, single=single)
+            break
+        except NotNative as reason:
+            refusal = ScenarioError(f"{node} cannot be exported as C: {reason}")
+    else:
+        raise refusal
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in done.files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return done
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Be the verb."""
+    parser = Parser(
+        prog="softrig export c",
+        description="Nodes of a scenario as C99, with golden rows and a program that replays them.",
+    )
+    parser.add_argument("scenario", help="name or YAML file")
+    parser.add_argument("nodes", nargs="+", metavar="NODE", help="of the scenario, with its parameters there")
+    parser.add_argument("--real", choices=["double", "float"], default="double", help="number type (double)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the files go to DIR (./NODE)")
+    parser.add_argument(
+        "--check", action="store_true", help="compile with this machine's compiler and compare bit for bit with Python"
+    )
+    options = parser.parse_args(arguments)
+    rig = rig_of(options.scenario)
+    single = options.real == "float"
+    status = 0
+    for node in options.nodes:
+        folder = options.out or Path(node)
+        done = export_c(rig, node, folder, single=single)
+        print(f"{folder}: {', '.join(done.files)}")
+        if done.libm:
+            print(f"{node}: bits depend on the C library's {', '.join(done.libm)}")
+        for reason in done.discards:
+            print(f"{node}: answers SR_GAVE_UP at {reason}")
+        if options.check:
+            found = replayed(folder, done.name)
+            print(f"{node}: {_told(done, found, single)}")
+            status = status or int(not (single or found.same))
+    return status
+
+
+def _told(done: Exported, found: Replayed, single: bool) -> str:
+    if not single:
+        differ = f"{found.differing} numbers and {found.wrong_status} statuses differ"
+        return f"{found.rows} calls, " + ("the bits of Python" if found.same else differ)
+    worst = [
+        f"{channel} {error:.2g} of {scale:.2g}"
+        for channel, (error, scale) in zip(done.channels, found.errors, strict=True)
+        if not error <= NOTED * scale
+    ]
+    return f"{found.rows} calls in single precision: " + (
+        "beyond 1e-3 of their scale are " + ", ".join(worst) if worst else "each channel within 1e-3 of its scale"
+    )

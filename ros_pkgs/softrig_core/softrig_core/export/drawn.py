@@ -1,0 +1,104 @@
+"""Drawn inputs: what a block answers to numbers that no run gives it, by Python, as further golden rows."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..block.answer import admit
+from ..block.block import Block
+from ..block.port import Sample
+from ..rig.members import Member
+from .golden import Call, methods
+
+# zeros of both signs, the smallest numbers, large ones, and what no port lets in but C may be handed
+ODD = (0.0, -0.0, 5e-324, -5e-324, 1e-308, 1e-30, 1.0, -1.0, 1e30, -1e300, math.inf, -math.inf, math.nan)
+SHARE_ODD = 0.04  # of the numbers
+SHARE_WIDE = 0.1  # of the numbers: a thousand times what the run had
+SHARE_ABSENT = 0.1  # of the values of a held input
+AGAIN = 50  # calls after which a sequence begins from the first state again: what is odd may have ended it
+
+
+@dataclass(frozen=True)
+class Raised:
+    """A call that Python answers by an error, or whose answer may not leave the block."""
+
+    method: str
+    t: int
+    x: Any
+    inputs: Mapping[str, Any]
+
+
+def drawn_calls(
+    member: Member, block: Block, golden: Sequence[Call], count: int, seed: int, *, absent: bool = True
+) -> list[list[Call | Raised]]:
+    """Return sequences of calls with drawn inputs, each from the first state on.
+
+    Parameters
+    ----------
+    block : Block
+        As at the begin of the run.
+    golden : sequence of Call
+        Of a run: the inputs are spread as its inputs are.
+    count : int
+        Calls in all.
+    seed : int
+        Of the drawn numbers.
+    absent : bool
+        Whether held inputs are left out now and then.
+    """
+    draw = np.random.default_rng(seed)
+    held = {p.name for p in member.inputs if p.held} if absent else set()
+    rows = {name: [c.inputs for c in golden if c.method == name] for name in methods(block)}
+    period = member.schedule.period
+    found: list[list[Call | Raised]] = []
+    while sum(map(len, found)) < count:
+        x, k, calls = block.first(), 0, list[Call | Raised]()
+        while len(calls) < AGAIN:
+            t = round(k * period * 10**9)
+            for name in methods(block):
+                inputs = _inputs(rows[name][int(draw.integers(len(rows[name])))], held, draw)
+                call = _asked(member, block, name, x, t, inputs)
+                calls.append(call)
+                x = call.after if isinstance(call, Call) else x
+            k += 1
+        found.append(calls)
+    return found
+
+
+def _asked(member: Member, block: Block, name: str, x: Any, t: int, inputs: Mapping[str, Any]) -> Call | Raised:
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            found = getattr(block, name)(x, t, **inputs)
+        after, outputs = found if name == "update" else (x, found) if name == "outputs" else (found, {})
+        if name != "advance":
+            rows = {p.name: admit(outputs, p, member.name, t) for p in member.outputs}
+            return Call(name, t, x, inputs, after, rows)
+        return Call(name, t, x, inputs, after, {})
+    except Exception:  # whatever it raises ends a run
+        return Raised(name, t, x, inputs)
+
+
+def _inputs(given: Mapping[str, Any], held: set[str], draw: np.random.Generator) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, row in given.items():
+        if name in held and draw.random() < SHARE_ABSENT:
+            row = None
+        data = row.data if isinstance(row, Sample) else row
+        numbers = None if data is None else tuple(_number(v, draw) for v in data)
+        found[name] = Sample(row.stamp, numbers) if isinstance(row, Sample) and numbers is not None else numbers
+    return found
+
+
+def _number(value: float, draw: np.random.Generator) -> float:
+    kind = draw.random()
+    if kind < SHARE_ODD:
+        return float(ODD[int(draw.integers(len(ODD)))])
+    size = max(abs(value), 1e-3) * (1e3 if kind < SHARE_ODD + SHARE_WIDE else 1.0)
+    return float(value + size * draw.standard_normal())

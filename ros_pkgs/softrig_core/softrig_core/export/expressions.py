@@ -1,0 +1,373 @@
+"""Expressions of a function that call nothing, as expressions of C without side effects."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .base import Base
+from .kinds import (
+    ABSENT,
+    BOOL,
+    COMPLEX,
+    INT,
+    REAL,
+    Absent,
+    Kind,
+    Maybe,
+    Number,
+    Table,
+    Tuple,
+    identifier,
+    kind_of,
+    tuple_of,
+    united,
+)
+from .unit import Value, literal
+
+ORDER = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+ARITHMETIC = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*"}
+BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^"}
+
+
+class Expressions(Base):
+    """Reads expressions; see `Reader`."""
+
+    def value(self, node: ast.expr) -> Value:
+        """Read an expression."""
+        method = getattr(self, f"_value_{type(node).__name__.lower()}", None)
+        if method is None:
+            raise self.unknown(f"`{type(node).__name__.lower()}`", node)
+        found: Value = method(node)
+        return found
+
+    def listed(self, node: ast.expr) -> list[Value]:
+        """Return what a loop or a tuple of fixed length goes through."""
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id in ("zip", "enumerate", "reversed")
+        ):
+            rows = [self.listed(a) for a in node.args]
+            if node.func.id == "reversed":
+                return rows[0][::-1]
+            if node.func.id == "enumerate":
+                rows = [[Value(INT, literal(k)) for k in range(len(rows[0]))], rows[0]]
+            return [Value(tuple_of([v.kind for v in row]), "", tuple(row)) for row in zip(*rows, strict=False)]
+        return self.parts(self.value(node), node)
+
+    def _value_constant(self, node: ast.Constant) -> Value:
+        if node.value is None:
+            return Value(ABSENT, "0")
+        if isinstance(node.value, (bool, int, float)):
+            return Value(kind_of(node.value), literal(node.value))
+        raise self.unknown(f"{type(node.value).__name__} as a value", node)
+
+    def _value_name(self, node: ast.Name) -> Value:
+        if node.id in self.env:
+            return self.env[node.id]
+        return self.of_python(self.outer(node.id, node), node)
+
+    def outer(self, name: str, node: ast.AST) -> Any:
+        """Return what stands under a name outside of the function."""
+        if isinstance(self.function, str):
+            if name in self.unit.texts:
+                return name
+            if name in self.unit.names:
+                return self.unit.names[name]
+            known = {
+                "math": math,
+                "float_nan": math.nan,
+                "float_inf": math.inf,
+                "float_less": -math.inf,
+                "array_": np.array,
+            }
+            if name in known:
+                return known[name]
+        else:
+            cells = dict(zip(self.function.__code__.co_freevars, self.function.__closure__ or (), strict=True))
+            if name in cells:
+                return cells[name].cell_contents
+            if name in self.function.__globals__:
+                return self.function.__globals__[name]
+        if hasattr(builtins, name):
+            return getattr(builtins, name)
+        raise self.unknown(f"{name} is not known on every way", node)
+
+    def of_python(self, thing: Any, node: ast.AST) -> Value:
+        """Return a constant of Python as C has it; functions and modules as what they are."""
+        if isinstance(thing, (bool, int, float)) and not isinstance(thing, np.bool_):
+            return Value(kind_of(thing), literal(thing))
+        if isinstance(thing, np.ndarray):
+            return self.unit.table(thing, "table")
+        if isinstance(thing, tuple):
+            return self.group_of([self.of_python(v, node) for v in thing], kind_of(thing))
+        return Value(ABSENT, "0", thing)
+
+    def group_of(self, parts: Sequence[Value], kind: Kind) -> Value:
+        """Return a tuple whose type is known."""
+        assert isinstance(kind, Tuple)
+        return self.group(parts, kind)
+
+    def _value_tuple(self, node: ast.Tuple | ast.List) -> Value:
+        items: list[Value] = []
+        for one in node.elts:
+            items += self.listed(one.value) if isinstance(one, ast.Starred) else [self.value(one)]
+        return self.group(items, tuple_of([v.kind for v in items]))
+
+    _value_list = _value_tuple
+
+    def _value_attribute(self, node: ast.Attribute) -> Value:
+        base = self.value(node.value)
+        if base.thing is not None and not isinstance(base.thing, (tuple, np.ndarray)):
+            if not hasattr(base.thing, node.attr):
+                raise self.unknown(f"no {node.attr}", node)
+            return self.of_python(getattr(base.thing, node.attr), node)
+        if isinstance(base.kind, Maybe):
+            base = self.coerced(base, base.kind.item)
+        if isinstance(base.kind, Tuple) and node.attr in base.kind.names:
+            k = base.kind.names.index(node.attr)
+            return Value(base.kind.items[k], f"{self._simple(base).c}.{identifier(node.attr)}")
+        if isinstance(base.kind, Table) and node.attr in ("size", "shape", "ndim"):
+            found = {"size": math.prod(base.kind.shape), "shape": base.kind.shape, "ndim": len(base.kind.shape)}
+            return self.of_python(found[node.attr], node)
+        raise self.unknown(f".{node.attr}", node)
+
+    def _value_subscript(self, node: ast.Subscript) -> Value:
+        if isinstance(node.value, ast.Name) and node.value.id == "c" and isinstance(self.function, str):
+            assert isinstance(node.slice, ast.Constant)
+            kind, c = self.unit.constants[node.slice.value]  # type: ignore[index]  # whole numbers, by the text
+            return Value(kind, c)
+        base = self.value(node.value)
+        if isinstance(base.kind, Maybe):
+            base = self.coerced(base, base.kind.item)
+        if isinstance(node.slice, ast.Slice):
+            return self._sliced(base, node)
+        index = self.value(node.slice)
+        if isinstance(base.kind, Table):
+            return Value(base.kind.item, self.place(base, index, node))
+        if not isinstance(base.kind, Tuple):
+            raise self.unknown("an item of something that is no tuple", node)
+        fixed = _fixed(node.slice)
+        parts = self.parts(base, node)
+        if fixed is not None:
+            if not -len(parts) <= fixed < len(parts):
+                raise self.unknown(f"no item {fixed} of {len(parts)}", node)
+            return parts[fixed]
+        return self._looked_up(base.kind, parts, index, node)
+
+    def _looked_up(self, kind: Tuple, parts: Sequence[Value], index: Value, node: ast.AST) -> Value:
+        """Return the part of a tuple that a number tells."""
+        first = parts[0].kind if parts else None
+        for part in parts:
+            first = united(first, part.kind)
+        if first is None:
+            raise self.unknown("an item of a tuple of several types", node)
+        at = self.named(self.coerced(index, INT))
+        self._check(f"({at.c} < -INT64_C({len(parts)})) || ({at.c} >= INT64_C({len(parts)}))")
+        if isinstance(first, Number):
+            name = f"w{len(self.local_tables)}"
+            self.local_tables[name] = Table(first, (len(parts),))
+            for k, part in enumerate(parts):
+                self.emit(f"{name}[{k}] = {self.coerced(part, first).c};")
+            return self.fresh(first, f"{name}[({at.c} < 0) ? ({at.c} + INT64_C({len(parts)})) : {at.c}]")
+        c = self._variable(f"look{self.temporaries}", first)
+        self.temporaries += 1
+        for k, part in enumerate(parts):
+            self.emit(
+                f"{'} else ' if k else ''}if (({at.c} == INT64_C({k})) || ({at.c} == -INT64_C({len(parts) - k}))) {{"
+            )
+            self.emit(f"    {c} = {self.coerced(part, first).c};")
+        self.emit("} else {")
+        self.emit(f"    {c} = {self.coerced(parts[0], first).c};")
+        self.emit("}")
+        return Value(first, c)
+
+    def place(self, table: Value, index: Value, node: ast.AST) -> str:
+        """Return an element of an array, after a check of its indices."""
+        shape = table.kind.shape  # type: ignore[union-attr]
+        ends = list(index.thing) if isinstance(index.thing, tuple) else None
+        indices = self.parts(index, node) if isinstance(index.kind, Tuple) and ends is None else ends or [index]
+        if len(indices) != len(shape):
+            raise self.unknown("a row of an array", node)
+        flat = ""
+        for one, size in zip(indices, shape, strict=True):
+            at = self.named(self.coerced(one, INT))
+            self._check(f"({at.c} < -INT64_C({size})) || ({at.c} >= INT64_C({size}))")
+            own = f"(({at.c} < 0) ? ({at.c} + INT64_C({size})) : {at.c})"
+            flat = f"({flat} * INT64_C({size}) + {own})" if flat else own
+        return f"{table.c}[{flat}]"
+
+    def _sliced(self, base: Value, node: ast.Subscript) -> Value:
+        part = node.slice
+        assert isinstance(part, ast.Slice)
+        ends = [None if e is None else _fixed(e) for e in (part.lower, part.upper, part.step)]
+        if any(
+            e is None and given is not None for e, given in zip(ends, (part.lower, part.upper, part.step), strict=True)
+        ):
+            raise self.unknown("a part whose ends are computed", node)
+        parts = self.parts(base, node)[slice(*ends)]
+        return self.group(parts, tuple_of([p.kind for p in parts]))
+
+    def _value_unaryop(self, node: ast.UnaryOp) -> Value:
+        value = self.value(node.operand)
+        if value.kind == COMPLEX and isinstance(node.op, ast.USub):
+            return self.group([Value(REAL, f"(-{p.c})") for p in self.parts(value, node)], COMPLEX)
+        if isinstance(node.op, ast.Not):
+            test = self.truth(value, node)
+            return Value(BOOL, {"true": "false", "false": "true"}.get(test, f"(!{test})"))
+        if not isinstance(value.kind, Number):
+            raise self.unknown("arithmetic of something that is no number", node)
+        kind = INT if value.kind == BOOL else value.kind
+        value = self.coerced(value, kind)
+        sign = {ast.USub: "-", ast.UAdd: "+", ast.Invert: "~"}[type(node.op)]
+        return Value(kind, f"({sign}{value.c})")
+
+    def _value_binop(self, node: ast.BinOp) -> Value:
+        return self.binary(node.op, self.value(node.left), self.value(node.right), node)
+
+    def binary(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
+        """Return an operation on two numbers."""
+        left, right = (self.coerced(v, v.kind.item) if isinstance(v.kind, Maybe) else v for v in (left, right))
+        if COMPLEX in (left.kind, right.kind):
+            return self._complex(op, left, right, node)
+        if isinstance(left.kind, Tuple) and isinstance(right.kind, Tuple) and isinstance(op, ast.Add):
+            parts = [*self.parts(left, node), *self.parts(right, node)]
+            return self.group(parts, tuple_of([p.kind for p in parts]))
+        if not (isinstance(left.kind, Number) and isinstance(right.kind, Number)):
+            raise self.unknown("arithmetic of something that is no number", node)
+        both = left.kind if left.kind.rank >= right.kind.rank else right.kind
+        both = INT if both == BOOL and type(op) not in BITS else both
+        if isinstance(op, ast.Div):
+            both = REAL
+        a, b = self.coerced(left, both), self.coerced(right, both)
+        if type(op) in ARITHMETIC:
+            return Value(both, f"({a.c} {ARITHMETIC[type(op)]} {b.c})")
+        if type(op) in BITS and both != REAL:
+            return Value(both, f"({a.c} {BITS[type(op)]} {b.c})")
+        if isinstance(op, (ast.Div, ast.FloorDiv, ast.Mod)):
+            b = self._simple(b)
+            if self.python or both == INT:
+                self._check(f"{b.c} == 0")
+            if isinstance(op, ast.Div):
+                return Value(REAL, f"({a.c} / {b.c})")
+            word = "mod" if isinstance(op, ast.Mod) else "floor_div"
+            return Value(both, f"sr_{word}_{'int' if both == INT else 'real'}({a.c}, {b.c})")
+        raise self.unknown(f"an operation {type(op).__name__.lower()}", node)
+
+    def _complex(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
+        """Return an operation on complex numbers, as CPython computes it."""
+        left, right = (self.coerced(v, COMPLEX) for v in (left, right))
+        (a, b), (c, d) = ([v.c for v in self.parts(z, node)] for z in (left, right))
+        if isinstance(op, (ast.Add, ast.Sub)):
+            sign = ARITHMETIC[type(op)]
+            found = f"({a} {sign} {c})", f"({b} {sign} {d})"
+        elif isinstance(op, ast.Mult):
+            found = f"(({a} * {c}) - ({b} * {d}))", f"(({a} * {d}) + ({b} * {c}))"
+        else:
+            raise self.unknown(f"an operation {type(op).__name__.lower()} of complex numbers", node)
+        return self.group([Value(REAL, one) for one in found], COMPLEX)
+
+    def _value_compare(self, node: ast.Compare) -> Value:
+        left = self.value(node.left)
+        tests: list[str] = []
+        for op, right_node in zip(node.ops, node.comparators, strict=True):
+            right = self.value(right_node)
+            if len(node.ops) > 1:
+                left, right = self._simple(left), self._simple(right)
+            test = self._compared(op, left, right, node)
+            if test == "false":
+                return Value(BOOL, "false")
+            if test != "true":
+                tests.append(test)
+            left = right
+        return Value(BOOL, f"({' && '.join(tests)})" if len(tests) > 1 else (tests or ["true"])[0])
+
+    def _compared(self, op: ast.cmpop, left: Value, right: Value, node: ast.AST) -> str:
+        if isinstance(op, (ast.Is, ast.IsNot)):
+            if not isinstance(right.kind, Absent):
+                raise self.unknown("`is` of something other than None", node)
+            if isinstance(left.kind, Maybe):
+                return f"({'!' if isinstance(op, ast.Is) else ''}{self._simple(left).c}.some)"
+            return "true" if isinstance(left.kind, Absent) is isinstance(op, ast.Is) else "false"
+        left, right = (self.coerced(v, v.kind.item) if isinstance(v.kind, Maybe) else v for v in (left, right))
+        if type(op) not in ORDER:
+            raise self.unknown(f"a comparison {type(op).__name__.lower()}", node)
+        if COMPLEX in (left.kind, right.kind):
+            left, right = (self.named(self.coerced(v, COMPLEX)) for v in (left, right))
+        if isinstance(left.kind, Tuple) and isinstance(right.kind, Tuple) and isinstance(op, (ast.Eq, ast.NotEq)):
+            pairs = list(zip(self.parts(left, node), self.parts(right, node), strict=True))
+            each = [self._compared(ast.Eq(), a, b, node) for a, b in pairs]
+            return f"({'' if isinstance(op, ast.Eq) else '!'}({' && '.join(each) or 'true'}))"
+        if not (isinstance(left.kind, Number) and isinstance(right.kind, Number)):
+            raise self.unknown("a comparison of something that is no number", node)
+        both = left.kind if left.kind.rank >= right.kind.rank else right.kind
+        return f"({self.coerced(left, both).c} {ORDER[type(op)]} {self.coerced(right, both).c})"
+
+    def _value_boolop(self, node: ast.BoolOp) -> Value:
+        stop = isinstance(node.op, ast.Or)
+        first = self.truth(self.value(node.values[0]), node)
+        rest: ast.expr = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
+        if first in ("true", "false"):
+            return Value(BOOL, first) if (first == "true") is stop else self._as_truth(rest, node)
+        at = len(self.lines)
+        other = self.truth(self.value(rest), node)
+        if len(self.lines) == at:
+            if other in ("true", "false"):
+                return Value(BOOL, other if (other == "true") is stop else first)
+            return Value(BOOL, f"({first} {'||' if stop else '&&'} {other})")
+        later, self.lines[at:] = self.lines[at:], []
+        c = self._variable(f"b{self.temporaries}", BOOL)
+        self.temporaries += 1
+        self.emit(f"{c} = {'true' if stop else 'false'};")
+        self.emit(f"if ({'!' if stop else ''}({first})) {{")
+        self.lines += [f"    {line}" for line in [*later, f"{c} = {other};"]]
+        self.emit("}")
+        return Value(BOOL, c)
+
+    def _as_truth(self, node: ast.expr, at: ast.AST) -> Value:
+        return Value(BOOL, self.truth(self.value(node), at))
+
+    def _value_ifexp(self, node: ast.IfExp) -> Value:
+        test = self.truth(self.value(node.test), node)
+        if test in ("true", "false"):
+            return self.value(node.body if test == "true" else node.orelse)
+        lines, found = self.lines, []
+        env = dict(self.env)
+        for way in (node.body, node.orelse):
+            self.lines, self.ended = [], False
+            found.append((self.value(way), self.lines))
+        self.lines, self.env = lines, env
+        (a, then), (b, orelse) = found
+        kind = united(a.kind, b.kind)
+        if kind is None or isinstance(kind, Table):
+            raise self.unknown("a choice of two types", node)
+        if not then and not orelse and isinstance(kind, Number):
+            return Value(kind, f"({test} ? {self.coerced(a, kind).c} : {self.coerced(b, kind).c})")
+        c = self._variable(f"i{self.temporaries}", kind)
+        self.temporaries += 1
+        kind = self.kinds_of[c]
+        for value, own in ((a, then), (b, orelse)):
+            self.lines = own
+            self.emit(f"{c} = {self.coerced(value, kind).c};")
+        self.lines = lines
+        self.emit(f"if ({test}) {{")
+        self.lines += [f"    {line}" for line in then]
+        self.emit("} else {")
+        self.lines += [f"    {line}" for line in orelse]
+        self.emit("}")
+        return Value(kind, c)
+
+
+def _fixed(node: ast.expr) -> int | None:
+    """Return the whole number that an expression is; None where it is computed."""
+    try:
+        value = ast.literal_eval(node)
+    except (ValueError, SyntaxError):
+        return None
+    return value if isinstance(value, int) else None

@@ -1,0 +1,164 @@
+"""Types of values in exported C: numbers, structs for tuples, tables, and what may be absent."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..native.value import NotNative
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number: ``real_t``, ``int64_t`` or ``bool``."""
+
+    c: str
+    rank: int  # of two numbers that meet, the result has the type of the higher rank
+
+
+@dataclass(frozen=True)
+class Absent:
+    """Python's None."""
+
+
+@dataclass(frozen=True)
+class Tuple:
+    """A tuple, which C has as a struct.
+
+    Parameters
+    ----------
+    items : tuple of types
+    names : tuple of str
+        Fields of a named tuple; f0, f1, ... otherwise.
+    title : str
+        Name of the named tuple's class; empty otherwise.
+    """
+
+    items: tuple[Any, ...]
+    names: tuple[str, ...]
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Maybe:
+    """A value that may be absent: a struct of a flag and the value."""
+
+    item: Any
+
+
+@dataclass(frozen=True)
+class Table:
+    """An array of numbers of fixed shape, constant or on the stack."""
+
+    item: Number
+    shape: tuple[int, ...]
+
+
+KEYWORDS = frozenset(
+    [
+        "auto",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
+        "bool",
+    ]
+)
+
+
+def identifier(text: str) -> str:
+    """Return a name of C for a name of Python or ROS."""
+    name = re.sub(r"\W+", "_", text).strip("_")
+    return f"{name}_" if name in KEYWORDS else f"n{name}" if name[:1].isdigit() else name
+
+
+BOOL, INT, REAL = Number("bool", 0), Number("int64_t", 1), Number("real_t", 2)
+ABSENT = Absent()
+COMPLEX = Tuple((REAL, REAL), ("real", "imag"), "complex")
+Kind = Number | Absent | Tuple | Maybe | Table
+
+
+def kind_of(value: Any) -> Kind:
+    """Return the type of a sample.
+
+    Raises
+    ------
+    NotNative
+        C has no type for it here.
+    """
+    if value is None:
+        return ABSENT
+    if isinstance(value, (bool, np.bool_)):
+        return BOOL
+    if isinstance(value, (int, np.integer)):
+        return INT
+    if isinstance(value, (float, np.floating)):
+        return REAL
+    if isinstance(value, (complex, np.complexfloating)):
+        return COMPLEX
+    if isinstance(value, (tuple, list)):
+        names = getattr(value, "_fields", None)
+        title = type(value).__name__.rpartition("__")[2] if names else ""
+        return tuple_of([kind_of(v) for v in value], names, title)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fib":
+        return Table({"f": REAL, "i": INT, "b": BOOL}[value.dtype.kind], value.shape)
+    raise NotNative(f"{type(value).__name__} has no type in C here")
+
+
+def tuple_of(items: Sequence[Kind], names: Sequence[str] | None = None, title: str = "") -> Tuple:
+    """Return the type of a tuple."""
+    return Tuple(tuple(items), tuple(names or (f"f{k}" for k in range(len(items)))), title)
+
+
+def united(a: Kind | None, b: Kind | None) -> Kind | None:
+    """Return the type that holds values of both types; None where there is none."""
+    if a is None or b is None or a == b:
+        return a or b
+    if isinstance(a, Number) and isinstance(b, Number):
+        return a if a.rank > b.rank else b
+    if isinstance(a, Absent) or isinstance(b, Absent):
+        other = b if isinstance(a, Absent) else a
+        return other if isinstance(other, Maybe) else Maybe(other)
+    if isinstance(a, Maybe) or isinstance(b, Maybe):
+        inner = united(a.item if isinstance(a, Maybe) else a, b.item if isinstance(b, Maybe) else b)
+        return None if inner is None else Maybe(inner)
+    if COMPLEX in (a, b):
+        return COMPLEX if isinstance(a, Number) or isinstance(b, Number) else None
+    if isinstance(a, Tuple) and isinstance(b, Tuple) and len(a.items) == len(b.items):
+        parts = [united(x, y) for x, y in zip(a.items, b.items, strict=True)]
+        named = a if a.title else b
+        return None if None in parts else Tuple(tuple(p for p in parts if p is not None), named.names, named.title)
+    return None

@@ -1,0 +1,321 @@
+"""From the text of one block, specialised for native code, to statements of C99.
+
+The text is the one that numba compiles (`softrig_core.native`). Its types follow from those of its arguments: a
+function is read again until no variable changes its type. A call that may discard the tick is a statement of its own,
+so that its flag is looked at before anything else is computed.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from .calls import Calls
+from .kinds import (
+    ABSENT,
+    INT,
+    Absent,
+    Number,
+    Table,
+    united,
+)
+from .unit import Signature, Value, reads
+
+ROUNDS = 12  # of reading a function until its types stay
+ASSIGNED = re.compile(r"( *)(v_\w+) = (.*);")
+
+
+class Reader(Calls):
+    """Reads one function of the text, or of Python, for given types of its arguments."""
+
+    def whole(self, name: str) -> tuple[str, Signature]:
+        """Return the text of the function and how it is called."""
+        names = [a.arg for a in self.tree.args.args]
+        if len(names) != len(self.kinds):
+            raise self.unknown(f"{len(self.kinds)} arguments, expected {len(names)}", self.tree)
+        for _ in range(ROUNDS):
+            before = dict(self.kinds_of), self.result
+            self.lines = []
+            self.env = {}
+            self.discards = self.ended = False
+            self.temporaries = 0
+            self.loops = []
+            for k, (given, kind) in enumerate(zip(names, self.kinds, strict=True)):
+                c = self.handed[k] if self.handed[k] is not None else f"p_{given.removeprefix('v_')}"
+                self.env[given] = Value(kind, c, self.unit.by_name.get(c))
+            self.block(self.tree.body)
+            if not self.ended:
+                self._returned(Value(ABSENT, "0"))
+            if (self.kinds_of, self.result) == before:
+                break
+        else:
+            raise self.unknown("types that do not settle", self.tree)
+        result = self.result if self.result is not None else ABSENT
+        heads = [
+            f"{self.unit.c(k)} p_{n.removeprefix('v_')}"
+            for n, k, h in zip(names, self.kinds, self.handed, strict=True)
+            if h is None and not isinstance(k, (Absent, Table))
+        ]
+        heads += [
+            f"real_t *p_{n.removeprefix('v_')}"
+            for n, k, h in zip(names, self.kinds, self.handed, strict=True)
+            if h is None and isinstance(k, Table)
+        ]
+        head = f"static {self.unit.c(result)} {name}({', '.join([f'{self.unit.prefix} *s', *heads])})\n"
+        self._without_unread()
+        text = "\n".join(self.lines)
+        variables = [
+            f"    {self.unit.c(kind)} {variable};" for variable, kind in self.kinds_of.items() if reads(variable, text)
+        ]
+        variables += [
+            f"    {t.item.c} {n}[{math.prod(t.shape) or 1}];" for n, t in self.local_tables.items() if reads(n, text)
+        ]
+        zero = "0" if isinstance(result, (Number, Absent)) else f"({self.unit.c(result)}){{ 0 }}"
+        words = ["s", *(g.rpartition(" ")[2].lstrip("*") for g in heads)]
+        unused = [f"    (void){w};" for w in words if not reads(w, text)]
+        body = [*variables, *unused, *(f"    {line.replace('@ZERO@', zero)}" for line in self.lines)]
+        return head + "{\n" + "\n".join(body) + "\n}\n", Signature(name, result, self.discards)
+
+    def _without_unread(self) -> None:
+        """Leave out what is assigned and never read; of a call, what it returns."""
+        while True:
+            lines: list[str] = []
+            for line in self.lines:
+                found = ASSIGNED.fullmatch(line)
+                own = found.group(2) if found else ""
+                if found and not any(
+                    reads(own, other) for other in self.lines if not other.lstrip().startswith(f"{own} = ")
+                ):
+                    if re.match(rf"{self.unit.prefix}_\w+\(s\b", found.group(3)):
+                        lines.append(f"{found.group(1)}(void){found.group(3)};")
+                    continue
+                lines.append(line)
+            if lines == self.lines:
+                return
+            self.lines = lines
+
+    # statements ---------------------------------------------------------------------------------------------------
+
+    def block(self, statements: Sequence[ast.stmt]) -> None:
+        """Read statements, as far as they are reached."""
+        for one in statements:
+            if self.ended:
+                return
+            method = getattr(self, f"_{type(one).__name__.lower()}", None)
+            if method is None:
+                raise self.unknown(f"a statement `{type(one).__name__.lower()}`", one)
+            method(one)
+
+    def _pass(self, node: ast.Pass) -> None:
+        pass
+
+    def _raise(self, node: ast.Raise) -> None:
+        self.give_up()
+
+    def _expr(self, node: ast.Expr) -> None:
+        if not isinstance(node.value, ast.Constant):
+            self.value(node.value)
+
+    def _return(self, node: ast.Return) -> None:
+        self._returned(Value(ABSENT, "0") if node.value is None else self.value(node.value))
+
+    def _returned(self, value: Value) -> None:
+        both = united(self.result, value.kind) if self.result is not None else value.kind
+        if both is None:
+            raise self.unknown("answers of several forms")
+        self.result = both
+        self.emit(f"return {self.coerced(value, both).c};")
+        self.ended = True
+
+    def _assign(self, node: ast.Assign) -> None:
+        value = self.value(node.value)
+        if len(node.targets) > 1:
+            value = self.named(value)
+        for target in node.targets:
+            self.bind(target, value)
+
+    def _annassign(self, node: ast.AnnAssign) -> None:
+        if node.value is not None:
+            self.bind(node.target, self.value(node.value))
+
+    def _augassign(self, node: ast.AugAssign) -> None:
+        load: Any = ast.parse(ast.unparse(node.target), mode="eval").body
+        self.bind(node.target, self.binary(node.op, self.value(load), self.value(node.value), node))
+
+    def bind(self, target: ast.expr, value: Value) -> None:
+        """Assign a value to a name, names, or an element of an array."""
+        if isinstance(target, ast.Name):
+            if isinstance(value.kind, (Absent, Table)) or value.thing is not None:
+                self.env[target.id] = value
+                return
+            c = self._variable(target.id, value.kind)
+            kind = self.kinds_of[c]
+            self.emit(f"{c} = {self.coerced(value, kind).c};")
+            self.env[target.id] = Value(kind, c)
+        elif isinstance(target, (ast.Tuple, ast.List)):
+            parts = [self.named(p) for p in self.parts(value, target)]
+            if len(parts) != len(target.elts):
+                raise self.unknown(f"{len(parts)} values for {len(target.elts)} names", target)
+            for one, part in zip(target.elts, parts, strict=True):
+                self.bind(one, part)
+        elif isinstance(target, ast.Subscript):
+            table = self.value(target.value)
+            if not isinstance(table.kind, Table) or isinstance(table.thing, np.ndarray):
+                raise self.unknown("an assignment to a part of a tuple", target)
+            place = self.place(table, self.value(target.slice), target)
+            self.emit(f"{place} = {self.coerced(value, table.kind.item).c};")
+        else:
+            raise self.unknown("an assignment to a part of something", target)
+
+    def _if(self, node: ast.If) -> None:
+        test = self.truth(self.value(node.test), node)
+        if test in ("true", "false"):
+            self.block(node.body if test == "true" else node.orelse)
+            return
+        self.fork(test, lambda: self.block(node.body), lambda: self.block(node.orelse))
+
+    def fork(self, test: str, one: Callable[[], Any], other: Callable[[], Any]) -> None:
+        """Write both ways of a test, and join the names after them."""
+        lines, before = self.lines, dict(self.env)
+        ways = []
+        for way in (one, other):
+            self.lines, self.env, self.ended = [], dict(before), False
+            way()
+            ways.append((self.lines, self.env, self.ended))
+        (then, env_then, over_then), (orelse, env_else, over_else) = ways
+        if over_then or over_else:
+            env = env_else if over_then else env_then
+        else:
+            env = self._joined(env_then, then, env_else, orelse)
+        self.lines, self.env, self.ended = lines, env, over_then and over_else
+        self.emit(f"if ({test}) {{")
+        self.lines += [f"    {line}" for line in then]
+        if orelse:
+            self.emit("} else {")
+            self.lines += [f"    {line}" for line in orelse]
+        self.emit("}")
+
+    def _joined(
+        self, one: dict[str, Value], then: list[str], other: dict[str, Value], orelse: list[str]
+    ) -> dict[str, Value]:
+        env: dict[str, Value] = {}
+        for name in {**one, **other}:
+            a, b = one.get(name), other.get(name)
+            if a is None or b is None or a == b:
+                env[name] = a or b  # type: ignore[assignment]  # one of them is there
+                continue
+            kind = united(a.kind, b.kind)
+            if kind is None or isinstance(kind, (Table, Absent)):
+                continue  # whoever reads it is told
+            c = self._variable(f"{name}_j", kind)
+            kind = self.kinds_of[c]
+            for value, lines in ((a, then), (b, orelse)):
+                self.lines = lines
+                if value.c != c:
+                    self.emit(f"{c} = {self.coerced(value, kind).c};")
+            env[name] = Value(kind, c)
+        return env
+
+    def _while(self, node: ast.While) -> None:
+        def inside() -> None:
+            test = self.truth(self.value(node.test), node)
+            if test != "true":
+                self.emit(f"if (!({test})) {{")
+                self.emit("    break;")
+                self.emit("}")
+            self.block(node.body)
+
+        self._loop("for (;;) {", inside, node)
+
+    def _for(self, node: ast.For) -> None:
+        call = node.iter
+        if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "range"):
+            self._each(node)
+            return
+        ends = [self.named(self.coerced(self.value(a), INT)) for a in call.args]
+        first, last = (Value(INT, "INT64_C(0)"), ends[0]) if len(ends) == 1 else ends[:2]
+        step = ends[2] if len(ends) == 3 else Value(INT, "INT64_C(1)")
+        if len(ends) == 3 and not isinstance(call.args[2], (ast.Constant, ast.UnaryOp)):
+            raise self.unknown("a loop whose step is computed", node)
+        down = len(ends) == 3 and isinstance(call.args[2], ast.UnaryOp)
+        assert isinstance(node.target, ast.Name)
+        counter = self._variable(f"{node.target.id}_k", INT)
+        own = self._variable(node.target.id, INT)
+        head = f"for ({counter} = {first.c}; {counter} {'>' if down else '<'} {last.c}; {counter} += {step.c}) {{"
+
+        def inside() -> None:
+            self.emit(f"{own} = {counter};")
+            self.env[node.target.id] = Value(self.kinds_of[own], own)  # type: ignore[attr-defined]
+            self.block(node.body)
+
+        self._loop(head, inside, node)
+
+    def _each(self, node: ast.For) -> None:
+        """Write a loop over the parts of a tuple, turn after turn."""
+        if any(isinstance(n, (ast.Break, ast.Continue)) for one in node.body for n in ast.walk(one)):
+            raise self.unknown("a loop over a tuple that is left", node)
+        for part in [self.named(v) for v in self.listed(node.iter)]:
+            self.bind(node.target, part)
+            self.block(node.body)
+            if self.ended:
+                return
+
+    def _loop(self, head: str, inside: Callable[[], None], node: ast.stmt) -> None:
+        """Write a loop. A name that it binds has one variable, which is up to date at the end of each turn."""
+        stored = sorted({n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)})
+        for name in stored:
+            value = self.env.get(name)
+            c = self._carried(name)
+            if value is not None and not isinstance(value.kind, (Absent, Table)):
+                self._carry(name, value)
+                self.env[name] = Value(self.kinds_of[c], c)
+            elif value is None and c in self.kinds_of:  # first bound in a turn: the loop may have none
+                kind = self.kinds_of[c]
+                self.emit(f"{c} = {'0' if isinstance(kind, Number) else f'({self.unit.c(kind)}){{ 0 }}'};")
+        lines, before = self.lines, dict(self.env)
+        self.lines = []
+        self.loops.append([(name, name in before) for name in stored])
+        inside()
+        if not self.ended:
+            self._turn_over()
+        self.loops.pop()
+        inner, self.lines = self.lines, lines
+        self.ended, self.env = False, before
+        for name in stored:
+            c = self._carried(name)
+            if name not in before and c in self.kinds_of:
+                self.env[name] = Value(self.kinds_of[c], c)
+        self.emit(head)
+        self.lines += [f"    {line}" for line in inner]
+        self.emit("}")
+
+    def _carry(self, name: str, value: Value) -> None:
+        c = self._variable(f"{name}_l", value.kind)
+        if c != self._carried(name):
+            raise self.unknown(f"{name} changes its type in a loop")
+        if value.c != c:
+            self.emit(f"{c} = {self.coerced(value, self.kinds_of[c]).c};")
+
+    def _turn_over(self) -> None:
+        """Bring the variables of the innermost loop up to date."""
+        for name, was_there in self.loops[-1]:
+            value = self.env.get(name)
+            if value is None or value.thing is not None or isinstance(value.kind, (Absent, Table)):
+                continue
+            if was_there or united(self.kinds_of.get(self._carried(name)), value.kind) is not None:
+                self._carry(name, value)
+
+    def _break(self, node: ast.Break) -> None:
+        self._turn_over()
+        self.emit("break;")
+        self.ended = True
+
+    def _continue(self, node: ast.Continue) -> None:
+        self._turn_over()
+        self.emit("continue;")
+        self.ended = True

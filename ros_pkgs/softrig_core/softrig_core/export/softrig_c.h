@@ -1,0 +1,86 @@
+/* Support of the C code that softrig exports: number type, Python's division, tables. C99, no dynamic memory.
+ *
+ * Compile with -ffp-contract=off: a fused multiply-add rounds once where the golden rows round twice.
+ * Define SR_FLOAT for single precision.
+ */
+#ifndef SOFTRIG_C_H
+#define SOFTRIG_C_H
+
+#include <math.h>
+#include <stdbool.h>
+#include <stdint.h>
+
+#ifdef SR_FLOAT
+typedef float real_t;
+#define SR_MATH(name) name##f
+#else
+typedef double real_t;
+#define SR_MATH(name) name
+#endif
+
+#define SR_REAL(x) ((real_t)(x))
+#define SR_NAN ((real_t)NAN)
+#define SR_INFINITY ((real_t)INFINITY)
+#define SR_DONE 0    /* the tick is answered */
+#define SR_GAVE_UP 1 /* an error in Python: the state is as before the call, the outputs are the safe values */
+
+#ifndef SR_TABLE /* constant tables; avr-gcc keeps `const` data in RAM unless it is told otherwise */
+#define SR_TABLE const
+#endif
+
+static inline bool sr_isfinite(real_t x) { return (x - x) == SR_REAL(0); }
+static inline bool sr_isnan(real_t x) { return x != x; }
+static inline bool sr_isinf(real_t x) { return !sr_isnan(x) && !sr_isfinite(x); }
+
+/* To a whole number; what has none is the smallest one, as on x86-64: C leaves it open, and processors differ. */
+static inline int64_t sr_int(real_t x)
+{
+    return ((x > SR_REAL(-9.2e18)) && (x < SR_REAL(9.2e18))) ? (int64_t)x : INT64_MIN;
+}
+
+/* Python's x % y and x // y: the remainder has the sign of y (CPython's float_divmod). */
+static inline real_t sr_mod_real(real_t x, real_t y)
+{
+    real_t m = SR_MATH(fmod)(x, y);
+    if (m != SR_REAL(0)) {
+        if ((y < SR_REAL(0)) != (m < SR_REAL(0))) {
+            m += y;
+        }
+    } else {
+        m = SR_MATH(copysign)(SR_REAL(0), y);
+    }
+    return m;
+}
+
+static inline real_t sr_floor_div_real(real_t x, real_t y)
+{
+    real_t m = SR_MATH(fmod)(x, y);
+    real_t d = (x - m) / y;
+    real_t f;
+    if ((m != SR_REAL(0)) && ((y < SR_REAL(0)) != (m < SR_REAL(0)))) {
+        d -= SR_REAL(1);
+    }
+    if (d != SR_REAL(0)) {
+        f = SR_MATH(floor)(d);
+        if ((d - f) > SR_REAL(0.5)) {
+            f += SR_REAL(1);
+        }
+    } else {
+        f = SR_MATH(copysign)(SR_REAL(0), x / y);
+    }
+    return f;
+}
+
+static inline int64_t sr_mod_int(int64_t x, int64_t y)
+{
+    int64_t m = x % y;
+    return ((m != 0) && ((m < 0) != (y < 0))) ? (m + y) : m;
+}
+
+static inline int64_t sr_floor_div_int(int64_t x, int64_t y)
+{
+    int64_t d = x / y;
+    return (((x % y) != 0) && ((x < 0) != (y < 0))) ? (d - 1) : d;
+}
+
+#endif

@@ -1,0 +1,174 @@
+"""What is printed for one block: values of C, types, tables, and functions by the types of their arguments."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..native.value import NotNative
+from .kinds import (
+    Absent,
+    Kind,
+    Maybe,
+    Number,
+    Table,
+    identifier,
+    kind_of,
+)
+
+
+@dataclass(frozen=True)
+class Value:
+    """An expression of C without side effects, and its type."""
+
+    kind: Kind
+    c: str
+    thing: Any = None  # what a name of Python stands for, where it is no value of C
+
+
+@dataclass(frozen=True)
+class Signature:
+    """A function of C: its name, the type that it returns, and whether it may discard the tick."""
+
+    name: str
+    result: Kind
+    discards: bool
+
+
+@dataclass
+class Unit:
+    """What is printed for one block: types, tables, functions.
+
+    Parameters
+    ----------
+    prefix : str
+        Of all names.
+    reader : callable
+        Makes the `Reader` of a function.
+    texts : mapping of str to str
+        The functions of the text, by name.
+    names : mapping of str to object
+        What the text names beside them.
+    constants : sequence
+        Values of the slots ``c[k]``, and how C writes each.
+    reports : mapping of int to int
+        Place in the text's table of reports to number of the report.
+    """
+
+    prefix: str
+    reader: Callable[..., Any]
+    texts: Mapping[str, str]
+    names: Mapping[str, Any]
+    constants: Sequence[tuple[Kind, str]]
+    reports: Mapping[int, int]
+    structs: dict[Kind, str] = field(default_factory=dict)
+    typedefs: list[str] = field(default_factory=list)
+    tables: dict[str, str] = field(default_factory=dict)
+    functions: list[str] = field(default_factory=list)
+    done: dict[Any, Signature] = field(default_factory=dict)
+    under_way: set[Any] = field(default_factory=set)
+    libm: set[str] = field(default_factory=set)
+    places: dict[int, str] = field(default_factory=dict)  # of arrays of Python that are tables of C
+    by_name: dict[str, Any] = field(default_factory=dict)
+
+    def used(self, roots: Sequence[str]) -> tuple[list[str], list[str]]:
+        """Return the tables and functions that these functions need, in order: a type that did not stay left others."""
+        known = {_title(text): text for text in self.functions}
+        reached: set[str] = set()
+        open_ = list(roots)
+        while open_:
+            name = open_.pop()
+            if name in known and name not in reached:
+                reached.add(name)
+                open_ += re.findall(r"\b\w+(?=\()", known[name])
+        functions = [text for name, text in known.items() if name in reached]
+        whole = "".join(functions)
+        return [text for name, text in self.tables.items() if reads(name, whole)], functions
+
+    def c(self, kind: Kind) -> str:
+        """Return how C writes a type."""
+        if isinstance(kind, Number):
+            return kind.c
+        if isinstance(kind, Absent):
+            return "uint8_t"
+        if isinstance(kind, Table):
+            raise NotNative("an array as a value")
+        if kind not in self.structs:
+            if isinstance(kind, Maybe):
+                fields, title = [("bool", "some"), (self.c(kind.item), "item")], "maybe"
+            else:
+                fields = [(self.c(k), identifier(n)) for k, n in zip(kind.items, kind.names, strict=True)]
+                title = kind.title.strip("_").lower() or "tuple"
+            name = f"{self.prefix}_{title}{len(self.structs)}_t"
+            inner = "".join(f"    {c} {n};\n" for c, n in fields) or "    uint8_t nothing;\n"
+            self.typedefs.append(f"typedef struct {{\n{inner}}} {name};\n")
+            self.structs[kind] = name
+        return self.structs[kind]
+
+    def table(self, value: np.ndarray, hint: str) -> Value:
+        """Return a constant array."""
+        kind = kind_of(value)
+        assert isinstance(kind, Table)
+        if id(value) not in self.places:
+            name = f"{self.prefix}_{hint}{len(self.tables)}"
+            numbers = ", ".join(literal(v) for v in value.ravel().tolist()) or "0"
+            size = max(value.size, 1)
+            self.tables[name] = f"static SR_TABLE {kind.item.c} {name}[{size}] = {{ {numbers} }};\n"
+            self.places[id(value)] = name
+            self.by_name[name] = value
+        return Value(kind, self.places[id(value)], value)
+
+    def call(self, function: Any, kinds: tuple[Kind, ...], tables: tuple[Any, ...], python: bool) -> Signature:
+        """Return the C function of a function of Python for arguments of these types.
+
+        Parameters
+        ----------
+        function : str or function
+            A function of the text by its name, or one of Python.
+        tables : tuple
+            By argument: the array that is handed over, by name, or None.
+        python : bool
+            Whether Python's rules hold (an error discards the tick); else numba's for `jit` functions.
+        """
+        key = (function, kinds, tables, python)
+        if key in self.done:
+            return self.done[key]
+        if key in self.under_way:
+            raise NotNative(f"{function} calls itself")
+        self.under_way.add(key)
+        try:
+            reader = self.reader(self, function, kinds, tables, python)
+            text, signature = reader.whole(f"{self.prefix}_{reader.title}{len(self.done)}")
+        finally:
+            self.under_way.discard(key)
+        self.functions.append(text)
+        self.done[key] = signature
+        return signature
+
+
+def literal(value: Any) -> str:
+    """Return how C writes a number."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return f"INT64_C({value})" if value >= 0 else f"(-INT64_C({-value}))"
+    if math.isnan(value):
+        return "SR_NAN"
+    if math.isinf(value):
+        return "SR_INFINITY" if value > 0 else "(-SR_INFINITY)"
+    text = repr(float(value))
+    return f"SR_REAL({text if any(c in text for c in '.e') else text + '.0'})"
+
+
+def reads(name: str, text: str) -> bool:
+    """Return whether a text of C has a name."""
+    return re.search(rf"\b{re.escape(name)}(?!\w)", text) is not None
+
+
+def _title(text: str) -> str:
+    return text[: text.index("(")].rpartition(" ")[2]

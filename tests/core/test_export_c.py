@@ -1,0 +1,147 @@
+"""Exported C against Python, call by call: the golden rows are Python's answers, the replay is compiled C."""
+
+import json
+import shutil
+import subprocess
+
+import pytest
+from softrig_core import ScenarioError, rig_of
+from softrig_core.export.check import FLAGS, replayed
+from softrig_core.export.command import export_c, main
+from softrig_core.export.drawn import Raised, drawn_calls
+from softrig_core.export.golden import golden_calls, member_of
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
+
+NODES = {
+    "a controller with reports": ("dc_motor_smc_b2", "dc_motor_smc"),
+    "a plant with events": ("dc_motor_smc", "dc_motor_plant"),
+    "complex numbers, tables of vectors": ("induction_dtc", "dtc_controller"),
+    "fuzzy inference, functions called often": ("lsrm_fuzzy", "speed_controller"),
+    "a plant with a compiled loop": ("lsrm_fuzzy", "lsrm_plant"),
+    "an output that is silent at times, an absent input": ("dc_motor_fsfb", "step_buttons"),
+    "states that are absent at first": ("rehab_impedance", "voltage_controller"),
+}
+
+
+@pytest.mark.parametrize(("scenario", "node"), NODES.values(), ids=NODES.keys())
+def test_c_has_the_bits_of_python(scenario, node, tmp_path):
+    done = export_c(rig_of(scenario), node, tmp_path, rows=400, drawn=300)
+    found = replayed(tmp_path, done.name)
+    assert found.rows >= 600
+    assert (found.differing, found.wrong_status) == (0, 0)
+    assert found.same
+
+
+@pytest.fixture(scope="module")
+def law(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("law")
+    rig = rig_of("dc_motor_smc_b2")
+    return rig, folder, export_c(rig, "dc_motor_smc", folder, rows=200, drawn=300)
+
+
+def test_the_replay_notices_a_changed_law(law, tmp_path):
+    _, folder, done = law
+    for file in folder.iterdir():
+        text = file.read_text()
+        (tmp_path / file.name).write_text(text.replace(" - p_w)", " + p_w)") if file.name == f"{done.name}.c" else text)
+    assert (tmp_path / f"{done.name}.c").read_text() != (folder / f"{done.name}.c").read_text()
+    assert replayed(tmp_path, done.name).differing > 100
+
+
+def test_drawn_inputs_hold_errors_of_python(law):
+    rig, _, _ = law
+    member = member_of(rig, "dc_motor_smc")
+    golden = golden_calls(rig, "dc_motor_smc", 1, 100)
+    calls = [c for one in drawn_calls(member, member.block(1), golden, 300, 1) for c in one]
+    assert any(isinstance(c, Raised) for c in calls)
+
+
+MAIN = """
+#include "dc_motor_smc.h"
+#include <stdio.h>
+#include <string.h>
+int main(void)
+{
+    dc_motor_smc node, before;
+    dc_motor_smc_params params = DC_MOTOR_SMC_PARAMS;
+    dc_motor_smc_in in = { .state = { 5 }, .sensors = { 0, 0.1 }, .has_reference = true, .reference = { 10 } };
+    dc_motor_smc_out out;
+    dc_motor_smc_init(&node, NULL);
+    int status = dc_motor_smc_step(&node, &in, &out, 0);
+    printf("%d %.17g", status, out.command[0]);
+    before = node;
+    in.state[0] = SR_NAN;
+    status = dc_motor_smc_step(&node, &in, &out, 10000000);
+    printf(" %d %.17g %d", status, out.command[0], memcmp(&node.x, &before.x, sizeof node.x) == 0);
+    params.delta *= 2;
+    dc_motor_smc_init(&node, &params);
+    in.state[0] = 5;
+    status = dc_motor_smc_step(&node, &in, &out, 0);
+    printf(" %d %.17g\\n", status, out.command[0]);
+    return 0;
+}
+"""
+
+
+def test_an_error_leaves_the_state_and_gives_the_safe_value_and_parameters_can_be_set(law, tmp_path):
+    rig, folder, done = law
+    assert "delta" in done.settable
+    for file in folder.iterdir():
+        shutil.copy(file, tmp_path)
+    (tmp_path / "main.c").write_text(MAIN)
+    command = ["cc", *FLAGS, "-o", "main", "main.c", "dc_motor_smc.c", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    words = subprocess.run(["./main"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout.split()
+
+    def python(delta):
+        block = member_of(rig_of("dc_motor_smc_b2", overrides={"dc_motor_smc.delta": delta}), "dc_motor_smc").block(1)
+        given = {"state": (5.0,), "sensors": (0.0, 0.1), "reference": (10.0,)}
+        return block.update(block.first(), 0, **given)[1]["command"][0]
+
+    delta = member_of(rig, "dc_motor_smc").block(1).p.delta
+    assert words[0] == "0"
+    assert float(words[1]) == python(delta)
+    assert words[2:5] == ["1", "0", "1"]
+    assert float(words[6]) == python(2 * delta) != python(delta)
+
+
+def test_files_say_what_they_are_and_are_the_same_again(law, tmp_path):
+    rig, folder, done = law
+    again = export_c(rig, "dc_motor_smc", tmp_path, rows=200, drawn=300)
+    assert again.files == done.files
+    about = json.loads((folder / "dc_motor_smc.json").read_text())
+    assert about["period_s"] == [1, 100]
+    assert [p["topic"] for p in about["ports"]] == [
+        "motor/state",
+        "motor/sensors",
+        "motor/reference",
+        "motor/command",
+        "motor/surface",
+    ]
+    assert about["digest"] in done.files["dc_motor_smc.h"]
+    assert {"malloc", "alloca", "longjmp"}.isdisjoint(done.files["dc_motor_smc.c"].split())
+
+
+@pytest.mark.parametrize(
+    ("scenario", "node", "words"),
+    [
+        ("dc_motor_smc_b2", "dc_motor_smcc", ["dc_motor_smcc", "did you mean", "dc_motor_smc"]),
+        ("dc_motor_smc_b2", "dc_motor_plant", ["cannot be exported as C", "random numbers"]),
+        ("manipulator_adsmc", "manipulator_plant", ["cannot be exported as C", "CasADi"]),
+    ],
+)
+def test_what_has_no_c_is_refused_by_its_reason(scenario, node, words, tmp_path):
+    with pytest.raises(ScenarioError) as caught:
+        export_c(rig_of(scenario), node, tmp_path, rows=50, drawn=50)
+    assert all(word in str(caught.value) for word in words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_verb_checks_in_both_precisions(tmp_path, capsys):
+    assert main(["dc_motor_smc_b2", "dc_motor_smc", "--out", str(tmp_path / "d"), "--check"]) == 0
+    assert "the bits of Python" in capsys.readouterr().out
+    assert main(["dc_motor_smc_b2", "dc_motor_smc", "--real", "float", "--out", str(tmp_path / "f"), "--check"]) == 0
+    out = capsys.readouterr().out
+    assert "in single precision" in out
+    assert "#define SR_FLOAT" in (tmp_path / "f" / "dc_motor_smc.h").read_text()
