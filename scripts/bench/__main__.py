@@ -17,6 +17,7 @@ from . import (
     loop,
     native,
     optimal_control,
+    reading,
     realtime,
     recorder,
     rectifier,
@@ -30,7 +31,7 @@ from .falsification import table as falsification_table
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop.loop, "tick": loop.tick, "recording": loop.recording, "inprocess": rigs.inprocess,
     "processes": loop.processes, "bags": recorder.recorder_rate, "rigs": rigs.rigs, "native": native.print_table,
-    "containers": rigs.containers,
+    "containers": rigs.containers, "reading": reading.reading,
     "realtime": realtime.realtime, "view": view.view,
     "systems": systems.print_table, "induction": induction.print_table, "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,

@@ -10,8 +10,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 from softrig_bags.cli import main_bag
+from softrig_bags.compressed import inflate
 from softrig_bags.errors import BagError
-from softrig_bags.mcap_recover import inflate
 from softrig_bags.read import read_bag
 from softrig_bags.reader import BagReader
 from softrig_bags.repair import repair

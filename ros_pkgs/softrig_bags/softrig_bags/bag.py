@@ -14,7 +14,8 @@ from .errors import BagError
 from .mcap_file import McapFile
 from .mcap_rows import write_recording
 from .sqlite_file import Sqlite3File
-from .topics import BagTopic, qos_dicts, to_yaml
+from .topics import BagTopic
+from .yaml_text import qos_dicts, to_yaml
 
 NEVER = 2**63 - 1
 

@@ -10,15 +10,17 @@ import time
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from softrig_core.block.params import Declaration
 from softrig_core.command_line import Number, Parser
 from softrig_core.guard import guarded, plain
 from softrig_core.wire.recording import relative
 from softrig_nodes.ros.leave import leave
 
 from .errors import BagError
+
+if TYPE_CHECKING:
+    from softrig_core.block.params import Declaration
 
 Main = Callable[[Sequence[str] | None], int]
 
@@ -63,6 +65,8 @@ def _ros_arguments(argv: list[str]) -> tuple[list[str], list[str]]:
 
 def _parameters(parser: Parser, options: argparse.Namespace) -> list[tuple[Declaration, Any]]:
     """Give the options as ROS parameters, for whoever asks the node what it is doing."""
+    from softrig_core.block.params import Declaration  # with pydantic, which only nodes need
+
     found = []
     for action in parser._actions:
         value = getattr(options, action.dest, None)

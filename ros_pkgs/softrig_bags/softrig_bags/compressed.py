@@ -7,12 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from .block import Block, numbers_at, packed
-from .mcap_recover import LIMIT, inflate
 from .source import Damaged
 
 if sys.version_info >= (3, 14):
@@ -22,6 +21,9 @@ else:
 
 _MAGIC = b"\x28\xb5\x2f\xfd"  # no CDR message begins so
 _PIECE = 1 << 20
+_SMALL_PIECE = 1 << 16
+# bytes of a chunk uncompressed: rosbag2's default is 768 KiB, but a message that is larger has a chunk of its own
+LIMIT = 1 << 31
 SUFFIXES = (".mcap", ".db3")
 
 
@@ -89,6 +91,45 @@ def _expand(source: BinaryIO, target: BinaryIO) -> bool:
                 break
             target.write(stream.decompress(piece, max_length=_PIECE))
     return False
+
+
+def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, bool]:
+    """Decompress what can be decompressed.
+
+    Parameters
+    ----------
+    data : bytes
+        Content of a chunk, perhaps cut.
+    compression : str
+        As MCAP names it: empty, ``zstd`` or ``lz4``.
+    limit : int
+        Longest result.
+
+    Returns
+    -------
+    (bytes, bool)
+        The content up to the first damage or the limit, and whether this is all of it.
+    """
+    if not compression:
+        return data[:limit], len(data) <= limit
+    if compression not in ("zstd", "lz4"):
+        return b"", False
+    if compression == "zstd":
+        stream: Any = ZstdDecompressor()
+    else:
+        from lz4.frame import LZ4FrameDecompressor
+
+        stream = LZ4FrameDecompressor()
+    out = bytearray()
+    with suppress(ZstdError, RuntimeError, EOFError):  # lz4 says RuntimeError
+        for at in range(0, len(data), _SMALL_PIECE):  # in pieces, so that what comes before the damage is not lost
+            piece = data[at : at + _SMALL_PIECE]
+            while piece and len(out) <= limit:
+                if stream.eof:  # several frames may follow each other
+                    stream = type(stream)()
+                out += stream.decompress(piece, max_length=limit + 1 - len(out))
+                piece = stream.unused_data if stream.eof else b""
+    return bytes(out[:limit]), stream.eof and len(out) <= limit
 
 
 def expanded_message(data: bytes) -> bytes | None:

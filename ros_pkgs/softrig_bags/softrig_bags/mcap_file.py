@@ -18,11 +18,25 @@ from struct import Struct, pack
 import numpy as np
 from numpy.typing import NDArray
 
-from .topics import BagTopic, qos_dicts, to_yaml
+from .mcap_format import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    METADATA_INDEX,
+    SCHEMA,
+    STATISTICS,
+    SUMMARY_OFFSET,
+)
+from .topics import BagTopic
+from .yaml_text import qos_dicts, to_yaml
 
-MAGIC = b"\x89MCAP0\r\n"
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
-STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = 0x0B, 0x0C, 0x0D, 0x0E, 0x0F
 _MESSAGE_HEAD = Struct("<BQHIQQ")
 
 

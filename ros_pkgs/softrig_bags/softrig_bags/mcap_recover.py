@@ -3,69 +3,23 @@
 from __future__ import annotations
 
 import struct
-import sys
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from mcap.exceptions import McapError
 from mcap.records import McapRecord
 from mcap.stream_reader import StreamReader
 
-if sys.version_info >= (3, 14):
-    from compression.zstd import ZstdDecompressor, ZstdError
-else:
-    from backports.zstd import ZstdDecompressor, ZstdError
+from .compressed import LIMIT, inflate
 
-# bytes of a chunk uncompressed: rosbag2's default is 768 KiB, but a message that is larger has a chunk of its own
-LIMIT = 1 << 31
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _CHUNK = struct.Struct("<QQQII")  # first and last time, size and checksum of the content, length of the compression
 _CHUNK_CODE = 0x06
-_PIECE = 1 << 16
-
-
-def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, bool]:
-    """Decompress what can be decompressed.
-
-    Parameters
-    ----------
-    data : bytes
-        Content of a chunk, perhaps cut.
-    compression : str
-        As MCAP names it: empty, ``zstd`` or ``lz4``.
-    limit : int
-        Longest result.
-
-    Returns
-    -------
-    (bytes, bool)
-        The content up to the first damage or the limit, and whether this is all of it.
-    """
-    if not compression:
-        return data[:limit], len(data) <= limit
-    if compression not in ("zstd", "lz4"):
-        return b"", False
-    if compression == "zstd":
-        stream: Any = ZstdDecompressor()
-    else:
-        from lz4.frame import LZ4FrameDecompressor
-
-        stream = LZ4FrameDecompressor()
-    out = bytearray()
-    with suppress(ZstdError, RuntimeError, EOFError):  # lz4 says RuntimeError
-        for at in range(0, len(data), _PIECE):  # in pieces, so that what comes before the damage is not lost
-            piece = data[at : at + _PIECE]
-            while piece and len(out) <= limit:
-                if stream.eof:  # several frames may follow each other
-                    stream = type(stream)()
-                out += stream.decompress(piece, max_length=limit + 1 - len(out))
-                piece = stream.unused_data if stream.eof else b""
-    return bytes(out[:limit]), stream.eof and len(out) <= limit
 
 
 def whole_records(content: bytes) -> tuple[list[McapRecord], int]:

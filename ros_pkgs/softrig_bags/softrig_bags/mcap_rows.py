@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from softrig_core import Recording
 from softrig_core.wire.recording import Topic
 
-from .mcap_file import MESSAGE, McapFile
+from .mcap_file import McapFile
+from .mcap_format import MESSAGE
 
 _HEAD = [("code", "u1"), ("length", "<u8"), ("number", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
 _HEAD_SIZE = np.dtype(_HEAD).itemsize

@@ -18,7 +18,8 @@ import numpy as np
 
 from .block import Block, Bytes, Ints, numbers_at
 from .compressed import decompressed
-from .mcap_file import (
+from .mcap_format import (
+    ATTACHMENT,
     CHANNEL,
     CHUNK,
     FOOTER,
@@ -31,7 +32,6 @@ from .mcap_file import (
 )
 from .source import Damaged, SourceTopic
 
-ATTACHMENT = 0x09
 WINDOW = 1 << 23  # bytes of messages outside of chunks that are read at a time
 LATEST = 2**63 - 1  # ns: times are signed in every ROS API
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length

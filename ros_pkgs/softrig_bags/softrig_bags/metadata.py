@@ -165,3 +165,13 @@ def _time(value: Any) -> QosTime:
     seconds, rest = (str(value.get(name, "")) for name in ("sec", "nsec"))
     good = seconds.isdecimal() and rest.isdecimal() and len(seconds) < 19 and len(rest) < 19
     return QosTime(int(seconds), int(rest)) if good else FOREVER
+
+
+def custom_data(text: str) -> dict[str, str]:
+    """Read what the writer of a bag left in its metadata, YAML that may be damaged."""
+    try:
+        found = loaded(str(text or ""))
+    except Exception:  # damaged text makes the parser raise whatever it leads to
+        return {}
+    found = found.get("custom_data") if isinstance(found, dict) else None
+    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}

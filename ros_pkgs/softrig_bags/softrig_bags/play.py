@@ -39,11 +39,15 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
         for name in [*selection.names, *remap]:
             if name not in [t.name for t in bag.topics]:
                 raise BagError(f"no topic {name} in {options.bag}; it has {', '.join(t.name for t in bag.topics)}")
-        foreign = [t for t in chosen if t.name not in selection.names and not installed(t.msgtype)]
-        if foreign:
-            names = ", ".join(f"{t.name} ({t.msgtype})" for t in foreign)
-            say(f"not played, their types are not installed here: {names}")
-            chosen = [t for t in chosen if t not in foreign]
+        coded = [t for t in chosen if t.wire not in ("cdr", "")]
+        foreign = [t for t in chosen if t.name not in selection.names and t not in coded and not installed(t.msgtype)]
+        for left, why in ((foreign, "their types are not installed here"), (coded, "their messages are no CDR")):
+            if left:
+                say(f"not played, {why}: {', '.join(f'{t.name} ({t.msgtype})' for t in left)}")
+        chosen = [t for t in chosen if t not in foreign and t not in coded]
+        hidden = [t.name for t in bag.topics if "/_" in t.name and t not in chosen]
+        if hidden and not (selection.names or selection.regex or selection.exclude):
+            say(f"not played, hidden: {', '.join(hidden)}; --topics plays them")
         if not chosen:
             raise BagError(f"none of the topics of {options.bag} is to be played")
         session = Session("player", ros_arguments, parameters)

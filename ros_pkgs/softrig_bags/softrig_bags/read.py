@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from softrig_core.wire.signals import Table
 
 from .errors import BagError
 from .reader import BagReader
-from .tables import Columns, Piece, stacked
+from .tables import Columns, Growing
 
 EPOCH = "epoch"  # under which a run in real time leaves, in a bag's metadata, the ns that its stamps count from
 WALL_CLOCK = 10**18  # ns; bag times after September 2001 are wall-clock times, simulated ones begin near zero
@@ -69,7 +69,7 @@ class BagSignals(Signals):
         By topic: what has not become signals, and why.
     """
 
-    def __init__(self, path: Path, bag: BagReader, columns: Columns, pieces: dict[int, list[Piece]]) -> None:
+    def __init__(self, path: Path, bag: BagReader, columns: Columns, tables: Mapping[int, Growing]) -> None:
         self.path = path
         epoch, self.from_start = epoch_of(bag)
         recording = Recording(zip(bag.labels, (t.msgtype for t in bag.topics), strict=True))
@@ -79,7 +79,7 @@ class BagSignals(Signals):
         self.absent: dict[str, dict[str, NDArray[np.bool_]]] = {}
         for i, label in enumerate(bag.labels):
             if columns.decoder(i) is not None and not columns.reason(i):
-                piece = stacked(pieces.pop(i, []))
+                piece = tables.get(i, Growing()).piece()
                 t, stamp = ((x - epoch) / SECOND for x in (piece.t, piece.stamp))
                 self._tables[label] = Table(t, stamp, piece.columns)
                 self.absent[label] = piece.absent
@@ -144,13 +144,13 @@ def signals(path: Path | str) -> BagSignals:
     >>> list(found)  # doctest: +SKIP
     """
     with BagReader(path) as bag:
-        columns, pieces = Columns(bag), dict[int, list[Piece]]()
+        columns, tables = Columns(bag), dict[int, Growing]()
         for block in bag.blocks():
             for topic, piece in columns.pieces(block):
-                pieces.setdefault(topic, []).append(piece)
+                tables.setdefault(topic, Growing()).add(piece)
         columns.finish()
         say_left_out(path, columns)
-        return BagSignals(Path(path), bag, columns, pieces)
+        return BagSignals(Path(path), bag, columns, tables)
 
 
 def say_left_out(path: Path | str, columns: Columns) -> None:

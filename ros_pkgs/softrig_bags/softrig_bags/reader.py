@@ -23,7 +23,7 @@ from .compressed import SUFFIXES, Expanded, plain, plain_messages
 from .definitions import Types, UnknownType, complete, distribution_of, full_type, types_of
 from .errors import BagError
 from .layouts import Decoder
-from .mcap_file import MAGIC
+from .mcap_format import MAGIC
 from .mcap_source import McapSource
 from .metadata import Metadata, embedded, profiles, read_metadata
 from .source import Damaged, Source, SourceTopic

@@ -18,11 +18,11 @@ from .bag import BagWriter
 from .compressed import expanded, expanded_message, plain
 from .errors import BagError
 from .mcap_recover import Recovery
-from .metadata import profiles
+from .metadata import custom_data, profiles
 from .reader import BagReader
 from .remains import METADATA, Remains, remains
 from .sqlite_recover import Declared, SqliteRecovery, journals
-from .topics import BagTopic, custom_data
+from .topics import BagTopic
 from .write import write_bag
 
 _UNFINISHED = re.compile(r"^\.(.+)\.\d+\.part$")  # as `write_bag` calls a bag that it has not finished

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
-from .topics import BagTopic, qos_dicts, to_yaml
+from .topics import BagTopic
+from .yaml_text import qos_dicts, to_yaml
 
 
 class Sqlite3File:

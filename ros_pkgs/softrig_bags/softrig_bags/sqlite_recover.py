@@ -9,7 +9,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .topics import custom_data
+from .metadata import custom_data
 
 JOURNALS = "-wal", "-journal"  # what SQLite keeps beside a database; it makes a -shm anew from the -wal
 ERRORS = (sqlite3.Error, UnicodeDecodeError)  # the latter when SQLite's own words quote damaged names

@@ -177,3 +177,41 @@ def stacked(pieces: list[Piece]) -> Piece:
     empty = np.empty(0, np.int64)
     t, stamp = (np.concatenate([empty, *(getattr(p, name) for p in pieces)]) for name in ("t", "stamp"))
     return Piece(t, stamp, columns, absent)
+
+
+class Growing:
+    """The table of a topic while it is read: columns that grow in place, so that no row is there twice."""
+
+    def __init__(self) -> None:
+        self._rows = 0
+        self._columns: dict[str, Array] = {}
+        self._absent: dict[str, NDArray[np.bool_]] = {}
+        self._times: dict[str, Ints] = {"t": np.empty(0, np.int64), "stamp": np.empty(0, np.int64)}
+
+    def add(self, piece: Piece) -> None:
+        """Append the rows of a piece."""
+        first, last = self._rows, self._rows + len(piece.t)
+        self._rows = last
+        for label in [x for x in piece.columns if x not in self._columns]:
+            self._columns[label] = np.full(first, np.nan)
+            if first:
+                self._absent[label] = np.ones(first, bool)
+        lacking = self._columns.keys() - piece.columns.keys() if len(self._columns) > len(piece.columns) else ()
+        for label in (*lacking, *piece.absent):
+            self._absent.setdefault(label, np.zeros(first, bool))
+        for arrays, found, fill in (
+            (self._times, piece._asdict(), 0),
+            (self._columns, piece.columns, np.nan),
+            (self._absent, piece.absent, None),
+        ):
+            for name, array in arrays.items():
+                if len(array) < last:
+                    array.resize(max(last, len(array) * 3 // 2), refcheck=False)
+                array[first:last] = found.get(name, (name in lacking) if fill is None else fill)
+
+    def piece(self) -> Piece:
+        """Return all rows."""
+        for arrays in (self._times, self._columns, self._absent):
+            for array in arrays.values():
+                array.resize(self._rows, refcheck=False)
+        return Piece(self._times["t"], self._times["stamp"], self._columns, self._absent)
