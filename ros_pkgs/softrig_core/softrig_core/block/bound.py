@@ -13,7 +13,6 @@ from keyword import iskeyword
 from types import CodeType
 from typing import Any
 
-from ..errors import RunError
 from .answer import sum_of_products
 from .link import Link
 from .port import Sample
@@ -49,13 +48,8 @@ def advance(t, values=values):
 """
 
 FAILED = """
-    except RunError as error:
-        step.tell()
-        error.node = step.name
-        raise
     except Exception as error:
-        step.tell()
-        raise step.failure(error) from error
+        step.fail(error)
 """
 
 # of a block that says something on each output at each tick: nearly always the right number of floats
@@ -154,7 +148,6 @@ def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[.
         "step": step,
         "values": step.values,
         "events": step.block.events,
-        "RunError": RunError,
         "sum_of_products": sum_of_products,
         "Sample": Sample,
     }

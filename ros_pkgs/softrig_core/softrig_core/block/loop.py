@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from itertools import count
 from typing import Any
 
-from ..errors import RunError
 from .schedule import Plan
 
 Step = Any  # `softrig_core.block.step.Step`, which imports this
@@ -29,10 +27,13 @@ def say(step: Step, t: int) -> None:
         The block failed, or gave what may not leave it; its `node` is the name of the step.
     """
     step.t = t
-    with _named(step):
+    try:
         x, found = step.asked(t)  # update, outputs, finish, refused; before it changes of parameters that are due
         rows = step.checked(found)  # size, finite, within Port.limits
         step.x, step.said = x, {p.name: row for p, row in zip(step.outputs, rows, strict=True) if row is not None}
+    except Exception as error:
+        step.fail(error)
+    step.tell()  # only now counts what the block has reported
     step.hand_on(t, rows)  # to the inputs that they fill in this process, then to the link
     if not step.plant and step.link is not None:
         step.link.over(t)
@@ -47,24 +48,13 @@ def move(step: Step, t: int, values: Mapping[str, Any] | None = None) -> None:
         See `say`.
     """
     step.t = t
-    with _named(step):
+    try:
         step.x = step.block.advance(step.x, t, **(step.values if values is None else values))
+    except Exception as error:
+        step.fail(error)
+    step.tell()
     if step.link is not None:
         step.link.over(t)
-
-
-@contextmanager
-def _named(step: Step) -> Iterator[None]:
-    """Take down what a block reports at a tick; a failure gets the name of the step, and the time."""
-    try:
-        yield
-    except RunError as error:
-        error.node = step.name
-        raise
-    except Exception as error:
-        raise step.failure(error) from error
-    finally:
-        step.tell()
 
 
 class Loop:

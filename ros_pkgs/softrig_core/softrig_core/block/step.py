@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, NoReturn
 
 from ..errors import RunError, describe
 from .answer import Row, admit, flat
@@ -260,8 +260,12 @@ class Step(Held):
             self.bad = True
             self.note(Level.WARN, f"refused {port.name}", f"{port.topic}: {reason}")
 
-    def failure(self, error: Exception) -> RunError:
-        """Say that the block has failed, where, and why."""
+    def fail(self, error: Exception) -> NoReturn:
+        """Raise what the block has raised as an error that names the step and the time; what it reported counts."""
+        self.tell()
+        if isinstance(error, RunError):
+            error.node = self.name
+            raise error
         found = RunError(f"{self.name}: failed at t = {self.t / 1e9:.9g} s: {describe(error)}")
         found.node = self.name
-        return found
+        raise found from error
