@@ -1,6 +1,7 @@
 """A node inside an FMU, without a tool around it: what it declares as text, its steps against arithmetic by hand."""
 
 import json
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -11,7 +12,6 @@ from told import check_told
 
 pytest.importorskip("pythonfmu")
 from pythonfmu import Fmi2Slave
-from pythonfmu.enums import Fmi2Status
 from softrig_control.fmu import slave
 from softrig_control.fmu.slave import Node, content, variable
 
@@ -153,10 +153,10 @@ def test_a_law_says_its_answer_and_keeps_it_while_it_is_silent(made):
     assert fmu.do_step(0.0, 2 * PERIOD)
     assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [10.0, PERIOD]
     put(fmu, x=7.0)
-    assert fmu.do_step(0.0, PERIOD)
+    assert fmu.do_step(2 * PERIOD, PERIOD)
     assert get(fmu, "other.push.x.effort") == [10.0]
     put(fmu, x=0.0)
-    assert fmu.do_step(0.0, PERIOD)
+    assert fmu.do_step(3 * PERIOD, PERIOD)
     assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [19.0, 3 * PERIOD]
 
 
@@ -166,7 +166,7 @@ def test_an_input_that_may_stay_without_a_value_has_none_until_it_is_set(made):
     assert fmu.do_step(0.0, PERIOD)
     assert get(fmu, "other.push.x.effort", "wanted.x.position") == [201.0, 2.0]
     put(fmu, wanted=0.0)
-    assert fmu.do_step(0.0, PERIOD)
+    assert fmu.do_step(PERIOD, PERIOD)
     assert get(fmu, "other.push.x.effort") == [202.0]
 
 
@@ -186,15 +186,38 @@ def test_an_input_that_may_stay_without_a_value_has_none_until_it_is_set(made):
         (Law, {"x": 9.5}, PERIOD, "it is far"),
     ],
 )
-def test_a_step_that_cannot_be_is_refused_and_logged(made, block, values, step, said):
+def test_a_step_that_cannot_be_is_refused(made, block, values, step, said):
+    """By an exception: PythonFMU makes fmi2Fatal of it, which every tool reports."""
     fmu = made(block)
     put(fmu, **values)
-    fmu.exit_initialization_mode()
     before = get(fmu, X)
-    assert fmu.do_step(0.0, step) == (not said)
-    assert [m.status for m in fmu.log_queue] == [Fmi2Status.error] * bool(said)
-    assert said in "".join(m.msg for m in fmu.log_queue)
+
+    def run():
+        fmu.exit_initialization_mode()
+        fmu.do_step(0.0, step)
+
+    if said:
+        with pytest.raises(ValueError, match=re.escape(said)):
+            run()
+    else:
+        run()
     assert (get(fmu, X) == before) == (bool(said) or block is Law)
+
+
+def test_the_clock_is_that_of_the_tool_from_its_start_time_on(made):
+    """SPEED is the time of the cart, in s."""
+    fmu = made(Cart)
+    fmu.setup_experiment(5 * PERIOD, None, None)
+    fmu.exit_initialization_mode()
+    assert get(fmu, X, SPEED) == [0.5, 5 * PERIOD]
+    fmu.do_step(5 * PERIOD, PERIOD)
+    assert get(fmu, SPEED) == [6 * PERIOD]
+    with pytest.raises(ValueError, match=r"a step from 0\.0 s, expected one from 0\.75 s"):
+        fmu.do_step(0.0, PERIOD)
+    fmu = made(Cart)
+    fmu.setup_experiment(0.3 * PERIOD)
+    with pytest.raises(ValueError, match=r"a start at .* s, expected a whole number of periods of 0\.125 s"):
+        fmu.exit_initialization_mode()
 
 
 def test_parameters_count_from_the_end_of_the_initialisation(made):
@@ -217,24 +240,24 @@ def test_parameters_count_from_the_end_of_the_initialisation(made):
 def test_a_state_goes_back_and_into_another_instance(made, block):
     fmu = made(block)
 
-    def go(one, count):
+    def go(one, begin, count):
         found = []
         for k in range(count):
             put(one, **({"force": 1.0 + k} if block is Cart else {"x": 1.0 + k}))
-            assert one.do_step(0.0, PERIOD)
+            assert one.do_step((begin + k) * PERIOD, PERIOD)
             found.append([v.getter() for v in one.vars.values()])
         return found
 
-    go(fmu, 3)
+    go(fmu, 0, 3)
     kept = fmu._fmu_state_from_bytes(fmu._fmu_state_to_bytes(fmu._get_fmu_state()))
     told = [v.getter() for v in fmu.vars.values()]
-    rest = go(fmu, 3)
+    rest = go(fmu, 3, 3)
     fmu._set_fmu_state(kept)
     assert [v.getter() for v in fmu.vars.values()] == told
-    assert go(fmu, 3) == rest
+    assert go(fmu, 3, 3) == rest
     other = made(block)
     other._set_fmu_state(kept)
-    assert go(other, 3) == rest
+    assert go(other, 3, 3) == rest
 
 
 def test_names_and_contents():

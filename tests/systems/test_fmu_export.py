@@ -65,6 +65,56 @@ def test_the_description_has_names_units_bounds_and_texts(exported):
     assert (speed_unit.rad, speed_unit.s, float(speed_unit.factor)) == (1, -1, 1.0)
 
 
+SOURCE = """
+title: a source
+system: linear
+source: own example
+duration: 1.0
+nodes:
+  source:
+    package: softrig_control
+    executable: command_source
+    parameters: {period: 0.01, channels: [u], units: [V], times: [0.0, 0.5], values: [0.0, 100.0]}
+    remap: {command: command}
+  plant:
+    package: softrig_control
+    executable: linear_plant
+    parameters: {period: 0.01, num: [1.0], den: [1.0, 1.0]}
+"""
+SEVERAL = """
+import fmpy
+from fmpy import simulate_fmu
+for _ in range(2):
+    found = simulate_fmu("source.fmu", start_time=0.48, stop_time=0.54, output_interval=0.01)
+    print(*found["command.u.effort"].tolist())
+print(*simulate_fmu("source.fmu", start_time=0.6, stop_time=0.62, output_interval=0.01)["command.u.effort"].tolist())
+print(*simulate_fmu("plant.fmu", start_time=0.0, stop_time=0.01, output_interval=0.01)["output.v_dc.position"].tolist())
+for step in (0.005, 0.01):
+    try:
+        simulate_fmu("source.fmu", start_time=0.0 if step < 0.01 else 0.003, stop_time=0.02, output_interval=step)
+    except fmpy.fmi1.FMICallException as error:
+        print(error)
+"""
+
+
+def test_a_source_follows_the_clock_of_the_tool_in_several_instances_and_refuses_loudly(tmp_path):
+    """FMPy, in a process of its own, which has to end well: PythonFMU 0.7 aborted it, found no class a second time, and
+    went on over a refused step with zeros."""
+    (tmp_path / "source.yaml").write_text(SOURCE)
+    for node in ("source", "plant"):
+        export(rig_of(str(tmp_path / "source.yaml")), node, tmp_path)
+    done = subprocess.run([sys.executable, "-c", SEVERAL], cwd=tmp_path, capture_output=True, text=True, check=True)
+    lines = [line for line in done.stdout.splitlines() if line[:1].isdigit() or line.startswith("fmi2")]
+    assert lines == [
+        "0.0 0.0 0.0 100.0 100.0 100.0 100.0",  # the answer of a tick shows at the end of its step
+        "0.0 0.0 0.0 100.0 100.0 100.0 100.0",
+        "100.0 100.0 100.0",
+        "0.0 0.0",  # another FMU in the same process
+        "fmi2DoStep failed with status 4 (fatal).",
+        "fmi2ExitInitializationMode failed with status 4 (fatal).",
+    ]
+
+
 def through_fmus(scenario, nodes, folder):
     """A scenario file in which some nodes are replaced by their exports."""
     rig = rig_of(scenario)

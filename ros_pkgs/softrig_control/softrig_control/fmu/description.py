@@ -9,17 +9,19 @@ import re
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from softrig_core import ParameterError, resource
+from softrig_core import ParameterError, ScenarioError, resource
 from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.judge.units import base, powers, text
 from softrig_core.kit.compiled import cache_folder
+
+from .table import FMI, attributes, names as names_of
 
 LARGEST = 1 << 29  # bytes of an FMU when unpacked
 DEEPEST = 50  # folders in each other
@@ -66,6 +68,12 @@ class Variable:
         Whether a parameter may change while it runs.
     dims : tuple of int
         Size of an array.
+    relative : bool
+        Whether it is a difference, of which the offset of a unit does not count.
+    constant : bool
+        Whether it can never be set.
+    items : tuple of (str, int)
+        Names and values of an enumeration.
     element : int or None
         Which of its values, row after row, counted from 0; None of a scalar.
     """
@@ -80,6 +88,9 @@ class Variable:
     unit: Unit | None
     tunable: bool = False
     dims: tuple[int, ...] = ()
+    relative: bool = False
+    constant: bool = False
+    items: tuple[tuple[str, int], ...] = ()
     element: int | None = None
 
     @property
@@ -136,6 +147,8 @@ class Description:
         Whether its state can be kept as bytes.
     digest : str
         SHA-256 of its file.
+    notes : tuple of str
+        What its description has that has no effect.
     """
 
     path: Path
@@ -144,6 +157,7 @@ class Description:
     serialises: bool
     variables: dict[str, Variable]
     digest: str
+    notes: tuple[str, ...] = ()
 
     def variable(self, name: str, indices: Sequence[int] | None = None) -> Variable:
         """Find a variable; an element of an array by its indices, counted from 1: ``x[2]``, ``A[1,3]``.
@@ -236,11 +250,14 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
             _check_content(archive)
-            version = _VERSION.search(archive.read("modelDescription.xml")[:10_000].decode(errors="replace"))
+            content = archive.read("modelDescription.xml")
+            version = _VERSION.search(content[:10_000].decode(errors="replace"))
         if version and version[1] != "2.0" and not version[1].startswith("3.0"):
             raise Unfit(f"{path.name} is of FMI {version[1]}, expected 2.0 or 3.0")
+        notes = FMI.check(names_of(content), path.name)
+        own = attributes(content)
         model = read_model_description(str(path), validate=False)
-    except Unfit:
+    except (Unfit, ScenarioError):
         raise
     except Exception as error:  # of zipfile, of lxml, of FMPy, which raises bare Exceptions as well
         raise ValueError(f"{path} cannot be read as an FMU: {type(error).__name__}: {error}") from None
@@ -252,14 +269,27 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
     kinds = KINDS if model.fmiVersion == "2.0" else KINDS3
     variables = {}
     for v in model.modelVariables:
-        unit = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
+        unit = _declared(v, "unit", own)
         known = None if not unit else units.get(unit) or Unit.of(_ours(unit))
         kind = kinds.get(v.type, "")
         dims = tuple(int(d.start if d.start is not None else d.variable.start) for d in v.dimensions or ())
         start = " ".join(map(str, v.start)) if isinstance(v.start, list | tuple) else v.start
-        least, largest = (None if x is None or kind == "String" else float(x) for x in (v.min, v.max))
+        bounds = (_declared(v, "min", own), _declared(v, "max", own))
+        least, largest = (None if x is None or kind == "String" else float(x) for x in bounds)
         variables[v.name] = Variable(
-            v.name, v.valueReference, kind, v.causality, start, least, largest, known, v.variability == "tunable", dims
+            v.name,
+            v.valueReference,
+            kind,
+            v.causality,
+            start,
+            least,
+            largest,
+            known,
+            v.variability == "tunable",
+            dims,
+            _declared(v, "relativeQuantity", own) in (True, "true", "1"),
+            v.variability == "constant",
+            tuple((item.name, int(item.value)) for item in getattr(v.declaredType, "items", ())),
         )
     found = {
         "co_simulation": model.coSimulation,
@@ -274,7 +304,14 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
         bool(either and either.canGetAndSetFMUstate and either.canSerializeFMUstate),
         variables,
         _digest(path),
+        tuple(notes),
     )
+
+
+def _declared(variable: Any, name: str, own: Mapping[str, Mapping[str, str]]) -> Any:
+    """Return an attribute of a variable as it stands, or of its declared type where it has none of its own."""
+    found = own.get(variable.name, {}).get(name) or getattr(variable, name, None)
+    return getattr(variable.declaredType, name, None) if found in (None, "") else found
 
 
 def _ours(name: str) -> str:
@@ -313,7 +350,8 @@ def conversion(found: Variable, wanted: str) -> tuple[float, float]:
     port = Unit.of(wanted)
     if port.base != found.unit.base:
         raise ValueError(f"{found.name} is in {found.unit.name!r}, expected {wanted!r}, which is another quantity")
-    return found.unit.factor / port.factor, found.unit.offset / port.factor
+    offset = 0.0 if found.relative else found.unit.offset
+    return found.unit.factor / port.factor, offset / port.factor
 
 
 def _listed(names: list[str]) -> str:

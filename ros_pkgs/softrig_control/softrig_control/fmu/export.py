@@ -24,6 +24,9 @@ from softrig_control.fmu.slave import Node
 
 class {node}(Node, Fmi2Slave):
     """See node.json."""
+
+    def __init__(self, **keywords):  # without one of its own PythonFMU 0.7 releases the class once too often
+        super().__init__(**keywords)
 '''
 
 

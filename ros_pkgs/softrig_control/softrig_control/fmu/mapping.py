@@ -169,8 +169,9 @@ def start_values(unit: Description, entries: Sequence[str]) -> tuple[tuple[Varia
         if not equals:
             raise ValueError(f"{entry!r}: expected VARIABLE = VALUE")
         variable = unit.variable(name)
-        if variable.causality in ("independent", "calculatedParameter"):
-            raise ValueError(f"{entry!r}: {name} is {variable.causality} of {unit.path.name}, it cannot be set")
+        if variable.causality in ("independent", "calculatedParameter") or variable.constant:
+            what = "constant" if variable.constant else variable.causality
+            raise ValueError(f"{entry!r}: {name} is {what} of {unit.path.name}, it cannot be set")
         if name in found:
             raise ValueError(f"{entry!r}: {name} is set twice")
         found[name] = (variable, _value(variable, value))
@@ -185,6 +186,12 @@ def _value(variable: Variable, value: str) -> float | int | bool | str:
             raise ValueError(f"{variable.name} = {value}: expected true or false")
         return value.lower() in ("true", "1")
     real = variable.kind in ("Real", "Float64", "Float32")
+    if variable.items:
+        values = dict(variable.items)
+        if value not in values and value not in map(str, values.values()):
+            known = ", ".join(f"{name} ({number})" for name, number in variable.items)
+            raise ValueError(f"{variable.name} = {value}: expected one of {known}")
+        return values[value] if value in values else int(value)
     try:
         number = float(value) if real else int(value)
     except ValueError:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, ParameterError, Plant, Port, RunError, param
+from softrig_core import Block, BlockParams, Level, ParameterError, Plant, Port, RunError, param
 from softrig_core.block.schedule import Schedule, rational
 from softrig_core.kit.confined import STRANGE
 
@@ -202,7 +202,9 @@ class _Fmu(Block[FmuParams]):
         self._running = Running() if before is None else before
 
     def first(self) -> State:
-        """Instantiate the FMU anew and initialise it."""
+        """Instantiate the FMU anew and initialise it; report what its description has that has no effect."""
+        for note in self.p.unit.notes:
+            self.report(Level.WARN, note, note)
         found = self._asked(0, self._running.begin, self._make)
         told = None if self.p.unit.serialises or self.realtime else Told(None, "begin", (self._make,))
         return State(0, self._checked(0, found), told)

@@ -51,8 +51,9 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
     """What ``node.json`` in the FMU's resources says: block, parameters, topics, seed.
 
     A step of the FMU is one period of the block, or a whole number of them with the inputs held. A plant's outputs are
-    those of the end of the step, a law's the answer of its (last) tick, at first the ports' safe values. Inputs begin
-    with what the scenario says first.
+    those of the end of the step, a law's the answer of its (last) tick, at first the ports' safe values, or where it
+    has no inputs its first answer. Ticks are at times of the tool's clock, which may start later than at 0.
+    Inputs begin with what the scenario says first.
     """
 
     def __init__(self, **keywords: Any) -> None:
@@ -67,7 +68,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         self._params: Any = build(self._class.Params, self._values)
         self._inputs, self._outputs = self._class.ports(self._params)
         self.default_experiment = DefaultExperiment(start_time=0.0, step_size=self._what["parameters"]["period"])
-        self._broken = ""
+        self._start = 0.0
         self._extra: dict[str, dict[str, str]] = {}
         self._numbers = {p.name: list(p.safe) for p in (*self._inputs, *self._outputs)}
         for name, row in self._what["start"].items():
@@ -162,9 +163,12 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         self._schedule = Schedule(self._params.period)
         self._step = Step(self._what["node"], block, self._schedule, self._inputs, self._outputs)
         _Shown(self._step, self._numbers)
-        self._k = 0
+        period = float(self._schedule.period)
+        self._k = round(self._start / period)
+        if self._k < 0 or abs(self._k * period - self._start) > 1e-6 * period:
+            raise ValueError(f"a start at {self._start!r} s, expected a whole number of periods of {period!r} s")
         if isinstance(block, Plant):
-            self._step.say(0)
+            self._step.say(self._schedule.time(self._k))
 
     def _get_fmu_state(self) -> dict[str, Any]:
         """Give all that decides how it goes on, as PythonFMU keeps and writes it."""
@@ -178,32 +182,51 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         for name, row in numbers.items():
             self._numbers[name][:] = row
 
+    def setup_experiment(
+        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
+    ) -> None:
+        """Keep the start time: profiles and steps of the node are at times of the tool's clock."""
+        self._start = start_time
+
     def exit_initialization_mode(self) -> None:
-        """Set the block up with the parameters that the tool has given."""
-        if self._values != self._what["parameters"]:
-            try:
-                self._begin()
-            except Exception as error:  # PythonFMU cannot take one here: told by the first step
-                self._broken = str(error)
+        """Set the block up with the parameters and the start time that the tool has given.
+
+        Raises
+        ------
+        ValueError
+            They do not fit; the tool receives fmi2Fatal and the text by its logger.
+        """
+        if self._values != self._what["parameters"] or self._start:
+            self._begin()
+        step = self._step
+        if not self._inputs and not isinstance(step.block, Plant):  # a source has its first value before any step
+            kept = step.save(), step.said
+            step.say(self._schedule.time(self._k))
+            step.load(kept[0])
+            step.said = kept[1]
 
     def do_step(self, current_time: float, step_size: float) -> bool:
-        """Move on by whole periods."""
-        from pythonfmu.enums import Fmi2Status
+        """Move on by whole periods.
 
+        Raises
+        ------
+        ValueError
+            The step or an input is refused, or the block raises. PythonFMU makes fmi2Fatal of it, which tools report;
+            of a step that returns False it makes fmi2Discard, over which some go on with rows of zeros.
+        """
         try:
-            self._do(step_size)
+            self._do(current_time, step_size)
         except Exception as error:
-            self.log(f"{self._what['node']}: {error}", Fmi2Status.error)
-            return False
+            raise ValueError(f"{self._what['node']}: {error}") from error
         return True
 
-    def _do(self, step_size: float) -> None:
-        if self._broken:
-            raise ValueError(self._broken)
+    def _do(self, current_time: float, step_size: float) -> None:
         period = float(self._schedule.period)
         count = round(step_size / period)
         if count < 1 or abs(count * period - step_size) > 1e-6 * period:
             raise ValueError(f"a step of {step_size!r} s, expected a whole number of periods of {period!r} s")
+        if abs(self._k * period - current_time) > 0.5 * period:
+            raise ValueError(f"a step from {current_time!r} s, expected one from {self._k * period!r} s")
         for port in self._inputs:
             if port.name in self._silent:
                 continue

@@ -1,0 +1,147 @@
+"""What a modelDescription.xml says and an FMU's node does with it: real files, read by FMPy; nothing is run."""
+
+import zipfile
+
+import pytest
+
+fmpy = pytest.importorskip("fmpy")
+# ruff: noqa: E402
+from softrig_control.fmu.description import conversion, describe
+from softrig_control.fmu.mapping import mapped, start_values
+from softrig_control.fmu.table import FMI
+from softrig_core import ScenarioError
+
+TWO = """<fmiModelDescription fmiVersion="2.0" modelName="m" guid="{g}">
+<CoSimulation modelIdentifier="m" canGetAndSetFMUstate="true"/>
+<UnitDefinitions><Unit name="degC"><BaseUnit K="1" offset="273.15"/><DisplayUnit name="degF" factor="1.8"/></Unit>
+<Unit name="K"><BaseUnit K="1"/></Unit></UnitDefinitions>
+<TypeDefinitions>
+<SimpleType name="Difference"><Real unit="degC" relativeQuantity="true" min="-5" max="5"/></SimpleType>
+<SimpleType name="Count"><Integer min="1" max="9"/></SimpleType>
+<SimpleType name="Mode"><Enumeration><Item name="slow" value="1"/><Item name="fast" value="3"/></Enumeration>
+</SimpleType>
+</TypeDefinitions>
+<DefaultExperiment startTime="0" stopTime="1"/>
+<ModelVariables>
+<ScalarVariable name="T" valueReference="0" causality="input"><Real unit="degC" start="20"/></ScalarVariable>
+<ScalarVariable name="dT" valueReference="1" causality="input"><Real unit="degC" relativeQuantity="true" start="2"/>
+</ScalarVariable>
+<ScalarVariable name="declared" valueReference="2" causality="parameter" variability="tunable">
+<Real declaredType="Difference" start="1"/></ScalarVariable>
+<ScalarVariable name="own" valueReference="3" causality="parameter" variability="fixed">
+<Real declaredType="Difference" max="9" relativeQuantity="false" start="1"/></ScalarVariable>
+<ScalarVariable name="n" valueReference="4" causality="parameter" variability="fixed">
+<Integer declaredType="Count" start="2"/></ScalarVariable>
+<ScalarVariable name="mode" valueReference="5" causality="parameter" variability="fixed">
+<Enumeration declaredType="Mode" start="1"/></ScalarVariable>
+<ScalarVariable name="c" valueReference="6" causality="local" variability="constant"><Real start="3"/></ScalarVariable>
+</ModelVariables><ModelStructure/></fmiModelDescription>"""
+THREE = """<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="{g}">
+<CoSimulation modelIdentifier="m"/>
+<UnitDefinitions><Unit name="degC"><BaseUnit K="1" offset="273.15"/></Unit><Unit name="K"><BaseUnit K="1"/></Unit>
+</UnitDefinitions>
+<TypeDefinitions><Float64Type name="Difference" unit="degC" relativeQuantity="true" min="-5" max="5"/>
+<Int32Type name="Count" min="1" max="9"/>
+<EnumerationType name="Mode"><Item name="slow" value="1"/><Item name="fast" value="3"/></EnumerationType>
+</TypeDefinitions>
+<ModelVariables>
+<Float64 name="T" valueReference="0" causality="input" unit="degC" start="20"><Alias name="other"/></Float64>
+<Float64 name="dT" valueReference="1" causality="input" unit="degC" relativeQuantity="true" start="2"/>
+<Float64 name="declared" valueReference="2" causality="parameter" variability="tunable" declaredType="Difference"
+start="1"/>
+<Float64 name="own" valueReference="3" causality="parameter" variability="fixed" declaredType="Difference" max="9"
+relativeQuantity="false" start="1"/>
+<Int32 name="n" valueReference="4" causality="parameter" variability="fixed" declaredType="Count" start="2"/>
+<Enumeration name="mode" valueReference="5" causality="parameter" variability="fixed" declaredType="Mode" start="1"/>
+<Float64 name="c" valueReference="6" causality="local" variability="constant" start="3"/>
+<UInt8 name="small" valueReference="7" causality="parameter" variability="fixed" min="2" max="4" start="3"/>
+<Clock name="tick" valueReference="8" causality="input" variability="discrete" intervalVariability="constant"
+intervalDecimal="1"/>
+</ModelVariables><ModelStructure/></fmiModelDescription>"""
+
+
+@pytest.fixture(params=[TWO, THREE], ids=["2.0", "3.0"])
+def given(request):
+    return request.param
+
+
+def fmu(folder, text):
+    path = folder / "m.fmu"
+    place = fmpy.platform if 'fmiVersion="2.0"' in text else fmpy.platform_tuple
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.writestr(f"binaries/{place}/m.so", b"")
+    return describe(str(path))
+
+
+def test_the_offset_of_a_unit_does_not_count_for_a_difference(tmp_path, given):
+    """20 degC are 293.15 K; a difference of 2 degC is one of 2 K."""
+    unit = fmu(tmp_path, given)
+    assert conversion(unit.variable("T"), "K") == (1.0, 273.15)
+    assert conversion(unit.variable("dT"), "K") == (1.0, 0.0)
+    assert conversion(unit.variable("declared"), "K") == (1.0, 0.0)  # its declared type says so
+    assert conversion(unit.variable("own"), "K") == (1.0, 273.15)  # and it says otherwise
+    ports, places = mapped(unit, ["a/b/position [K] = T", "a/c/position [K] = dT"], False)
+    assert ports[0].safe == (293.15, 2.0)
+    assert (places[1].into(3.0), places[0].into(300.15)) == (3.0, pytest.approx(27.0))
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [("declared = 5", 5.0), ("own = 9", 9.0), ("n = 9", 9), ("mode = 3", 3), ("mode = fast", 3), ("mode = slow", 1)],
+)
+def test_values_within_the_bounds_of_a_variable_or_its_type(tmp_path, given, entry, value):
+    assert [found for _, found in start_values(fmu(tmp_path, given), [entry])] == [value]
+
+
+@pytest.mark.parametrize(
+    ("entry", "why"),
+    [
+        ("declared = 5.1", "expected -5 to 5"),
+        ("own = -5.1", "expected -5 to 9"),
+        ("own = 9.1", "expected -5 to 9"),
+        ("n = 0", "expected 1 to 9"),
+        ("mode = 2", r"expected one of slow \(1\), fast \(3\)"),
+        ("mode = quick", r"expected one of slow \(1\), fast \(3\)"),
+        ("c = 4", "c is constant of m.fmu, it cannot be set"),
+    ],
+)
+def test_values_outside_are_refused(tmp_path, given, entry, why):
+    with pytest.raises(ValueError, match=why):
+        start_values(fmu(tmp_path, given), [entry])
+
+
+def test_bounds_of_unsigned_numbers_count(tmp_path):
+    """FMPy drops them."""
+    with pytest.raises(ValueError, match="expected 2 to 4"):
+        start_values(fmu(tmp_path, THREE), ["small = 5"])
+
+
+def test_an_alias_is_a_name_of_its_variable(tmp_path):
+    unit = fmu(tmp_path, THREE)
+    assert unit.variable("other").reference == unit.variable("T").reference
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("relativeQuantity", "relativQuantity", r"@relativQuantity is no part of .*@relativeQuantity'"),
+        ("UnitDefinitions", "UnitDefinition", "UnitDefinition is no part of .*'UnitDefinitions'"),
+        ("<ModelStructure/>", "<ModelStructure/><Rest/>", "Rest is no part of modelDescription.xml"),
+    ],
+)
+def test_what_is_no_part_of_the_standard_is_refused(tmp_path, given, old, new, why):
+    with pytest.raises(ScenarioError, match=why):
+        fmu(tmp_path, given.replace(old, new))
+
+
+def test_what_has_no_effect_is_noted(tmp_path):
+    assert fmu(tmp_path, TWO).notes == ()
+    (note,) = fmu(tmp_path, TWO.replace('startTime="0"', 'startTime="3"')).notes
+    assert note == "m.fmu: DefaultExperiment@startTime is ignored: a rig begins at 0 s, and so does the time of the FMU"
+    text = THREE.replace('name="T"', 'name="T" clocks="8"')
+    assert [n for n in fmu(tmp_path, text).notes if "clocks is ignored" in n]
+
+
+def test_the_table_has_no_refused_names_that_files_of_the_standard_have():
+    assert {use for use, _ in FMI.table.values()} == {"used", "ignored"}
