@@ -15,7 +15,7 @@ from unittest import mock
 import softrig_core
 from pages.generated import node, parameters
 from softrig_bringup import cli
-from softrig_control.fault import Fault, FaultParams, Kind
+from softrig_control.nodes.fault import Fault, FaultParams, Kind
 from softrig_core import ScenarioError
 from softrig_core.judge.registry import find, registered
 from softrig_core.rig.installed import load_block

@@ -1,9 +1,9 @@
 """Reference and command sources."""
 
 import pytest
-from softrig_control.constant_source import CommandSource, ScalarSource
+from softrig_control.nodes.constant_source import CommandSource, ScalarSource
+from softrig_control.nodes.reference_source import ReferenceSource
 from softrig_control.profile import NEVER, StepProfile
-from softrig_control.reference_source import ReferenceSource
 from softrig_core import ByHand, ParameterError
 
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from softrig_control.fmu import export as exports
 from softrig_control.fmu.export import _can, _check, export, main
-from softrig_control.policy import Policy
+from softrig_control.nodes.policy import Policy
 from softrig_core import ScenarioError, joint_state, load_scenario, rig_of
 from softrig_drives.dc_motor.plant import DcMotorPlant
 

@@ -13,7 +13,10 @@ from softrig_control.filters import SecondOrderFilter
 from softrig_control.fuzzy import TakagiSugeno, sum_rules
 from softrig_control.kalman import SteadyKalman, steady_kalman_gain
 from softrig_control.limit_cycle import Swinging, limit_cycle
-from softrig_control.linear_plant import LinearPlantParams
+from softrig_control.nodes.linear_plant import LinearPlantParams
+from softrig_control.nodes.requirement_monitor import RequirementMonitor
+from softrig_control.nodes.signal_name import signal_port, split
+from softrig_control.nodes.unit_delay import LinkParams
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
 from softrig_control.pid import Pid, PidParams, PidState
 from softrig_control.predictive.carima import Carima, add
@@ -22,11 +25,8 @@ from softrig_control.predictive.certificate_node import CertificateParams
 from softrig_control.predictive.controller import GpcController, GpcControllerParams
 from softrig_control.predictive.gpc import Gpc, Tuning, invert
 from softrig_control.profile import NEVER, ProfileParams, StepProfile
-from softrig_control.requirement_monitor import RequirementMonitor
-from softrig_control.signal_name import signal_port, split
 from softrig_control.sliding_mode import switching
 from softrig_control.state_feedback import StateFeedback
-from softrig_control.unit_delay import LinkParams
 from softrig_core import ByHand, ParameterError, RunError
 
 EIGHTHS = st.integers(-40, 40).map(lambda n: n / 8.0)

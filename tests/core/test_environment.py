@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from softrig_bringup.cli import main
-from softrig_control import policy
-from softrig_control.policy import Policy, linear
+from softrig_control.nodes import policy
+from softrig_control.nodes.policy import Policy, linear
 from softrig_core import (
     Block,
     ByHand,

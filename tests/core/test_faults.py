@@ -9,7 +9,7 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from hypothesis import given, strategies as st
 from simulated import Discovery, SimulatedRig, World
-from softrig_control.fault import Fault
+from softrig_control.nodes.fault import Fault
 from softrig_core import ByHand, ParameterError, RunError, Sample, ScenarioError, rig_of, simulate
 
 MS = 1_000_000

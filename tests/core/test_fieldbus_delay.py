@@ -6,7 +6,7 @@ from bisect import insort
 import pytest
 from conftest import in_process
 from hypothesis import given, settings, strategies as st
-from softrig_control.delay import BLOCK, FieldbusDelay, Line, whole_periods
+from softrig_control.nodes.delay import BLOCK, FieldbusDelay, Line, whole_periods
 from softrig_core import ByHand, Level, Sample, Scenario, ScenarioError, Signals, load_scenario, rig_of
 
 PERIOD = 10_000_000

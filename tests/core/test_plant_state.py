@@ -8,7 +8,7 @@ import control
 import numpy as np
 import pytest
 from softrig_control.discretise import zero_order_hold
-from softrig_control.linear_plant import LinearPlant
+from softrig_control.nodes.linear_plant import LinearPlant
 from softrig_core import ByHand, Plant, Sampled, ScenarioError, equilibrium, state_type, to_ns
 from softrig_core.kit.floats import numbers
 from softrig_core.rig.installed import load_block

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from softrig_control.unit_delay import UnitDelay
+from softrig_control.nodes.unit_delay import UnitDelay
 from softrig_core import Block, BlockParams, Plant, Rig, ScenarioError, command, param, scalars
 from softrig_core.judge.units import base, compose, factor, misfit, powers, pretty_unit, text
 from softrig_core.rig.members import signal_units

@@ -2,7 +2,7 @@
 
 import pytest
 from conftest import differences, in_process
-from softrig_control.fault import FaultParams
+from softrig_control.nodes.fault import FaultParams
 from softrig_core import rig_of
 from softrig_core.wire import types
 from test_container import run, short

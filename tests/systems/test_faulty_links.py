@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from softrig_control.fault import FaultParams
+from softrig_control.nodes.fault import FaultParams
 from softrig_core import Block, BlockParams, load_scenario, param, rig_of, simulate
 from softrig_core.scenario.port_text import ports_of, ports_text, reader
 from softrig_core.wire import types

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import jv
 from softrig_control.limit_cycle import Swinging, limit_cycle
-from softrig_control.linear_plant import LinearPlant
+from softrig_control.nodes.linear_plant import LinearPlant
 from softrig_control.predictive.carima import Carima, diophantine, multiply, predict
 from softrig_control.predictive.certificate import assess, certify
 from softrig_control.predictive.certificate_node import CertificateNode

@@ -11,7 +11,7 @@ from softrig_core import Block, BlockParams, Level, Port, param, scalars
 from typing_extensions import TypeVar
 
 from ..limit_cycle import Swinging, limit_cycle
-from ..signal_name import signal_port, split
+from ..nodes.signal_name import signal_port, split
 from .carima import Carima
 from .gpc import Gpc, GpcState, Tuning
 from .qp import MoveSolver

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_control.delay import whole_periods
 from softrig_control.discretise import zero_order_hold
+from softrig_control.nodes.delay import whole_periods
 from softrig_control.predictor import CommandReplay, Commands
 from softrig_control.state_feedback import Gains, StateFeedback, closed_loop_poles, place, require_stable
 from softrig_core import Block, Level, Sample, param, to_ns

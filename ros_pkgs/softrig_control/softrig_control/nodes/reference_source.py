@@ -8,7 +8,7 @@ from typing import Any, Self
 from pydantic import model_validator
 from softrig_core import Block, Port, param, reference
 
-from .profile import ProfileParams, StepProfile
+from ..profile import ProfileParams, StepProfile
 
 # parameter: (argument of `reference`, what follows the unit of a position)
 FIELDS = {"positions": ("position", ""), "velocities": ("velocity", "/s"), "accelerations": ("acceleration", "/s^2")}

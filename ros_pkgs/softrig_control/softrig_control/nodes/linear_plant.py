@@ -8,9 +8,9 @@ from typing import NamedTuple, Self
 from pydantic import model_validator
 from softrig_core import BlockParams, Plant, Port, param
 
-from .discretise import matmul
+from ..discretise import matmul
+from ..transfer import sample_transfer_function
 from .signal_name import signal_port
-from .transfer import sample_transfer_function
 
 
 class LinearPlantParams(BlockParams):

@@ -9,7 +9,7 @@ from pydantic import model_validator
 from softrig_core import Block, Port, joint_state, param
 from typing_extensions import TypeVar
 
-from .profile import ProfileParams, StepProfile
+from ..profile import ProfileParams, StepProfile
 
 
 class ScalarSourceParams(ProfileParams):
