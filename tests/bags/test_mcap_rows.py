@@ -5,8 +5,10 @@ import random
 import numpy as np
 import pytest
 from softrig_bags.bag import BagWriter
+from softrig_bags.errors import BagError
 from softrig_bags.mcap_file import McapFile
 from softrig_bags.topics import BagTopic, absolute
+from softrig_bags.write import write_bag
 from softrig_core import Recording
 from softrig_core.wire.cdr import Layout
 
@@ -68,3 +70,11 @@ def test_blocks_and_messages_give_the_same_bytes(tmp_path, monkeypatch, seed, ch
 def test_a_recording_without_messages_is_written(tmp_path):
     empty = Recording([("a", STATE)])
     assert written(tmp_path / "a", empty, True) == written(tmp_path / "b", empty, False)
+
+
+def test_a_time_before_zero_is_refused(tmp_path):
+    recording = mixed(0)
+    recording.add(5, -1, bytes(8))
+    with pytest.raises(BagError, match=r"raw: a message at -1 ns, expected times from 0 on"):
+        write_bag(tmp_path / "bag", recording)
+    assert not list(tmp_path.iterdir())

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from softrig_core import Recording
 from softrig_core.wire.recording import Topic
 
+from .errors import BagError
 from .mcap_file import McapFile
 from .mcap_format import MESSAGE
 
@@ -59,7 +60,15 @@ def write_recording(file: McapFile, recording: Recording, numbers: Mapping[str, 
     ----------
     numbers : mapping of str to int
         Number of each topic in the file.
+
+    Raises
+    ------
+    BagError
+        A time is negative, which a bag cannot hold.
     """
+    for topic in recording.topics.values():
+        if (earliest := int(topic.ticks().min(initial=0))) < 0:
+            raise BagError(f"{topic.name}: a message at {earliest} ns, expected times from 0 on")
     order = recording.order()
     feeds = [_Feed(topic, numbers[name]) for name, topic in recording.topics.items()]
     for first in range(0, len(order), _BATCH):
