@@ -67,7 +67,7 @@ def write_recording(file: McapFile, recording: Recording, numbers: Mapping[str, 
         A time is negative, which a bag cannot hold.
     """
     for topic in recording.topics.values():
-        if (earliest := int(topic.ticks().min(initial=0))) < 0:
+        if (earliest := int(np.min(topic.ticks(), initial=0))) < 0:
             raise BagError(f"{topic.name}: a message at {earliest} ns, expected times from 0 on")
     order = recording.order()
     feeds = [_Feed(topic, numbers[name]) for name, topic in recording.topics.items()]
