@@ -17,6 +17,7 @@ from softrig_control import transfer
 from softrig_control.discretise import expm, zero_order_hold
 from softrig_control.predictive.carima import Carima
 from softrig_control.riccati import lqr, riccati
+from softrig_control.state_feedback import place
 from softrig_core.kit import exact
 from softrig_core.kit.dense import solve
 
@@ -296,3 +297,24 @@ def test_balancing_keeps_a_matrix_and_makes_its_rows_and_columns_alike():
 def test_a_number_that_never_settles_is_none():
     with pytest.raises(exact.UnsettledError, match="not settled with 6400 bits"):
         exact.settled(lambda bits: bits)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 6])
+def test_gains_of_a_plant_in_other_units_are_those_gains_in_other_units(order):
+    """Units by powers of two, whose scaling rounds nothing: k_i x_i stays, however far they are from each other."""
+    rng = np.random.default_rng(order)
+    a, b, c = rng.normal(size=(order, order)), rng.normal(size=order), rng.normal(size=order)
+    poles = [-1.0 - k for k in range(order + 1)]
+    right = place(a.tolist(), b.tolist(), c.tolist(), poles)
+    units = 2.0 ** rng.integers(-40, 40, order)
+    found = place((a * units[:, None] / units).tolist(), (b * units).tolist(), (c / units).tolist(), poles)
+    assert np.array(found.k) * units == pytest.approx(np.array(right.k), rel=1e-9)
+    assert found.ki == pytest.approx(right.ki, rel=1e-9)
+
+
+def test_gains_that_do_not_give_the_wanted_poles_are_not_returned(monkeypatch):
+    a, b, c = [[-1.0, 0.0], [0.0, -2.0]], [1.0, 1.0], [1.0, 2.0]
+    assert place(a, b, c, [-3.0, -4.0, -5.0]).ki
+    monkeypatch.setattr("softrig_core.kit.dense.solve", lambda reach, right: 1.001 * np.linalg.solve(reach, right))
+    with pytest.raises(ValueError, match="not controllable"):
+        place(a, b, c, [-3.0, -4.0, -5.0])

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from softrig_core.kit import exact
+
 Matrix = Sequence[Sequence[float]]
+PLACED = 1e-6  # of the size of a coefficient, how far that of the loop's characteristic polynomial may be off
 
 
 class UnstableDesign(ValueError):
@@ -22,7 +26,8 @@ class Gains(NamedTuple):
 def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[complex]) -> Gains:
     """Gains that give the loop of x' = A x + B u, y = C x, xi' = r - y the wanted poles.
 
-    Ackermann's formula on the augmented plant [[A, 0], [-C, 0]], [B; 0].
+    Ackermann's formula on the augmented plant [[A, 0], [-C, 0]], [B; 0]. The characteristic polynomial of the loop is
+    held against the wanted one, in integers.
 
     Parameters
     ----------
@@ -37,7 +42,8 @@ def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[com
     UnstableDesign
         A wanted pole has a real part >= 0.
     ValueError
-        Wrong number of poles, a complex one without its conjugate, or the augmented plant is not controllable.
+        Wrong number of poles, a complex one without its conjugate, or the augmented plant is not controllable: the
+        loop would not have the wanted poles.
 
     Examples
     --------
@@ -63,13 +69,34 @@ def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[com
     for _ in range(n):
         columns.append(dense.product(augmented, columns[-1]))
     reach = np.column_stack(columns)
-    if np.linalg.matrix_rank(reach) <= n:
-        raise ValueError("the plant with its integrator is not controllable from this input")
     character = np.zeros_like(augmented)
     for coefficient in wanted:
         character = dense.product(character, augmented) + coefficient.real * np.eye(n + 1)
-    k = dense.solve(reach, character)[-1]
-    return Gains(tuple(map(float, k[:n])), -float(k[n]))
+    try:
+        k = dense.solve(reach, character)[-1].tolist()
+    except np.linalg.LinAlgError:
+        k = None
+    if k is None or not _has_poles(augmented.tolist(), columns[0].tolist(), k, [w.real for w in wanted], poles):
+        raise ValueError("the plant with its integrator is not controllable from this input")
+    return Gains(tuple(k[:n]), -k[n])
+
+
+def _has_poles(
+    a: Matrix, b: Sequence[float], k: Sequence[float], wanted: Sequence[float], poles: Sequence[complex]
+) -> bool:
+    """Whether A - b k has the wanted characteristic polynomial, relative to one whose poles are as large."""
+    if not all(map(math.isfinite, k)):
+        return False
+    rows, (column,), (gains,) = exact.fractions(a), exact.fractions((b,)), exact.fractions((k,))
+    loop = [[x - bi * kj for x, kj in zip(row, gains, strict=True)] for row, bi in zip(rows, column, strict=True)]
+    sizes = [1.0]
+    for pole in poles:
+        sizes = [up + abs(pole) * down for up, down in zip([*sizes, 0.0], [0.0, *sizes], strict=True)]
+    try:
+        found = exact.characteristic(loop)
+    except ArithmeticError:
+        return False
+    return all(abs(x - w) <= PLACED * size for x, w, size in zip(found, wanted, sizes, strict=True))
 
 
 def closed_loop_poles(

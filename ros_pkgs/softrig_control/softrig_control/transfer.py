@@ -112,19 +112,14 @@ class Exact:
     def polynomials(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Compute A(z) and B(z) of A(z) y(t) = B(z) u(t-1), coefficients of z^0, z^-1, ...
 
-        A(z) is the characteristic polynomial by the recursion of Faddeev and LeVerrier, B(z) = A(z) times the Markov
-        parameters C A^k B.
+        A(z) is the characteristic polynomial, B(z) = A(z) times the Markov parameters C A^k B.
         """
 
         def both(bits: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
             a, x = self.matrices(bits)
-            n, row = len(a), self._row(bits)
-            one = np.array([[int(i == j) for j in range(n)] for i in range(n)], dtype=object)
-            characteristic, markov, m = [1 << bits], [], one << bits
-            for k in range(1, n + 1):
-                m = product(a, m, bits)
-                characteristic.append(-(sum(m.diagonal().tolist()) // k))
-                m = m + one * characteristic[k]
+            n, row, markov = len(a), self._row(bits), []
+            characteristic = exact.recursion(a, bits)
+            for _ in range(n):
                 markov.append(product(row, x, bits)[0, 0])
                 x = product(a, x, bits)
             b = [sum(characteristic[i] * markov[k - i] for i in range(k + 1)) >> bits for k in range(n)]

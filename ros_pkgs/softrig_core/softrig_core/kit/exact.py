@@ -212,6 +212,39 @@ def expm(rows: Rows) -> tuple[tuple[float, ...], ...]:
     return settled(entries)
 
 
+def characteristic(rows: Rows) -> tuple[float, ...]:
+    """Return the coefficients of det(s - A), highest power first, nearest to the right ones.
+
+    Parameters
+    ----------
+    rows : (n, n) nested sequence of Fraction
+
+    Raises
+    ------
+    OverflowError
+        A coefficient is beyond float64.
+    """
+    balanced, _ = balance(rows)
+    return settled(lambda bits: tuple(nearest(v, bits) for v in recursion(integers(balanced, bits), bits)))
+
+
+def recursion(a: Integers, bits: int) -> list[int]:
+    """Compute the characteristic polynomial by the recursion of Faddeev and LeVerrier, in units of 2^-bits.
+
+    Parameters
+    ----------
+    a : (n, n) array of int
+    bits : int
+    """
+    one = np.array([[int(i == j) for j in range(len(a))] for i in range(len(a))], dtype=object)
+    found, m = [1 << bits], one << bits
+    for k in range(1, len(a) + 1):
+        m = product(a, m, bits)
+        found.append(-(sum(m.diagonal().tolist()) // k))
+        m = m + one * found[k]
+    return found
+
+
 def _reached(rows: Rows) -> NDArray[np.bool_]:
     """Return where any power of a matrix has terms that are not zero: elsewhere its exponential is exactly zero."""
     found = np.array([[bool(x) for x in row] for row in rows]) | np.eye(len(rows), dtype=bool)
