@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..block.block import Block, Plant
-from ..block.runner import Runner
+from ..block.loop import Loop
 from ..errors import ScenarioError, closest
 from ..rig.members import Member
 from ..rig.rig import Rig
@@ -79,7 +79,7 @@ def golden_calls(rig: Rig, node: str, seed: int, most: int) -> list[Call]:
         _watch(block, name, calls)
     steps = wired(rig, blocks)
     until = member.changes[0].at if member.changes else None
-    for t in Runner(list(steps.values())).run():
+    for t in Loop(list(steps.values())).run():
         if len(calls) >= most or (until is not None and t is not None and t >= until):
             break
     return [c for c in calls[:most] if until is None or c.t < until]
