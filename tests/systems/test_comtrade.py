@@ -420,3 +420,63 @@ def test_what_has_no_effect_is_said_once_when_there_is_something_in_it(tmp_path)
     for field in ("local_code", "leapsec", "Dn, ch_id, ph, ccbm, y"):
         assert note.count(f"{field} is ignored: ") == 1
     assert set(read_settings(text).ignored) < set(COMTRADE.table)
+
+
+# the table -----------------------------------------------------------------------------------------------------------
+
+#: Of each used field of the table: a text of the settings, and another that says something else.
+CHANGES = {
+    "rev_year": (",2013", ",2014"),
+    "TT": ("12,12A", "13,12A"),
+    "##A": ("12A", "11A"),
+    "##D": ("0D", "1D"),
+    "An": ("2,VB_S", "3,VB_S"),
+    "ch_id": ("VA_S", "VB_S"),
+    "ph": ("VA_S,A,", "VA_S,N,"),
+    "uu": ("VA_S,A,,V", "VA_S,A,,kV"),
+    "a": ("VA_S,A,,V,1,", "VA_S,A,,V,2,"),
+    "b": ("VA_S,A,,V,1,0,", "VA_S,A,,V,1,5,"),
+    "skew": ("VA_S,A,,V,1,0,0,", "VA_S,A,,V,1,0,25,"),
+    "min": ("VA_S,A,,V,1,0,0,-3.4e38", "VA_S,A,,V,1,0,0,-3"),
+    "max": ("VA_S,A,,V,1,0,0,-3.4e38,3.4e38", "VA_S,A,,V,1,0,0,-3.4e38,3"),
+    "primary": ("VB_S,B,,V,1,0,0,-3.4e38,3.4e38,1,1,S", "VB_S,B,,V,1,0,0,-3.4e38,3.4e38,9,1,S"),
+    "secondary": ("VB_S,B,,V,1,0,0,-3.4e38,3.4e38,1,1,S", "VB_S,B,,V,1,0,0,-3.4e38,3.4e38,1,9,S"),
+    "PS": ("VB_S,B,,V,1,0,0,-3.4e38,3.4e38,1,1,S", "VB_S,B,,V,1,0,0,-3.4e38,3.4e38,1,1,X"),
+    "lf": ("\r\n50\r\n", "\r\n60\r\n"),
+    "nrates": ("\r\n1\r\n4000", "\r\n2\r\n4000"),
+    "samp": ("4000,400", "2000,400"),
+    "endsamp": ("4000,400", "4000,300"),
+    "start date, time": ("400\r\n02/03/2024", "400\r\n2/3-2024"),
+    "trigger date, time": ("10:00:00.000000\r\nFLOAT32", "10-00\r\nFLOAT32"),
+    "ft": ("FLOAT32", "BINARY32"),
+    "timemult": ("\r\n1.0\r\n", "\r\n2.0\r\n"),
+    "time_code": ("0,0\r\n4,0", "z,0\r\n4,0"),
+    "tmq_code": ("4,0\r\n", "z,0\r\n"),
+}
+OF_DATA = {"n", "timestamp", "missing value", "CFF: CFG", "CFF: DAT"}  # tested above
+
+
+def reading(tmp_path, old="", new=""):
+    """All that comes of a file, or why nothing does; the second channel in secondary values of a ratio of one."""
+    file = File(tmp_path)
+    file.channels[1][12] = "S"
+    path = file.write()
+    text = file.cfg()
+    assert old in text
+    path.write_bytes(text.replace(old, new, 1).encode() if old else text.encode())
+    try:
+        found = read_comtrade([path], [c[1] for c in file.channels] if old == "VA_S" else ())
+    except ValueError as error:
+        return str(error)
+    return found.samples.tolist(), found.start, found.rate, found.note, found.frequency
+
+
+@pytest.mark.parametrize("field", CHANGES)
+def test_a_used_field_has_an_effect(tmp_path, field):
+    old, new = CHANGES[field]
+    assert reading(tmp_path, old, new) != reading(tmp_path)
+
+
+def test_the_table_is_whole():
+    used = {name for name, (use, _) in COMTRADE.table.items() if use == "used"}
+    assert used == set(CHANGES) | OF_DATA

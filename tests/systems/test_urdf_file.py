@@ -301,6 +301,15 @@ def test_friction_too_steep_for_the_step_is_refused_with_the_substeps_that_it_ta
         pendulum(tmp_path, '<dynamics friction="50"/>', edge_speed=0.01)  # 50/0.01/0.5 = 10,000 1/s
 
 
+def test_one_joint_answers_as_a_pendulum(tmp_path):
+    """I = 0.5 kg m^2 about its axis: the centre of mass is on it, so there is no gravity; I a + d v = tau."""
+    got = ask(tmp_path, PENDULUM.format('<dynamics damping="0.4"/>', 1.0), ("hinge",), [0.3], [2.0], [1.0])
+    assert got["mass_matrix"] == (0.5,)
+    assert got["bias"] == pytest.approx((0.4 * 2.0,))
+    assert got["forward_dynamics"] == pytest.approx(((1.0 - 0.8) / 0.5,))
+    assert got["jacobian"] == pytest.approx((0, 0, 0, 0, 1, 0))
+
+
 def test_limits_are_reported_or_act(tmp_path):
     p = pendulum(tmp_path, effort=1.5)
     for k in range(1000):
