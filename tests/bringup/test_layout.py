@@ -1,5 +1,6 @@
 """The set-up: what it lays out is what colcon builds, what it installs is pinned and has its reasons."""
 
+import ast
 import importlib.util
 import os
 import re
@@ -179,3 +180,14 @@ def test_every_folder_of_tests_is_run():
     """They are named one by one, for their order."""
     there = {str(file.parent.relative_to(ROOT)) for file in (ROOT / "tests").rglob("test_*.py")}
     assert sorted(PROJECT["tool"]["pytest"]["ini_options"]["testpaths"]) == sorted(there)
+
+
+def test_an_account_names_its_source():
+    """A computation by another hand stands on something else than the code: at its head it says on what."""
+    heads = {
+        path.name: ast.get_docstring(ast.parse(path.read_text())) or ""
+        for path in (ROOT / "tests").glob("*/test_*.py")
+        if re.search("by_hand|account|measures|kernels|mirror|over_time", path.name)
+    }
+    assert len(heads) > 10
+    assert [name for name, head in heads.items() if not re.search("^Sources?: |^Source of ", head, re.M)] == []

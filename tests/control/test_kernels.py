@@ -1,6 +1,6 @@
 """Kernels against mpmath at 60 digits, beside scipy: sampling, polynomials, Riccati equations of all scales and orders.
 
-`TABLE` has what softrig_core/doc/numerics.md shows: the worst error of each kind, ours and those of scipy, held here.
+Source: mpmath. `TABLE` has what the page numerics shows, the worst error of each kind, ours and those of scipy.
 """
 
 import math

@@ -1,4 +1,7 @@
-"""Time, ports, answers and parameters of blocks by another hand's account of them, and in words (`tests/expected`)."""
+"""Time, ports, answers and parameters of blocks, also in words (`tests/expected`).
+
+Sources: the pages tick and scenario_file, as naive models of the contracts on lists and exact fractions.
+"""
 
 import itertools
 import math

@@ -1,4 +1,7 @@
-"""The model kit and what stands on the ground of the core, against naive accounts: lists, loops, a watch."""
+"""The model kit and what stands on the ground of the core.
+
+Sources: naive models of the documented contracts on lists, loops and a watch; exact fractions where numbers count.
+"""
 
 import math
 import os

@@ -1,4 +1,7 @@
-"""What a scenario file says and what is made of it, against naive accounts and in words (`tests/expected`)."""
+"""What a scenario file says and what is made of it, also in words (`tests/expected`).
+
+Source: the page scenario_file, as naive models of its rules.
+"""
 
 import itertools
 import json

@@ -1,4 +1,7 @@
-"""Solvers and workers without a process: against the account that `solver.py` begins with, and a list of events."""
+"""Solvers and workers without a process.
+
+Sources: the contract that `solver.py` begins with, and the page solver, as a list of events.
+"""
 
 import os
 import random

@@ -1,4 +1,7 @@
-"""The optimiser tick by tick against an account of its page: measurements and buttons at random, plants that change."""
+"""The optimiser tick by tick: measurements and buttons at random, plants that change.
+
+Source: its page, as a naive model of the contract tick by tick.
+"""
 
 import copy
 import math

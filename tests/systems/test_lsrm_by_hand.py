@@ -1,4 +1,8 @@
-"""The linear motor's laws, profiles and figures over random inputs, against loops written from their docstrings."""
+"""The linear motor's laws, profiles and figures over random inputs.
+
+Sources: the equations on the page lsrm_fuzzy, in loops; quadrature of the slope for the inductance, integrals of the
+acceleration for the profiles. Figures stand here on even grids; on others in test_figures_over_time.py.
+"""
 
 import itertools
 import math

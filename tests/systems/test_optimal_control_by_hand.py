@@ -1,4 +1,7 @@
-"""Series, roots, planners, player and evaluator against other libraries, closed forms and loops over small cases."""
+"""Series, roots, planners, player and evaluator over small cases.
+
+Sources: closed forms of the linear quadratic problems, casadi and scipy as other libraries, and loops.
+"""
 
 import itertools
 import math

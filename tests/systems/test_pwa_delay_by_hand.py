@@ -1,7 +1,8 @@
-"""Criteria, searches, bounds and plants with delay, against integrals, loops and another library.
+"""Criteria, searches, bounds and plants with delay.
 
-The inequalities are held by what they are made from: along a polynomial that meets the equation now, the derivative of
-the functional is worked out by integrals and differences, with random matrices in the place of a certificate's.
+Sources: quadrature and roots by scipy, loops. The inequalities are held by what they are made from: along a
+polynomial that meets the equation now, the derivative of the functional is worked out by integrals and differences,
+with random matrices in the place of a certificate's.
 """
 
 import math

@@ -1,4 +1,9 @@
-"""Laws and plants of the robots over random inputs, against loops written from their docstrings."""
+"""Laws and plants of the robots over random inputs.
+
+Sources: the equations on the pages manipulator_adsmc and rehab_impedance, in loops, with products of polynomials for
+the surfaces and sums over all errors for their integrals; the work over a small turn of each joint for the impedance;
+the plant itself, moved by a little, for the sampled leg.
+"""
 
 import itertools
 import math

@@ -1,4 +1,8 @@
-"""The queue's laws, controller, network and packets over random inputs, against loops written from their docstrings."""
+"""The queue's laws, controller, network and packets over random inputs.
+
+Sources: the second derivative of the queue by differences along the fluid equations on the page tcp_aqm; for packets
+the rules that `run_until` begins with, played on lists.
+"""
 
 import heapq
 import math
