@@ -9,12 +9,15 @@ from conftest import make_scenario
 from softrig_bringup.falsify import engine, outcome as outcome_module
 from softrig_bringup.falsify.definition import Falsification
 from softrig_bringup.falsify.engine import Outcome, _requirements
-from softrig_bringup.falsify.outcome import _shown, _standing_alone, content, number, scenario_file, verdict
+from softrig_bringup.falsify.outcome import _standing_alone, content, scenario_file, verdict
+from softrig_bringup.falsify.page import history, lead
 from softrig_bringup.falsify.search import Found
 from softrig_bringup.falsify.space import parse, space_of
+from softrig_bringup.falsify.words import number, shown
+from softrig_bringup.page.html import page as make_page
 from softrig_bringup.study.work import LARGE
 from softrig_core import ScenarioError, load_scenario
-from told import check_told
+from told import check_told, page_lines
 
 X = "lag/state/x/position"
 LAG = """
@@ -143,7 +146,7 @@ def test_a_margin_is_a_number_or_a_word(value, text):
 
 
 def test_changes_are_shown_to_few_digits():
-    assert [_shown(v) for v in (1.00000000001, 2, [0.12345678, 1.0])] == ["1", "2", "[0.123457, 1]"]
+    assert [shown(v) for v in (1.00000000001, 2, [0.12345678, 1.0])] == ["1", "2", "[0.123457, 1]"]
 
 
 @pytest.mark.parametrize("name", ["violated", "holds", "none"])
@@ -241,3 +244,20 @@ def test_what_a_scenario_can_be_asked_for():
         with pytest.raises(ScenarioError) as refused:
             _requirements(scenario, wanted)
         assert str(refused.value) == said
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"), [("violated", {}), ("held", {"least": 0.125}), ("unjudged", {"case": False})]
+)
+def test_a_page_leads_with_what_was_asked_and_the_answer(name, keys, space):
+    over = {"gain.k": "1..4", "lag/command/u/effort+": "-1..1*3"}
+    task = Falsification(name="late", title="Late", scenario="lag", over=over, budget=9)
+    files = {"worst": Path("out/late_worst.yaml")} if name == "violated" else {}
+    body = lead(task, found(space, **keys), {"low": "m", "last": "m"}, files)
+    check_told(f"falsified/page_{name}", page_lines(make_page("Late", body)))
+
+
+def test_the_history_of_a_search_is_the_least_margin_so_far(space):
+    (ax,) = history(found(space)).axes
+    assert ax.lines[0].get_xydata().tolist() == [[1.0, 1.0], [2.0, -0.25]]
+    assert ax.lines[1].get_ydata() == [0.0, 0.0]

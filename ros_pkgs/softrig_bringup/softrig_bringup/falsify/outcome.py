@@ -19,13 +19,14 @@ from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..options.naming import folder_of
 from ..report.report import write_report
 from ..run.run import checked, execute, illustrate, save, summary
-from ..study.work import LARGE
 from ..terminal.listing import console as make_console, styled
 from ..terminal.tables import print_columns
 from .definition import Falsification, falsification_of, list_falsifications
 from .engine import Outcome, falsify, prepare
+from .page import lead
 from .picture import draw_worst
 from .shrink import Case
+from .words import number, shown
 
 PICTURE = "worst.png"
 
@@ -69,7 +70,8 @@ def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool, also: 
             replace(file, text)
             files[name] = file
     if plots:
-        write_report([out / name for name in runs], out / "report.html", list(runs))
+        head = lead(task, outcome, _units(outcome), files)
+        write_report([out / name for name in runs], out / "report.html", list(runs), head=head)
     if plots and "worst" in runs and not runs["worst"].error:
         asked = (outcome.violated or list(outcome.names))[0]
         pair = {"as it is": runs["nominal"], "worst found": runs["worst"]}
@@ -174,9 +176,13 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
     }
 
 
+def _units(outcome: Outcome) -> dict[str, str]:
+    return {f.name: f.unit for f in figures_of(rig_of(outcome.space.scenario))}
+
+
 def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Path]) -> None:
     console = make_console()
-    rig_units = {f.name: f.unit for f in figures_of(rig_of(outcome.space.scenario))}
+    rig_units = _units(outcome)
     console.print(styled((f"{task.name}: {outcome.found.runs} runs", "italic")))
     rows = []
     for name in outcome.names:
@@ -185,7 +191,7 @@ def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Pa
     print_columns(console, ("requirement", "nominal margin", "worst", "made small", "unit"), rows)
     say = [verdict(outcome)]
     if outcome.case is not None:
-        say += [f"  {k} = {_shown(v)}" for k, v in (outcome.small or outcome.case)[1].items()]
+        say += [f"  {k} = {shown(v)}" for k, v in (outcome.small or outcome.case)[1].items()]
     if outcome.broken:
         say.append(f"{len(outcome.broken)} runs broke, the first: {outcome.broken[0][1]}")
     say += [f"{name} case: {path}" for name, path in files.items()] + [f"results in {out}"]
@@ -203,14 +209,3 @@ def verdict(outcome: Outcome) -> str:
         made = f"made small in {outcome.shrinking} more runs"
         return f"violated: {', '.join(outcome.violated)}, least margin {number(found.least)} ({first}); {made}"
     return f"no violation in {runs} runs; least margin {number(found.least)} ({first}), at"
-
-
-def number(value: float | None) -> str:
-    """Write a margin."""
-    if value is None:
-        return "not judged"
-    return ("holds" if value > 0.0 else "violated") if abs(value) >= LARGE else f"{value:.6g}"
-
-
-def _shown(value: Any) -> str:
-    return "[" + ", ".join(f"{x:.6g}" for x in value) + "]" if isinstance(value, list) else f"{value:.10g}"

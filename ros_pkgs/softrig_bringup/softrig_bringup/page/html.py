@@ -162,6 +162,13 @@ details .pairs { padding: .3rem 0 .6rem 1.1rem; }
   td::before { content: attr(data-label); color: var(--soft); font-weight: 400; text-align: left; flex: none; }
   td:first-child::before { content: none; }
   td:empty, td.none { display: none; }
+  .judged tr { display: flex; flex-wrap: wrap; gap: 0 .8rem; }
+  .judged td:first-child { flex: 0 0 100%; }
+  .judged td::before { content: none; }
+  .judged td[data-label="Accepted"]::before { content: "accepted"; }
+  .judged td[data-label="Accepted"] { gap: .4rem; }
+  .judged td[data-label="Result"] { margin-left: auto; }
+  .judged td[data-label^="Pub"], .judged td[data-label^="Against"], .judged td[data-label^="In "] { display: none; }
 }
 @media print {
   :root { --ink: #000; --soft: #444; --line: #bbb; --panel: #fff; --paper: #fff; --link: #000; --good: #000;

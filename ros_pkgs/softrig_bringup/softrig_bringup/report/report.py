@@ -6,6 +6,7 @@ import argparse
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 from softrig_core import ScenarioError
 from softrig_core.guard import say
@@ -51,7 +52,12 @@ def _with_their_runs(directories: Sequence[Path]) -> list[Path]:
 
 
 def write_report(
-    directories: Sequence[Path], output: Path, labels: Sequence[str] = (), *, doubted: bool = False
+    directories: Sequence[Path],
+    output: Path,
+    labels: Sequence[str] = (),
+    *,
+    doubted: bool = False,
+    head: Sequence[Element] = (),
 ) -> tuple[list[RunRecord], list[str]]:
     """Write one page about one or more runs.
 
@@ -66,6 +72,9 @@ def write_report(
         What the runs are called, in their order; of those that it does not reach, their own label or folder.
     doubted : bool
         Whether bags are held against what their metrics.json says of them; what does not fit is said and marked.
+
+    head : sequence of Element
+        What the page begins with, in place of its own title.
 
     Returns
     -------
@@ -103,7 +112,8 @@ def write_report(
     else:
         title = f"{len(runs)} runs"
         body = [
-            e("header", e("h1", title), index(records, named)),
+            *([*head, e("h2", "The runs")] if head else ()),
+            index(records, named) if head else e("header", e("h1", title), index(records, named)),
             *side_by_side(records, named),
             *differences(records, named),
             *overlaid(runs, named),

@@ -126,7 +126,7 @@ def metrics(run: RunRecord) -> Element:
     }
     note = " ".join(text for head, text in notes.items() if head in there)
     found = table(there, rows, "".join(columns[head][0] or " " for head in there))
-    return e("div", found, *([e("p", note, class_="note")] if note else []))
+    return e("div", found, *([e("p", note, class_="note")] if note else []), class_="judged")
 
 
 def _result(metric: Result, compared: bool) -> Element | str:

@@ -1,0 +1,125 @@
+"""The head of a falsification's page: what was asked, the answer, what its numbers mean, and by which change."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree.ElementTree import Element
+
+from softrig_core.judge.units import pretty_unit
+
+from ..page.html import NONE, e, mark, picture, table
+from ..plots import style as look
+from ..plots.style import axis_title
+from ..study.statistics import bound_text
+from .definition import Falsification
+from .engine import Outcome
+from .words import number, shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MEANING = (
+    "The margin of a requirement says how far the run is from violating it, in the unit of its signals: below 0 it is "
+    "violated, by as much. No violation found is no proof that there is none."
+)
+
+
+def lead(task: Falsification, outcome: Outcome, units: Mapping[str, str], files: Mapping[str, Path]) -> list[Element]:
+    """Make the head of the page.
+
+    Parameters
+    ----------
+    units : mapping
+        Of requirements.
+    files : mapping
+        Scenario files of the worst run and the small one.
+    """
+    asked = f"Does every run keep {_and(outcome.names)} over {_and(list(task.over))}?"
+    held = not outcome.violated
+    answer = f"no violation in {outcome.found.runs} runs" if held else f"violated: {', '.join(outcome.violated)}"
+    if outcome.case is None:
+        answer = f"none of {outcome.found.runs} runs could be judged"
+    facts = [
+        ("runs", f"{outcome.found.runs} of {task.budget}"),
+        ("made small in", f"{outcome.shrinking} runs" if outcome.small else NONE),
+        ("sampler", task.sampler),
+        ("seed", str(task.seed)),
+        ("least margin", number(outcome.found.least) if math.isfinite(outcome.found.least) else NONE),
+        ("of the corners", number(outcome.found.corners) if math.isfinite(outcome.found.corners) else NONE),
+    ]
+    body = [
+        e(
+            "header",
+            e("h1", task.title or task.name),
+            e("p", asked, class_="what"),
+            e("p", mark(held and outcome.case is not None, answer)),
+            e("dl", *(e("div", e("dt", k), e("dd", v)) for k, v in facts), class_="facts"),
+        ),
+        e("h2", "Margins"),
+        e("p", MEANING, class_="note"),
+        _margins(outcome, units),
+    ]
+    if outcome.case is not None:
+        worst, small = outcome.case[1], outcome.small[1] if outcome.small else {}
+        rows = [(name, task.over.get(name, ""), shown(worst[name]), shown(small[name]) if name in small else NONE)
+                for name in worst]  # fmt: skip
+        body += [e("h2", "By which change"), table(("What", "Searched", "Worst", "Made small"), rows, "  nn")]
+        body += [e("pre", "\n".join(f"softrig run {path}" for path in files.values()))] if files else []
+    if outcome.found.trace:
+        body += [
+            e("h2", "History of the search"),
+            e("figure", picture(_png(history(outcome)), "history of the search")),
+        ]
+    return body
+
+
+def _margins(outcome: Outcome, units: Mapping[str, str]) -> Element:
+    scenario = outcome.space.scenario
+    rows = []
+    for name in outcome.names:
+        asked = (
+            scenario.requirements[name].formula
+            if name in scenario.requirements
+            else bound_text(name, scenario.expect[name])
+        )
+        worst, small = outcome.worst.get(name), outcome.small_margins.get(name) if outcome.small else None
+        cells = [mark(value >= 0.0, number(value)) if value is not None else NONE for value in (worst, small)]
+        rows.append((name, e("code", asked), pretty_unit(units.get(name, "")), number(outcome.nominal[name]), *cells))
+    return table(("Requirement", "What it asks", "Unit", "As it is", "Worst found", "Made small"), rows, "   nnn")
+
+
+def _and(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1] if words else "")))
+
+
+def history(outcome: Outcome) -> Figure:
+    """Draw the least margin so far over the runs of a search, and where a violation begins."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure as New
+    from matplotlib.ticker import MaxNLocator
+
+    trace: list[Any] = outcome.found.trace
+    runs = range(1, len(trace) + 1)
+    with rc_context(look.style()):
+        figure = New(figsize=(look.WIDTH, 3.0), dpi=look.DPI, layout="constrained")
+        ax = figure.subplots()
+        ax.step(runs, trace, where="post")
+        ax.axhline(0.0, color=look.VIOLATED, linewidth=1.0)
+        place: dict[str, Any] = {"xycoords": ax.get_yaxis_transform(), "textcoords": "offset points", "fontsize": 8}
+        ax.annotate("violated below", (1.0, 0.0), (-4, -4), ha="right", va="top", color=look.VIOLATED, **place)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        ax.margins(x=0.02, y=0.1)
+        ax.set_xlabel("Run")
+        several = len(outcome.names) > 1
+        ax.set_ylabel(axis_title("Least margin so far" + (" by its nominal size" if several else ""), ""))
+    return figure
+
+
+def _png(figure: Figure) -> bytes:
+    file = io.BytesIO()
+    figure.savefig(file, format="png")
+    return file.getvalue()
