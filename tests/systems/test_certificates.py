@@ -22,11 +22,11 @@ from softrig_power.dispatch.conditions import Conditions, Losses
 from softrig_power.dispatch.enumeration import enumerate_kinks
 from softrig_power.dispatch.units import Units
 from softrig_robots.manipulator.surfaces import Coefficients
-from softrig_systems.pwa_delay.applicability import NotApplicable
 from softrig_systems.pwa_delay.certificate import CertificateNode
-from softrig_systems.pwa_delay.certify import Criterion, certified_margin, certify
-from softrig_systems.pwa_delay.level import level_bound, level_margin
 from softrig_systems.pwa_delay.profiles import profile
+from softrig_systems.pwa_delay.proof.applicability import NotApplicable
+from softrig_systems.pwa_delay.proof.certify import Criterion, certified_margin, certify
+from softrig_systems.pwa_delay.proof.level import level_bound, level_margin
 from softrig_systems.pwa_delay.search import pwa_margin, simulate_pwa
 from softrig_systems.pwa_delay.system import from_lines, linear
 

@@ -22,7 +22,7 @@ from softrig_power.fault_location.method.objective import LocatorParams
 from softrig_power.pv.plant import PvPlant
 from softrig_power.rectifier.plant import RectifierPlant
 from softrig_robots.manipulator.plant import ManipulatorPlant
-from softrig_systems.optimal_control.mvim import solve
+from softrig_systems.optimal_control.method.mvim import solve
 from softrig_systems.optimal_control.problems import INERTIA, find, spacecraft
 from softrig_systems.pwa_delay.plants import TankPlant
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar, root
 from softrig_power.gupfc import pulses
-from softrig_power.gupfc.injection import converter_power, series_power
+from softrig_power.gupfc.flow.injection import converter_power, series_power
+from softrig_power.gupfc.flow.power_flow import Diverged, PowerFlow, References, Solution
+from softrig_power.gupfc.flow.roots import operating_points
 from softrig_power.gupfc.network import BUSES, Network, NetworkParams
-from softrig_power.gupfc.power_flow import Diverged, PowerFlow, References, Solution
-from softrig_power.gupfc.roots import operating_points
 
 NETWORK = NetworkParams()
 SIGMA = math.radians(172.5)

@@ -13,16 +13,16 @@ from scipy.integrate import quad
 from softrig_core import ByHand, Level, ParameterError
 from softrig_core.block.params import build
 from softrig_power.gupfc import circuit as steps, figures, measurement, pulses, steady
-from softrig_power.gupfc.dual import Dual
-from softrig_power.gupfc.injection import converter_power, series_power
+from softrig_power.gupfc.flow.dual import Dual
+from softrig_power.gupfc.flow.injection import converter_power, series_power
+from softrig_power.gupfc.flow.power_flow import Diverged, PowerFlow, References, Solution, _flow
+from softrig_power.gupfc.flow.roots import _alone, _newton, operating_points
 from softrig_power.gupfc.measurement import Weights
 from softrig_power.gupfc.network import Network, NetworkParams, admittance
 from softrig_power.gupfc.operating_point import DeviceParams, conduction, operating_point
 from softrig_power.gupfc.plant import Command, GupfcPlant
-from softrig_power.gupfc.power_flow import Diverged, PowerFlow, References, Solution, _flow
 from softrig_power.gupfc.power_flow_node import PowerFlowNode, State as Answered
 from softrig_power.gupfc.pulse_generator import ORDERS, PulseGenerator, judged
-from softrig_power.gupfc.roots import _alone, _newton, operating_points
 from softrig_power.gupfc.series import SeriesController
 from softrig_power.gupfc.shunt import ShuntController
 from softrig_power.lines import bergeron

@@ -23,10 +23,10 @@ from softrig_nodes.processes.executables import environment
 from softrig_nodes.processes.placement import Listener, Placement
 from softrig_power.gupfc import circuit as steps
 from softrig_power.gupfc.figures import cycles
+from softrig_power.gupfc.flow.power_flow import PowerFlow, References
 from softrig_power.gupfc.network import BUSES, Network, NetworkParams
 from softrig_power.gupfc.operating_point import DeviceParams, operating_point
 from softrig_power.gupfc.plant import GupfcPlant
-from softrig_power.gupfc.power_flow import PowerFlow, References
 from softrig_power.gupfc.power_flow_node import DEVICE, PowerFlowNode
 from softrig_power.gupfc.pulse_generator import PulseGenerator
 from softrig_power.gupfc.pulses import distortion, gates, vector

@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from softrig_systems.optimal_control import collocation, exact, mvim, series
-from softrig_systems.optimal_control.mvim import solve
+from softrig_systems.optimal_control.method import collocation, exact, mvim, series
+from softrig_systems.optimal_control.method.mvim import solve
+from softrig_systems.optimal_control.method.tape import Tape, evaluate, expand
 from softrig_systems.optimal_control.problem import Problem, ProblemError
 from softrig_systems.optimal_control.problems import INERTIA, find, spacecraft
-from softrig_systems.optimal_control.tape import Tape, evaluate, expand
 
 SCALAR, SPACECRAFT, TWO_STATE, REACTOR = (find(n) for n in ("scalar", "spacecraft", "two_state", "reactor"))
 PRINTED = (0.7436866718, 0.3617355350, 0.1206193519)  # the paper's alpha of example 2

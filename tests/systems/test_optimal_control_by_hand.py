@@ -13,11 +13,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from softrig_core import ByHand, Level, Result, to_ns
-from softrig_systems.optimal_control import collocation, exact, mvim, roots
 from softrig_systems.optimal_control.collocation_planner import CollocationPlanner
 from softrig_systems.optimal_control.evaluator import FIGURES, OcpEvaluator
+from softrig_systems.optimal_control.method import collocation, exact, mvim, roots
+from softrig_systems.optimal_control.method.mvim import Solution, costate, newton, polynomials
+from softrig_systems.optimal_control.method.quadrature import gauss_legendre
+from softrig_systems.optimal_control.method.roots import Root, best, distinct, starts
+from softrig_systems.optimal_control.method.tape import Tape, expand
 from softrig_systems.optimal_control.momentum_feedback import MomentumFeedback
-from softrig_systems.optimal_control.mvim import Solution, costate, newton, polynomials
 from softrig_systems.optimal_control.mvim_planner import MvimPlanner
 from softrig_systems.optimal_control.parameters import ProblemParams
 from softrig_systems.optimal_control.planning import Planned
@@ -26,9 +29,6 @@ from softrig_systems.optimal_control.player import OcpPlayer
 from softrig_systems.optimal_control.ports import SUMMARY, plan, state, summary
 from softrig_systems.optimal_control.problem import Problem, ProblemError
 from softrig_systems.optimal_control.problems import INERTIA, find, spacecraft
-from softrig_systems.optimal_control.quadrature import gauss_legendre
-from softrig_systems.optimal_control.roots import Root, best, distinct, starts
-from softrig_systems.optimal_control.tape import Tape, expand
 
 S = 1_000_000_000
 

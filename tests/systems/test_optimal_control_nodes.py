@@ -15,11 +15,11 @@ from softrig_core import (
     simulate,
 )
 from softrig_core.block.answer import admit
-from softrig_systems.optimal_control import collocation
 from softrig_systems.optimal_control.collocation_planner import CollocationPlanner
 from softrig_systems.optimal_control.evaluator import FIGURES, OcpEvaluator
+from softrig_systems.optimal_control.method import collocation
+from softrig_systems.optimal_control.method.mvim import solve
 from softrig_systems.optimal_control.momentum_feedback import MomentumFeedback
-from softrig_systems.optimal_control.mvim import solve
 from softrig_systems.optimal_control.mvim_planner import MvimPlanner
 from softrig_systems.optimal_control.planning import Request
 from softrig_systems.optimal_control.plants import OcpPlant, ScalarPlant, SpacecraftPlant, TwoStatePlant

@@ -25,18 +25,19 @@ from softrig_core import (
 from softrig_core.kit.dde import trajectory
 from softrig_core.verdict.findings import findings, values
 from softrig_systems.pwa_delay import search
-from softrig_systems.pwa_delay.applicability import NotApplicable, require_no_sliding
-from softrig_systems.pwa_delay.bessel import bessel
 from softrig_systems.pwa_delay.certificate import CertificateNode, CriterionParams
-from softrig_systems.pwa_delay.certify import Criterion, certified_margin, certify
 from softrig_systems.pwa_delay.controllers import DelayLine, PendulumController, TankController
-from softrig_systems.pwa_delay.level import level_bound, level_margin
-from softrig_systems.pwa_delay.lmi import Problem
 from softrig_systems.pwa_delay.lyapunov import LyapunovMonitor
 from softrig_systems.pwa_delay.motion import FREE, PendulumConstants, constants, run_pendulum
 from softrig_systems.pwa_delay.params import BENCHMARK
 from softrig_systems.pwa_delay.plants import PendulumPlant, SwitchedDelayPlant, TankPlant
 from softrig_systems.pwa_delay.profiles import delay_at, profile
+from softrig_systems.pwa_delay.proof.applicability import NotApplicable, require_no_sliding
+from softrig_systems.pwa_delay.proof.bessel import bessel
+from softrig_systems.pwa_delay.proof.certify import Criterion, certified_margin, certify
+from softrig_systems.pwa_delay.proof.level import level_bound, level_margin
+from softrig_systems.pwa_delay.proof.lmi import Problem
+from softrig_systems.pwa_delay.proof.theorem1 import theorem1
 from softrig_systems.pwa_delay.search import (
     find_margin,
     growth_rate,
@@ -54,7 +55,6 @@ from softrig_systems.pwa_delay.system import (
     switched,
     tank,
 )
-from softrig_systems.pwa_delay.theorem1 import theorem1
 
 NAMES = sorted(n for n in list_scenarios() if n.startswith("pwa_delay"))
 EXACT = 6.17258  # margin of the linear benchmark

@@ -17,24 +17,24 @@ from scipy.optimize import brentq
 from softrig_core import ByHand, Level, ParameterError
 from softrig_core.block.params import build
 from softrig_core.kit.dde import trajectory
-from softrig_systems.pwa_delay import certify as certifying
-from softrig_systems.pwa_delay.applicability import NotApplicable, require_equilibrium, require_no_sliding
-from softrig_systems.pwa_delay.bessel import bessel
 from softrig_systems.pwa_delay.certificate import Answer, CertificateNode, CriterionParams
-from softrig_systems.pwa_delay.certify import Certificate, Criterion, _bisect, _walk, certified_margin, certify
 from softrig_systems.pwa_delay.controllers import DelayLine, PendulumController, TankController
 from softrig_systems.pwa_delay.figures import fall, largest_rise, level_covered
-from softrig_systems.pwa_delay.level import level_bound, level_margin
-from softrig_systems.pwa_delay.lmi import Eigenvalues, Problem, Term, quadratic
 from softrig_systems.pwa_delay.lyapunov import LyapunovMonitor, functional
 from softrig_systems.pwa_delay.margin_search import MarginSearch
 from softrig_systems.pwa_delay.motion import FREE, PendulumConstants, pendulum_cell
 from softrig_systems.pwa_delay.params import SystemParams
 from softrig_systems.pwa_delay.plants import SwitchedDelayPlant, TankPlant
 from softrig_systems.pwa_delay.profiles import delay_at, profile
+from softrig_systems.pwa_delay.proof import certify as certifying
+from softrig_systems.pwa_delay.proof.applicability import NotApplicable, require_equilibrium, require_no_sliding
+from softrig_systems.pwa_delay.proof.bessel import bessel
+from softrig_systems.pwa_delay.proof.certify import Certificate, Criterion, _bisect, _walk, certified_margin, certify
+from softrig_systems.pwa_delay.proof.level import level_bound, level_margin
+from softrig_systems.pwa_delay.proof.lmi import Eigenvalues, Problem, Term, quadratic
+from softrig_systems.pwa_delay.proof.theorem1 import theorem1
 from softrig_systems.pwa_delay.search import Margin, Run, find_margin, growth_rate
 from softrig_systems.pwa_delay.system import BadSystem, PwaSystem, from_lines, linear
-from softrig_systems.pwa_delay.theorem1 import theorem1
 
 MS = 1_000_000
 

@@ -59,7 +59,7 @@ OWN = {  # generators that are not made of a rig's seed, by file: how many, and 
     "softrig_power/fault_location/plant.py": (1, "of the rig's, and of a parameter that is added"),
     "softrig_power/fault_location/method/objective.py": (1, "of a record without a rig"),
     "softrig_power/fault_location/study.py": (1, "of a record without a rig"),
-    "softrig_systems/pwa_delay/applicability.py": (1, "points at which a region is looked at, always the same"),
+    "softrig_systems/pwa_delay/proof/applicability.py": (1, "points at which a region is looked at, always the same"),
     "softrig_systems/pwa_delay/system.py": (3, "points at which a region is looked at, always the same"),
     "softrig_core/drawing/robot.py": (1, "poses by which a picture is framed, always the same"),
     "softrig_optim/optimiser.py": (1, "of a search that is made to check its parameters, and is not run"),

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from softrig_core import Run, simulate
 from softrig_power.gupfc import pulses
 from softrig_power.gupfc.figures import cycles
+from softrig_power.gupfc.flow.power_flow import Diverged, PowerFlow, References, Solution
 from softrig_power.gupfc.network import NetworkParams
-from softrig_power.gupfc.power_flow import Diverged, PowerFlow, References, Solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from softrig_systems.optimal_control.exact import least_cost, tpbvp
-from softrig_systems.optimal_control.mvim import Solution, solve
+from softrig_systems.optimal_control.method.exact import least_cost, tpbvp
+from softrig_systems.optimal_control.method.mvim import Solution, solve
 from softrig_systems.optimal_control.plants import step_function
 from softrig_systems.optimal_control.problem import Problem
 from softrig_systems.optimal_control.problems import find

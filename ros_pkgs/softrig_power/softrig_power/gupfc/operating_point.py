@@ -17,9 +17,9 @@ from softrig_core.block.params import flatten
 
 from . import steady
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, PULSE, SE12, SE34, SH, circuit
+from .flow.power_flow import Diverged, PowerFlow, References, Solution
 from .measurement import Weights
 from .network import NetworkParams
-from .power_flow import Diverged, PowerFlow, References, Solution
 
 ROUNDS = 6
 TOLERANCE = 1e-7  # pu

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 from softrig_core import Block, BlockParams, Level, array, button, param
 
+from .flow.power_flow import Diverged, PowerFlow, References, Solution
 from .network import BUSES, NetworkParams
 from .ports import SERIES_REFERENCE, SHUNT_REFERENCE
-from .power_flow import Diverged, PowerFlow, References, Solution
 
 DEVICE = {
     "v12": "pu",

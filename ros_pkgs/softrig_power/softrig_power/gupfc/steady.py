@@ -15,8 +15,8 @@ from softrig_core.kit import dense
 
 from ..lines.bergeron import Lines, delay_factor, history_length
 from .circuit import I12, I34, I_SH, PULSE, SOURCE_A, SOURCE_B, A, B, Circuit, State, mean_voltage
+from .flow.power_flow import Solution
 from .network import BUSES, HALVES, NetworkParams, admittance
-from .power_flow import Solution
 
 Complex = NDArray[np.complex128]
 ROUNDS = 4  # of the ripple of the DC voltage, each a thousandth of the one before

@@ -6,8 +6,8 @@ from typing import Any
 
 from softrig_core import Work, param
 
-from .collocation import sampled, solve
-from .mvim import END
+from .method.collocation import sampled, solve
+from .method.mvim import END
 from .planning import Planned, Planner, PlannerParams, Request
 
 

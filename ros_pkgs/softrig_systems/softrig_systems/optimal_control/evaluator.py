@@ -11,8 +11,8 @@ import numpy as np
 from softrig_core import Level, Observer, Port, param, scalars, to_s
 from softrig_core.kit import dense
 
-from .exact import least_cost
-from .mvim import polynomials
+from .method.exact import least_cost
+from .method.mvim import polynomials
 from .parameters import ProblemParams
 from .plants import step_function
 from .ports import SUMMARY, control, plan, state, summary

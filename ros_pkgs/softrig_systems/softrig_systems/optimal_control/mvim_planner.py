@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import model_validator
 from softrig_core import Work, param
 
-from .mvim import Solution, enough_stages, several, solve
+from .method.mvim import Solution, enough_stages, several, solve
 from .planning import Planned, Planner, PlannerParams, Request
 
 

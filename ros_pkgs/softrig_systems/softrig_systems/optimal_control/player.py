@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from softrig_core import Block, Level, Port, param, scalars, to_s
 
-from .mvim import polynomials
+from .method.mvim import polynomials
 from .parameters import ProblemParams
 from .ports import SUMMARY, control, plan, state, summary
 

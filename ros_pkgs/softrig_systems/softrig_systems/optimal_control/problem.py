@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .tape import Tape
+from .method.tape import Tape
 
 if TYPE_CHECKING:
     import casadi as ca

@@ -11,7 +11,7 @@ import importlib.metadata
 from functools import lru_cache
 from typing import Any
 
-from .exact import scalar_cost, spacecraft_cost
+from .method.exact import scalar_cost, spacecraft_cost
 from .problem import Problem, ProblemError
 
 INERTIA = (86.24, 85.07, 113.59)

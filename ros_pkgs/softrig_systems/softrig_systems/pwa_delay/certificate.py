@@ -21,11 +21,11 @@ from softrig_core import (
     scalars,
 )
 
-from .applicability import NotApplicable
-from .certify import Certificate, Criterion, certified_margin, certify
-from .level import level_bound, level_margin
-from .lmi import Array
 from .params import SystemParams, law_of_the_tank
+from .proof.applicability import NotApplicable
+from .proof.certify import Certificate, Criterion, certified_margin, certify
+from .proof.level import level_bound, level_margin
+from .proof.lmi import Array
 from .system import TANK_C
 
 VERDICT = {"h": "s", "valid": "", "t": "", "smallest": "", "inequalities": ""}

@@ -12,8 +12,8 @@ from softrig_core import Block, BlockParams, Level, Port, param, scalars
 from softrig_core.kit.dense import product
 
 from .certificate import VERDICT, CriterionParams
-from .lmi import Array
 from .ports import VALUE, mode, state
+from .proof.lmi import Array
 from .system import PwaSystem
 
 SAMPLES = 64  # fewest samples in the delay bound

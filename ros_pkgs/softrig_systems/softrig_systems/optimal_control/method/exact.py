@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from .problem import Problem
+    from ..problem import Problem
 
 
 class Scalar(NamedTuple):

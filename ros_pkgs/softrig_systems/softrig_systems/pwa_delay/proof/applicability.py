@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .system import PwaSystem
+from ..system import PwaSystem
 
 
 class NotApplicable(ValueError):

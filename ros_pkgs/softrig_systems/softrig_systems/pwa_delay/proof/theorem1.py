@@ -43,8 +43,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..system import PwaSystem
 from .lmi import Array, Problem, Term, quadratic
-from .system import PwaSystem
 
 
 def theorem1(system: PwaSystem, mu: float, *, cell_terms: bool = False) -> Problem:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from softrig_core import Params, param
 from softrig_core.kit import dense
 
+from ..network import BUSES, Network, NetworkParams
 from .dual import Dual
 from .injection import converter_power, series_power
-from .network import BUSES, Network, NetworkParams
 from .roots import Point, operating_points
 
 Array = NDArray[np.float64]

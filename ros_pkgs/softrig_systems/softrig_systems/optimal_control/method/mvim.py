@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .problem import Problem
+    from ..problem import Problem
     from .tape import Tape
 
     Array = NDArray[np.float64]

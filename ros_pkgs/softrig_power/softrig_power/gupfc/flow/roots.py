@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from softrig_core.kit import dense
 
-from .network import NetworkParams
+from ..network import NetworkParams
 
 STEPS = 8  # in which the coupling is put in
 ITERATIONS = 30

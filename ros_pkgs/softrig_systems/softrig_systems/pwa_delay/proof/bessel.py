@@ -26,8 +26,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..system import PwaSystem
 from .lmi import Array, Problem, Term, quadratic
-from .system import PwaSystem
 
 
 def bessel(system: PwaSystem, order: int, *, shortest: float = 1.0, cell_terms: bool = False) -> Problem:

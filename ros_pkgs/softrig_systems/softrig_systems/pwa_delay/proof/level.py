@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from .system import TANK_C
+from ..system import TANK_C
 
 
 class LevelBound(NamedTuple):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .problem import Problem
+    from ..problem import Problem
 
     Array = NDArray[np.float64]
 

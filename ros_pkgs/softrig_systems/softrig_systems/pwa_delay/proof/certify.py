@@ -9,10 +9,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ..system import PwaSystem
 from .applicability import require_equilibrium, require_no_sliding
 from .bessel import bessel
 from .lmi import Array, Eigenvalues, Problem
-from .system import PwaSystem
 from .theorem1 import theorem1
 
 Method = Literal["theorem1", "constant"]

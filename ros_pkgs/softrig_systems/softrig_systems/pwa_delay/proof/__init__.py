@@ -1,0 +1,1 @@
+"""Proofs of stability: criteria as matrix inequalities, certificates checked from their matrices, where they apply."""
