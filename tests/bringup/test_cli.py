@@ -150,7 +150,7 @@ def test_the_command_takes_what_launch_gives_to_every_executable(folder, capsys)
     ("arguments", "message"),
     [
         (("lag", "--set", "gain.k=[1"), "--set 'gain.k=[1': not valid YAML: while parsing a flow sequence"),
-        (("lag", "--seed", "-1"), "--seed: Input should be greater than or equal to 0, got -1"),
+        (("lag", "--seed", "-1"), "run: argument --seed: expected a whole number from 0 to 9.22337e+18, got '-1'"),
         (
             ("lag_plot_typo",),
             "plot 'Position': no signal 'lag/state/y/position' (did you mean 'lag/state/x/position'?)",
@@ -204,7 +204,7 @@ def test_a_domain_that_is_none_or_taken_is_one_line(capsys):
     from softrig_nodes.processes.domain import free_domain
 
     assert main(["run", "dc_motor_smc", "--domain", "233"]) == 2
-    assert capsys.readouterr().err == "softrig: domain 233: expected 0 to 232\n"
+    assert "argument --domain: expected a whole number from 0 to 232, got '233'" in capsys.readouterr().err
     with free_domain() as domain:
         assert main(["run", "dc_motor_smc", "--domain", str(domain)]) == 3
     assert f"domain {domain} is in use by other runs" in capsys.readouterr().err

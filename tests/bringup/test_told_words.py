@@ -321,7 +321,7 @@ def test_what_a_launch_is_given_is_what_a_run_is_given():
     more = {
         "mode": "lockstep",
         "place": "container",
-        "duration": "-1",
+        "duration": "1.5",
         "seed": "3",
         "params_file": "p",
         "out": "o",
@@ -333,11 +333,11 @@ def test_what_a_launch_is_given_is_what_a_run_is_given():
         "container",
         False,
         True,
-        -1.0,
+        1.5,
         3,
     )
     assert (other.params_file, other.out, other.external) == (Path("p"), Path("o"), ["a", "b"])
-    with pytest.raises(ScenarioError, match="argument --seed: invalid int value: 'x'"):
+    with pytest.raises(ScenarioError, match=r"argument --seed: expected a whole number from 0 to 9.22337e.18, got 'x'"):
         launched._options(given | {"seed": "x"})
 
 

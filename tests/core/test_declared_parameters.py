@@ -92,9 +92,12 @@ class Stood(ServingNode):
 def event(monkeypatch):
     monkeypatch.setattr("rclpy.node.ParameterEvent", lambda: SimpleNamespace(
         new_parameters=[], changed_parameters=[], deleted_parameters=[]))  # fmt: skip
-    monkeypatch.setattr(
-        Node, "create_service", lambda self, kind, name, answer, **_: self.offered.update({name: answer})
-    )
+
+    def offer(self, kind, name, answer, **_):
+        self.offered[name] = answer
+        return SimpleNamespace(send_response=None, srv_name=name)
+
+    monkeypatch.setattr(Node, "create_service", offer)
 
 
 def served(node, block, state):

@@ -41,7 +41,9 @@ class Reader:
         self.foreign, self.kept, self.values, self.paces, self.files = {}, [], {}, [], None
         self.sink = SimpleNamespace(add=lambda *said: self.kept.append(said))
         self.step = SimpleNamespace(
-            stamps={}, bad=False, note=lambda level, key, text: self.notes.append((level.name, key, text))
+            stamps={},
+            bad=False,
+            note=lambda level, key, text, anew=False: self.notes.append((level and level.name, key, text)),
         )
         self.refusals, self.failures, self.notes, self.waits_for = [], [], [], []
         self.block = None
@@ -609,6 +611,29 @@ def after(reader, stalls, seconds):
     reader.middleware.time += round(seconds * 1e9)
     stalls.look()
     return reader.failures[-1] if reader.failures else reader.state
+
+
+def test_a_rig_that_stands_says_for_what_it_waits_once_until_it_moves():
+    reader, row, stalls = stands()
+    assert after(reader, stalls, 1.5) == "running"
+    assert reader.notes == []
+    for _ in range(3):
+        after(reader, stalls, 0.1)
+    waits = ("WARN", "stands", "waits for x from sender at t = 0.05 s")
+    assert reader.notes == [waits]
+    reader.table.heard += 1
+    after(reader, stalls, 0.1)
+    assert reader.notes == [waits, (None, "stands", "")]
+    after(reader, stalls, 1.6)
+    assert reader.notes == [waits, (None, "stands", ""), waits]
+    reader, row, stalls = stands()
+    row.have = True
+    after(reader, stalls, 5.0)
+    assert reader.notes == []
+    reader, row, stalls = stands()
+    reader.ticks = 1  # somebody may not have begun
+    after(reader, stalls, 5.0)
+    assert reader.notes == []
 
 
 def test_a_run_without_progress_ends_after_its_timeout_and_says_for_what_it_waits():

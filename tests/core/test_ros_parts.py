@@ -1129,3 +1129,47 @@ def pointer_of(capsule):
     name.restype, name.argtypes = ctypes.c_char_p, [ctypes.py_object]
     pointer.restype, pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
     return pointer(capsule, name(capsule))
+
+
+# ---- answers ----
+
+
+def test_answers_take_their_share_and_those_to_nobody_are_dropped():
+    """A client that has gone costs the middleware 0.1 s an answer; here each one sent does."""
+    credit, sent, later, clients = ros.Credit(), [], [], [1]
+
+    def send(response, header):
+        credit.left -= 0.1  # as `spent` would find
+        sent.append(response)
+
+    answers = ros.Answers(send, lambda: clients[0], credit, lambda seconds, work: later.append((seconds, work)))
+    credit.wanting = lambda: max(0.0, -credit.left / credit.SHARE)
+    credit.spent = nullcontext
+    for k in range(200):
+        answers(k, None)
+    assert sent == list(range(len(sent)))
+    assert 20 <= len(sent) <= 21  # two seconds' worth in a row
+    assert len(later) == 1  # and one timer for all the others
+    assert later[0][0] == pytest.approx(-credit.left / credit.SHARE)
+    credit.left = 0.25
+    later.pop()[1]()
+    assert sent[-3:] == [100, 101, 102]  # the oldest were dropped: a hundred may wait
+    credit.left, clients[0] = 2.0, 0
+    later.pop()[1]()
+    assert len(answers._waiting) == 0
+    assert sent[-1] == 102
+    assert later == []
+
+
+def test_a_set_that_is_refused_for_want_of_time_is_told():
+    node, _hand, adapter, shown = face(Lag(gain=2.0))
+    node.readers["/diagnostics"] = 1
+    Tuning(node, adapter)
+    serving = Serving(k=1.0)
+    serving.overdrawn = node.overdrawn
+    serving._credit.left = -1.0
+    assert serving.ask(k=2.0)[0] == [False]
+    shown._publish_diagnostics()
+    (status,) = node.topics["/diagnostics"].pop().status
+    said = {v.key: v.value for v in status.values}
+    assert said["services"].startswith("1 x more is set than fits between the ticks")

@@ -87,7 +87,8 @@ def _steps(name: str, text: str) -> list[Any]:
             )
         return [text]
     low, high, step = (float(part) for part in (found[1], found[2], found[3] or "1"))
-    count = math.floor((high - low) / step * (1.0 + 1e-12) + 1e-9) + 1 if step else 0
+    ratio = (high - low) / step * (1.0 + 1e-12) + 1e-9 if step and all(map(math.isfinite, (low, high, step))) else -1.0
+    count = math.floor(ratio) + 1 if math.isfinite(ratio) else 0
     if not 1 <= count <= MOST:
         raise ScenarioError(f"{name}={text}: expected LOW:HIGH:STEP with at least one and at most {MOST} values")
     values = [float(f"{low + k * step:.12g}") for k in range(count)]
@@ -107,6 +108,8 @@ def span(name: str, text: object) -> Span:
         steps = re.fullmatch(rf"{NUMBER}:{NUMBER}(:{NUMBER})?", str(text).strip())
         raise ScenarioError(f"{name}={text}: {FORMS}" + ("; LOW:HIGH:STEP is a grid, --grid" if steps else ""))
     low, high, count = float(found[2]), float(found[3]), int(found[5] or 0)
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise ScenarioError(f"{name}={text}: expected numbers below 1.8e308")
     if low > high:
         raise ScenarioError(f"{name}={text}: {low:g} is above {high:g}")
     if found[1] and low <= 0.0:

@@ -58,8 +58,8 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
     parser.add_argument(
         "--namespace", default="", metavar="NS", help="in which --params-file names the nodes, as launch namespace:=NS"
     )
-    parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
-    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    parser.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
+    parser.add_argument("--seed", type=Number(int, 0, 2**63 - 1), metavar="N", help="instead of the scenario's")
     parser.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this one")
     parser.add_argument(
         "--only",
@@ -76,7 +76,7 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
         metavar="N",
         help="lockstep, --mode processes: a node that was killed is started again where it was, up to N times",
     )
-    parser.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
+    parser.add_argument("--domain", type=Number(int, 0, 232), metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
     )
@@ -115,8 +115,8 @@ def _moment(text: str) -> tuple[Path, float]:
         at = float(t)
     except ValueError:
         at = -1.0
-    if not run or not at >= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected RUN@T, the folder of a run and a time in s")
+    if not run or not 0.0 <= at <= 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected RUN@T, the folder of a run and a time from 0 to 1e9 s")
     return Path(run), at
 
 
@@ -198,6 +198,11 @@ def _repeated(options: argparse.Namespace) -> Scenario:
         options.recalled = recall(options.like, parser.parse_args)
         return repeated(scenario_of(options.recalled.options), options.recalled)
     path, at = options.origin
+    if options.duration is not None and options.duration <= at:
+        raise ScenarioError(
+            f"--from {path}@{at:g} --duration {options.duration:g}: the run would end before it goes on; expected a "
+            f"duration above {at:g} s"
+        )
     run = options.recalled = recall(path, parser.parse_args)
     scenario = continued(scenario_of(run.options), run, at, settings(options.set))
     return scenario if options.duration is None else _changed(scenario, {"duration": options.duration})

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core import ScenarioError
 from softrig_core.scenario.scenario import Draft, read_draft
 
+from . import RUNS
 from .definition import Distribution, Draws, Study
 
 Array = NDArray[np.float64]
@@ -44,6 +47,7 @@ def cases(study: Study, drafts: Mapping[str, Draft] | None = None) -> Iterator[C
     drafts : mapping, optional
         What `drafts_of` gave; read when absent.
     """
+    count(study)  # before any of it is made
     drafts = drafts or drafts_of(study)
     number = 0
     points = draw(study.draws) if study.draws else [{}]
@@ -61,10 +65,12 @@ def cases(study: Study, drafts: Mapping[str, Draft] | None = None) -> Iterator[C
 
 def count(study: Study) -> int:
     """Give the number of runs."""
-    if study.search:
-        return study.search.count * len(study.seeds or [0])
-    grid = int(np.prod([len(v) for v in study.grid.values()], dtype=int)) if study.grid else 1
-    return max(1, len(study.cases)) * grid * points_of(study) * len(study.seeds or [0])
+    grid = math.prod(len(v) for v in study.grid.values())
+    points = max(1, len(study.cases)) * grid * points_of(study)
+    number = (study.search.count if study.search else points) * len(study.seeds or [0])
+    if number > RUNS:
+        raise ScenarioError(f"{study.name}: {number:.4g} runs, expected at most {RUNS}: fewer values, draws or seeds")
+    return number
 
 
 def points_of(study: Study) -> int:

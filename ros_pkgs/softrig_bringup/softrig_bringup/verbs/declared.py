@@ -10,6 +10,7 @@ from pathlib import Path
 from softrig_core.command_line import Number
 
 from ..options import run_options
+from ..study import RUNS
 
 Verb = Callable[..., argparse.ArgumentParser]  # of name, function and text, and of the verb whose part it is
 
@@ -107,7 +108,7 @@ def _run_and_look(verb: Verb) -> None:
     plot.add_argument("--width", type=Number(float, 20, 1000), metavar="MM", help="width; the height follows")
     plot.add_argument("--font", type=Number(float, 3, 40), metavar="PT", help="size of the letters")
     plot.add_argument("--no-title", action="store_true", help="as figures of a paper have their captions")
-    plot.add_argument("--window", type=float, nargs=2, metavar=("FROM", "TO"), help="s")
+    plot.add_argument("--window", type=Number(float, -1e9, 1e9), nargs=2, metavar=("FROM", "TO"), help="s")
     plot.add_argument("--csv", action="store_true", help="the data beside each picture, units in the head")
     animate = verb("animate", "verbs.animate:animate", "a run's plant in motion: a short SVG, GIF, WebP or PNG", kinds)
     animate.add_argument(
@@ -192,7 +193,7 @@ def _vary(verb: Verb) -> None:
         metavar="SCENARIO|NAME=VALUE",
         help="held against the same draws and seeds of another scenario, or of this one changed",
     )
-    study.add_argument("--draws", type=Number(int, 1), metavar="N", help="how many points are drawn (100)")
+    study.add_argument("--draws", type=Number(int, 1, RUNS), metavar="N", help="how many points are drawn (100)")
     study.add_argument(
         "--method",
         choices=("random", "latin_hypercube", "sobol"),
@@ -213,7 +214,7 @@ def _vary(verb: Verb) -> None:
         help="how often it holds; with --search: only runs that keep to it; also >=",
     )
     study.add_argument("--maximise", action="store_true", help="with --search: maximise instead")
-    study.add_argument("--seeds", type=Number(int, 1), metavar="N", help="rig seeds 0 to N - 1 of each point")
+    study.add_argument("--seeds", type=Number(int, 1, RUNS), metavar="N", help="rig seeds 0 to N - 1 of each point")
     study.add_argument(
         "--width",
         action="append",
@@ -222,7 +223,7 @@ def _vary(verb: Verb) -> None:
         help="how many runs its 95 %% interval needs to be so wide; also of a requirement or a --subject-to",
     )
     study.add_argument("--force", action="store_true", help="also seeds of a rig that draws no random number")
-    study.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    study.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
     study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")
     study.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
@@ -241,10 +242,10 @@ def _vary(verb: Verb) -> None:
         help="of a node, fault or signal; 'log LOW..HIGH', list or signal: LOW..HIGH*N (steps), of "
         "a signal LOW..HIGH~N (lines), SIGNAL+=LOW..HIGH*N (added to it)",
     )
-    falsify.add_argument("--budget", type=Number(int, 1), metavar="N", help="runs (200)")
+    falsify.add_argument("--budget", type=Number(int, 1, RUNS), metavar="N", help="runs (200)")
     falsify.add_argument("--seed", type=Number(int, 0), metavar="N", help="of the search (0)")
     falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after the corners (cmaes)")
-    falsify.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    falsify.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     falsify.add_argument("--first", action="store_true", default=None, help="end at the first violation")
     falsify.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
     falsify.add_argument("--no-plots", action="store_true", help="scenario files and bags only")
@@ -253,7 +254,7 @@ def _vary(verb: Verb) -> None:
 
 
 def _workers(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
+    parser.add_argument("--workers", type=Number(int, 1, 1000), metavar="N", help="processes (default: all cores)")
     parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
 
 
@@ -286,11 +287,13 @@ def _judge(verb: Verb) -> None:
     )
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
     golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
-    golden.add_argument("--duration", type=float, metavar="S", help="another length of the golden run")
-    golden.add_argument("--seed", type=int, metavar="N", help="another seed")
+    golden.add_argument(
+        "--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="another length of the golden run"
+    )
+    golden.add_argument("--seed", type=Number(int, 0, 2**63 - 1), metavar="N", help="another seed")
     golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
     for parser in (check, results, golden):
-        parser.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
+        parser.add_argument("--workers", type=Number(int, 1, 1000), metavar="N", help="processes (default: all cores)")
         parser.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
         parser.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")
 
@@ -317,5 +320,7 @@ def _ros(verb: Verb) -> None:
     node.add_argument("arguments", nargs=argparse.REMAINDER, help="--ros-args ...")
     live = verb("set", "verbs.set_verb:set_values", "change live parameters of running nodes: NODE.PARAM VALUE")
     live.add_argument("values", nargs="+", metavar="NODE.PARAM VALUE", help="several of one node: all or none")
-    live.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: that of the environment)")
+    live.add_argument(
+        "--domain", type=Number(int, 0, 232), metavar="N", help="ROS_DOMAIN_ID (default: that of the environment)"
+    )
     live.add_argument("--wait", type=Number(float, 0), default=10.0, metavar="S", help="for the node to be there (10)")

@@ -12,6 +12,8 @@ from ..errors import ScenarioError
 from .references import fill_parameters, parameter_of
 from .scenario import Scenario
 
+CHAIN = 50  # nodes whose parameters are those of the next one
+
 
 class NodeParameters:
     """Validated parameters of a scenario's nodes, with ``$node.parameter`` filled in."""
@@ -27,6 +29,11 @@ class NodeParameters:
         where = f"{self._scenario.name}: node {name}"
         if name in self._open:
             raise ScenarioError(f"{where}: its parameters refer to themselves: {' -> '.join((*self._open, name))}")
+        if len(self._open) >= CHAIN:
+            first, *_, last = self._open
+            raise ScenarioError(
+                f"{where}: parameters refer to each other through {CHAIN} nodes, from {first} to {last}"
+            )
         if name not in self._known:
             entry = self._scenario.nodes[name]
             self._open.append(name)

@@ -9,7 +9,9 @@ from typing import Any
 from ..block.params import flatten
 from ..errors import ScenarioError
 from .scenario_file import SHARED, Over, merge
+from .yaml_file import NODES
 
+DEEPEST = 200  # values in each other, and references that lead to references
 _PARAMETER = re.compile(r"\$([A-Za-z_]\w*)\.([\w.]+)")
 
 
@@ -28,8 +30,9 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
     Raises
     ------
     ScenarioError
-        No such shared value, or one that refers to itself.
+        No such shared value, one that refers to itself, more than `NODES` values or deeper than `DEEPEST`.
     """
+    made = depth = 0
 
     def known(name: str, path: tuple[str, ...]) -> Any:
         if name in path:
@@ -40,6 +43,18 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
         return copy(shared[name], (*path, name))
 
     def copy(value: Any, path: tuple[str, ...]) -> Any:
+        nonlocal made, depth
+        made += 1
+        depth += 1
+        if made > NODES or depth > DEEPEST:
+            what = f"{NODES} values" if made > NODES else f"{DEEPEST} values in each other"
+            by = f" (by {' -> '.join(path[:5])}{' -> ...' if len(path) > 5 else ''})" if path else ""
+            raise ScenarioError(f"its $ references make more than {what}{by}; expected fewer references")
+        found = copied(value, path)
+        depth -= 1
+        return found
+
+    def copied(value: Any, path: tuple[str, ...]) -> Any:
         if isinstance(value, str):
             found = SHARED.fullmatch(value) if value[:1] == "$" else None
             return known(found[1], path) if found else value
@@ -66,17 +81,32 @@ def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
         Plain data.
     parameter : callable
         Gives a value for the name of a node and the dotted name of its parameter.
+
+    Raises
+    ------
+    ScenarioError
+        What takes the places of references has more than `NODES` values.
     """
-    if isinstance(value, str):
-        if value[:1] != "$":
-            return value
-        found = _PARAMETER.fullmatch(value)
-        if found:
-            return parameter(found[1], found[2])
-        return value[1:] if value.startswith("$$") else value
-    if isinstance(value, Mapping):
-        return {k: fill_parameters(v, parameter) for k, v in value.items()}
-    return [fill_parameters(v, parameter) for v in value] if isinstance(value, list | tuple) else value
+    made = 0
+
+    def copy(value: Any) -> Any:
+        nonlocal made
+        if isinstance(value, str):
+            if value[:1] != "$":
+                return value
+            found = _PARAMETER.fullmatch(value)
+            if found:
+                given = parameter(found[1], found[2])
+                made += len(given) if isinstance(given, list | tuple | dict) else 1
+                if made > NODES:
+                    raise ScenarioError(f"{value}: its $ references make more than {NODES} values; expected fewer")
+                return given
+            return value[1:] if value.startswith("$$") else value
+        if isinstance(value, Mapping):
+            return {k: copy(v) for k, v in value.items()}
+        return [copy(v) for v in value] if isinstance(value, list | tuple) else value
+
+    return copy(value)
 
 
 def pick(values: Mapping[str, Any], name: str) -> Any:

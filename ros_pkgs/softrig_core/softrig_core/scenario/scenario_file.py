@@ -17,6 +17,7 @@ from .yaml_file import SIZE, read_mapping
 
 SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
 _FILE = re.compile(r"[^/\s$:][^\s$:]{0,300}\.[A-Za-z]\w{0,9}")  # a relative path that ends as files do
+PARENTS = 50  # that extend each other
 OWN = ("expect", "requirements", "claims")  # what a scenario is judged by stands in its own entry: never inherited
 
 
@@ -119,6 +120,10 @@ def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]
     ScenarioError
         Extends itself or nobody.
     """
+    if len(seen) >= PARENTS:
+        raise ScenarioError(
+            f"{path.name}: extends more than {PARENTS} scenarios, one the other: {' -> '.join(seen[:3])} ..."
+        )
     if name in seen:
         raise ScenarioError(f"{path.name}: extends itself: {' -> '.join((*seen, name))}")
     raw = _beside(path, read(path))

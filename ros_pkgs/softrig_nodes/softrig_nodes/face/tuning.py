@@ -7,6 +7,7 @@ from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
+from softrig_core.block.block import Level
 from softrig_core.block.params import ParameterError, build, flatten
 from softrig_core.rig.options import RunOptions
 
@@ -27,6 +28,8 @@ class Tuning:
         self._node, self._adapter = node, adapter
         self._own = flatten(adapter.block.p).keys()
         node.add_on_set_parameters_callback(self._set)
+        # in /diagnostics, and logged with the next tick
+        node.overdrawn = lambda text: adapter.step.note(Level.WARN, "services", text)
 
     def _set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         adapter = self._adapter

@@ -15,6 +15,9 @@ GONE_AFTER = 0.5  # s without the awaited message after its only sender has vani
 GOODBYE = 2.0  # s: who vanishes within them has taken leave; the graph keeps the dead for longer (a lease of 3 s)
 
 
+STANDS, SAY_AFTER = "stands", 1.5  # key of a report, and s without a tick after which it is made
+
+
 class Stalls:
     """Looks, again and again, whether the run goes on.
 
@@ -34,6 +37,7 @@ class Stalls:
         self._middleware = senders.node.middleware
         self._progress = (-1, 0)
         self.rivals: Input | None = None
+        self._said = False  # that it stands
         self.restart()
 
     def restart(self) -> None:
@@ -58,6 +62,9 @@ class Stalls:
             if self._progress != (node.t, senders.heard):
                 self._progress = (node.t, senders.heard)
                 self.restart()
+                if self._said:
+                    node.step.note(None, STANDS, "")
+                    self._said = False
             else:
                 self._judge(waited)
 
@@ -83,6 +90,10 @@ class Stalls:
     def _judge(self, waited: float) -> None:
         node = self._node
         lacking = [row for row in self._senders.rows if not row.have]
+        if lacking and waited > SAY_AFTER and node.ticks > 1 and not self._said:
+            self._said = True
+            what = ", ".join(f"{row.port.topic} from {row.who}" for row in lacking)
+            node.step.note(Level.WARN, STANDS, f"waits for {what} at t = {node.t / SECOND:.9g} s", anew=True)
         gone = [row for row in lacking if not row.publishers and not node.links.returns]
         limit = node.options.timeout
         if node.links.returns:  # who starts a node again looks whether the rig goes on

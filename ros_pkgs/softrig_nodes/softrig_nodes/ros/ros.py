@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from ast import literal_eval
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
@@ -81,7 +82,7 @@ SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Le
 
 
 class Credit:
-    """Wall-clock time that sets of parameters may still take: a share of what passes, at most some in a row."""
+    """Wall-clock time that services may still take: a share of what passes, at most some in a row."""
 
     SHARE, MOST = 0.2, 2.0  # s; a timeout of a rig is longer
 
@@ -106,22 +107,75 @@ class Credit:
             self.left = max(-self.MOST, self.left - (self._since - start))
 
 
+class Answers:
+    """Answers of one service, sent while there is time for them: one to a client that has gone takes 0.1 s of waiting.
+
+    The middleware (rmw_fastrtps of Jazzy) waits that long for the reader of each answer. Where nobody uses the service
+    any more none is sent; while others use it, answers wait for their share of the time, and the oldest are dropped.
+
+    Parameters
+    ----------
+    send : callable
+        Sends a response by the header of its request.
+    clients : callable
+        Gives the number of clients.
+    later : callable
+        Has a function called in so many s.
+    """
+
+    MOST = 100  # that wait
+
+    def __init__(
+        self,
+        send: Callable[[Any, Any], None],
+        clients: Callable[[], int],
+        credit: Credit,
+        later: Callable[[float, Callable[[], object]], object],
+    ) -> None:
+        self._send, self._clients, self._credit, self._later = send, clients, credit, later
+        self._waiting: deque[tuple[Any, Any]] = deque(maxlen=self.MOST)
+        self._asked = False
+
+    def __call__(self, response: Any, header: Any) -> None:
+        """Send an answer, now or later."""
+        self._waiting.append((response, header))
+        if not self._asked:
+            self.go_on()
+
+    def go_on(self) -> None:
+        """Send what waits, as far as there is time."""
+        self._asked = False
+        while self._waiting:
+            if wait := self._credit.wanting():
+                self._asked = True
+                self._later(wait, self.go_on)
+                return
+            response, header = self._waiting.popleft()
+            with self._credit.spent():
+                if self._clients():
+                    self._send(response, header)
+
+
 class ServingNode(Node):  # type: ignore[misc]
     """A node whose services outlive what they are asked: rclpy's own end it at a parameter of an unknown type.
 
     What is set together is taken together where all of it fits, each by itself where not all does (`ros2 param load` of
     a whole file); a whole number stands for a real one, and what a read-only parameter is already may be set again.
-    The ticks of the nodes go first: who sets more than fits beside them is refused and told when to come back.
+    The ticks of the nodes go first: what any service costs, answers included, is taken off one share of the time, and
+    who sets more than fits beside the ticks is refused and told when to come back.
 
     Attributes
     ----------
     remark : str
         What whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
+    overdrawn : callable
+        Gets why a set was refused for want of time.
     monitor : Monitor
         Of whatever calls the node: no service is answered while a tick is under way.
     """
 
     remark = ""
+    overdrawn: Callable[[str], object] = staticmethod(lambda text: None)
     _credit = Credit()  # one for all nodes of a process
 
     def __init__(self, *names: Any, **options: Any) -> None:
@@ -141,14 +195,13 @@ class ServingNode(Node):  # type: ignore[misc]
 
         def answered(request: Any, response: Any) -> Any:
             try:
-                if srv_type is SetParameters:
-                    with self._credit.spent():
+                with self._credit.spent():
+                    if srv_type is SetParameters:
                         response.results = self._set(request.parameters)
-                elif srv_type is SetParametersAtomically:
-                    with self._credit.spent():
+                    elif srv_type is SetParametersAtomically:
                         response.result = self._set_together([self._meant(p) for p in request.parameters])
-                else:
-                    return callback(request, response)
+                    else:
+                        return callback(request, response)
                 return response
             except Exception as error:
                 self.get_logger().error(f"{srv_name}: {type(error).__name__}: {error}", once=True)
@@ -159,7 +212,21 @@ class ServingNode(Node):  # type: ignore[misc]
                     response.result = refusal
                 return response
 
-        return super().create_service(srv_type, srv_name, answer, **options)
+        service = super().create_service(srv_type, srv_name, answer, **options)
+        # the executor asks the service for it at each answer (rclpy 7.1 to 10)
+        service.send_response = Answers(
+            service.send_response, lambda: self.count_clients(service.srv_name), self._credit, self._soon
+        )
+        return service
+
+    def _soon(self, seconds: float, work: Callable[[], object]) -> None:
+        """Call a function once, in so many s of the wall's clock."""
+
+        def once() -> None:
+            self.destroy_timer(timer)
+            work()
+
+        timer = self.create_timer(seconds, once, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _set(self, messages: Sequence[Any]) -> list[SetParametersResult]:
         wanted = [self._meant(message) for message in messages]
@@ -171,6 +238,7 @@ class ServingNode(Node):  # type: ignore[misc]
     def _set_together(self, wanted: Sequence[Parameter]) -> SetParametersResult:
         if wait := self._credit.wanting():
             text = f"more is set than fits between the ticks, expected a pause of {wait:.1f} s"
+            self.overdrawn(text)
             return SetParametersResult(successful=False, reason=text)
         now = {p.name: self._parameters[p.name] for p in wanted if p.name in self._parameters}
         strange = next((p.name for p in wanted if p.name not in self._descriptors), None)

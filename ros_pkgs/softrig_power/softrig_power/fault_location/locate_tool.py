@@ -13,7 +13,7 @@ from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_core import ParameterError, Recording, RunError, ScenarioError, Signals, vector3
 from softrig_core.block.params import build
-from softrig_core.command_line import named
+from softrig_core.command_line import Number, named
 from softrig_core.wire.cdr import parse
 
 from .line.line_file import line_data
@@ -122,14 +122,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--window",
         nargs=2,
-        type=float,
+        type=Number(float, -1e9, 1e9),
         metavar=("START", "END"),
         help="s in the record; default: found from the fault's inception",
     )
     parser.add_argument(
         "--late",
         nargs=2,
-        type=float,
+        type=Number(float, -1e9, 1e9),
         default=[0.0, 0.0],
         metavar=("S", "R"),
         help="us by which what each end tells is late (filters, clocks); taken out",
@@ -137,7 +137,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--channels", default="", metavar="A,B,...", help="the twelve COMTRADE channels, see the page")
     parser.add_argument("--bag", type=Path, metavar="DIR", help="also write the record as a bag")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="waveforms.png and objective.png go here")
-    parser.add_argument("--truth", type=float, metavar="KM", help="drawn into the picture")
+    parser.add_argument("--truth", type=Number(float, 0, 1e5), metavar="KM", help="drawn into the picture")
     return parser
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from softrig_core.command_line import without_ros
+from softrig_core.command_line import Number, without_ros
 from softrig_core.guard import guarded
 
 from .cases import PUBLISHED
@@ -28,7 +28,7 @@ def _study(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="fault_study", description=__doc__)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--profile", default="m20k", choices=("m100k", "m20k", "m10k", "m4k", "raw100k", "raw20k"))
-    parser.add_argument("--processes", type=int, metavar="N", help="default: all cores")
+    parser.add_argument("--processes", type=Number(int, 1, 1000), metavar="N", help="default: all cores")
     parser.add_argument("--sensitivity", action="store_true", help="the disturbed records instead of the 48 cases")
     parser.add_argument("--out", type=Path, metavar="DIR", help="cases.csv and the pictures go here")
     options = parser.parse_args(without_ros(arguments))
