@@ -233,10 +233,11 @@ def _end(file: Recorder, order: Sequence[int]) -> tuple[Array, Array]:
     if np.count_nonzero(keep) < 2:
         raise RecordError(Status.TOO_SHORT, f"{file.path}: too short to take out the skew, {margin:.3g} s on each side")
     moved = []
+    alone = np.ascontiguousarray(columns.T)[:, :, None]  # of one layout with whole ends, for which code is compiled
     for k, skew in enumerate(skews):
         begin = float(file.t[0]) + skew
         own = skew == skews[0]
-        moved.append(columns[keep, k] if own else resampled(columns[:, k : k + 1], begin, rate, t[keep], rate)[:, 0])
+        moved.append(columns[keep, k] if own else resampled(alone[k], begin, rate, t[keep], rate)[:, 0])
     return t[keep], np.column_stack(moved)
 
 
