@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 from softrig_core import ScenarioError, rig_of
-from softrig_core.export.check import FLAGS, replayed
+from softrig_core.export.check import BOARDS, FLAGS, TOOLS, replayed
 from softrig_core.export.command import export_c, main
 from softrig_core.export.drawn import Raised, drawn_calls
 from softrig_core.export.golden import golden_calls, member_of
@@ -104,6 +104,19 @@ def test_an_error_leaves_the_state_and_gives_the_safe_value_and_parameters_can_b
     assert float(words[1]) == python(delta)
     assert words[2:5] == ["1", "0", "1"]
     assert float(words[6]) == python(2 * delta) != python(delta)
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_a_board_has_the_bits_of_python(law, board, tmp_path):
+    if not all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm"))):
+        pytest.skip(f"needs {TOOLS}")
+    _, folder, done = law
+    for file in folder.iterdir():
+        shutil.copy(file, tmp_path)
+    found = replayed(tmp_path, done.name, board)
+    assert found.same
+    assert found.rows >= 500
+    assert 500 < found.flash < 8000
 
 
 def test_files_say_what_they_are_and_are_the_same_again(law, tmp_path):

@@ -1,17 +1,26 @@
-"""Compile exported C with the compiler of this machine and hold it against its golden rows."""
+"""Compile exported C and hold it against its golden rows: on this machine, or on a Cortex-M under qemu."""
 
 from __future__ import annotations
 
 import json
 import shutil
 import subprocess
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 from ..errors import ScenarioError
 
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off")
 PATIENCE = 120.0  # s
+# machine of qemu and flags of gcc; none has the bits of another machine's libm, see `Exported.libm`
+BOARDS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "cortex-m3": ("mps2-an385", ("-mcpu=cortex-m3",)),
+    "cortex-m4": ("mps2-an386", ("-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")),
+    "cortex-m7": ("mps2-an500", ("-mcpu=cortex-m7", "-mfloat-abi=hard", "-mfpu=fpv5-d16")),
+}
+TOOLS = "apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
 
 
 @dataclass(frozen=True)
@@ -30,6 +39,8 @@ class Replayed:
         Calls in which Python raised an error and C did not, or the other way round.
     errors : list of (float, float)
         Of each value that is published, over the calls of the run: largest difference, and largest magnitude.
+    flash : int
+        Code and constants of the node on a board, bytes; 0 on this machine.
     """
 
     rows: int
@@ -37,6 +48,7 @@ class Replayed:
     gave_up: int
     wrong_status: int
     errors: list[tuple[float, float]]
+    flash: int = 0
 
     @property
     def same(self) -> bool:
@@ -44,7 +56,7 @@ class Replayed:
         return self.rows > 0 and not self.differing and not self.wrong_status
 
 
-def replayed(folder: Path, name: str) -> Replayed:
+def replayed(folder: Path, name: str, board: str = "") -> Replayed:
     """Compile and run the replay program of an exported block.
 
     Parameters
@@ -53,30 +65,77 @@ def replayed(folder: Path, name: str) -> Replayed:
         With its files.
     name : str
         Prefix of them.
+    board : str
+        One of `BOARDS`, simulated by qemu; empty: this machine.
 
     Raises
     ------
     ScenarioError
-        There is no C compiler, or it refuses the code.
+        A tool is missing, the compiler refuses the code, or the program does not end by itself.
     """
-    compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
-    if compiler is None:
-        raise ScenarioError("no C compiler: expected cc, gcc or clang on the path (Debian: apt-get install gcc)")
-    program = folder / f"{name}_replay"
-    command = [
-        compiler,
-        *FLAGS,
-        "-o",
-        str(program),
-        f"{name}_replay.c",
-        f"{name}.c",
-        "-lm",
-    ]
+    program = folder / f"{name}_replay.elf"
+    files = [f"{name}_replay.c", f"{name}.c"]
+    flash = 0
+    try:
+        if board:
+            machine, flags = BOARDS[board]
+            compiler, emulator = _tool("arm-none-eabi-gcc", TOOLS), _tool("qemu-system-arm", TOOLS)
+            arm = [compiler, *FLAGS, "-mthumb", *flags]
+            with resources.as_file(resources.files(__package__)) as own:
+                linked = ["--specs=rdimon.specs", "-nostartfiles", "-T", str(own / "cortex_m.ld")]
+                _compiled([*arm, *linked, "-o", program.name, str(own / "cortex_m.c"), *files, "-lm"], folder, name)
+            flash = _size([*arm, "-c", "-o", f"{name}.o", f"{name}.c"], folder, name)
+            hosted = ["-nographic", "-semihosting-config", "enable=on,target=native", "-kernel", program.name]
+            command = [emulator, "-M", machine, *hosted]
+        else:
+            compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None) or _tool(
+                "cc", "apt-get install gcc"
+            )
+            _compiled([compiler, *FLAGS, "-o", program.name, *files, "-lm"], folder, name)
+            command = [str(program)]
+        found = json.loads(_ran(command, folder, name))
+    finally:
+        program.unlink(missing_ok=True)
+    return Replayed(**found, flash=flash)
+
+
+def _tool(name: str, install: str) -> str:
+    if (found := shutil.which(name)) is None:
+        raise ScenarioError(f"{name} is not installed (Debian: {install})")
+    return found
+
+
+def _compiled(command: Sequence[str], folder: Path, name: str) -> None:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=PATIENCE)
     if done.returncode:
-        raise ScenarioError(f"{compiler} refuses {name}.c: {done.stderr.strip()[:2000]}")
-    ran = subprocess.run([str(program)], cwd=folder, capture_output=True, text=True, check=False, timeout=PATIENCE)
-    program.unlink()
-    if ran.returncode not in (0, 1):
-        raise ScenarioError(f"the replay of {name}.c ended with status {ran.returncode}: {ran.stderr.strip()[:500]}")
-    return Replayed(**json.loads(ran.stdout))
+        raise ScenarioError(f"{Path(command[0]).name} refuses {name}.c: {done.stderr.strip()[:2000]}")
+
+
+def _size(command: Sequence[str], folder: Path, name: str) -> int:
+    """Return the bytes of code and constants in the object file of a node."""
+    _compiled(command, folder, name)
+    done = subprocess.run(
+        ["arm-none-eabi-size", f"{name}.o"], cwd=folder, capture_output=True, text=True, check=True, timeout=PATIENCE
+    )
+    (folder / f"{name}.o").unlink()
+    text, data, *_ = done.stdout.splitlines()[1].split()
+    return int(text) + int(data)
+
+
+def _ran(command: Sequence[str], folder: Path, name: str) -> str:
+    try:
+        ran = subprocess.run(
+            command,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE,
+        )
+    except subprocess.TimeoutExpired:
+        raise ScenarioError(f"the replay of {name}.c did not end within {PATIENCE:g} s") from None
+    if ran.returncode not in (0, 1) or not ran.stdout.startswith("{"):
+        said = (ran.stderr or ran.stdout).strip()[:500]
+        raise ScenarioError(f"the replay of {name}.c ended with status {ran.returncode}: {said}")
+    return ran.stdout

@@ -12,7 +12,7 @@ from ..rig.rig import Rig
 from ..run.expand import rig_of
 from ..solver.solver import Solver
 from .c_files import Exported, c_files
-from .check import Replayed, replayed
+from .check import BOARDS, TOOLS, Replayed, replayed
 from .drawn import drawn_calls
 from .golden import golden_calls, member_of
 
@@ -80,6 +80,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--check", action="store_true", help="compile with this machine's compiler and compare bit for bit with Python"
     )
+    parser.add_argument("--board", choices=sorted(BOARDS), help=f"check on this core under qemu (Debian: {TOOLS})")
     options = parser.parse_args(arguments)
     rig = rig_of(options.scenario)
     single = options.real == "float"
@@ -92,9 +93,10 @@ def main(arguments: Sequence[str]) -> int:
             print(f"{node}: bits depend on the C library's {', '.join(done.libm)}")
         for reason in done.discards:
             print(f"{node}: answers SR_GAVE_UP at {reason}")
-        if options.check:
-            found = replayed(folder, done.name)
-            print(f"{node}: {_told(done, found, single)}")
+        for board in [""] * options.check + [options.board] * bool(options.board):
+            found = replayed(folder, done.name, board)
+            where = f" on {board}, {found.flash} bytes of flash" if board else ""
+            print(f"{node}{where}: {_told(done, found, single)}")
             status = status or int(not (single or found.same))
     return status
 
