@@ -146,6 +146,11 @@ def test_a_small_loop_has_a_large_margin():
     assert view_of([[0.5]], [1.0], [-1e-6], 0.0).margins.gain == pytest.approx(1.5e6)
 
 
+def test_a_pole_at_one_but_for_rounding_is_no_margin():
+    """An integrator as an eigenvalue routine leaves it: the gain may fall to anything, not to 1e-15."""
+    assert view_of([[1.0 - 2.0**-53, 0.1], [0.0, 0.5]], [0.0, 1.0], [0.1, 0.0], 0.0).margins.gain_down == 0.0
+
+
 def test_a_margin_without_its_pole_is_not_told(monkeypatch):
     view = view_of(*resonant(0))
     right = type(view).at_frequencies

@@ -788,6 +788,24 @@ def test_a_monitor_that_is_too_coarse_says_so():
     assert monitor.reports["coarse"][0] is Level.ERROR
 
 
+def test_a_delay_below_zero_is_no_index_into_the_record():
+    """One sample below 0 is the oldest sample, a hundred are none at all: the record begins again."""
+    monitor = ByHand(LyapunovMonitor(period=1e-4))
+    size = int(np.prod(monitor.block.p.padded()))
+    given = {"state": (1.0, 0.0), "matrices": (1.0,) * size, "verdict": (0.0192, 1.0, 1e-4, 1e-6, 20.0)}
+    for k in range(3):
+        monitor.update(k * 100_000, mode=(0.0, 0.01), **given)
+    assert len(monitor.x.rows) == 3
+    for delay in (-1e-4, -1e-2):
+        assert monitor.update(400_000, mode=(0.0, delay), **given) == {}
+        assert monitor.x.rows == ()
+        monitor.update(500_000, mode=(0.0, 0.01), **given)
+    assert monitor.reports["delay"][:2] == (
+        Level.ERROR,
+        "pwa/mode delay became -0.01 s, expected 0 or more: the record of V begins again",
+    )
+
+
 def test_matrices_survive_their_topic():
     p = CriterionParams()
     found = certify(switched(), 0.018)

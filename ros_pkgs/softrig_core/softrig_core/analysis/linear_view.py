@@ -306,7 +306,7 @@ class LinearView:
             with suppress(np.linalg.LinAlgError):  # a pole of the opened loop itself
                 parts = [*(c * np.linalg.solve(z * np.eye(len(b)) - A, b)).tolist(), d]
                 back = math.fsum(parts)
-                if back > NOTHING * math.fsum(map(abs, parts)):
+                if NOTHING * math.fsum(map(abs, parts)) < back < 1.0 / NOTHING:  # beyond, a pole at z but for rounding
                     found.append((1.0 / back, complex(z)))
         return found
 

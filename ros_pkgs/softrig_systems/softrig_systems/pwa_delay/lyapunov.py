@@ -149,6 +149,13 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
         verdict: tuple[float, ...] | None,
     ) -> Answer:
         """Give V once the record is long enough."""
+        if mode[1] < 0.0:  # it counts samples back, and no sample is later than now
+            self.report(
+                Level.ERROR,
+                "delay",
+                f"pwa/mode delay became {mode[1]:g} s, expected 0 or more: the record of V begins again",
+            )
+            return self.refused(x, t)
         if matrices is None or verdict is None or verdict[1] != 1.0:
             return x, {}
         if matrices is not x.certificate.given:
