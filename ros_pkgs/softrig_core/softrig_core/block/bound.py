@@ -84,8 +84,10 @@ def sayer(step: Step) -> Callable[[int], None]:
         known["bound"] = min(port.bound for port in step.outputs)
     elif step.outputs:
         checked = f"        {all_rows} = rows = step.checked(found)\n        numbers = ()"
-        said = f"{{name: row for name, row in {said}.items() if row is not None}}"
-        handed.append("    step.spoken = [s if row is None else t for s, row in zip(step.spoken, rows)]")
+        if any(port.sporadic for port in step.outputs):
+            said = f"{{name: row for name, row in {said}.items() if row is not None}}"
+        spoke = [f"before[{k}] if row{k} is None else t" if p.sporadic else "t" for k, p in enumerate(step.outputs)]
+        handed += ["    before = step.spoken", f"    step.spoken = [{', '.join(spoke)}]"]
     for number, fill in enumerate([*step.readers, *step.doubters]):
         row, port = rows[fill.output], fill.port
         known |= {f"values{number}": fill.reader.values, f"reader{number}": fill.reader, f"port{number}": port}
