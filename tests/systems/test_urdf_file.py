@@ -333,6 +333,15 @@ def test_limits_are_reported_or_act(tmp_path):
         pendulum(tmp_path, limits="act", position=[1.2])
 
 
+def test_a_joint_may_have_an_end_on_one_side(tmp_path, monkeypatch):
+    monkeypatch.setattr("test_urdf_file.PENDULUM", PENDULUM.replace('lower="-1"', 'lower="-inf"'))
+    for speed, place in ((1.9, 1.0), (-1.9, -1.9 * 0.8)):
+        p = pendulum(tmp_path, limits="act", velocity=[speed])
+        for k in range(800):
+            p.advance(k * 10**6, motor_command=(0.0,))
+        assert p.x.q[0] == pytest.approx(place, rel=1e-6)
+
+
 def test_an_impact_on_an_end_stop_has_the_impulse_of_the_mass_matrix():
     """v+ = v - M^-1 e_i v_i/(M^-1)_ii, M of pinocchio, and the speed of the stopped joint 0."""
     text = FULL.replace('<mimic joint="j1" multiplier="-1.5" offset="0.2"/>', "").replace('upper="1.5"', 'upper="0.3"')

@@ -357,7 +357,8 @@ def _end_stops(robot: Any, x: ca.SX, plant: ca.SX, limits: Sequence[Joint]) -> c
     torque = ca.SX.sym("tau", n)
     still = robot.forward_dynamics(q, ca.SX.zeros(n), torque, plant[4 * n : 5 * n], plant[9 * n + 2])
     yielding = ca.jacobian(still, torque)  # M^-1, of mimic joints within their constraint
-    for i in [i for _ in range(2) for i, joint in enumerate(limits) if math.isfinite(joint.upper - joint.lower)]:
+    ended = [i for i, joint in enumerate(limits) if not (math.isinf(joint.lower) and math.isinf(joint.upper))]
+    for i in ended * 2:
         along = yielding[:, i] / yielding[i, i]
         back = ca.fmax(ca.fmin(q[i], limits[i].upper), limits[i].lower) - q[i]
         q = q + along * back

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -218,6 +219,10 @@ def for_pinocchio(urdf: str) -> str:
             limit.set(key, limit.get(key, ENDLESS))
         limit.set("lower", f"-{ENDLESS}")
         limit.set("upper", ENDLESS)
+    for limit in robot.iterfind("joint/limit"):  # urdfdom takes no infinity
+        for key, text in limit.attrib.items():
+            if math.isinf(float(text)):
+                limit.set(key, ENDLESS if float(text) > 0.0 else f"-{ENDLESS}")
     for link in robot.iterfind("link"):
         inertial = link.find("inertial")
         parts = [] if inertial is None else [*inertial.iterfind("mass"), *inertial.iterfind("inertia")]
