@@ -256,6 +256,17 @@ def test_what_would_run_is_listed_by_its_true_name(sources, tmp_path):
     assert all(line.isascii() for line in lines)
 
 
+def test_a_package_needs_no_setup_cfg(sources, tmp_path, capsys, monkeypatch):
+    """Of an older file without it nothing can be known of what it offers, which is said."""
+    monkeypatch.chdir(tmp_path)
+    without = {k: v for k, v in sources.items() if k != SETUP}
+    assert run(zipped(tmp_path / "old.zip", {"pack.json": about()} | without), "--trust") == 2
+    assert f"package {NAME} has no executable" in capsys.readouterr().err
+    points = {line.split(" = ")[0].strip(): line.split(" = ")[1] for line in sources[SETUP].splitlines() if ":" in line}
+    files = {"pack.json": about(offers={NAME: {"console_scripts": points}})} | without
+    assert run(zipped(tmp_path / "new.zip", files), "--trust") == 1  # it runs; there is nothing that it could repeat
+
+
 def test_a_package_that_is_here_runs_in_place_of_the_packs(sources, tmp_path, monkeypatch):
     monkeypatch.setattr(cargo, "_is_rig_package", lambda name: name == NAME)
     folder = packed.opened(zipped(tmp_path / "x.zip", {"pack.json": about()} | sources))

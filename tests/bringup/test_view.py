@@ -405,6 +405,22 @@ def test_what_a_browser_should_not_say_is_told_in_one_line(caplog):
     assert "a page was told what cannot be: ValueError: cannot convert float NaN to integer" in caplog.text
 
 
+def test_a_flood_of_what_a_browser_should_not_say_is_a_few_lines(caplog):
+    logger = logging.getLogger("bokeh.server.views.ws")
+    logger.addFilter(one := OneLine())
+    try:
+        for k in range(3000):
+            logger.error("no message of ours: %s", f"{k} {'x' * 500}")
+    finally:
+        logger.removeFilter(one)
+    lines = [record.getMessage() for record in caplog.records]
+    assert [line.partition(" x")[0] for line in lines] == [
+        f"no message of ours: {k}" for k in (0, 1, 2, 3, 4, 9, 99, 999)
+    ]
+    assert [line.rpartition("(")[2] for line in lines[5:]] == [f"{n} lines like this by now)" for n in (10, 100, 1000)]
+    assert max(map(len, lines)) < 350
+
+
 def test_a_track_keeps_extremes_and_stays_small():
     track = Track(limit=1000)
     x = np.random.default_rng(1).normal(size=50_000)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from softrig_core import SECOND
 from softrig_core.extras import need
+from softrig_core.guard import naming
 
 from .errors import BagError
 from .read import epoch_of, say_left_out
@@ -47,7 +48,7 @@ def export(path: Path | str, directory: Path | str, file_format: str) -> list[Pa
     need("pyarrow", "an export")
     if file_format not in FORMATS:
         raise BagError(f"format {file_format!r}: expected {', '.join(FORMATS)}")
-    with BagReader(path) as bag:
+    with BagReader(path) as bag, naming(Path(directory)):
         columns, epoch = Columns(bag), epoch_of(bag)[0]
         Path(directory).mkdir(parents=True, exist_ok=True)
         files: dict[int, _TopicFile] = {}

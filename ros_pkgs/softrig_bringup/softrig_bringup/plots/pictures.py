@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import replace as changed
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from softrig_core import Rig, Signals
 from softrig_core.judge.units import pretty_unit
 from softrig_core.scenario.scenario import PlotEntry
 
+from ..folder import replace
 from . import style as look
 from .axes import UNIT, draw, draw_logic, draw_marks, fold_exponents, is_logic, legend, styles
 from .curves import Curve, Source, by_unit, check_plots
@@ -89,11 +91,14 @@ def fit(figure: Figure, title: str, font: float | None, inches: float | None) ->
 
 
 def write_figure(figure: Figure, path: Path, **how: Any) -> None:
-    """Write a picture, its letters as letters in every format, equal figures as equal files."""
+    """Write a picture, whole or not at all, its letters as letters in every format, equal figures as equal files."""
     from matplotlib import rc_context
 
+    # through memory: where a disk is full, writers of matplotlib leave half a file, and the one of PDF hides why
+    content, form = BytesIO(), path.suffix[1:]
     with rc_context(look.FONTS):
-        figure.savefig(path, metadata=UNDATED.get(path.suffix[1:]), **how)
+        figure.savefig(content, format=form, metadata=UNDATED.get(form), **how)
+    replace(path, content.getvalue())
 
 
 def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: int | None = None) -> list[Path]:
@@ -295,7 +300,7 @@ def _without_field(row: Sequence[Curve], topic: str) -> tuple[list[Curve], str]:
     field = fields.pop() if len(fields) == 1 else ""
     if not field:
         return list(row), topic
-    return [replace(curve, label=curve.label.partition("/")[0]) for curve in row], f"{topic}/*/{field}"
+    return [changed(curve, label=curve.label.partition("/")[0]) for curve in row], f"{topic}/*/{field}"
 
 
 def time_scale(groups: Iterable[Sequence[Curve]]) -> tuple[float, str]:

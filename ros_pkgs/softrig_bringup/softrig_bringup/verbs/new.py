@@ -11,10 +11,12 @@ import shlex
 import sys
 from importlib.resources import files
 from pathlib import Path
+from shutil import rmtree
 from string import Template
 from typing import NamedTuple
 
 from softrig_core import ScenarioError
+from softrig_core.guard import naming
 from softrig_core.scenario.scenario_file import find
 
 # template, and where it goes; $name below stands for the package's name
@@ -118,16 +120,21 @@ def new_package(name: str, parent: Path, kind: str = "both") -> Path:
         Template(to).substitute(values): Template((source / f"{file}.template").read_text(encoding="utf-8"))
         for file, to in files_of.items()
     }
-    for to, text in texts.items():
-        _write(folder / to, text.substitute(values))
-    for to in EMPTY:
-        _write(folder / Template(to).substitute(values), "")
+    try:
+        for to, text in texts.items():
+            _write(folder / to, text.substitute(values))
+        for to in EMPTY:
+            _write(folder / Template(to).substitute(values), "")
+    except OSError:
+        rmtree(folder, ignore_errors=True)  # which was not there before
+        raise
     return folder
 
 
 def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
+    with naming(path):
+        path.write_text(text, encoding="utf-8")
 
 
 def main(options: argparse.Namespace) -> int:

@@ -19,7 +19,7 @@ from urllib.parse import unquote, urlsplit
 import yaml
 from softrig_core import Rig, Run, Scenario, ScenarioError, rig_of
 from softrig_core.block.params import flatten
-from softrig_core.guard import say
+from softrig_core.guard import naming, say
 from softrig_core.judge import registry
 from softrig_core.rig.code import fingerprints
 
@@ -222,7 +222,7 @@ def write(packed: _Pack, out: Path) -> None:
         raise ScenarioError(f"{len(files)} files of {size} bytes in all, expected at most {FILES} of {MOST}; --no-bag?")
     part = out.with_name(f".{out.name}.{os.getpid()}.part")
     try:
-        with zipfile.ZipFile(part, "w") as archive:
+        with naming(out), zipfile.ZipFile(part, "w") as archive:
             for place, content in files.items():
                 entry = zipfile.ZipInfo(place)  # of 1980: a file's own time would make every pack another
                 entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16

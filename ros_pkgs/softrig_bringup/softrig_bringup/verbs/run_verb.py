@@ -38,6 +38,7 @@ from ..view.beside import page
 if TYPE_CHECKING:
     from rich.console import Console
 
+MANY = 100_000  # messages: a bag of more takes some seconds, in which nothing else is printed
 MISSED = 10.0  # per cent of missed deadlines that are worth a word
 
 
@@ -189,6 +190,11 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
     """Write the folder and the report for continuous integration."""
     changed = changed_words(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
     changed += [f"branched at {b['at_s']:.9g} s" for b in done.branched]
+    messages = sum(len(topic.ticks()) for topic in done.recording.topics.values())
+    if done.stopped and folder is not None and messages > MANY:
+        log = folder.path / "log"
+        kept = f"; if it is killed, softrig bag repair {_shown(log)} makes the bag" if any(log.glob("*.shard")) else ""
+        say(f"stopped, still writing {messages} messages into {_shown(folder.path)}{kept}")
     with unstopped():  # who has waited for the last tick keeps what was recorded
         figures = [] if done.error else done.results
         command = shlex.join([*words((m.package for m in done.rig.members), "run"), *repeat(options)])

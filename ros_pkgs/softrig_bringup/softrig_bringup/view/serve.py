@@ -38,6 +38,8 @@ from .page import EVERY, Page, bare
 from .remote import Remote
 from .sources import Live, Source
 
+SHOWN = 5  # lines about what browsers say wrongly; of the rest powers of ten
+LARGEST = 1 << 20  # bytes of what a browser may say at once: pages of ours say some hundred
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 PAGE = "/view"
 AWAY = 5000  # ms that a browser may be gone: it may be loading the page again
@@ -78,15 +80,29 @@ class Watched(BaseModel):
 
 
 class OneLine(logging.Filter):
-    """Bokeh logs the stack of what a browser says that no page of ours does; here it is one line."""
+    """Bokeh logs the stack of what a browser says that no page of ours does; here it is one line, a flood a few."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.number = 0
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Let every record pass, without its stack."""
+        """Let a record pass without its stack: the first ones, then the 10th, 100th, ... with their number."""
+        self.number += 1
+        if self.number > SHOWN and str(self.number).strip("0") != "1":
+            return False
+        self._shorten(record)
+        if self.number > SHOWN:
+            record.msg, record.args = f"{record.getMessage()} ({self.number} lines like this by now)", ()
+        return True
+
+    @staticmethod
+    def _shorten(record: logging.LogRecord) -> None:
         error = record.exc_info[1] if record.exc_info else None
         if error is not None:
             record.msg, record.args = "a page was told what cannot be: %s: %.200s", (type(error).__name__, error)
             record.exc_info = record.exc_text = None
-        return True
+        record.msg, record.args = "%.300s", (record.getMessage(),)
 
 
 class _Token(AuthProvider):  # type: ignore[misc]
@@ -182,8 +198,9 @@ class Pages:
         self._next, self._busy = 0.0, False
         self.came = False
         host, chosen = free_address(address)
+        told = OneLine()  # one for all: three lines a message are a flood, too
         for name in ("bokeh.server.protocol_handler", "bokeh.server.views.ws", "tornado.application"):
-            logging.getLogger(name).addFilter(OneLine())
+            logging.getLogger(name).addFilter(told)
         for name in ("bokeh.server.views.ws", "bokeh.server.contexts"):  # a browser may be closed at any moment
             logging.getLogger(name).setLevel(logging.ERROR)
         if host in LOOPBACK:
@@ -201,6 +218,7 @@ class Pages:
                 check_unused_sessions_milliseconds=AWAY // 5,
                 unused_session_lifetime_milliseconds=AWAY,
                 allow_websocket_origin=origins,
+                websocket_max_message_size_bytes=LARGEST,
                 auth_provider=_Token(token, LOOPBACK if host in LOOPBACK else ()),
             )
         except OSError as error:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..command_line import Parser
 from ..errors import ScenarioError
+from ..guard import naming
 from ..native.value import NotNative
 from ..rig.rig import Rig
 from ..run.expand import rig_of
@@ -63,7 +64,8 @@ def export_c(
         raise refusal
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in done.files.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        with naming(folder / name):
+            (folder / name).write_text(text, encoding="utf-8")
     return done
 
 
