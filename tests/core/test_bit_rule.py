@@ -53,6 +53,7 @@ EXEMPT = {
     "softrig_core.analysis.steady": "looks at a rig from outside",
     "softrig_core.bits.blas_core": "asks which BLAS is loaded",
     "softrig_core.block.answer": "whether values are below a bound",
+    "softrig_core.export": "writes C, and draws the inputs of its test",
     "softrig_core.judge.measures.growth_rate": "judges what was recorded",
     "softrig_core.native.calls": "the word itself: of whole numbers it is translated, of others it stays Python's",
     "softrig_core.native.turns": COUNT,
