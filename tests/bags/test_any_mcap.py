@@ -1,6 +1,7 @@
 """MCAP files with all optional parts in all combinations, judged by the mcap package's own reader."""
 
 import itertools
+import random
 import struct
 from io import BytesIO
 
@@ -9,6 +10,7 @@ import pytest
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType, Writer
 from softrig_bags.cli import main_bag, main_compare
+from softrig_bags.errors import BagError
 from softrig_bags.mcap_source import McapSource, message_run
 from softrig_bags.read import read_bag, signals
 from softrig_bags.reader import BagReader
@@ -196,3 +198,34 @@ def test_a_chunk_that_begins_before_it_claims_is_damaged(tmp_path):
     content[at : at + 8] = struct.pack("<Q", 50)
     (tmp_path / "x.mcap").write_bytes(content)
     assert main_bag(["info", str(tmp_path / "x.mcap")]) == 2
+
+
+@pytest.mark.parametrize("chunks", [(True, 90), (False, 0)], ids=str)
+def test_any_damage_gives_messages_or_a_plain_refusal(tmp_path, chunks):
+    """Without checksums, so that nothing shields the reader."""
+    whole = bytearray(written(dict.fromkeys(PARTS, True), IndexType.ALL, chunks, CompressionType.NONE))
+    at = 8
+    while at + 9 <= len(whole):
+        code, n = struct.unpack_from("<BQ", whole, at)
+        if code == 6:
+            whole[at + 33 : at + 37] = bytes(4)
+        at += 9 + n
+    refused = 0
+    for seed in range(150):
+        chance = random.Random(seed)
+        content = bytearray(whole)
+        at = chance.randrange(8, len(content))
+        match seed % 3:
+            case 0:
+                content[at] ^= 1 << chance.randrange(8)
+            case 1:
+                content[at : at + 8] = chance.randbytes(8)
+            case _:
+                content[at : at + 4] = b"\xff" * 4
+        (tmp_path / "x.mcap").write_bytes(content)
+        try:
+            found = signals(tmp_path / "x.mcap")
+            assert all(len(found[name].x) <= 17 for name in found)
+        except BagError:
+            refused += 1
+    assert 20 < refused < 140

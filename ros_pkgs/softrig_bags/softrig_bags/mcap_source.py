@@ -243,7 +243,10 @@ class McapSource:
             or (view[starts] != MESSAGE).any()
         ):
             return whole
-        ends = starts + _HEAD.size + _lengths(view, starts)
+        lengths = _lengths(view, starts)
+        if (lengths < _MESSAGE_HEAD - _HEAD.size).any() or (lengths > len(view)).any():
+            return whole
+        ends = starts + _HEAD.size + lengths
         after, before = np.append(starts[1:], len(view)), np.append(0, ends)
         if (ends > after).any():
             return whole

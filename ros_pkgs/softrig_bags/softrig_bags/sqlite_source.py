@@ -41,6 +41,7 @@ class SqliteSource:
 
     def __post_init__(self) -> None:
         self._copy: TemporaryDirectory[str] | None = None
+        self._numbers: dict[Any, int] = {}  # of topics: those in the file may be any
         path = self.path
         beside = [p for suffix in BESIDE if (p := path.with_name(path.name + suffix)).exists() and p.stat().st_size]
         if beside:  # SQLite would write into the folder
@@ -94,7 +95,8 @@ class SqliteSource:
             found = SourceTopic(name, msgtype, definition, language, hashed, profiles, encoding)
             if not all(isinstance(text, str) for text in found):
                 raise Damaged(f"topic {name!r} of type {msgtype!r}"[:100] + ", expected names")
-            self.topics[number] = found
+            self.topics[len(self._numbers)] = found
+            self._numbers[number] = len(self._numbers)
         if self._columns("metadata"):
             for (text,) in self._db.execute("SELECT metadata FROM metadata ORDER BY id"):
                 self.metadata = str(text) or self.metadata
@@ -104,19 +106,22 @@ class SqliteSource:
         try:
             rows, n, place = self._db.execute(_MESSAGES, (start,)), 1, 0
             while found := rows.fetchmany(n):
-                block = _block(found)
+                block = self._block(found)
                 yield place, block, int(block.t[-1])
                 place += len(block)
                 n = max(1, min(ROWS, 2 * n, BYTES * n // max(len(block.raw), 1)))
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
             raise Damaged(str(error)) from error
 
-
-def _block(rows: list[tuple[Any, Any, Any]]) -> Block:
-    topics, times, data = zip(*rows, strict=True)
-    for topic, t, message in rows:
-        if type(message) is not bytes or type(t) is not int or type(topic) is not int:
-            raise Damaged(f"a message is {type(message).__name__} at {t!r}, expected bytes at a whole number")
-    size = np.fromiter(map(len, data), np.int64, len(data))
-    raw = np.frombuffer(b"".join(data), np.uint8)
-    return Block(raw, np.array(topics, np.int64), np.array(times, np.int64), np.cumsum(size) - size, size)
+    def _block(self, rows: list[tuple[Any, Any, Any]]) -> Block:
+        for topic, t, message in rows:
+            if type(message) is not bytes or type(t) is not int or type(topic) is not int:
+                raise Damaged(f"a message is {type(message).__name__} at {t!r}, expected bytes at a whole number")
+        topics, times, data = zip(*rows, strict=True)
+        for topic in set(topics) - self._numbers.keys():
+            self.topics[len(self._numbers)] = SourceTopic(f"topic {topic} without a name", "")
+            self._numbers[topic] = len(self._numbers)
+        size = np.fromiter(map(len, data), np.int64, len(data))
+        raw = np.frombuffer(b"".join(data), np.uint8)
+        numbers = np.fromiter(map(self._numbers.__getitem__, topics), np.int64, len(data))
+        return Block(raw, numbers, np.array(times, np.int64), np.cumsum(size) - size, size)
