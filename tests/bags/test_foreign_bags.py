@@ -507,6 +507,7 @@ def test_empty_messages_have_a_byte(definition):
 
 
 def test_arrays_that_are_too_long_for_columns_are_named(tmp_path, capsys):
+    assert (LONGEST, LONGEST_OCTETS) == (4096, 64)
     lengths = {"float32": LONGEST + 1, "uint8": LONGEST_OCTETS + 1}
     for kind, n in lengths.items():
         width = {"float32": 4, "uint8": 1}[kind]
