@@ -202,6 +202,13 @@ def test_of_several_rates_the_fastest_stretch_is_used_or_the_one_with_the_trigge
     assert read(file).rate == 1000.0
 
 
+def test_stretches_of_one_rate_are_one(tmp_path):
+    file = File(tmp_path)
+    file.nrates, file.rates = "3", ["4000,100", "4000,250", "4000,400"]
+    found = read(file)
+    assert (len(found.samples), found.note) == (400, "")
+
+
 def test_times_of_the_data_where_there_is_no_rate(tmp_path):
     file = File(tmp_path)
     file.nrates, file.rates, file.us, file.tail[0] = "0", ["0,400"], file.us // 2, "2"

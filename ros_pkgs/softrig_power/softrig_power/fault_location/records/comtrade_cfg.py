@@ -254,7 +254,8 @@ def _rates(lines: _Lines) -> tuple[tuple[float, int], ...]:
         found.append((rate if count else 0.0, last))
     if len(found) > 1 and any(rate == 0.0 for rate, _ in found):
         raise lines.wrong("one of several sampling rates is 0")
-    return tuple(found)
+    # stretches of one rate are one
+    return tuple(pair for pair, after in zip(found, [*found[1:], (-1.0, 0)], strict=True) if pair[0] != after[0])
 
 
 def _stamp(lines: _Lines, which: str, american: bool) -> tuple[int | None, bool]:
