@@ -669,6 +669,29 @@ def test_partners_that_come_late_are_found_and_what_waits_long_waits_in_a_file(t
     assert compare(one, tmp_path / "a.mcap", bitwise=True).equal
 
 
+def test_files_are_those_of_the_folder_each_once(tmp_path):
+    """A moved bag whose metadata has whole paths, one of them twice, and no word of its storage."""
+    bag, old = tmp_path / "bag", tmp_path / "old"
+    mcap(bag / "bag_0.mcap", speeds())
+    mcap(old / "bag_0.mcap", speeds(3))
+    metadata(bag, [("/speed", FLOAT, 10)], [str(old / "bag_0.mcap")] * 2, storage_identifier="")
+    with BagReader(bag) as found:
+        assert (found.counts, found.is_whole, found.files) == ([10], True, [bag / "bag_0.mcap"])
+
+
+def test_a_channel_without_a_schema_is_named(tmp_path, capsys):
+    out = BytesIO()
+    writer = Writer(out)
+    writer.start()
+    writer.add_message(writer.register_channel("/raw", "", 0), START, b"any bytes", 0)
+    speed = writer.register_channel("/speed", "cdr", writer.register_schema(FLOAT, "ros2msg", b"float64 data"))
+    writer.add_message(speed, START, number(2.5), 0)
+    writer.finish()
+    (tmp_path / "x.mcap").write_bytes(out.getvalue())
+    assert signals(tmp_path / "x.mcap")["speed/data"].x.tolist() == [2.5]
+    assert "/raw () cannot be decoded: its channel has no schema" in capsys.readouterr().err
+
+
 def test_unknown_types_are_named():
     with pytest.raises(UnknownType, match="no definition of a/msg/None, in the bag or here"):
         complete("a/msg/None", {})

@@ -112,7 +112,7 @@ class BagReader:
                 self.metadata = read_metadata(self.path / "metadata.yaml")
             except Damaged as error:
                 raise self._damaged(error) from error
-            self.files = [self._file(name) for name in self.metadata.files]
+            self.files = list(dict.fromkeys(self._file(name) for name in self.metadata.files))
             if not self.files:
                 raise BagError(f"{self.path}: metadata.yaml names no storage file")
         else:
@@ -141,7 +141,9 @@ class BagReader:
 
     def _file(self, name: str) -> Path:
         """Return a file of the bag: older versions name it with its folder, and it may be compressed since."""
-        found = [self.path / name, self.path / Path(name).name]
+        found = [self.path / Path(name).name]
+        if not Path(name).is_absolute():  # of a bag that was moved since: the folder is what counts
+            found.insert(0, self.path / name)
         found += [p.with_name(p.name + ".zstd") for p in found] + [plain(p) for p in found]
         for path in found:
             if path.is_file():
@@ -387,6 +389,8 @@ class BagReader:
             topic = self.topics[i]
             if topic.wire not in ("cdr", ""):
                 raise UnknownType(f"its messages are in {topic.wire}, expected cdr")
+            if not topic.msgtype:
+                raise UnknownType("its channel has no schema")
             own = types_of(topic.msgtype, topic.definition, topic.encoding) if topic.definition.strip() else {}
             distribution = distribution_of(self.metadata.distribution, self.metadata.version)
             self._types[i] = complete(topic.msgtype, own, distribution)
