@@ -180,7 +180,7 @@ def test_a_study_that_makes_no_sense_is_refused(keys, message):
         ({"figures": ["lost"]}, "lag has no figure 'lost'; it has last, never"),
         ({"summaries": {"s": {"figure": "lost"}}}, "no figure 'lost'"),
         ({"signals": ["lag/state/y"]}, "no signal 'lag/state/y'"),
-        ({"grid": {"pump.k": [1]}}, "override 'pump.k'"),
+        ({"grid": {"pump.k": [1]}}, "pump.k: expected node.parameter; did you mean gain.k"),
         ({"cases": {"a": {}, "b": {"gain.k": "x"}}}, "node gain: parameter k = 'x'"),
         ({"scenario": "leg"}, "scenario 'leg' is unknown"),
     ],
