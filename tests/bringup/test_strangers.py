@@ -135,7 +135,7 @@ def test_who_looks_runs_nothing_of_it(made, tmp_path, capsys, monkeypatch):
     path = list(sys.path)
     assert main(["report", str(file)]) == 0
     assert f"the code of {NAME} had to run" in capsys.readouterr().err
-    assert main(["draw", "plot", str(file), "--format", "svg"]) == 0
+    assert main(["draw", "plot", str(file), "--format", "svg", "--out", "pictures"]) == 0
     assert len(list((tmp_path / "pictures").glob("*.svg"))) == 2
     assert main(["pack", str(file)]) == 2
     assert f"it brings {NAME}, which packing would run" in capsys.readouterr().err
@@ -256,15 +256,16 @@ def test_what_would_run_is_listed_by_its_true_name(sources, tmp_path):
     assert all(line.isascii() for line in lines)
 
 
-def test_a_package_needs_no_setup_cfg(sources, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("listed", [True, False])
+def test_a_package_needs_no_setup_cfg(listed, sources, tmp_path, capsys, monkeypatch):
     """Of an older file without it nothing can be known of what it offers, which is said."""
     monkeypatch.chdir(tmp_path)
-    without = {k: v for k, v in sources.items() if k != SETUP}
-    assert run(zipped(tmp_path / "old.zip", {"pack.json": about()} | without), "--trust") == 2
-    assert f"package {NAME} has no executable" in capsys.readouterr().err
     points = {line.split(" = ")[0].strip(): line.split(" = ")[1] for line in sources[SETUP].splitlines() if ":" in line}
-    files = {"pack.json": about(offers={NAME: {"console_scripts": points}})} | without
-    assert run(zipped(tmp_path / "new.zip", files), "--trust") == 1  # it runs; there is nothing that it could repeat
+    offers = {NAME: {"console_scripts": points}} if listed else {}
+    files = {"pack.json": about(offers=offers)} | {k: v for k, v in sources.items() if k != SETUP}
+    # where it runs there is nothing that it could repeat
+    assert run(zipped(tmp_path / "x.zip", files), "--trust") == (1 if listed else 2)
+    assert (f"package {NAME} has no executable" in capsys.readouterr().err) is not listed
 
 
 def test_a_package_that_is_here_runs_in_place_of_the_packs(sources, tmp_path, monkeypatch):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from driver import campaign
 
-AREAS = ("bags", "messages", "parameters", "scenarios", "environments", "kills", "nodes", "starts", "clocks")
+AREAS = ("bags", "packs", "messages", "parameters", "scenarios", "environments", "kills", "nodes", "starts", "clocks")
 
 
 def main() -> int:
