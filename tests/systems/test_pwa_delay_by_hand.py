@@ -632,6 +632,17 @@ def test_what_keeps_a_system_from_its_criterion_is_named():
     require_no_sliding(
         from_lines([np.zeros((2, 2))] * 2, [np.zeros((2, 2))] * 2, (), across, a=[[1.0, 0.0], [-1.0, 0.0]]), 0.1
     )
+    for scale in (1.0, 3e-10, 1e-14):  # an offset that no shift removes is none that is small in some units
+        with pytest.raises(NotApplicable, match=r"^no equilibrium: the offset"):
+            require_equilibrium(
+                from_lines([-np.eye(2)] * 2, [np.zeros((2, 2))] * 2, across, a=[[scale, 0.0], [3.0 * scale, 0.0]])
+            )
+        for sign in (-1.0, 1.0):
+            system = from_lines(
+                [np.zeros((2, 2))] * 2, [np.zeros((2, 2))] * 2, across, a=[[sign * scale, 0.0], [-sign * scale, 0.0]]
+            )
+            with pytest.raises(NotApplicable, match=r"^(sliding|repelling) on the face"):
+                require_no_sliding(system, 0.1)
     # a shift of the origin to the equilibrium (1, 0), for all cells the same
     A, Ad = [[0.0, 1.0], [-2.0, -1.0]], [[0.0, 0.0], [-1.0, 0.0]]
     shifted = require_equilibrium(from_lines([A], [Ad], a=[[0.0, 3.0]]))

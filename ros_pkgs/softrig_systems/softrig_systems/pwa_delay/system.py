@@ -14,7 +14,7 @@ from softrig_core.kit import dense
 
 Array = NDArray[np.float64]
 
-CONTINUOUS = 1e-9  # largest difference of the features of two cells on their common face
+ROUNDING = 1e-9  # of the sizes of its terms, a sum that is zero but for rounding
 
 
 class BadSystem(ValueError):
@@ -114,7 +114,10 @@ class PwaSystem:
         """Draw points; each must be inside one cell, and in no other."""
         points = np.random.default_rng(1).normal(size=(600, 2 * self.n))
         least = np.array(
-            [np.min(points @ E.T + e, axis=1, initial=np.inf) for E, e in zip(self.E, self.e, strict=True)]
+            [
+                np.min((points @ E.T + e) / (np.abs(points) @ np.abs(E.T) + np.abs(e)), axis=1, initial=np.inf)
+                for E, e in zip(self.E, self.e, strict=True)
+            ]
         )
         inside, near = least > 1e-12, least >= -1e-12
         for k in np.flatnonzero(~near.any(axis=0) | (inside.sum(axis=0) > 1))[:1]:
@@ -154,9 +157,12 @@ class PwaSystem:
         rng = np.random.default_rng(3)
         for i, row, j in self.faces():
             for z in self.on_face(i, row, rng, 5):
-                if np.all(self.E[j] @ z + self.e[j] >= -1e-9):
-                    gap = float(np.abs(self.F[i] @ z - self.F[j] @ z).max())
-                    if gap > CONTINUOUS:
+                size = float(np.abs(z).max())  # z is right beside its largest entry
+                slack = ROUNDING * (np.abs(self.E[j]).sum(axis=1) * size + np.abs(self.e[j]))
+                if np.all(self.E[j] @ z + self.e[j] >= -slack):
+                    gaps = np.abs(self.F[i] @ z - self.F[j] @ z)
+                    gap = float(gaps.max())
+                    if np.any(gaps > ROUNDING * size * (np.abs(self.F[i]) + np.abs(self.F[j])).sum(axis=1)):
                         raise BadSystem(
                             f"features of cells {i} and {j} differ by {gap:.3g} on their face "
                             f"{np.round(self.E[i][row], 3).tolist()} [x; x_d] = 0"

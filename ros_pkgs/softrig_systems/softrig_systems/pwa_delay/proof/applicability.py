@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..system import PwaSystem
+
+Array = NDArray[np.float64]
+ROUNDING = 1e-9  # of the sizes of its terms, a sum that is zero but for rounding
 
 
 class NotApplicable(ValueError):
@@ -24,16 +28,17 @@ def require_equilibrium(system: PwaSystem) -> PwaSystem:
     NotApplicable
         An offset that no shift of the origin removes.
     """
-    if all(np.allclose(a, 0.0, atol=1e-12) for a in system.a):
-        if all(np.allclose(e, 0.0, atol=1e-12) for e in system.e):
+    if not any(np.any(a) for a in system.a):
+        if not any(np.any(e) for e in system.e):
             return system
         raise NotApplicable("a cell does not hold the origin; conditions (11) to (13) are unusable as printed")
     for i in range(system.cells):
         rest, *_ = np.linalg.lstsq(system.A[i] + system.Ad[i], -system.a[i], rcond=None)
         z = np.concatenate([rest, rest])
-        remains = [np.abs((system.A[j] + system.Ad[j]) @ rest + system.a[j]).max() for j in range(system.cells)]
-        edges = [np.abs(system.E[j] @ z + system.e[j]).max(initial=0.0) for j in range(system.cells)]
-        if max(remains) < 1e-9 and max(edges) < 1e-9:
+        if all(
+            _vanishes(system.A[j] + system.Ad[j], rest, system.a[j]) and _vanishes(system.E[j], z, system.e[j])
+            for j in range(system.cells)
+        ):
             zero = tuple(np.zeros(system.n) for _ in system.a)
             none = tuple(np.zeros_like(e) for e in system.e)
             return PwaSystem(system.A, system.Ad, zero, system.E, none, system.F, system.lines, system.lines_delayed)
@@ -42,6 +47,12 @@ def require_equilibrium(system: PwaSystem) -> PwaSystem:
         f"no equilibrium: the offset {np.round(system.a[worst], 6).tolist()} of cell {worst} stays, wherever the "
         "origin is put; the conditions (11) to (13) for such cells are unusable as printed"
     )
+
+
+def _vanishes(m: Array, z: Array, offset: Array) -> bool:
+    """Whether m z + offset is zero but for rounding, beside the sizes of its own terms: units do not count."""
+    size = np.abs(m).sum(axis=1) * np.abs(z).max(initial=0.0) + np.abs(offset)  # z is right beside its largest entry
+    return bool(np.all(np.abs(m @ z + offset) <= ROUNDING * size))
 
 
 def require_no_sliding(system: PwaSystem, h: float, *, samples: int = 200) -> None:
@@ -71,12 +82,19 @@ def require_no_sliding(system: PwaSystem, h: float, *, samples: int = 200) -> No
             x = z[:n] / max(float(np.linalg.norm(z[:n])), 1e-9) if n > 1 else z[:n]
             step = rng.normal(size=n)
             x_d = x + radius * rng.random() * step / np.linalg.norm(step)
-            here = float(c @ (system.A[i] @ x + system.Ad[i] @ x_d + system.a[i]))
-            there = float(c @ (system.A[j] @ x + system.Ad[j] @ x_d + system.a[j]))
-            if here * there < -1e-18:
+            here, size = _across(system, i, c, x, x_d)
+            there, other = _across(system, j, c, x, x_d)
+            if here * there < 0.0 and abs(here) > ROUNDING * size and abs(there) > ROUNDING * other:
                 kind = "sliding" if here < 0.0 < there else "repelling"
                 raise NotApplicable(
                     f"{kind} on the face {np.round(c, 3).tolist()} x = 0 of cells {i} and {j}: at x = "
                     f"{np.round(x, 3).tolist()}, x_d = {np.round(x_d, 3).tolist()} the velocities across it are "
                     f"{here:.3g} and {there:.3g}"
                 )
+
+
+def _across(system: PwaSystem, i: int, c: Array, x: Array, x_d: Array) -> tuple[float, float]:
+    """Give the velocity c'x' in cell i, and the size of its terms."""
+    A, Ad, a = system.A[i], system.Ad[i], system.a[i]
+    size = np.abs(c) @ (np.abs(A) @ np.abs(x) + np.abs(Ad) @ np.abs(x_d) + np.abs(a))
+    return float(c @ (A @ x + Ad @ x_d + a)), float(size)
