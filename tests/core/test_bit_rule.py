@@ -37,6 +37,7 @@ COUNT = "a sum of whole numbers (sizes of ports, ...), or whether one is finite"
 CASADI = "casadi's own products, unrolled into scalar operations"
 CHECK = "a check or a certificate: its verdict is compared with a margin, no number of a run comes from it"
 SOLVER = "a solver of others (IPOPT, SCS, SuperLU), which brings its own algebra: pinned kernels are all there is"
+INTEGERS = "sums and products of Python's integers and fractions, which do not round"
 SCALAR = "scipy's scalar search or quadrature, or a tridiagonal solve: no kernels chosen by CPU"
 EXEMPT = {
     "softrig_control.fmu.description": COUNT,
@@ -45,7 +46,8 @@ EXEMPT = {
     "softrig_control.predictive.certificate_node": CHECK,
     "softrig_control.predictive.gpc.Gpc.poles": CHECK,
     "softrig_control.state_feedback.closed_loop_poles": CHECK,
-    "softrig_control.state_feedback.place": "the rank, a check; gains come from `dense`",
+    "softrig_control.transfer.Exact.polynomials": INTEGERS,
+    "softrig_core.analysis.crossings": "looks at a rig from outside",
     "softrig_core.analysis.environment.RigEnv.published": COUNT,
     "softrig_core.analysis.environments.RigVectorEnv._places": COUNT,
     "softrig_core.analysis.linear_view": "looks at a rig from outside",
@@ -55,6 +57,7 @@ EXEMPT = {
     "softrig_core.block.answer": "whether values are below a bound",
     "softrig_core.export": "writes C, and draws the inputs of its test",
     "softrig_core.judge.measures.growth_rate": "judges what was recorded",
+    "softrig_core.kit.exact": INTEGERS,
     "softrig_core.native.calls": "the word itself: of whole numbers it is translated, of others it stays Python's",
     "softrig_core.native.turns": COUNT,
     "softrig_core.run.inprocess._Keeper.send_all": COUNT,
