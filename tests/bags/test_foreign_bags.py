@@ -235,7 +235,7 @@ def test_topics_that_the_metadata_does_not_name_files_that_are_too_many_or_lacki
     assert "c_0.mcap is in metadata.yaml, but not in the folder" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("start", "duration"), [(START, 900_000_000), (START + 2 * 10**9, 1), (0, 0)])
+@pytest.mark.parametrize(("start", "duration"), [(START, 900_000_000), (0, 0), (-5, "soon")])
 @pytest.mark.parametrize("storage", ["mcap", "db3"])
 def test_times_and_order_come_from_the_files(tmp_path, storage, start, duration):
     """Files that overlap in time, one of them out of order within, and metadata with the times of the last alone."""
@@ -257,6 +257,42 @@ def test_times_and_order_come_from_the_files(tmp_path, storage, start, duration)
         part = span(found, 0.0, None)
         assert sum(part.start <= t <= part.end for _, t, _ in found.messages(start=part.start)) == 30
     assert signals(bag)["speed/data"].t[0] == 0.0
+
+
+@pytest.mark.parametrize(("first", "last"), [(START, 0), (0, 0), (START, START - 1), (START - 9, START - 5)])
+def test_the_times_that_a_chunk_claims_cost_no_message(tmp_path, first, last):
+    """Fields that a writer has left at zero or miscounted; what is played is read with a start."""
+    file = mcap(tmp_path / "x.mcap", speeds())
+    content = bytearray(file.read_bytes())
+    at = content.index(struct.pack("<QQ", START, START + 900_000_000))  # of the chunk; its index comes later
+    content[at : at + 16] = struct.pack("<QQ", first, last)
+    file.write_bytes(content)
+    with BagReader(file) as bag:
+        assert sum(1 for _ in bag.messages(start=span(bag, 0.0, None).start)) == 10
+    with BagReader(file) as bag, pytest.raises(BagError, match=r"start offset 5 s: the bag is only 0\.9 s long"):
+        span(bag, 5.0, None)
+
+
+def test_a_database_with_a_time_before_zero_is_refused_not_read_without_it(tmp_path, capsys):
+    file = tmp_path / "a.db3"
+    database(file, [("/speed", FLOAT, -5, number(1.0)), *speeds(3)], 4)
+    assert main_bag(["info", str(file)]) == 2
+    assert f"messages are at -5 to {START + 2 * 10**8}, expected whole numbers of ns from 0" in capsys.readouterr().err
+    assert main_bag(["repair", str(file), "--out", str(tmp_path / "out")]) == 1
+    assert "3 messages kept, lost: 1 damaged rows" in capsys.readouterr().out
+
+
+def test_a_database_with_nulls_where_nothing_is_known_is_read_and_repaired(tmp_path):
+    file = tmp_path / "a.db3"
+    database(file, speeds(3), 4)
+    db = sqlite3.connect(file)
+    db.execute("UPDATE topics SET type_description_hash=NULL, offered_qos_profiles=NULL, serialization_format=NULL")
+    db.execute("UPDATE message_definitions SET encoded_message_definition=NULL, encoding=NULL")
+    db.commit()
+    db.close()
+    assert signals(file)["speed/data"].x.tolist() == [0.0, 1.0, 2.0]
+    assert main_bag(["repair", str(file), "--out", str(tmp_path / "out")]) == 0
+    assert signals(tmp_path / "out")["speed/data"].x.tolist() == [0.0, 1.0, 2.0]
 
 
 UNREADABLE = [
@@ -611,6 +647,40 @@ def test_stamps_of_two_clocks_are_no_time_axis(tmp_path):
     found = align(*map(signals, files))
     assert found.notes == ["j: header stamps go back 20 times in A, as those of several clocks do: bag time is used"]
     assert found.deviations[0].largest == pytest.approx(2.0 * 39)
+
+
+def test_what_is_not_compared_over_time_is_no_agreement(tmp_path, capsys):
+    """A topic that nothing decodes, one without a common time, one name that neither has, equal bag times."""
+    both, late = speeds(), speeds(topic="/late", start=START + 10**10)
+    event = ("/event", "odd_msgs/msg/Odd", START, b"\0\1\0\0")
+    files = {
+        "a": [*both, *speeds(topic="/late")],
+        "b": [*both, *late],
+        "odd": [*both, event],
+        "once": speeds(3, step=0),
+        "other": [row[:3] + (number(9.0 if k else 0.0),) for k, row in enumerate(speeds(3, step=0))],
+        "four": speeds(4, step=0),
+    }
+    path = {name: str(mcap(tmp_path / f"{name}.mcap", rows)) for name, rows in files.items()}
+    for a, b, told in (
+        ("a", "b", "not compared: late/data: A and B have no time in common"),
+        ("odd", "odd", "not compared: event cannot be decoded; leave it out with --ignore"),
+        ("once", "other", "2 of 3 samples beyond the tolerance"),
+    ):
+        assert main_compare(["--align", path[a], path[b]]) == 1
+        assert told in capsys.readouterr().out
+    assert main_compare(["--align", path["odd"], path["odd"], "--ignore", "event"]) == 0
+    assert "all signals that both have agree" in capsys.readouterr().out
+    assert main_compare(["--align", path["a"], path["a"], "--topics", "speed", "gone"]) == 2
+    assert "no topic gone to compare; there are speed, late" in capsys.readouterr().err
+    assert main_compare(["--align", path["once"], path["four"]]) == 2
+    assert "speed/data: all its messages have one time" in capsys.readouterr().err
+
+
+def test_a_topic_without_a_name_is_exported_as_a_table_of_text(tmp_path):
+    file = mcap(tmp_path / "a.mcap", speeds(2, topic="/"))
+    assert main_bag(["export", str(file), "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out/topic.csv").read_text().splitlines()[1] == "0,0,0"
 
 
 def test_a_comparison_of_nothing_is_refused(tmp_path, capsys):

@@ -6,6 +6,7 @@ import random
 from types import SimpleNamespace
 
 import pytest
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
 from rclpy.node import NodeNameNonExistentError
 from softrig_bags import player
@@ -279,6 +280,24 @@ def test_what_is_played_has_other_names_and_types_that_are_here(monkeypatch):
         BagError, match="/odd is of type odd_msgs/msg/Odd, which is not installed here; leave it out wi"
     ):
         Publishers(world, odd, odd.topics, {})
+
+
+def test_of_two_types_on_a_topic_one_is_played_and_bytes_that_ros_refuses_are_counted(monkeypatch):
+    world = World(monkeypatch)
+    bag = Bag([("/a", HEADER), ("/a", TEXT)], [(0, 0, b"it"), (1, 0, b"other"), (0, MS, b"bad"), (0, 2 * MS, b"end")])
+    publishers = Publishers(world, bag, bag.topics[:1], {})
+    publish = publishers.publish[0]
+
+    def refuse(data):
+        if data == b"bad":
+            raise RCLError("cannot publish data")
+        publish(data)
+
+    publishers.publish[0] = refuse
+    replay = Player(world, bag, publishers, span(bag, 0.0, None), rate=1.0, loop=False, clock=False, paused=False)
+    replay.run(False)
+    assert [data for _, _, data in world.said if isinstance(data, bytes)] == [b"it", b"end"]
+    assert (replay.sent, publishers.refused) == (2, {"/a": 1})
 
 
 # tick by tick ---------------------------------------------------------------------------------------------------------

@@ -541,6 +541,15 @@ def test_bad_arguments_of_play(tmp_path, monkeypatch, capsys, arguments, text):
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize("name", ["/a b", "//x", "/x/", "/1x", "/~/y", ""])
+def test_names_that_ros_does_not_have_are_not_played(tmp_path, capsys, name):
+    writer = BagWriter(tmp_path / "odd")
+    writer.write(writer.add_topic(BagTopic(name, "std_msgs/msg/Header")), 5, bytes(16))
+    writer.close()
+    assert main_play([str(tmp_path / "odd")]) == 2
+    assert "not played, ROS has no such names, --remap gives others" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("main", "arguments", "text"),
     [

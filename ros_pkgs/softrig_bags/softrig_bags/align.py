@@ -86,6 +86,8 @@ class Alignment:
         Signals of a that b lacks, signals of b that a lacks.
     notes : list of str
         Topics of which the header stamps say nothing, and why.
+    unread : list of str
+        Topics and signals that were not compared, and why.
     """
 
     deviations: list[Deviation]
@@ -93,11 +95,12 @@ class Alignment:
     lacking: list[str]
     extra: list[str]
     notes: list[str] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
 
     @property
     def equal(self) -> bool:
-        """Whether both have the same signals, and all agree within their tolerance."""
-        return not self.lacking and not self.extra and all(d.agrees for d in self.deviations)
+        """Whether both have the same signals, and all were compared and agree within their tolerance."""
+        return not (self.lacking or self.extra or self.unread) and all(d.agrees for d in self.deviations)
 
     def to_json(self) -> str:
         """Give everything as JSON; NaN and infinity as text."""
@@ -107,11 +110,13 @@ class Alignment:
         lines = [*self.notes, f"compared over the time since the start, {self.span[0]:.6g} to {self.span[1]:.6g} s"]
         lines += [str(d) for d in self.deviations]
         lines += [f"only in A: {name}" for name in self.lacking] + [f"only in B: {name}" for name in self.extra]
+        lines += [f"not compared: {text}" for text in self.unread]
         off = sum(not d.agrees for d in self.deviations)
         lines.append(
             f"{off} of {len(self.deviations)} signals beyond their tolerance"
             if off
-            else "all signals that both have agree within their tolerance"
+            else f"all {'signals that were compared' if self.unread else 'signals that both have'} "
+            "agree within their tolerance"
         )
         return "\n".join(lines)
 
@@ -143,8 +148,12 @@ def align(
     Raises
     ------
     BagError
-        No common topic with messages, or no common time.
+        No such topic, no common topic with messages, or no common time.
     """
+    names = dict.fromkeys([*a.recording.topics, *b.recording.topics])
+    for topic in topics or ():
+        if topic not in names:
+            raise BagError(f"no topic {topic} to compare; there are {', '.join(names)}")
     common = [t for t in a.decodable if t in b.decodable and _wanted(t, topics, ignore)]
     tables = {t: (a.table(t), b.table(t)) for t in common}
     tables = {t: (x, y) for t, (x, y) in tables.items() if x.t.size and y.t.size}
@@ -154,6 +163,11 @@ def align(
     axes = {t: [x.t if _useless(pair) else x.stamp for x in pair] for t, pair in tables.items()}
     starts = [_start(signals, [pair[k] for pair in axes.values()]) for k, signals in enumerate((a, b))]
     found, spans = [], []
+    unread = [
+        f"{t} cannot be decoded; leave it out with --ignore"
+        for t in names
+        if t in {*a.undecodable, *b.undecodable} and _wanted(t, topics, ignore)
+    ]
     for topic, (x, y) in tables.items():
         for label in x.columns.keys() & y.columns.keys():
             name = f"{topic}/{label}"
@@ -162,12 +176,19 @@ def align(
                 _samples(axes[topic][k] - starts[k], table.columns[label], signals.absent[topic].get(label))
                 for k, (signals, table) in enumerate(((a, x), (b, y)))
             )
+            if not np.array_equal(one[0], two[0]):
+                if any(len(t) > 1 and not np.ptp(t) for t, _ in (one, two)):
+                    unread.append(f"{name}: all its messages have one time")
+                    continue
+                one, two = (_single(*samples) for samples in (one, two))
             span = max(one[0][0], two[0][0]), min(one[0][-1], two[0][-1])
             if span[0] <= span[1]:
                 found.append(_deviation(name, one, two, span, limit))
                 spans.append(span)
+            else:
+                unread.append(f"{name}: A and B have no time in common")
     if not found:
-        raise BagError("the bags have no time in common")
+        raise BagError("; ".join(["the bags have no time in common", *unread]))
     names_a, names_b = (_names(s, topics, ignore) for s in (a, b))
     return Alignment(
         sorted(found, key=lambda d: d.signal),
@@ -175,6 +196,7 @@ def align(
         [n for n in names_a if n not in names_b],
         [n for n in names_b if n not in names_a],
         notes,
+        unread,
     )
 
 
@@ -218,6 +240,12 @@ def _start(signals: BagSignals, axes: Sequence[Array]) -> float:
 def _samples(t: Array, x: Array, absent: NDArray[np.bool_] | None) -> tuple[Array, Array]:
     if absent is not None:
         t, x = t[~absent], x[~absent]
+    order = np.argsort(t, kind="stable")
+    return t[order], x[order]
+
+
+def _single(t: Array, x: Array) -> tuple[Array, Array]:
+    """Return the first sample of each time: a straight line needs one value at a time."""
     t, first = np.unique(t, return_index=True)
     return t, x[first]
 
@@ -228,8 +256,12 @@ def _deviation(
     inside = [(t[k], x[k]) for t, x in (a, b) if (k := (t >= span[0] - 1e-9) & (t <= span[1] + 1e-9)) is not None]
     slow = 0 if inside[0][0].size <= inside[1][0].size else 1
     times = inside[slow][0]
-    x, y = (np.interp(times, *pair) for pair in (a, b))
-    error = np.abs(y - x)
+    if np.array_equal(inside[0][0], inside[1][0]):  # each with its partner, of equal times too
+        x, y = inside[0][1], inside[1][1]
+    else:
+        x, y = (np.interp(times, *pair) for pair in (a, b))
+    with np.errstate(invalid="ignore"):
+        error = np.abs(y - x)
     known = np.isfinite(error)
     off = int(np.sum(limit.exceeded(x, y)))
     if not known.any():

@@ -82,7 +82,7 @@ def _file_names(labels: list[str], known: list[str]) -> Iterator[str]:
     """Return a name for the file of each topic that has none, no two of them equal."""
     taken = set(known)
     for label in labels[len(known) :]:
-        name = plain = label.strip("/").replace("/", ".")
+        name = plain = label.strip("/").replace("/", ".") or "topic"
         k = 1
         while name in taken:
             k += 1

@@ -113,7 +113,7 @@ class McapSource:
 
     @property
     def last(self) -> int:
-        """Latest time that the parts claim."""
+        """Latest time that the parts claim; `LATEST` where one claims none."""
         return max((p.last for p in self._parts), default=0)
 
     def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
@@ -143,8 +143,8 @@ class McapSource:
                 if length < _CHUNK.size:
                     raise Damaged("a chunk is shorter than its fields")
                 first, last, size, _, _ = _CHUNK.unpack_from(head, _HEAD.size)
-                if size:
-                    self._parts.append(Part(at, after, first, last, None))
+                if size:  # a last time of 0 or before the first is no claim: writers leave the field unset
+                    self._parts.append(Part(at, after, first, last if last and last >= first else LATEST, None))
             elif code == MESSAGE_INDEX and self._parts:
                 part = self._parts[-1]
                 self._parts[-1] = part._replace(hint=(part.hint[0] if part.hint else at, after))

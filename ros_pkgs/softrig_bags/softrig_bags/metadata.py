@@ -52,8 +52,6 @@ class Metadata:
     files: list[str] = field(default_factory=list)
     topics: list[Stated] = field(default_factory=list)
     count: int | None = None
-    start: int = 0
-    duration: int = 0
     custom_data: dict[str, str] = field(default_factory=dict)
     distribution: str = ""
 
@@ -111,8 +109,6 @@ def parsed(about: Mapping[str, Any]) -> Metadata:
         [str(name) for name in files],
         topics,
         _number("messages", about["message_count"]) if "message_count" in about else None,
-        _number("start", about.get("starting_time", {}).get("nanoseconds_since_epoch", 0)),
-        _number("duration", about.get("duration", {}).get("nanoseconds", 0)),
         {str(k): str(v) for k, v in custom.items()} if isinstance(custom, dict) else {},
         str(about.get("ros_distro", "")),
     )

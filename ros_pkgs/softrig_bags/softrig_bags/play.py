@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from softrig_core.block.params import Declaration
-from softrig_core.guard import say
+from softrig_core.guard import incomplete, say
 from softrig_nodes.ros.messages import message_class
 
 from .errors import BagError
 from .player import CHANGES, CLOCK, LockstepPlayer, Player, Publishers, span
 from .reader import BagReader
-from .ros import Session
+from .ros import Session, is_topic_name
 from .selection import Selection
-from .topics import absolute
+from .topics import BagTopic, absolute
 from .write import write_bag
 
 
@@ -39,12 +39,18 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
         for name in [*selection.names, *remap]:
             if name not in [t.name for t in bag.topics]:
                 raise BagError(f"no topic {name} in {options.bag}; it has {', '.join(t.name for t in bag.topics)}")
-        coded = [t for t in chosen if t.wire not in ("cdr", "")]
-        foreign = [t for t in chosen if t.name not in selection.names and t not in coded and not installed(t.msgtype)]
-        for left, why in ((foreign, "their types are not installed here"), (coded, "their messages are no CDR")):
-            if left:
-                say(f"not played, {why}: {', '.join(f'{t.name} ({t.msgtype})' for t in left)}")
-        chosen = [t for t in chosen if t not in foreign and t not in coded]
+        left: dict[str, list[BagTopic]] = {}
+        types: dict[str, str] = {}  # by the name that is published
+        for topic in chosen:
+            live = remap.get(topic.name, topic.name)
+            why = _obstacle(topic, live, topic.name in selection.names)
+            if not why and types.setdefault(live, topic.msgtype) != topic.msgtype:
+                why = f"{live} is played as {types[live]}"
+            if why:
+                left.setdefault(why, []).append(topic)
+        for why, those in left.items():
+            say(f"not played, {why}: {', '.join(f'{t.name} ({t.msgtype})' for t in those)}")
+        chosen = [t for t in chosen if not any(t in those for those in left.values())]
         hidden = [t.name for t in bag.topics if "/_" in t.name and t not in chosen]
         if hidden and not (selection.names or selection.regex or selection.exclude):
             say(f"not played, hidden: {', '.join(hidden)}; --topics plays them")
@@ -58,6 +64,7 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
             )
             found = lockstep.run()
             counts = ", ".join(f"{len(t.data)} on {t.name}" for t in found.topics.values())
+            _say_refused(options, publishers)
             print(f"{lockstep.sent} messages played, answered by {counts}")
             if options.answers:
                 write_bag(options.answers, found)
@@ -73,8 +80,23 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
             paused=options.paused,
         )
         player.run(options.wait)
+        _say_refused(options, publishers)
         print(f"{player.sent} messages played")
         return 0
+
+
+def _say_refused(options: argparse.Namespace, publishers: Publishers) -> None:
+    for name, n in publishers.refused.items():
+        incomplete(f"{options.bag}: {n} messages not played on {name}: ROS refuses their bytes, which are damaged")
+
+
+def _obstacle(topic: BagTopic, live: str, named: bool) -> str:
+    """Return why a topic cannot be published under a name; empty where it can."""
+    if topic.wire not in ("cdr", ""):
+        return "their messages are no CDR"
+    if not named and not installed(topic.msgtype):
+        return "their types are not installed here"
+    return "" if is_topic_name(live) else "ROS has no such names, --remap gives others"
 
 
 def installed(msgtype: str) -> bool:

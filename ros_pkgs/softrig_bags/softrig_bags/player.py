@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, groupby, islice
@@ -55,11 +55,21 @@ class Publishers:
         self.names = {t.name: remap.get(t.name, t.name) for t in topics}
         self._publishers: dict[int, Any] = {}
         for i, topic in enumerate(bag.topics):
-            if topic.name in self.names:
+            if topic in topics:
                 kind = _class(topic)
                 name = self.names[topic.name]
                 self._publishers[i] = self._node.create_publisher(kind, name, publisher_profile(topic))
         self.publish: dict[int, Callable[[bytes], None]] = {i: p.publish for i, p in self._publishers.items()}
+        self.refused: Counter[str] = Counter()  # messages by topic
+
+    def send(self, i: int, data: bytes) -> bool:
+        """Publish a message of a topic; return whether the middleware took its bytes, which may be damaged."""
+        try:
+            self.publish[i](data)
+        except RCLError:
+            self.refused[self._publishers[i].topic_name] += 1
+            return False
+        return True
 
     def unheard(self, names: Sequence[str]) -> list[str]:
         """Which of the published topics have no subscriber."""
@@ -198,13 +208,14 @@ class Player:
         for i, t, data in self._bag.messages(self._publishers.names, self._part.start):
             if t > self._part.end:
                 break
+            if i not in publish:  # of another type
+                continue
             if t != now:
                 self._wait(t)
                 now = t
             if self._session.stopped:
                 return
-            publish[i](data)
-            self.sent += 1
+            self.sent += self._publishers.send(i, data)
 
     def _wait(self, t: int) -> None:
         """Return when bag time `t` is due."""
@@ -474,8 +485,7 @@ class LockstepPlayer:
         publish, sent = self._publishers.publish, self.sent
         for i, data in messages:
             if i in publish:
-                publish[i](data)
-                self.sent += 1
+                self.sent += self._publishers.send(i, data)
             else:
                 answer = self._answers[self._bag.topics[i].name]
                 answer.expect(tick, stamp(data) if answer.stamped else 0)
@@ -489,7 +499,10 @@ class LockstepPlayer:
         part, wanted = self._part, {*self._publishers.names, *self._names}
         stamped = [is_stamped(t) for t in self._bag.topics]
         messages: Iterator[tuple[int, int, bytes]]
-        messages = ((t, i, d) for i, t, d in self._bag.messages(wanted, part.start) if t <= part.end)
+        ours = {i for i, topic in enumerate(self._bag.topics) if topic.name in self._names}
+        ours |= self._publishers.publish.keys()  # of two types on a topic one is played
+        said = self._bag.messages(wanted, part.start)
+        messages = ((t, i, d) for i, t, d in said if t <= part.end and i in ours)
         head = list(islice(messages, 200))
         messages = chain(head, messages)
         if not any(stamped[i] and stamp(data) == t for t, i, data in head):

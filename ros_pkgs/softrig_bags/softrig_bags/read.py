@@ -67,6 +67,8 @@ class BagSignals(Signals):
         By topic and column: which messages lack the column, where some do.
     left_out : dict of str to Left
         By topic: what has not become signals, and why.
+    undecodable : list of str
+        Topics that have messages, of which not one can be decoded.
     """
 
     def __init__(self, path: Path, bag: BagReader, columns: Columns, tables: Mapping[int, Growing]) -> None:
@@ -84,6 +86,7 @@ class BagSignals(Signals):
                 self._tables[label] = Table(t, stamp, piece.columns)
                 self.absent[label] = piece.absent
         self.left_out = {bag.labels[i]: left for i, left in columns.left.items()}
+        self.undecodable = [x for i, x in enumerate(bag.labels) if bag.counts[i] and x not in self._tables]
 
     def _load(self) -> None:
         for topic in self.recording.topics.values():

@@ -208,7 +208,10 @@ class BagReader:
     @property
     def end(self) -> int:
         """Bag time of the last message in ns, as the files have it; 0 in an empty bag."""
-        return self._end if self._counts is not None else max((s.last for s in self._sources), default=0)
+        claimed = max((s.last for s in self._sources), default=0)
+        if self._counts is None and self.start <= claimed < LATEST:
+            return claimed
+        return self._end if self.counts else 0  # no claim, or a wrong one: all has to be read
 
     @property
     def counts(self) -> list[int]:
@@ -261,7 +264,8 @@ class BagReader:
         counted: list[Counter[int]] = [Counter() for _ in self._sources]
         chosen = None if topics is None else np.array(sorted(topics), np.int64)
         last = 0
-        for block in self._by_time(counted, start):
+        whole = start <= (self._start or 0)
+        for block in self._by_time(counted, 0 if whole else start):  # the whole is read whatever the files claim
             last = int(block.t[-1])
             rows = block.t >= start
             if chosen is not None:
@@ -272,7 +276,7 @@ class BagReader:
                     yield plain_messages(found)
                 except Damaged as error:
                     raise self._damaged(error) from error
-        if start <= (self._start or 0):  # all of it
+        if whole:
             self._end = last
             self._account(counted)
 

@@ -12,6 +12,7 @@ import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.event_handler import EventHandler, QoSSubscriptionEventType as Event
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -19,6 +20,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from softrig_core import SECOND
 from softrig_core.block.params import Declaration
@@ -189,6 +191,15 @@ def subscription_profile(publishers: Sequence[QoSProfile]) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
+
+
+def is_topic_name(name: str) -> bool:
+    """Return whether ROS has topics of a name, which may be relative."""
+    try:
+        validate_full_topic_name(name if name.startswith("/") else f"/{name}")
+    except InvalidTopicNameException:
+        return False
+    return True
 
 
 def publisher_profile(topic: BagTopic) -> QoSProfile:

@@ -96,8 +96,9 @@ class SqliteRecovery:
 
 def _topics(database: sqlite3.Connection) -> dict[int, Declared]:
     columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
-    offered = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
-    digest = "type_description_hash" if "type_description_hash" in columns else "''"
+    # converters leave NULL where they know nothing
+    offered = "coalesce(offered_qos_profiles, '')" if "offered_qos_profiles" in columns else "''"
+    digest = "coalesce(type_description_hash, '')" if "type_description_hash" in columns else "''"
     texts: dict[str, tuple[str, str]] = {}
     if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
         rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
@@ -105,7 +106,7 @@ def _topics(database: sqlite3.Connection) -> dict[int, Declared]:
     return {
         number: Declared(name, msgtype, *texts.get(msgtype, ("", "")), hashed, profiles, wire)
         for number, name, msgtype, hashed, profiles, wire in database.execute(
-            f"SELECT id, name, type, {digest}, {offered}, serialization_format FROM topics"
+            f"SELECT id, name, type, {digest}, {offered}, coalesce(serialization_format, 'cdr') FROM topics"
         )
         if _all_text((name, msgtype, hashed, profiles, wire))
     }

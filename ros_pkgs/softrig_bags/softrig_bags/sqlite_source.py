@@ -59,9 +59,9 @@ class SqliteSource:
             raise Damaged(str(error)) from error
         if self.first is None:
             self.first, self.last = LATEST, 0
-        elif not isinstance(self.first, int) or not isinstance(self.last, int):
+        elif not isinstance(self.first, int) or not isinstance(self.last, int) or self.first < 0:
             self.close()
-            raise Damaged(f"a message is at {self.last!r}, expected a whole number")
+            raise Damaged(f"messages are at {self.first!r} to {self.last!r}, expected whole numbers of ns from 0")
 
     def close(self) -> None:
         """Close the file."""
@@ -83,13 +83,15 @@ class SqliteSource:
         definitions: dict[str, tuple[str, str]] = {}
         if self._columns("message_definitions"):
             for name, language, text in self._db.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
+                "SELECT topic_type, coalesce(encoding, ''), coalesce(encoded_message_definition, '') "
+                "FROM message_definitions ORDER BY id"
             ):
                 definitions.setdefault(name, (text, language))
-        offered = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
-        digest = "type_description_hash" if "type_description_hash" in columns else "''"
+        # converters leave NULL where they know nothing
+        offered = "coalesce(offered_qos_profiles, '')" if "offered_qos_profiles" in columns else "''"
+        digest = "coalesce(type_description_hash, '')" if "type_description_hash" in columns else "''"
         for number, name, msgtype, encoding, profiles, hashed in self._db.execute(
-            f"SELECT id, name, type, serialization_format, {offered}, {digest} FROM topics ORDER BY id"
+            f"SELECT id, name, type, coalesce(serialization_format, ''), {offered}, {digest} FROM topics ORDER BY id"
         ):
             definition, language = definitions.get(msgtype, ("", ""))
             found = SourceTopic(name, msgtype, definition, language, hashed, profiles, encoding)
