@@ -1088,7 +1088,9 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
 
     def drawn(found, rig, entry, **how):
         asked.append((entry.title, [*entry.signals], entry.window, how))
-        return SimpleNamespace(savefig=lambda path, dpi, metadata: Path(path).write_text(f"{dpi} {metadata}"))
+        return SimpleNamespace(
+            savefig=lambda file, format, dpi, metadata: file.write(f"{dpi} {format} {metadata}".encode())
+        )
 
     monkeypatch.setattr(redraw, "rig_of_run", lambda path: (plotted, run.signals))
     monkeypatch.setattr(redraw, "plot_entry", drawn)
@@ -1109,11 +1111,11 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
         "p/plot_01_lag_state_x_position.csv",
         *[f"{of_one}/plot_01_position.pdf"] * 2,
     ]
-    assert (lag / of_one / "plot_01_position.pdf").read_text().startswith("300 {")
+    assert (lag / of_one / "plot_01_position.pdf").read_text().startswith("300 pdf {")
     rows = (lag / "p/plot_01_lag_state_x_position.csv").read_text().splitlines()
     assert (rows[0], len(rows)) == ("t (s),lag/state/x/position (m)", 4)
 
-    def latex(path, dpi, metadata):
+    def latex(file, format, dpi, metadata):
         raise RuntimeError("no xelatex\nmore")
 
     monkeypatch.setattr(redraw, "plot_entry", lambda *what, **how: SimpleNamespace(savefig=latex))

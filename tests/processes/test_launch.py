@@ -214,8 +214,8 @@ def test_an_unknown_argument_of_our_launch_file_is_said():
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("gian: {ros__parameters: {noise: 1.0}}", "gian: no such node .did you mean 'gain'"),
-        ("gain: {noise: 1.0}", "gain: expected ros__parameters"),
+        ("gian: {ros__parameters: {noise: 1.0}}", "/gian: no such node .did you mean '/gain'"),
+        ("gain: {noise: 1.0}", "line 1: noise: expected ros__parameters"),
         ("- gain", "expected NODE"),
         ("gain: {ros__parameters: {nose: 1.0}}", "nose"),
         ("gain: [", "given.yaml"),

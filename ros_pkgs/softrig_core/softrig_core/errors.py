@@ -39,5 +39,6 @@ def closest(name: str, known: Iterable[str]) -> str:
     """Suggest the nearest of some names, as the end of a message."""
     from difflib import get_close_matches
 
-    near = get_close_matches(name, list(known), 1)
-    return f" (did you mean {near[0]!r}?)" if near else ""
+    folded = {one.casefold(): one for one in known}  # a capital letter is the most likely mistake of all
+    near = get_close_matches(name.casefold(), list(folded), 1)
+    return f" (did you mean {folded[near[0]]!r}?)" if near else ""

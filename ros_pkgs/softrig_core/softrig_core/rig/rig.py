@@ -171,8 +171,8 @@ def members_of(
 def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeParameters) -> Member:
     entry = scenario.nodes[name]
     where = f"{scenario.name}: node {name}"
+    params: Any = parameters(name)  # its errors name the node already
     try:
-        params: Any = parameters(name)
         inputs, outputs = block.ports(params)
         require_distinct(inputs, outputs)
     except ValueError as error:
