@@ -660,12 +660,14 @@ def test_what_is_not_compared_over_time_is_no_agreement(tmp_path, capsys):
         "once": speeds(3, step=0),
         "other": [row[:3] + (number(9.0 if k else 0.0),) for k, row in enumerate(speeds(3, step=0))],
         "four": speeds(4, step=0),
+        "long": speeds(100),
     }
     path = {name: str(mcap(tmp_path / f"{name}.mcap", rows)) for name, rows in files.items()}
     for a, b, told in (
         ("a", "b", "not compared: late/data: A and B have no time in common"),
         ("odd", "odd", "not compared: event cannot be decoded; leave it out with --ignore"),
         ("once", "other", "2 of 3 samples beyond the tolerance"),
+        ("long", "a", "not compared: speed/data: 9 of 9.9 s, which only one of the bags has"),
     ):
         assert main_compare(["--align", path[a], path[b]]) == 1
         assert told in capsys.readouterr().out

@@ -23,6 +23,7 @@ CLOCK = "clock"  # the times themselves, no signal
 GRID = 2000  # samples on which a time shift is searched for
 BACK = 0.1  # of the steps from message to message: more that go back are those of several clocks
 REACH = 0.1  # of the common span: the largest shift
+ALONE = 0.1  # of a signal's time: what only one bag has is more than a late start or end of a run in real time
 GAIN = 0.99  # a shift is one when the rms deviation falls below this part of what it is without
 
 
@@ -185,6 +186,9 @@ def align(
             if span[0] <= span[1]:
                 found.append(_deviation(name, one, two, span, limit))
                 spans.append(span)
+                length = max(float(np.ptp(t)) for t, _ in (one, two))
+                if (alone := length - (span[1] - span[0])) > ALONE * length:
+                    unread.append(f"{name}: {alone:.3g} of {length:.3g} s, which only one of the bags has")
             else:
                 unread.append(f"{name}: A and B have no time in common")
     if not found:
