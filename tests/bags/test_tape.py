@@ -1,13 +1,12 @@
 """What came from outside, said once more; and how much was missed before a recorder joined: both by hand."""
 
-import itertools
 import json
 import random
 
 import pytest
 from softrig_bags import tape
 from softrig_bags.holds import Holds, _seconds
-from softrig_bags.join import INTERVALS, SIMULATED, Join
+from softrig_bags.join import INTERVALS, SIMULATED, Join, missed
 from softrig_bags.selection import Selection
 from softrig_bags.stamps import is_stamped, stamp
 from softrig_bags.tape import Tape, port_of, written
@@ -106,49 +105,54 @@ def test_a_port_is_written_without_what_is_plain_and_becomes_an_output():
 # joined late -----------------------------------------------------------------------------------------------------
 
 
-def missed(marks):
-    """By the first eight intervals: what speaks with one period, to the nanosecond, was there from t = 0 on."""
-    marks = marks[: INTERVALS + 1]
-    for k in range(1, len(marks)):
-        if marks[k] < marks[0]:  # who goes back tells nothing more
-            marks = marks[: k + 1]
-            break
-    steps = [b - a for a, b in itertools.pairwise(marks)]
-    if len(steps) < 2 or not 0 < marks[0] < SIMULATED:
-        return 0
-    mean = sum(steps) / len(steps)
-    return round(marks[0] / mean) if mean > 0 and all(abs(s - mean) <= 1 for s in steps) else 0
-
-
-STREAMS = {
-    "from the start": range(0, 100, 10),
-    "three late": range(30, 130, 10),
-    "two messages": [30, 40],
-    "three messages": [30, 40, 50],
-    "after eight it may do as it likes": [*range(30, 120, 10), 1000],
-    "the eighth interval is another": [*range(30, 110, 10), 111],
-    "a nanosecond off is rounding": [300, 400, 501, 600],
-    "more is not": [300, 400, 502, 600],
-    "backwards": [300, 200, 100],
-    "always the same": [30, 30, 30],
-    "on the wall clock": [SIMULATED, SIMULATED + 10, SIMULATED + 20],
-    "just not": [SIMULATED - 10, SIMULATED, SIMULATED + 10],
-    "before the start": [-10, 0, 10],
+STREAMS = {  # stamps, ns; periods before the first one, by hand
+    "from the start": (range(0, 100, 10), 0),
+    "three late": (range(30, 130, 10), 3),
+    "three late and a bit, as rounding adds up": (range(31, 131, 10), 3),  # 1 + 3/8 ns are allowed
+    "more than rounding adds up to": (range(32, 132, 10), 0),
+    "between its ticks": (range(35, 135, 10), 0),
+    "at each fourth tick from the third on": (range(20, 420, 40), 0),
+    "two messages": ([30, 40], 0),
+    "three messages": ([30, 40, 50], 3),
+    "after eight it may do as it likes": ([*range(30, 120, 10), 1000], 3),
+    "the eighth interval is another": ([*range(30, 110, 10), 111], 3),  # by 1 ns: its mean is 10 1/8 ns
+    "the eighth interval is quite another": ([*range(30, 110, 10), 112], 0),
+    "a nanosecond off is rounding": ([300, 400, 501, 600], 3),
+    "more is not": ([300, 400, 502, 600], 0),
+    "backwards": ([300, 200, 100], 0),
+    "always the same": ([30, 30, 30], 0),
+    "on the wall clock": ([SIMULATED, SIMULATED + 10, SIMULATED + 20], 0),
+    "just not": ([SIMULATED - 10, SIMULATED, SIMULATED + 10], SIMULATED // 10 - 1),
+    "before the start": ([-10, 0, 10], 0),
 }
 
 
-@pytest.mark.parametrize("name", STREAMS)
-def test_a_late_listener_counts_what_it_missed(name):
-    marks = list(STREAMS[name])
+def joined(marks):
+    """What is known of a topic with these stamps, and how many of them were looked at."""
     join = Join(BagTopic("/x", HEADER, "std_msgs/Header h"))
     looked = 0
     for mark in marks:
         if join.open:
             join.look(Layout(HEADER).encode(mark, ()))
             looked += 1
-    assert join.missed == missed(marks)
+    return join, looked
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_a_late_listener_counts_what_it_missed(name):
+    marks, count = STREAMS[name]
+    join, looked = joined(marks)
+    assert (join.periods, join.from_start) == (count, marks[0] == 0)
+    assert missed([("/x", join)]) == ({"/x": count} if count else {})
     assert looked <= INTERVALS + 1
     assert looked == (1 if not 0 < marks[0] < SIMULATED else 2 if name == "backwards" else min(len(marks), 9))
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_who_is_late_beside_one_from_the_start_missed_nothing(name):
+    """A rig waits for its recorder on all topics or on none."""
+    late, whole = joined(STREAMS[name][0])[0], joined(range(0, 100, 10))[0]
+    assert missed([("/x", late), ("/whole", whole)]) == missed([("/whole", whole), ("/x", late)]) == {}
 
 
 def test_what_has_no_stamp_and_no_number_tells_nothing():
@@ -156,7 +160,8 @@ def test_what_has_no_stamp_and_no_number_tells_nothing():
     array = Join(BagTopic("/x", "std_msgs/msg/Float64MultiArray"))
     assert array.open
     array.look(b"\0\0\0\1 of another byte order")
-    assert (array.open, array.missed) == (False, 0)
+    assert (array.open, array.number, array.periods, array.from_start) == (False, 0, 0, False)
+    assert missed([("/x", array)]) == {}
 
 
 # the rest of a recorder's rules ----------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from fractions import Fraction
 
 from softrig_core import SECOND
 from softrig_core.wire.cdr import parse
@@ -65,12 +66,12 @@ class Join:
         intervals = [b - a for a, b in zip(self._stamps, self._stamps[1:], strict=False)]
         if len(intervals) < 2 or not 0 < self._stamps[0] < SIMULATED:
             return 0
-        mean = sum(intervals) / len(intervals)
+        mean = Fraction(sum(intervals), len(intervals))
         if mean <= 0 or any(abs(i - mean) > 1 for i in intervals):  # ticks are rounded to 1 ns
             return 0
         count = round(self._stamps[0] / mean)
         rest = abs(self._stamps[0] - count * mean)
-        return count if rest <= 1 + count / len(intervals) else 0
+        return count if rest <= 1 + Fraction(count, len(intervals)) else 0
 
 
 def missed(joins: Iterable[tuple[str, Join]]) -> dict[str, int]:
