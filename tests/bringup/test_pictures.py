@@ -24,11 +24,12 @@ from softrig_bringup.plots import pictures as plots
 from softrig_bringup.plots.axes import draw as draw_curves, draw_logic, fold_exponents
 from softrig_bringup.plots.curves import Curve, Shown, check_plots, inside
 from softrig_bringup.plots.marks import marks_of
-from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
+from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay, overlay_figures
 from softrig_bringup.plots.pictures import places, plot_entry, plot_run
 from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title, style
+from softrig_bringup.report.apart import differing, names
 from softrig_bringup.report.record import RunRecord, read_run
-from softrig_bringup.report.several import differences, differing, groups, names, overlaid, side_by_side
+from softrig_bringup.report.several import differences, groups, overlaid, side_by_side
 from softrig_core import ScenarioError, Signals, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.rig import code
 from softrig_core.scenario.scenario import PlotEntry
@@ -537,13 +538,12 @@ def overlay(label, group, offset=0.0, end=1.0, window=None, peak=0.0):
     )
 
 
-def test_runs_overlay_with_bands_over_seeds(monkeypatch):
-    figures = []
-    monkeypatch.setattr("softrig_bringup.plots.overlay.fold_exponents", figures.append)
+def test_runs_overlay_with_bands_over_seeds():
     runs = [overlay(f"seed {k}", "draws", 0.1 * k) for k in range(5)] + [overlay("own", "own", 1.0)]
     ((title, png),) = draw_overlay(runs)
     assert (title, png[:4]) == ("Position", b"\x89PNG")
-    (ax,) = figures[0].axes
+    ((_, figure),) = overlay_figures(runs)
+    (ax,) = figure.axes
     own, median, reference = (
         next(line for line in ax.lines if line.get_label().startswith(n))
         for n in ("own", "draws: median of 5 seeds", "reference")
@@ -557,16 +557,15 @@ def test_runs_overlay_with_bands_over_seeds(monkeypatch):
     assert ax.get_ylabel() == "Position, m"
 
 
-def test_overlaid_pictures_are_as_told(monkeypatch, unsaved):
+def test_overlaid_pictures_are_as_told(unsaved):
     """A band of five with a run of its own; two groups too small for one; more runs than can be named; a window."""
-    figures = []
-    monkeypatch.setattr("softrig_bringup.plots.overlay.fold_exponents", figures.append)
     cases = [
         [overlay(f"seed {k}", "draws", 0.1 * k) for k in range(5)] + [overlay("own", "own", 1.0, end=2.0)],
         [overlay(f"seed {k}", "ab"[k % 2], 0.1 * k, window=(0.02, 0.09), end=0.09) for k in range(4)],
         [overlay(f"run {k}", f"run {k}", 0.1 * k, peak=1.0) for k in range(12)],
     ]
     titles = [title for runs in cases for title, _ in draw_overlay(runs, ", again")]
+    figures = [figure for runs in cases for _, figure in overlay_figures(runs, ", again")]
     told = (line for title, f in zip(titles, figures, strict=True) for line in (title, *figure_lines(f)))
     check_told("pictures/overlay", told)
 
@@ -578,12 +577,10 @@ def test_signals_that_only_one_run_has_are_not_overlaid():
     )
 
 
-def test_a_windowed_picture_has_the_range_of_its_window(monkeypatch):
-    figures = []
-    monkeypatch.setattr("softrig_bringup.plots.overlay.fold_exponents", figures.append)
+def test_a_windowed_picture_has_the_range_of_its_window():
     runs = [overlay(name, name, 0.01 * k, window=(0.4, 0.5), peak=50.0) for k, name in enumerate("ab")]
-    (_,) = draw_overlay(runs)
-    (ax,) = figures[0].axes
+    ((_, figure),) = overlay_figures(runs)
+    (ax,) = figure.axes
     assert ax.get_xlim() == (0.4, 0.5)
     low, high = ax.get_ylim()
     assert 0.3 < low < 0.41

@@ -12,49 +12,53 @@ MS, SECOND = 1_000_000, 1_000_000_000
 
 LIMITS = {
     # how often nodes look, ns
-    "node.adapter.adapter": {"WATCH_PERIOD": 250 * MS, "LOOK_EVERY": 4},
-    "node.adapter.handshake": {"CHECK": 20 * MS, "SETTLED": 25},
-    "node.adapter.departure": {"LEAD": 500 * MS, "CLOCKS": 500 * MS, "REPEAT": 5},
-    "node.face.frames": {"PERIOD": 33_333_333},
-    "node.face.simulation": {"LOOK": 5 * MS, "APART": 1e-6},
-    "node.ros.ros": {"LOOK": 20 * MS, "SEARCH": 250 * MS, "PAUSE": MS, "PATIENCE": 2.0, "LAST": 10.0},
-    "node.ros.ros.Credit": {"SHARE": 0.2, "MOST": 2.0},
-    "node.ros.ros.Answers": {"MOST": 100},
+    "softrig_nodes.adapter.adapter": {"WATCH_PERIOD": 250 * MS, "LOOK_EVERY": 4},
+    "softrig_nodes.adapter.handshake": {"CHECK": 20 * MS, "SETTLED": 25},
+    "softrig_nodes.adapter.departure": {"LEAD": 500 * MS, "CLOCKS": 500 * MS, "REPEAT": 5},
+    "softrig_nodes.face.frames": {"PERIOD": 33_333_333},
+    "softrig_nodes.face.simulation": {"LOOK": 5 * MS, "APART": 1e-6},
+    "softrig_nodes.ros.ros": {"LOOK": 20 * MS, "SEARCH": 250 * MS, "PAUSE": MS, "PATIENCE": 2.0, "LAST": 10.0},
+    "softrig_nodes.ros.ros.Credit": {"SHARE": 0.2, "MOST": 2.0},
+    "softrig_nodes.ros.ros.Answers": {"MOST": 100},
     # a run in lockstep: ticks, messages, s without progress
-    "node.lockstep.comeback": {"SAID": 2},
-    "node.lockstep.lockstep": {"FEW": 2, "SAY_AFTER": 250},
-    "node.lockstep.lockstep.Lockstep": {"status_every": 1},
-    "node.lockstep.paired": {"AHEAD": 100_000},
-    "node.lockstep.stalls": {"GONE_AFTER": 0.5, "GOODBYE": 2.0, "SAY_AFTER": 1.5},
-    "node.seam.tick": {"LAG": 4},
-    "node.seam.hold": {"LOOK": 10 * MS},
-    "node.seam.solving": {"LOOK": 2 * MS, "TOLD_EVERY": 0.5},
-    "run.session": {"KEPT": 256},
+    "softrig_nodes.lockstep.comeback": {"SAID": 2},
+    "softrig_nodes.lockstep.lockstep": {"FEW": 2, "SAY_AFTER": 250},
+    "softrig_nodes.lockstep.lockstep.Lockstep": {"status_every": 1},
+    "softrig_nodes.lockstep.paired": {"AHEAD": 100_000},
+    "softrig_nodes.lockstep.stalls": {"GONE_AFTER": 0.5, "GOODBYE": 2.0, "SAY_AFTER": 1.5},
+    "softrig_nodes.seam.tick": {"LAG": 4},
+    "softrig_nodes.seam.hold": {"LOOK": 10 * MS},
+    "softrig_nodes.seam.solving": {"LOOK": 2 * MS, "TOLD_EVERY": 0.5},
+    "softrig_core.run.session": {"KEPT": 256},
     # a run in real time, ns but for AGAIN
-    "node.realtime.beat": {"BEHIND": 50 * MS},
-    "node.realtime.gathering": {"STRETCH": 10 * MS},
-    "node.realtime.live": {"KEPT": 64, "GONE": SECOND},
-    "node.realtime.realtime": {"AGAIN": 10.0, "SOON": MS, "CATCH_UP": SECOND, "END_GRACE": SECOND},
-    "node.realtime.realtime.Realtime": {"status_every": 4},
-    "node.realtime.stand": {"LEAD": 50 * MS, "NEVER": 2**63 - 1},
+    "softrig_nodes.realtime.beat": {"BEHIND": 50 * MS},
+    "softrig_nodes.realtime.gathering": {"STRETCH": 10 * MS},
+    "softrig_nodes.realtime.live": {"KEPT": 64, "GONE": SECOND},
+    "softrig_nodes.realtime.realtime": {"AGAIN": 10.0, "SOON": MS, "CATCH_UP": SECOND, "END_GRACE": SECOND},
+    "softrig_nodes.realtime.realtime.Realtime": {"status_every": 4},
+    "softrig_nodes.realtime.stand": {"LEAD": 50 * MS, "NEVER": 2**63 - 1},
     # nodes of one process, ns but for GRACE; calls and messages
-    "node.container": {"LOOK": 100 * MS, "SPIN": 300_000, "GRACE": 1.0},
-    "node.group": {"SLICE": 5 * MS},
-    "node.seam.exchange": {"BATCH": 16, "BURST": 8, "SLACK": 150_000, "SLICE": 5 * MS},
-    "node.seam.monitor": {"LONG": 5 * MS, "SHORT_ONES": 20},
-    "node.ros.garbage": {"CLEAN": 100, "UNCLEAN": 10},
-    "node.ros.processor": {"SHORT": 200_000, "ENOUGH": 100, "LONG": 200 * MS},
+    "softrig_nodes.container": {"LOOK": 100 * MS, "SPIN": 300_000, "GRACE": 1.0},
+    "softrig_nodes.group": {"SLICE": 5 * MS},
+    "softrig_nodes.seam.exchange": {"BATCH": 16, "BURST": 8, "SLACK": 150_000, "SLICE": 5 * MS},
+    "softrig_nodes.seam.monitor": {"LONG": 5 * MS, "SHORT_ONES": 20},
+    "softrig_nodes.ros.garbage": {"CLEAN": 100, "UNCLEAN": 10},
+    "softrig_nodes.ros.processor": {"SHORT": 200_000, "ENOUGH": 100, "LONG": 200 * MS},
     # the end of a process, and who asks from outside, s
-    "node.ros.leave": {"PATIENCE": 2},
-    "node.ros.remote": {"PATIENCE": 10.0},
-    "processes.supervision": {"GRACE": 1.5},
-    "processes.children": {
+    "softrig_nodes.ros.leave": {"PATIENCE": 2},
+    "softrig_nodes.ros.remote": {"PATIENCE": 10.0},
+    "softrig_nodes.processes.supervision": {"GRACE": 1.5},
+    "softrig_nodes.processes.children": {
         "STOP_STEPS": ((signal.SIGINT, 3.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0)),
     },
     # domains and ports of DDS: numbers, and s
-    "processes.domain": {"DOMAINS": range(1, 101), "BEYOND": (*range(215, 232), *range(101, 215)), "HIGHEST": 232},
-    "processes.executables": {"MARGIN": 2},
-    "processes.ports": {
+    "softrig_nodes.processes.domain": {
+        "DOMAINS": range(1, 101),
+        "BEYOND": (*range(215, 232), *range(101, 215)),
+        "HIGHEST": 232,
+    },
+    "softrig_nodes.processes.executables": {"MARGIN": 2},
+    "softrig_nodes.processes.ports": {
         "BASE": 7400,
         "GAIN": 250,
         "WELL_KNOWN": {"offsetd0": 0, "offsetd1": 10, "offsetd2": 1},
@@ -66,7 +70,7 @@ LIMITS = {
         "AROUND": 18.0,
         "AT_ONCE": 50,
     },
-    "processes.shared_memory": {
+    "softrig_nodes.processes.shared_memory": {
         "AGE": 2.0,
         "ABANDONED": 60.0,
         "LOOKS": 100,
@@ -74,25 +78,25 @@ LIMITS = {
         "RECENT": 1e9,
         "MADE": b"\2\0\0\0",
     },
-    "processes.shared_memory.Ears": {"PATIENCE": 10.0},
-    "processes.fork_server": {"LARGEST": 100_000, "ROOM": 8_000},
+    "softrig_nodes.processes.shared_memory.Ears": {"PATIENCE": 10.0},
+    "softrig_nodes.processes.fork_server": {"LARGEST": 100_000, "ROOM": 8_000},
     # what the system and ROS define: <sys/prctl.h>, <net/if.h>, <fcntl.h>, rcl/types.h, rcl_interfaces
-    "processes.fork_server ": {"PR_SET_PDEATHSIG": 1, "PR_SET_NAME": 15},
-    "processes.domain ": {"SIOCGIFFLAGS": 0x8913, "IFF_UP": 1},
-    "node.seam.health": {"AT_FDCWD": -100, "RENAME_EXCHANGE": 2},
-    "node.ros.arrival": {"TAKE_FAILED": 401, "SIZE": 4096},
-    "node.ros.tf_message": {"MESSAGE": 18, "MESSAGES": 145},
+    "softrig_nodes.processes.fork_server ": {"PR_SET_PDEATHSIG": 1, "PR_SET_NAME": 15},
+    "softrig_nodes.processes.domain ": {"SIOCGIFFLAGS": 0x8913, "IFF_UP": 1},
+    "softrig_nodes.seam.health": {"AT_FDCWD": -100, "RENAME_EXCHANGE": 2},
+    "softrig_nodes.ros.arrival": {"TAKE_FAILED": 401, "SIZE": 4096},
+    "softrig_nodes.ros.tf_message": {"MESSAGE": 18, "MESSAGES": 145},
     # records and messages: digits, names, messages, bytes
-    "wire.cdr": {"DIGITS": 12, "SINGLY": 32},
-    "wire.recording": {"CHUNK": 4096},
-    "wire.recording.ShardWriter": {"LIMIT": 4096},
-    "wire.recording.ShardTail": {"LIMIT": 1 << 22},
+    "softrig_core.wire.cdr": {"DIGITS": 12, "SINGLY": 32},
+    "softrig_core.wire.recording": {"CHUNK": 4096},
+    "softrig_core.wire.recording.ShardWriter": {"LIMIT": 4096},
+    "softrig_core.wire.recording.ShardTail": {"LIMIT": 1 << 22},
 }
 
 
 @pytest.mark.parametrize("where", LIMITS)
 def test_a_limit_is_what_it_is_said_to_be(where):
-    path = f"softrig_core.{where.strip()}"
+    path = where.strip()
     module, _, name = path.rpartition(".")
     holder = getattr(import_module(module), name) if name[0].isupper() else import_module(path)
     assert {key: getattr(holder, key) for key in LIMITS[where]} == LIMITS[where]

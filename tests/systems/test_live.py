@@ -14,7 +14,7 @@ from simulated import SimulatedRig, World
 from softrig_core import ParameterError, Signals, feed, load_scenario, rig_of
 from softrig_core.block.change import Change, changeable, permit
 from softrig_core.block.params import flatten
-from softrig_core.block.step import Step
+from softrig_core.wire.parameter_event import recorded
 
 CASES = {  # scenario: duration, time of the change; what is there to change must have begun
     "dc_motor_smc_b5_pid": (0.3, 0.1),
@@ -112,22 +112,22 @@ def cut(recording, t):
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_a_change_takes_effect_at_its_tick_and_never_before(name, monkeypatch):
-    taken = []
-    monkeypatch.setattr(Step, "changed", staticmethod(lambda t, values: taken.append((t, list(values)))))
+def test_a_change_takes_effect_at_its_tick_and_never_before(name):
+    """And is recorded with that tick, under its name, with its value."""
     rig, recording = run_of(name)
     at = TIMES[name][1]
     for member in rig.members:
         values = variations(member)
         base = answers(rig, recording, member, at, {})
+        assert recorded(base) == [], member.name
         tick = member.schedule.next(round(at * 1e9) - 1)
         for one in values:
             found = answers(rig, recording, member, at, {one: values[one]})
             where = f"{member.name}.{one}"
             assert cut(found, at) == cut(base, at), where
             last = member.schedule.last
-            assert taken == ([(tick, [one])] if last is None or tick <= last else []), where
-            taken.clear()
+            taken = [(tick, member.name, {one: values[one]})] if last is None or tick <= last else []
+            assert recorded(found) == taken, where
             assert all(np.isfinite(signal.x).all() for signal in Signals(found).values()), where
 
 
