@@ -142,7 +142,7 @@ def test_somebody_changes_a_gain(user, capsys, monkeypatch):
         ("run dc_motor_smc_b2 --external dc_motor_scm", "did you mean 'dc_motor_smc'"),
         ("node softrig_drive dc_motor_plant", "did you mean 'softrig_drives'"),
         ("node softrig_drives dc_motor_plnt", "did you mean 'dc_motor_plant'"),
-        ("study dc_motor_smc_b2 --workers 0", "expected a whole number of at least 1"),
+        ("study dc_motor_smc_b2 --workers 0", "expected a whole number from 1 to 1000"),
     ):
         assert typed(command) == 2
         error = capsys.readouterr().err

@@ -218,7 +218,7 @@ class Pages:
                 check_unused_sessions_milliseconds=AWAY // 5,
                 unused_session_lifetime_milliseconds=AWAY,
                 allow_websocket_origin=origins,
-                websocket_max_message_size_bytes=LARGEST,
+                websocket_max_message_size=LARGEST,
                 auth_provider=_Token(token, LOOPBACK if host in LOOPBACK else ()),
             )
         except OSError as error:
