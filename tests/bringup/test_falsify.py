@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import differences, in_process
-from matplotlib.figure import Figure
 from softrig_bringup.cli import main
 from softrig_bringup.falsify import engine, picture
 from softrig_bringup.falsify.search import search
@@ -382,7 +381,8 @@ def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(undra
 def test_the_picture_of_the_worst_run_is_as_told(monkeypatch):
     """Of a requirement over two signals, one of them the same in both runs; of one over a command; of a figure."""
     drawn = []
-    monkeypatch.setattr("softrig_bringup.plots.pictures.write_figure", lambda figure, path, **_: drawn.append((str(path), figure)))
+    writer = "softrig_bringup.plots.pictures.write_figure"
+    monkeypatch.setattr(writer, lambda figure, path, **_: drawn.append((str(path), figure)))
     scenario = load_scenario("dc_motor_smc_b2").changed(duration=0.4)
     about = {
         "speed": "motor/state/shaft/velocity",
