@@ -783,11 +783,14 @@ class Declares:
         self._parameter_overrides = {
             k: SimpleNamespace(value=v, type_=Parameter.Type.NOT_SET if v is None else None) for k, v in kinds.items()
         }
-        self._parameters, self.declared = {}, {}
+        self._parameters, self._described, self.declared = {}, {}, {}
 
     def declare_parameter(self, name, value, descriptor, ignore_override):
         assert ignore_override
-        self.declared[name] = value, descriptor.read_only
+        self.declared[name], self._described[name] = (value, descriptor.read_only), descriptor
+
+    def describe_parameter(self, name):
+        return self._described[name]
 
 
 def test_a_node_declares_its_parameters_and_those_of_its_run_that_fit_another_one():
@@ -813,6 +816,7 @@ def test_a_node_declares_its_parameters_and_those_of_its_run_that_fit_another_on
     }
     assert not node.declared["run.pace"][1]  # it may change
     assert node._parameters["run.paired"].type_ == Parameter.Type.STRING_ARRAY
+    assert node.describe_parameter("run.paired").type == Parameter.Type.STRING_ARRAY.value
     with pytest.raises(ParameterError):
         main._parameters(Declares(kk=3.0), Gain)
 
