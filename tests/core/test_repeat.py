@@ -202,7 +202,7 @@ def test_a_branch_is_repeated_from_its_bag_alone(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--from", "first"], "argument --from: 'first': expected RUN@T, the folder of a run and a time in s"),
+        (["--from", "first"], "argument --from: 'first': expected RUN@T, the folder of a run and a time from 0 to 1e9"),
         (["--from", "first@x"], "argument --from: 'first@x': expected RUN@T"),
         (["--from", "first@-1"], "argument --from: 'first@-1': expected RUN@T"),
         (["--from", "nowhere@1"], "softrig: nowhere: expected the directory of a run"),
