@@ -567,7 +567,6 @@ def test_a_server_is_asked_for_what_the_address_says(pages, monkeypatch):
         "address": "127.0.0.1",
         "check_unused_sessions_milliseconds": 1000,
         "unused_session_lifetime_milliseconds": 5000,
-        "websocket_max_message_size_bytes": 1 << 20,
         "allow_websocket_origin": [f"localhost:{port}", f"127.0.0.1:{port}"],
         "websocket_max_message_size": 1 << 20,
     }
