@@ -15,9 +15,9 @@ import numpy as np
 
 from .block import Block
 from .source import Damaged, SourceTopic
+from .sqlite_recover import journals
 
 ROWS, BYTES = 1 << 14, 1 << 22  # that are read at a time, at most and about
-BESIDE = ("-wal", "-journal")  # what a recorder that was killed leaves beside the file: committed rows, or undone ones
 LATEST = 2**63 - 1
 _MESSAGES = "SELECT topic_id, timestamp, data FROM messages WHERE timestamp >= ? ORDER BY timestamp, id"
 
@@ -43,8 +43,7 @@ class SqliteSource:
         self._copy: TemporaryDirectory[str] | None = None
         self._numbers: dict[Any, int] = {}  # of topics: those in the file may be any
         path = self.path
-        beside = [p for suffix in BESIDE if (p := path.with_name(path.name + suffix)).exists() and p.stat().st_size]
-        if beside:  # SQLite would write into the folder
+        if beside := journals(path):  # of a recorder that was killed; SQLite would write into the folder
             self._copy = TemporaryDirectory(prefix="softrig-bag-")
             for file in (path, *beside):
                 shutil.copyfile(file, Path(self._copy.name) / file.name)

@@ -98,11 +98,8 @@ class Base:
         """Discard the tick here."""
         self.discards = True
         self.emit("s->discarded = true;")
-        self._leave()
-        self.ended = True
-
-    def _leave(self) -> None:
         self.emit("return @ZERO@;")
+        self.ended = True
 
     def named(self, value: Value) -> Value:
         """Return a value by a name, so that it stays as it is."""
@@ -160,7 +157,7 @@ class Base:
         if isinstance(value.kind, Maybe):
             value = self.coerced(value, value.kind.item)
         if isinstance(value.kind, Tuple):
-            one = value if value.c.replace("_", "").replace(".", "").replace("->", "").isalnum() else self.named(value)
+            one = self._simple(value)
             return [
                 Value(k, "0" if isinstance(k, Absent) else f"{one.c}.{identifier(n)}")
                 for k, n in zip(value.kind.items, value.kind.names, strict=True)

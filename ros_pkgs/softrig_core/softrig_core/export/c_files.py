@@ -116,7 +116,8 @@ class _Files:
         self.state_types = [self.unit.c(state) for state in self.forms]
         self.constant_types = [self.unit.c(kind_of(v)) for v in self.values]
         self.in_header = len(self.unit.typedefs)
-        self.roots = {form: self._root(form, calls) for form in self.law.roots}
+        self.discards = tuple(sorted(set(self.law.program.seldom)))
+        self.roots = {form: self._root(form) for form in self.law.roots}
 
     # reading ------------------------------------------------------------------------------------------------------
 
@@ -130,7 +131,7 @@ class _Files:
                     states.append(kind)
         return states
 
-    def _root(self, form: Form, calls: Sequence[Call]) -> Any:
+    def _root(self, form: Form) -> Any:
         kinds: list[Kind] = [ABSENT, ABSENT]
         handed: list[Any] = ["", ""]
         for name in self.law.arrays[form]:
@@ -162,7 +163,6 @@ class _Files:
         """Return all files."""
         header, source = self.header(), self.source()
         channels = tuple(f"{p.topic}/{label}" for p in self.outputs for label in p.labels)
-        discards = tuple(sorted(set(self.law.program.seldom)))
         digest = hashlib.sha256((header + source).encode()).hexdigest()[:16]
         files = {
             SUPPORT: (resources.files(__package__) / SUPPORT).read_text(),
@@ -172,7 +172,7 @@ class _Files:
             f"{self.name}_replay.c": self.replay(),
             f"{self.name}.json": self.description(digest),
         }
-        return Exported(self.name, files, tuple(sorted(self.unit.libm)), tuple(self.settable), channels, discards)
+        return Exported(self.name, files, tuple(sorted(self.unit.libm)), tuple(self.settable), channels, self.discards)
 
     def header(self) -> str:
         """Return the header."""
@@ -283,7 +283,7 @@ class _Files:
     def _ports(self, kind: str, ports: Sequence[Port]) -> list[str]:
         lines = [f"/** {'Inputs' if kind == 'in' else 'Outputs'}. */", f"typedef struct {self.name}_{kind} {{"]
         for port in ports:
-            if _may_lack(port) if kind == "in" else port.sporadic:
+            if port.held if kind == "in" else port.sporadic:
                 lines.append(
                     f"    bool has_{identifier(port.name)}; /**< false: {_comment(port.topic)} has no value */"
                 )
@@ -373,7 +373,7 @@ class _Files:
         there = [p for p in self.inputs if form.method != "outputs"]
         tests = [f"s->form == {self.forms.index(form.state)}u"]
         for port in there:
-            if _may_lack(port):
+            if port.held:
                 tests.append(f"{'' if port.name in form.there else '!'}in->has_{identifier(port.name)}")
         given = ["s", f"s->x.f{self.forms.index(form.state)}", "t_ns"]
         for port in there:
@@ -477,24 +477,22 @@ class _Files:
                 raised = isinstance(call, Raised)
                 row = [f"{number} {int(raised)} {call.t}"]
                 if call.method != "outputs":
-                    row += self._numbers(self.inputs, call.inputs, _may_lack)
+                    row += self._numbers(self.inputs, call.inputs, "held")
                 if call.method != "advance":
                     safe = {
                         p.name: None if p.sporadic else Sample(call.t, p.safe) if p.delayed else p.safe
                         for p in self.outputs
                     }
-                    row += self._numbers(
-                        self.outputs, safe if isinstance(call, Raised) else call.outputs, lambda p: p.sporadic
-                    )
+                    row += self._numbers(self.outputs, safe if isinstance(call, Raised) else call.outputs, "sporadic")
                 lines.append(" ".join(row))
         return "\n".join(lines) + "\n"
 
     @staticmethod
-    def _numbers(ports: Sequence[Port], values: Mapping[str, Any], flagged: Any) -> list[str]:
+    def _numbers(ports: Sequence[Port], values: Mapping[str, Any], flag: str) -> list[str]:
         row = []
         for port in ports:
             given = values.get(port.name)
-            if flagged(port):
+            if getattr(port, flag):
                 row.append(str(int(given is not None)))
             if port.delayed:
                 row.append(str(0 if given is None else given.stamp))
@@ -507,7 +505,7 @@ class _Files:
         n = self.name
         cases = []
         for number, method in enumerate(self.methods):
-            reads = [f"    {line}" for line in _read("in", self.inputs, _may_lack)] if method != "outputs" else []
+            reads = [f"    {line}" for line in _read("in", self.inputs, "held")] if method != "outputs" else []
             call = {
                 "update": f"{n}_step(&node, &in, &out, t)",
                 "outputs": f"{n}_outputs(&node, &out, t)",
@@ -553,7 +551,7 @@ class _Files:
                 for path, field, value in zip(self.slots, self.fields, self.values, strict=True)
             ],
             "guards": [written(path) for path in self.law.program.guards],
-            "discards": sorted(set(self.law.program.seldom)),
+            "discards": self.discards,
             "state_forms": len(self.forms),
             "reports": [
                 {"code": k, "level": r.level.name, "key": r.key} for k, r in enumerate(self.law.reports.places)
@@ -648,11 +646,11 @@ int main(int argc, char **argv)
 """
 
 
-def _read(struct: str, ports: Sequence[Port], flagged: Any) -> list[str]:
+def _read(struct: str, ports: Sequence[Port], flag: str) -> list[str]:
     lines = []
     for port in ports:
         name = identifier(port.name)
-        if flagged(port):
+        if getattr(port, flag):
             lines.append(f"{struct}.has_{name} = strtol(at, &at, 10) != 0;")
         if port.delayed:
             lines.append(f"{struct}.{name}_stamp_ns = (int64_t)strtoll(at, &at, 10);")
@@ -680,10 +678,6 @@ def _compare(ports: Sequence[Port]) -> list[str]:
             lines += [f"    if ({test}) {{", f"        compare({channel} + i, out.{name}[i], expected);", "    }", "}"]
         channel += port.size
     return lines
-
-
-def _may_lack(port: Port) -> bool:
-    return port.held
 
 
 def _punctual(member: Member) -> set[str]:

@@ -14,7 +14,7 @@ from ..block.answer import admit
 from ..block.block import Block
 from ..block.port import Sample
 from ..rig.members import Member
-from .golden import Call, methods
+from .golden import Call, answer_of, methods
 
 # zeros of both signs, the smallest numbers, large ones, and what no port lets in but C may be handed
 ODD = (0.0, -0.0, 5e-324, -5e-324, 1e-308, 1e-30, 1.0, -1.0, 1e30, -1e300, math.inf, -math.inf, math.nan)
@@ -76,11 +76,9 @@ def _asked(member: Member, block: Block, name: str, x: Any, t: int, inputs: Mapp
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             found = getattr(block, name)(x, t, **inputs)
-        after, outputs = found if name == "update" else (x, found) if name == "outputs" else (found, {})
-        if name != "advance":
-            rows = {p.name: admit(outputs, p, member.name, t) for p in member.outputs}
-            return Call(name, t, x, inputs, after, rows)
-        return Call(name, t, x, inputs, after, {})
+        after, outputs = answer_of(name, x, found)
+        ports = () if name == "advance" else member.outputs
+        return Call(name, t, x, inputs, after, {p.name: admit(outputs, p, member.name, t) for p in ports})
     except Exception:  # whatever it raises ends a run
         return Raised(name, t, x, inputs)
 

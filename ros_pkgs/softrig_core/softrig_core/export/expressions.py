@@ -6,10 +6,13 @@ import ast
 import builtins
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
+from ..native.compile import BASE
+from ..native.translate import outside
 from .base import Base
 from .kinds import (
     ABSENT,
@@ -18,7 +21,6 @@ from .kinds import (
     INT,
     REAL,
     Absent,
-    Kind,
     Maybe,
     Number,
     Table,
@@ -80,23 +82,13 @@ class Expressions(Base):
                 return name
             if name in self.unit.names:
                 return self.unit.names[name]
-            known = {
-                "math": math,
-                "float_nan": math.nan,
-                "float_inf": math.inf,
-                "float_less": -math.inf,
-                "array_": np.array,
-            }
-            if name in known:
-                return known[name]
+            if name in BASE:
+                return BASE[name]
+            if hasattr(builtins, name):
+                return getattr(builtins, name)
         else:
-            cells = dict(zip(self.function.__code__.co_freevars, self.function.__closure__ or (), strict=True))
-            if name in cells:
-                return cells[name].cell_contents
-            if name in self.function.__globals__:
-                return self.function.__globals__[name]
-        if hasattr(builtins, name):
-            return getattr(builtins, name)
+            with suppress(LookupError):
+                return outside(self.function, name)
         raise self.unknown(f"{name} is not known on every way", node)
 
     def of_python(self, thing: Any, node: ast.AST) -> Value:
@@ -106,13 +98,10 @@ class Expressions(Base):
         if isinstance(thing, np.ndarray):
             return self.unit.table(thing, "table")
         if isinstance(thing, tuple):
-            return self.group_of([self.of_python(v, node) for v in thing], kind_of(thing))
+            kind = kind_of(thing)
+            assert isinstance(kind, Tuple)
+            return self.group([self.of_python(v, node) for v in thing], kind)
         return Value(ABSENT, "0", thing)
-
-    def group_of(self, parts: Sequence[Value], kind: Kind) -> Value:
-        """Return a tuple whose type is known."""
-        assert isinstance(kind, Tuple)
-        return self.group(parts, kind)
 
     def _value_tuple(self, node: ast.Tuple | ast.List) -> Value:
         items: list[Value] = []

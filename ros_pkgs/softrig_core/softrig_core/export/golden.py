@@ -85,13 +85,18 @@ def golden_calls(rig: Rig, node: str, seed: int, most: int) -> list[Call]:
     return [c for c in calls[:most] if until is None or c.t < until]
 
 
+def answer_of(method: str, x: Any, found: Any) -> tuple[Any, Mapping[str, Any]]:
+    """Return the state after a call and what it published, of what the method returned."""
+    after, outputs = found if method == "update" else (x, found) if method == "outputs" else (found, {})
+    return after, outputs
+
+
 def _watch(block: Block, name: str, calls: list[Call]) -> None:
     method = getattr(block, name)
 
     def watched(x: Any, t: int, **inputs: Any) -> Any:
         found = method(x, t, **inputs)
-        after, outputs = found if name == "update" else (x, found) if name == "outputs" else (found, {})
-        calls.append(Call(name, t, x, dict(inputs), after, outputs))
+        calls.append(Call(name, t, x, dict(inputs), *answer_of(name, x, found)))
         return found
 
     setattr(block, name, watched)

@@ -10,19 +10,13 @@ from ..block.block import Block
 from ..block.port import Port, Sample
 from ..native.reports import Reports
 from ..native.translate import Program, made
+from ..native.turns import NOWHERE, rows_of
 from ..native.twins import packed
-from ..native.value import Dynamic, Group, NotNative, Record, Static, Value
+from ..native.value import Dynamic, Group, NotNative, Static, Value
 from ..native.words import TEXTS
 from ..native.writer import Writer
 from .golden import Call
 from .kinds import INT, REAL, Kind, Tuple, kind_of, tuple_of
-
-
-class _Nowhere:
-    lineno = 1
-
-
-NOWHERE: Any = _Nowhere()
 
 
 @dataclass(frozen=True)
@@ -130,25 +124,14 @@ def _answer(program: Program, method: str, value: Value, outputs: Sequence[Port]
     if method == "update":
         first, value = writer.parts(value, NOWHERE)
         state = writer.code(writer.simple(writer.dynamic(first)))
-    if isinstance(value, Dynamic) and value.keys is not None:
-        value = writer.unfolded(value)
-    found: Any = value.items if isinstance(value, Record) else {}
     numbers: list[str] = []
     stamps: list[str] = []
-    for port in outputs:
-        if port.name not in found:
-            raise NotNative(f"{port.name} is not in the answer")
-        said = found[port.name]
-        if port.sporadic:
-            flag, said = writer.parts(said, NOWHERE)
-            numbers.append(f"float({writer.code(flag)})")
-        if port.delayed:
-            stamps.append(writer.code(writer.attribute(said, "stamp", NOWHERE)))
-            said = writer.attribute(said, "data", NOWHERE)
-        row = writer.parts(said, NOWHERE)
-        if len(row) != port.size:
-            raise NotNative(f"{port.name} has {len(row)} values, expected {port.size}")
-        numbers += [f"float({writer.code(one)})" for one in row]
+    try:
+        for flag, stamp, _, row in rows_of(writer, value, outputs):
+            stamps += stamp
+            numbers += [f"float({code})" for code in (*flag, *map(writer.code, row))]
+    except KeyError as error:
+        raise NotNative(f"{error.args[0]} is not in the answer") from None
     told = ", ".join(f"({''.join(f'{n}, ' for n in part)})" for part in (numbers, stamps))
     writer.emit(f"return ({state}, {told})" if method == "update" else f"return ({told})")
     return writer.lines

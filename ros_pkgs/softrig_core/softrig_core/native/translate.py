@@ -10,6 +10,7 @@ written out.
 from __future__ import annotations
 
 import ast
+import builtins
 import inspect
 import operator
 import textwrap
@@ -207,6 +208,14 @@ def follow(path: Path, roots: Sequence[Any]) -> Any:
     for kind, key in path[1:]:
         value = getattr(value, key) if kind == "attr" else len(value) if kind == "len" else value[key]
     return value
+
+
+def outside(function: types.FunctionType, name: str) -> Any:
+    """Return what a function finds under a name outside of itself; a LookupError where there is nothing."""
+    cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+    if name in cells:
+        return cells[name].cell_contents
+    return function.__globals__[name] if name in function.__globals__ else vars(builtins)[name]
 
 
 def written(path: Path) -> str:

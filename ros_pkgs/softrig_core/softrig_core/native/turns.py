@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -237,26 +237,15 @@ class Turns:
         x, size = Dynamic(""), sum(p.size for p in step.outputs)
         try:
             if state is not None:
-                first, value = writer.parts(value, _NOWHERE)
+                first, value = writer.parts(value, NOWHERE)
                 x = writer.dynamic(first)
                 writer.emit(f"y{k} = {x.code}")
-            if isinstance(value, Dynamic) and value.keys is not None:
-                value = writer.unfolded(value)
             numbers: list[str] = []
             stamps: list[str] = []
-            found: Any = value.items if isinstance(value, Record) else {}
             flags: list[str] = []
-            for port in step.outputs:
-                said = found[port.name]
-                if port.sporadic:
-                    flag, said = writer.parts(said, _NOWHERE)
-                    flags.append(writer.code(flag))
-                if port.delayed:
-                    stamps.append(writer.code(writer.attribute(said, "stamp", _NOWHERE)))
-                    said = writer.attribute(said, "data", _NOWHERE)
-                row = writer.parts(said, _NOWHERE)
-                if len(row) != port.size:
-                    raise NotNative(f"{port.name} has {len(row)} values, expected {port.size}")
+            for flag, stamp, said, row in rows_of(writer, value, step.outputs):
+                flags += flag
+                stamps += stamp
                 whole = size >= FEW and not typed and isinstance(said, Dynamic) and type(said.sample) is tuple
                 numbers += [f"*{writer.code(said)}"] if whole else [f"float({writer.code(one)})" for one in row]
         except (NotNative, AttributeError, KeyError, ValueError) as error:
@@ -311,6 +300,35 @@ class Turns:
         return lines
 
 
+def rows_of(
+    writer: Writer, value: Value, outputs: Sequence[Port]
+) -> Iterator[tuple[list[str], list[str], Value, list[Value]]]:
+    """Take an answer apart: of each output its flag and stamp, where it has one, its row, and the row's numbers.
+
+    Raises
+    ------
+    KeyError
+        An output is not in the answer.
+    NotNative
+        A row has another length than its port.
+    """
+    if isinstance(value, Dynamic) and value.keys is not None:
+        value = writer.unfolded(value)
+    found: Any = value.items if isinstance(value, Record) else {}
+    for port in outputs:
+        said, flags, stamps = found[port.name], list[str](), list[str]()
+        if port.sporadic:
+            flag, said = writer.parts(said, NOWHERE)
+            flags.append(writer.code(flag))
+        if port.delayed:
+            stamps.append(writer.code(writer.attribute(said, "stamp", NOWHERE)))
+            said = writer.attribute(said, "data", NOWHERE)
+        row = writer.parts(said, NOWHERE)
+        if len(row) != port.size:
+            raise NotNative(f"{port.name} has {len(row)} values, expected {port.size}")
+        yield flags, stamps, said, row
+
+
 def _row_of(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bound: float, typed: bool) -> list[str]:
     """Write what takes all numbers of an answer, flags of silence after them; beyond the bound they are Python's."""
     told = "".join(f"{flag}, " for flag in flags)
@@ -333,4 +351,4 @@ class _Nowhere:
     lineno = 1
 
 
-_NOWHERE: Any = _Nowhere()
+NOWHERE: Any = _Nowhere()  # of what stands in no line of a method

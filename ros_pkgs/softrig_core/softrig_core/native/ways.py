@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import builtins
 import math
 import types
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +16,7 @@ from .translate import (
     SMALL,
     Program,
     as_slot,
+    outside,
     shape,
 )
 from .value import (
@@ -158,14 +158,10 @@ class Ways:
 
     def outer(self, name: str, node: ast.AST | None = None) -> Any:
         """Give what the function finds under a name outside of itself."""
-        cells = dict(zip(self.function.__code__.co_freevars, self.function.__closure__ or (), strict=True))
-        if name in cells:
-            return cells[name].cell_contents
-        if name in self.function.__globals__:
-            return self.function.__globals__[name]
-        if hasattr(builtins, name):
-            return getattr(builtins, name)
-        raise self.unknown(f"{name} is not known", node)
+        try:
+            return outside(self.function, name)
+        except LookupError:
+            raise self.unknown(f"{name} is not known", node) from None
 
     def unfolded(self, value: Dynamic) -> Record:
         """Give a mapping that a function has answered by its parts."""
