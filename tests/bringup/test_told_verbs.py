@@ -883,7 +883,7 @@ def test_a_scenario_is_viewed_as_a_run_that_begins_paused_and_a_run_as_a_recordi
     assert asked == [(True, True, 1.0), (True, False, 0.0)]
     seen = []
     monkeypatch.setattr(view_verb, "need", lambda *what: None)
-    monkeypatch.setattr(view_verb, "rig_of_run", lambda path: (rig_of("lag"), simulate("lag").signals))
+    monkeypatch.setattr(view_verb, "rig_of_run", lambda path, namespace: (rig_of("lag"), simulate("lag").signals))
     monkeypatch.setattr(
         "softrig_bringup.view.serve.serve", lambda source, how, address: seen.append((source.results, how, address))
     )
@@ -1092,7 +1092,7 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
             savefig=lambda file, format, dpi, metadata: file.write(f"{dpi} {format} {metadata}".encode())
         )
 
-    monkeypatch.setattr(redraw, "rig_of_run", lambda path: (plotted, run.signals))
+    monkeypatch.setattr(redraw, "rig_of_run", lambda path, namespace: (plotted, run.signals))
     monkeypatch.setattr(redraw, "plot_entry", drawn)
     more = ["--width", "50.8", "--font", "8", "--format", "svg", "--csv", "--window", "0", "0.02", "--out", "p"]
     for words in ([name], [name, *more], [], ["--no-title"]):

@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -115,31 +116,66 @@ def test_every_system_ends_by_itself(system, mode, tmp_path, monkeypatch):
     assert status == 0, said
 
 
+@contextmanager
+def recording(bag, variables, *words):
+    """A recorder that has begun."""
+    command = [find_executable("softrig_bags", "recorder"), *words, "--use-sim-time", "-o", bag]
+    with subprocess.Popen(
+        command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as recorder:
+        try:
+            until(bag.exists)
+            yield recorder
+        finally:
+            recorder.kill()
+
+
 def of_a_run(words, out):
     """The bag and the figures of `softrig run` with these options."""
     main(["run", *words, "--mode", "inprocess", "--out", str(out), "--no-plots"])
     return read_bag(out / "bag"), json.loads((out / "metrics.json").read_text())["metrics"]
 
 
+FILE_OF_THREE = """
+/a/gain: {ros__parameters: {noise: 0.02, use_sim_time: false}}
+/b: {plant: {ros__parameters: {gain: 0.4}}, gain: {ros__parameters: {noise: 0.03}}}
+/*/gain: {ros__parameters: {k: 1.5}}
+/elsewhere/gain: {ros__parameters: {noise: 0.9}}
+"""
+
+
 @pytest.mark.processes
-def test_a_launch_takes_the_options_of_a_run_and_leaves_what_a_run_leaves(lag, tmp_path, capsys):
-    """Two rigs in two namespaces of one domain, in two placements, and neither reads the other."""
-    (tmp_path / "given.yaml").write_text("/a/gain: {ros__parameters: {noise: 0.02, use_sim_time: false}}\n")
-    options = {
-        "a": {"params_file": str(tmp_path / "given.yaml"), "seed": "5"},
-        "b": {"duration": "0.3", "place": "container"},
-    }
-    common = {"scenario": "lag", "mode": "lockstep", "record": "true"}
+def test_launches_in_one_domain_take_the_options_of_runs_and_leave_what_runs_leave(lag, tmp_path, capsys):
+    """Three rigs of one parameter file in namespaces, in two placements, and none reads another or its values."""
+    (tmp_path / "given.yaml").write_text(FILE_OF_THREE)
+    options = {"a": {"seed": "5"}, "b": {"duration": "0.3", "place": "container"}, "c": {}}
+    common = {"scenario": "lag", "mode": "lockstep", "record": "true", "params_file": str(tmp_path / "given.yaml")}
     with free_domain() as domain:
-        values = [common | {"namespace": name, "out": str(tmp_path / name)} | given for name, given in options.items()]
-        status, said = launch(values, environment(domain, tmp_path))
+        variables = environment(domain, tmp_path, silence=PATIENCE)
+        with recording(tmp_path / "of_a", variables, "--namespace", "a") as recorder:
+            each = [
+                common | {"namespace": name, "out": str(tmp_path / name)} | given for name, given in options.items()
+            ]
+            status, said = launch(each, variables)
+            recorder.send_signal(signal.SIGINT)
+            assert "none lost" in recorder.communicate()[0]
     assert status == 0, said
-    for name, words in (("a", ["lag", "--set", "gain.noise=0.02", "--seed", "5"]), ("b", ["lag", "--duration", "0.3"])):
-        bag, metrics = of_a_run(words, tmp_path / f"run_{name}")
+    changed = {
+        "a": ["gain.noise=0.02", "gain.k=1.5"],
+        "b": ["plant.gain=0.4", "gain.noise=0.03", "gain.k=1.5"],
+        "c": ["gain.k=1.5"],
+    }
+    for name, words in (("a", ["lag", "--seed", "5"]), ("b", ["lag", "--duration", "0.3"]), ("c", ["lag"])):
+        sets = [word for change in changed[name] for word in ("--set", change)]
+        bag, metrics = of_a_run([*words, *sets], tmp_path / f"run_{name}")
         assert differences(read_bag(tmp_path / name / "bag"), bag) == []
         assert json.loads((tmp_path / name / "metrics.json").read_text())["metrics"] == metrics
         assert (tmp_path / name / "report.html").exists()
     assert "last" in capsys.readouterr().out
+    compared = ["bag", "compare", str(tmp_path / "a"), str(tmp_path / "of_a"), "--namespace", "/", "--namespace", "a"]
+    assert main(compared) == 0
+    assert main([*compared[:2], str(tmp_path / "b"), *compared[3:]]) == 1
+    assert all(name.startswith("a/") for name in read_bag(tmp_path / "of_a").topics)
 
 
 @pytest.mark.processes
@@ -254,21 +290,10 @@ def test_a_launched_rig_waits_for_a_recorder_that_asks_for_it(topics, lag, tmp_p
     """What was recorded is what the same run in process gives, from t = 0 on, whatever the recorder leaves out."""
     with free_domain() as domain:
         variables = environment(domain, tmp_path, silence=PATIENCE)  # a busy host may hold the recorder
-        recorder = subprocess.Popen(
-            [find_executable("softrig_bags", "recorder"), *topics, "--use-sim-time", "-o", tmp_path / "bag"],
-            env=variables,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        try:
-            until((tmp_path / "bag").exists)
+        with recording(tmp_path / "bag", variables, *topics) as recorder:
             status, said = launch({"scenario": "lag", "mode": "lockstep"}, variables)
             recorder.send_signal(signal.SIGINT)
             told = recorder.communicate()[0]
-        finally:
-            recorder.kill()
-            recorder.wait()
     assert status == 0, said
     assert recorder.returncode == 0, told
     assert "none lost" in told

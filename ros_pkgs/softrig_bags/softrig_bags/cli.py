@@ -84,6 +84,10 @@ def _selection_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--exclude", "-x", default="", metavar="RE", help="but not these")
 
 
+def _namespace_argument(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--namespace", default="", metavar="NS", help=text)
+
+
 def _bag(text: str) -> Path:
     """Give the bag of an argument; that of a run whose folder is named."""
     path = Path(text)
@@ -101,6 +105,7 @@ def main_record(argv: list[str]) -> int:
     )
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help="names (default: all but hidden ones)")
     _selection_arguments(parser)
+    _namespace_argument(parser, "only topics in it, and TOPIC without a leading slash is one of it")
     parser.add_argument("--output", "-o", type=Path, metavar="DIR", help="the bag (default rosbag2_DATE-TIME)")
     parser.add_argument("--storage", "-s", choices=("mcap", "sqlite3"), default="mcap")
     parser.add_argument("--compression", choices=("none", "zstd"), default="none", help="zstd: mcap only")
@@ -121,7 +126,7 @@ def main_record(argv: list[str]) -> int:
     from .ros import Session
     from .selection import Selection
 
-    selection = Selection.of(options.topics, options.regex, options.exclude)
+    selection = Selection.of(options.topics, options.regex, options.exclude, options.namespace)
     directory = (options.output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S"))).absolute()
     writer = BagWriter(
         directory,
@@ -211,6 +216,13 @@ def main_compare(argv: list[str]) -> int:
         help="tolerance of the signals topic/channel/field that fit; the first counts",
     )
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these (default: all)")
+    parser.add_argument(
+        "--namespace",
+        action="append",
+        default=[],
+        metavar="NS",
+        help="only topics in it, named without it; given twice: of A and of B, / for topics as they are named",
+    )
     parser.add_argument("--ignore", nargs="+", default=[], metavar="PATTERN", help="topics to leave out")
     parser.add_argument("--bitwise", action="store_true", help="demand equal bytes and bag times")
     parser.add_argument(
@@ -235,6 +247,9 @@ def main_compare(argv: list[str]) -> int:
             raise BagError(f"--field {text!r}: expected PATTERN=ABS or PATTERN=ABS,REL") from None
     topics = None if options.topics is None else [relative(t) for t in options.topics]
     default = Tolerance(options.abs, options.rel)
+    if len(options.namespace) > 2:
+        raise BagError("--namespace is expected once, for both bags, or twice, for A and B")
+    one, other = (options.namespace * 2)[:2] or ("", "")
     if options.align and options.bitwise:
         raise BagError("--align with --bitwise: signals over time have no bytes; expected one of the two")
     result: Alignment | Comparison | None = None
@@ -247,10 +262,11 @@ def main_compare(argv: list[str]) -> int:
             bitwise=options.bitwise,
             topics=topics,
             ignore=options.ignore,
+            namespaces=(one, other),
         )
         result = None if paired.unrelated and not options.bitwise else paired
     if result is None:
-        a, b = signals(options.a), signals(options.b)
+        a, b = signals(options.a, one), signals(options.b, other)
         result = align(a, b, default=default, tolerances=tolerances, topics=topics, ignore=options.ignore)
     print(result.to_json() if options.json else plain(str(result)))
     return 0 if result.equal else 1
@@ -279,8 +295,9 @@ def main_bag(argv: list[str]) -> int:
     mend.add_argument("--out", type=Path, metavar="DIR", help="new bag (default: in place, the old one is kept beside)")
     table = verbs.add_parser("export", help="signals as tables, one file a topic")
     table.add_argument("bag", type=_bag)
+    _namespace_argument(table, "only topics in it; the files are named without it")
     table.add_argument("--format", choices=("csv", "parquet", "mat"), default="csv")
-    table.add_argument("--out", type=Path, metavar="DIR", help="default: BAG_csv, BAG_parquet, BAG_mat beside the bag")
+    table.add_argument("--out", type=Path, metavar="DIR", help="default: BAG_csv, BAG_NS_csv and so on beside the bag")
     options = parser.parse_args(argv)
     if options.verb == "info":
         from .info import describe
@@ -296,7 +313,8 @@ def main_bag(argv: list[str]) -> int:
         from .export import export
 
         bag = options.bag.resolve()
-        out = options.out or bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_{options.format}")
-        for path in export(bag, out, options.format):
+        of = [bag.stem if bag.is_file() else bag.name, *options.namespace.split("/"), options.format]
+        out = options.out or bag.with_name("_".join(filter(None, of)))
+        for path in export(bag, out, options.format, options.namespace):
             print(os.path.relpath(path))
     return 0

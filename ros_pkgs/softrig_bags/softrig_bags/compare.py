@@ -161,6 +161,7 @@ def compare(
     bitwise: bool = False,
     topics: Sequence[str] | None = None,
     ignore: Sequence[str] = (),
+    namespaces: tuple[str, str] = ("", ""),
 ) -> Comparison:
     """Compare recording b with its reference a.
 
@@ -181,6 +182,8 @@ def compare(
         Topics to compare, all of both by default; of an empty list nothing is asked.
     ignore : sequence of str
         Patterns of topics left out.
+    namespaces : (str, str)
+        Of a and of b, where these are paths: the topics in them, named without them.
 
     Raises
     ------
@@ -190,11 +193,11 @@ def compare(
     limits = _Limits(Tolerance(), {}, True) if bitwise else _Limits(default, tolerances or {}, False)
     with ExitStack() as stack:
         sides: list[Messages] = []
-        for what in (a, b):
-            sides.append(side := opened(what))
+        for what, namespace in zip((a, b), namespaces, strict=True):
+            sides.append(side := opened(what, namespace))
             stack.enter_context(side)
         known = [described(side) for side in sides]
-        names = dict.fromkeys(d.name for topics_of_it in known for d in topics_of_it)
+        names = dict.fromkeys(d.name for topics_of_it in known for d in topics_of_it if d.name is not None)
         for name in topics or ():
             if name not in names:
                 raise BagError(f"no topic {name} to compare; there are {', '.join(names)}")

@@ -23,7 +23,7 @@ LONGEST = 63  # letters of a variable of MATLAB
 OWN = ("time", "stamp")  # columns that every table has
 
 
-def export(path: Path | str, directory: Path | str, file_format: str) -> list[Path]:
+def export(path: Path | str, directory: Path | str, file_format: str, namespace: str = "") -> list[Path]:
     """Write each topic's signals as a table: columns time, stamp (s), then one a signal.
 
     Parameters
@@ -34,6 +34,8 @@ def export(path: Path | str, directory: Path | str, file_format: str) -> list[Pa
         Where the files go; is created.
     file_format : str
         ``csv``, ``parquet``, or ``mat`` (MATLAB 5: a column vector a signal, their names in `names`).
+    namespace : str
+        Only the topics in it; the files are named without it.
 
     Returns
     -------
@@ -48,7 +50,7 @@ def export(path: Path | str, directory: Path | str, file_format: str) -> list[Pa
     need("pyarrow", "an export")
     if file_format not in FORMATS:
         raise BagError(f"format {file_format!r}: expected {', '.join(FORMATS)}")
-    with BagReader(path) as bag, naming(Path(directory)):
+    with BagReader(path, namespace=namespace) as bag, naming(Path(directory)):
         columns, epoch = Columns(bag), epoch_of(bag)[0]
         Path(directory).mkdir(parents=True, exist_ok=True)
         files: dict[int, _TopicFile] = {}
@@ -67,7 +69,7 @@ def export(path: Path | str, directory: Path | str, file_format: str) -> list[Pa
                     file(topic).add(piece)
             names += _file_names(bag.labels, names)
             columns.finish()
-            whole = [i for i in range(len(bag.topics)) if columns.decoder(i) and not columns.reason(i)]
+            whole = [i for i in bag.chosen if columns.decoder(i) and not columns.reason(i)]
             say_left_out(path, columns)
             if not whole:
                 raise BagError(f"{path}: not one topic of it can be decoded, there is nothing to export")

@@ -18,9 +18,9 @@ from .reader import BagReader
 
 
 class Described(NamedTuple):
-    """A topic: its name as scenarios write it, and its type."""
+    """A topic: its name as scenarios write it, None outside of the namespace that is asked for, and its type."""
 
-    name: str
+    name: str | None
     msgtype: str
 
 
@@ -43,7 +43,7 @@ class RecordedMessages:
     @property
     def topics(self) -> list[Described]:
         """The topics."""
-        return [Described(t.name, t.msgtype) for t in self._topics]
+        return [Described(relative(t.name), t.msgtype) for t in self._topics]
 
     def types(self, i: int) -> Types:
         """Return the definitions of a topic's type as they are known here."""
@@ -78,11 +78,13 @@ Messages = BagReader | RecordedMessages
 
 def described(messages: Messages) -> list[Described]:
     """Return the topics of a bag or recording, in the order of their numbers."""
-    return [Described(relative(t.name), t.msgtype) for t in messages.topics]
+    if isinstance(messages, BagReader):
+        return [Described(messages.label(t.name), t.msgtype) for t in messages.topics]
+    return messages.topics
 
 
-def opened(what: Signals | Path | str) -> Messages:
-    """Return the messages behind signals, or of a bag by its path; a context manager."""
+def opened(what: Signals | Path | str, namespace: str = "") -> Messages:
+    """Return the messages behind signals, or of a bag by its path and in a namespace; a context manager."""
     if isinstance(what, BagSignals):
-        return BagReader(what.path)
-    return RecordedMessages(what.recording) if isinstance(what, Signals) else BagReader(what)
+        return BagReader(what.path, namespace=what.namespace)
+    return RecordedMessages(what.recording) if isinstance(what, Signals) else BagReader(what, namespace=namespace)

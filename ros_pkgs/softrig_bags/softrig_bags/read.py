@@ -19,7 +19,7 @@ EPOCH = "epoch"  # under which a run in real time leaves, in a bag's metadata, t
 WALL_CLOCK = 10**18  # ns; bag times after September 2001 are wall-clock times, simulated ones begin near zero
 
 
-def read_bag(path: Path | str) -> Recording:
+def read_bag(path: Path | str, namespace: str = "") -> Recording:
     """Read a bag into memory, messages as bytes, whatever their type.
 
     Topics are named as in scenario files: relative to the root namespace (``plant/state``), but ``/clock``.
@@ -28,24 +28,30 @@ def read_bag(path: Path | str) -> Recording:
     ----------
     path : Path or str
         Directory of a rosbag2 bag (of any ROS distribution, MCAP or sqlite3), or a single .mcap or .db3 file.
+    namespace : str
+        Only the topics in it, which are named relative to it.
 
     Raises
     ------
     BagError
         No bag there, or it is damaged.
     """
-    with BagReader(path) as bag:
+    with BagReader(path, namespace=namespace) as bag:
         found: dict[int, tuple[list[int], list[bytes]]] = {}
         for topic, t, data in bag.messages():
             times, messages = found.setdefault(topic, ([], []))
             times.append(t)
             messages.append(data)
-        recording = Recording(zip(bag.labels, (t.msgtype for t in bag.topics), strict=True))
+        recording = _empty(bag)
         for i, (times, messages) in found.items():
             topic_of_it = recording.topics[bag.labels[i]]
             topic_of_it.times.extend(times)
             topic_of_it.data.extend(messages)
         return recording
+
+
+def _empty(bag: BagReader) -> Recording:
+    return Recording((bag.labels[i], bag.topics[i].msgtype) for i in bag.chosen)
 
 
 class BagSignals(Signals):
@@ -59,6 +65,8 @@ class BagSignals(Signals):
     ----------
     path : Path
         Of the bag.
+    namespace : str
+        Of which it has the topics; empty for all.
     recording : Recording
         The messages as bytes; they are read when first asked for.
     from_start : bool
@@ -71,27 +79,30 @@ class BagSignals(Signals):
         Topics that have messages, of which not one can be decoded.
     """
 
-    def __init__(self, path: Path, bag: BagReader, columns: Columns, tables: Mapping[int, Growing]) -> None:
-        self.path = path
+    def __init__(
+        self, path: Path, bag: BagReader, columns: Columns, tables: Mapping[int, Growing], namespace: str = ""
+    ) -> None:
+        self.path, self.namespace = path, namespace
         epoch, self.from_start = epoch_of(bag)
-        recording = Recording(zip(bag.labels, (t.msgtype for t in bag.topics), strict=True))
+        recording = _empty(bag)
         super().__init__(recording, epoch)
         for topic in recording.topics.values():
             topic.settle = self._load
         self.absent: dict[str, dict[str, NDArray[np.bool_]]] = {}
-        for i, label in enumerate(bag.labels):
+        for i in bag.chosen:
+            label = bag.labels[i]
             if columns.decoder(i) is not None and not columns.reason(i):
                 piece = tables.get(i, Growing()).piece()
                 t, stamp = ((x - epoch) / SECOND for x in (piece.t, piece.stamp))
                 self._tables[label] = Table(t, stamp, piece.columns)
                 self.absent[label] = piece.absent
         self.left_out = {bag.labels[i]: left for i, left in columns.left.items()}
-        self.undecodable = [x for i, x in enumerate(bag.labels) if bag.counts[i] and x not in self._tables]
+        self.undecodable = [x for i in bag.chosen if bag.counts[i] and (x := bag.labels[i]) not in self._tables]
 
     def _load(self) -> None:
         for topic in self.recording.topics.values():
             topic.settle = lambda: None
-        for name, found in read_bag(self.path).topics.items():
+        for name, found in read_bag(self.path, self.namespace).topics.items():
             self.recording.topics[name].times.extend(found.times)
             self.recording.topics[name].data.extend(found.data)
 
@@ -119,13 +130,15 @@ def epoch_of(bag: BagReader) -> tuple[int, bool]:
     return epoch, bool(own) or not epoch
 
 
-def signals(path: Path | str) -> BagSignals:
+def signals(path: Path | str, namespace: str = "") -> BagSignals:
     """Give the signals of a bag as named float64 arrays with time.
 
     Parameters
     ----------
     path : Path or str
         Bag, as for `read_bag`.
+    namespace : str
+        As for `read_bag`.
 
     Returns
     -------
@@ -146,14 +159,14 @@ def signals(path: Path | str) -> BagSignals:
     >>> t, omega = found["shaft/velocity"]  # doctest: +SKIP
     >>> list(found)  # doctest: +SKIP
     """
-    with BagReader(path) as bag:
+    with BagReader(path, namespace=namespace) as bag:
         columns, tables = Columns(bag), dict[int, Growing]()
         for block in bag.blocks():
             for topic, piece in columns.pieces(block):
                 tables.setdefault(topic, Growing()).add(piece)
         columns.finish()
         say_left_out(path, columns)
-        return BagSignals(Path(path), bag, columns, tables)
+        return BagSignals(Path(path), bag, columns, tables, namespace)
 
 
 def say_left_out(path: Path | str, columns: Columns) -> None:

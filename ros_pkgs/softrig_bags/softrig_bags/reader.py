@@ -28,7 +28,7 @@ from .mcap_source import McapSource
 from .metadata import Metadata, embedded, profiles, read_metadata
 from .source import Damaged, Source, SourceTopic
 from .sqlite_source import SqliteSource
-from .topics import BagTopic
+from .topics import BagTopic, checked_namespace
 
 BATCH = 1 << 22  # bytes of messages that are given at a time, about
 _SQLITE = b"SQLite format 3\0"
@@ -51,13 +51,16 @@ class BagReader:
         Bag directory, or a single .mcap or .db3 file, also compressed whole (.zstd).
     report : callable, optional
         Receives each difference between what was read and what was claimed, in place of a line and status 1.
+    namespace : str
+        Messages of the topics in this namespace alone are returned; the whole bag is accounted for.
 
     Attributes
     ----------
     topics : list of BagTopic
         In the order of the metadata, then of the files. A name may be there twice: of two types.
     labels : list of str
-        A name for each topic that no other has, relative as in scenario files.
+        A name for each topic that no other has, relative as in scenario files, to `namespace` if that is given; empty
+        for a topic outside of it.
     metadata : Metadata
         What metadata.yaml says; of a single file what its writer left in it, without counts.
 
@@ -67,8 +70,9 @@ class BagReader:
         On entering and on reading: no bag, damaged, or of an unknown format.
     """
 
-    def __init__(self, path: Path | str, report: Callable[[str], object] | None = None) -> None:
+    def __init__(self, path: Path | str, report: Callable[[str], object] | None = None, namespace: str = "") -> None:
         self.path = Path(path)
+        self._namespace = checked_namespace(namespace)
         self._report = report or (lambda line: incomplete(f"{self.path}: {line}"))
         self.topics: list[BagTopic] = []
         self.labels: list[str] = []
@@ -128,6 +132,15 @@ class BagReader:
                 version=found.version, custom_data=found.custom_data, distribution=found.distribution
             )
         self._map_topics()
+        if self.topics:  # else a file names them where their messages are
+            self._require_namespace()
+
+    def _require_namespace(self) -> None:
+        if self._namespace and not self.chosen:
+            there = dict.fromkeys("/" + t.name.split("/")[1] for t in self.topics if t.name.count("/") > 1)
+            raise BagError(
+                f"{self.path}: no topic in the namespace {self._namespace}; expected one of {', '.join(there) or '/'}"
+            )
 
     def _check_directory(self) -> None:
         if (self.path / "metadata.yaml").exists():
@@ -190,10 +203,22 @@ class BagReader:
                 )
                 return i
         self.topics.append(new)
-        label = relative(found.name)
+        label = self.label(found.name) or ""
         choices = chain((label, f"{label} ({msgtype})"), (f"{label} ({msgtype}) {k}" for k in count(2)))
-        self.labels.append(next(x for x in choices if x not in self.labels))
+        self.labels.append(next(x for x in choices if x not in self.labels) if self._is_inside(found.name) else "")
         return len(self.topics) - 1
+
+    def _is_inside(self, name: str) -> bool:
+        return not self._namespace or name.startswith(f"{self._namespace}/")
+
+    def label(self, name: str) -> str | None:
+        """Return the name of a topic as scenario files write it; None for one outside of the namespace."""
+        return relative(name.removeprefix(self._namespace)) if self._is_inside(name) else None
+
+    @property
+    def chosen(self) -> list[int]:
+        """Numbers of the topics in the namespace."""
+        return [i for i, topic in enumerate(self.topics) if self._is_inside(topic.name)]
 
     # What is there ----------------------------------------------------------------------------------------------------
 
@@ -201,8 +226,8 @@ class BagReader:
     def start(self) -> int:
         """Bag time of the first message in ns, as the files have it; 0 in an empty bag."""
         if self._start is None:
-            first = next((int(block.t[0]) for block in self._by_time([Counter() for _ in self._sources])), 0)
-            self._start = first
+            blocks = map(self._inside, self._by_time([Counter() for _ in self._sources]))
+            self._start = next((int(block.t[0]) for block in blocks if len(block)), 0)
         return self._start
 
     @property
@@ -270,7 +295,7 @@ class BagReader:
             rows = block.t >= start
             if chosen is not None:
                 rows &= np.isin(block.topic, chosen)
-            found = block if rows.all() else block.take(rows)
+            found = self._inside(block if rows.all() else block.take(rows))
             if len(found):
                 try:
                     yield plain_messages(found)
@@ -279,6 +304,13 @@ class BagReader:
         if whole:
             self._end = last
             self._account(counted)
+
+    def _inside(self, block: Block) -> Block:
+        """Return what is in the namespace."""
+        if not self._namespace:
+            return block
+        rows = np.isin(block.topic, self.chosen)
+        return block if rows.all() else block.take(rows)
 
     def _by_time(self, counted: list[Counter[int]], start: int = 0) -> Iterator[Block]:
         """Merge the files, which give their blocks by time, and give what can be given: nothing earlier follows."""
@@ -337,6 +369,7 @@ class BagReader:
 
     def _account(self, counted: list[Counter[int]]) -> None:
         """Hold what was read against what was claimed, and say what differs."""
+        self._require_namespace()
         self._counts = [0] * len(self.topics)
         for numbers, found in zip(self._numbers, counted, strict=True):
             for number, n in found.items():

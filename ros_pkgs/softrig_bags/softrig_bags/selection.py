@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from .errors import BagError
-from .topics import absolute
+from .topics import absolute, checked_namespace
 
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
@@ -22,15 +22,18 @@ class Selection:
         Absolute names.
     regex, exclude : re.Pattern, optional
         Searched for in the absolute name.
+    namespace : str
+        In which topics are that are not named; with a leading slash, empty for the root.
     """
 
     names: tuple[str, ...] = ()
     regex: re.Pattern[str] | None = None
     exclude: re.Pattern[str] | None = None
+    namespace: str = ""
 
     @classmethod
-    def of(cls, names: Sequence[str], regex: str = "", exclude: str = "") -> Selection:
-        """Make a selection of what the command line gives.
+    def of(cls, names: Sequence[str], regex: str = "", exclude: str = "", namespace: str = "") -> Selection:
+        """Make a selection of what the command line gives; names without a leading slash are of the namespace.
 
         Raises
         ------
@@ -46,11 +49,15 @@ class Selection:
                 patterns.append(re.compile(text) if text else None)
             except re.error as error:
                 raise BagError(f"regular expression {text!r}: {error}") from None
-        return cls(tuple(absolute(n) for n in names), *patterns)
+        inside = checked_namespace(namespace)
+        full = tuple(n if n.startswith("/") else inside + absolute(n) for n in names)
+        return cls(full, patterns[0], patterns[1], inside)
 
     def __contains__(self, topic: str) -> bool:
         if topic in self.names:
             return True
+        if self.namespace and not topic.startswith(f"{self.namespace}/"):
+            return False
         if self.exclude and self.exclude.search(topic):
             return False
         if self.regex:

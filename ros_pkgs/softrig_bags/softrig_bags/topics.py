@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -11,6 +12,8 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from softrig_core.kit.resource import prefixes
+
+from .errors import BagError
 
 FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
 
@@ -61,6 +64,16 @@ class BagTopic:
 def absolute(name: str) -> str:
     """Give a topic's name as ROS and a bag write it."""
     return "/" + name.lstrip("/")
+
+
+def checked_namespace(text: str) -> str:
+    """Return a namespace with a leading slash and none behind it, empty for the root; BagError for no name of one."""
+    parts = text.strip("/").split("/")
+    if parts == [""]:
+        return ""
+    if not all(re.fullmatch(r"[A-Za-z_]\w*", part, re.ASCII) for part in parts):
+        raise BagError(f"{text!r} is not the name of a namespace; expected one such as /a or a/b")
+    return "/" + "/".join(parts)
 
 
 @cache

@@ -56,7 +56,10 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
         "--params-file", type=Path, metavar="FILE", help="change parameters, in the form of ros2 param dump"
     )
     parser.add_argument(
-        "--namespace", default="", metavar="NS", help="in which --params-file names the nodes, as launch namespace:=NS"
+        "--namespace",
+        default="",
+        metavar="NS",
+        help="in which --params-file names the nodes, as launch namespace:=NS; of a bag: only topics in it",
     )
     parser.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=Number(int, 0, 2**63 - 1), metavar="N", help="instead of the scenario's")

@@ -39,13 +39,15 @@ if TYPE_CHECKING:
 MM = 25.4  # in an inch
 
 
-def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
+def rig_of_run(directory: Path, namespace: str = "") -> tuple[Rig, BagSignals]:
     """Give the rig of a run and its signals.
 
     Parameters
     ----------
     directory : Path
         Of a run, or any bag: a directory or a single file; or a pack.
+    namespace : str
+        Of a bag: only the topics in it, which are named without it.
 
     Returns
     -------
@@ -58,11 +60,13 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
     ScenarioError
         No bag, or none in it, or what was run is unknown here.
     """
-    rig, found = _recalled(directory)
+    rig, found = _recalled(directory, namespace)
     return rig, found.known_as(other_names(rig))
 
 
-def _recalled(directory: Path) -> tuple[Rig, BagSignals]:
+def _recalled(directory: Path, namespace: str) -> tuple[Rig, BagSignals]:
+    if namespace and (is_pack(directory) or (directory / ABOUT).is_file()):
+        raise ScenarioError(f"{directory}: a pack has one rig, without a namespace; leave out --namespace")
     if is_pack(directory):
         try:
             return rig_of_pack(opened(directory))
@@ -77,7 +81,7 @@ def _recalled(directory: Path) -> tuple[Rig, BagSignals]:
         raise ScenarioError(
             f"{directory}: no bag in it, expected the directory of a run or a bag; pictures are drawn from the bag"
         )
-    found = signals(bag)
+    found = signals(bag, namespace)
     if bag.is_dir() and (bag.parent / "metrics.json").is_file():
         return _as_it_ran(read_run(bag.parent).made_by), found
     with BagReader(bag) as reader:
@@ -182,7 +186,7 @@ Drawing = Iterator[tuple[PlotEntry, "Figure", str]]
 
 
 def _of_one(run: Path, names: Sequence[str], options: argparse.Namespace, look: Look) -> Drawing:
-    rig, found = rig_of_run(run)
+    rig, found = rig_of_run(run, options.namespace)
     rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
     source = Source(found, rig)
     for entry in rig.scenario.plots:
@@ -196,7 +200,7 @@ def _of_several(runs: Sequence[Path], names: Sequence[str], options: argparse.Na
     called = run_names(records, options.label)
     overlays = []
     for path, label in zip(runs, called, strict=True):
-        rig, found = rig_of_run(path)
+        rig, found = rig_of_run(path, options.namespace)
         rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
         overlays.append(Overlay(label, label, rig.scenario.plots, shown(rig), found))
     for entry, figure in overlay_figures(overlays, **look._asdict()):

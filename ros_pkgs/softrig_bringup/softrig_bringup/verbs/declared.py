@@ -103,6 +103,7 @@ def _run_and_look(verb: Verb) -> None:
         help="width, letters, no title, as asked",
     )
     plot.add_argument("--columns", choices=("1", "2"), default="1", help="with --style: how wide (1)")
+    plot.add_argument("--namespace", default="", metavar="NS", help="of a bag: only topics in it, named without it")
     plot.add_argument("--label", action="append", default=[], metavar="TEXT", help="name of a run, in their order")
     plot.add_argument("--format", choices=("pdf", "svg", "png", "pgf"), default="pdf")
     plot.add_argument("--width", type=Number(float, 20, 1000), metavar="MM", help="width; the height follows")

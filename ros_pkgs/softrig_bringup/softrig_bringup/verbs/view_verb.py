@@ -19,17 +19,17 @@ def view(options: argparse.Namespace) -> int:
     """Show what is named; gives the exit status."""
     path = Path(options.scenario)
     if options.scenario and (path.is_dir() or plain(path).suffix in SUFFIXES or is_pack(path)):
-        return _recorded(path, options.address)
+        return _recorded(path, options.address, options.namespace)
     options.view, options.paused = True, not options.running
     return run_verb.run(options)
 
 
-def _recorded(path: Path, address: str) -> int:
+def _recorded(path: Path, address: str, namespace: str) -> int:
     need("bokeh", "view")
     from ..view.serve import serve
     from ..view.sources import Recorded
 
-    rig, signals = rig_of_run(path)
+    rig, signals = rig_of_run(path, namespace)
     directory = path if (path / "metrics.json").is_file() else path.absolute().parent
     try:
         content = json.loads((directory / "metrics.json").read_text())

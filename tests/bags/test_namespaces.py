@@ -1,0 +1,125 @@
+"""Rigs that were recorded together, each in its namespace: read, compared, exported and drawn one by one."""
+
+import csv
+import re
+
+import pytest
+from conftest import differences
+from softrig_bags.bag import BagWriter
+from softrig_bags.cli import main_bag
+from softrig_bags.errors import BagError
+from softrig_bags.read import read_bag, signals
+from softrig_bags.selection import Selection
+from softrig_bags.topics import BagTopic
+from softrig_bags.write import write_bag
+from softrig_bringup.cli import main
+from test_bags import recording
+
+GAINS = {"a": 1.0, "b": 2.0, "deep/c": 1.0, "ab": 3.0}  # the last one begins as another does
+
+
+@pytest.fixture
+def bags(tmp_path):
+    """A bag of four rigs and one without a namespace, by arrival; and a bag of a rig of its own."""
+    writer = BagWriter(tmp_path / "together")
+    messages = []
+    for place, (name, gain) in enumerate([*GAINS.items(), ("", 5.0)]):
+        for topic in recording(gain=gain).topics.values():
+            full = "/".join(["", *filter(None, (name, topic.name.lstrip("/")))])
+            number = writer.add_topic(BagTopic.known(full, topic.msgtype))
+            messages += [(t + 1000 * place, number, data) for t, data in zip(topic.times, topic.data, strict=True)]
+    for t, number, data in sorted(messages):
+        writer.write(number, t, data)
+    writer.close()
+    write_bag(tmp_path / "own", recording())
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["a", "/b", "deep/c/"])
+def test_a_rig_is_read_as_if_it_had_been_alone(name, bags):
+    alone, found = recording(gain=GAINS[name.strip("/")]), read_bag(bags / "together", name)
+    assert list(found.topics) == list(alone.topics)
+    assert [t.data for t in found.topics.values()] == [t.data for t in alone.topics.values()]
+    named = signals(bags / "together", name)
+    assert set(named) == set(signals(bags / "own"))
+    assert differences(named.recording, found) == []  # also what is read when it is asked for
+
+
+@pytest.mark.parametrize(
+    ("words", "status"),
+    [
+        (("together", "together", "a", "deep/c"), 0),
+        (("together", "together", "a", "b"), 1),
+        (("together", "together", "ab", "a"), 1),
+        (("own", "together", "/", "a"), 0),
+        (("together", "own", "deep/c", "/"), 0),
+        (("own", "together", "/", "b"), 1),
+        (("own", "together", "/", "/"), 1),  # all five rigs
+        (("together", "together", "b"), 0),
+    ],
+)
+@pytest.mark.parametrize("how", [[], ["--align"]])
+def test_rigs_of_one_bag_are_compared_with_each_other_and_with_a_bag_of_their_own(words, status, how, bags, capsys):
+    a, b, *names = words
+    given = [word for name in names for word in ("--namespace", name)]
+    assert main(["bag", "compare", str(bags / a), str(bags / b), *given, *how]) == status
+    said = capsys.readouterr().out
+    assert "plant/state" in said
+    assert ("c/plant" in said) == (names == ["/", "/"])
+
+
+def test_what_is_no_namespace_of_the_bag_is_refused_with_those_that_are(bags, capsys):
+    for given, told in (
+        (["c"], "no topic in the namespace /c; expected one of /a, /b, /deep, /ab, /plant"),
+        (["a b"], "'a b' is not the name of a namespace"),
+        (["a", "b", "a"], "--namespace is expected once"),
+    ):
+        words = [word for name in given for word in ("--namespace", name)]
+        assert main(["bag", "compare", str(bags / "together"), str(bags / "together"), *words]) == 2
+        assert told in capsys.readouterr().err
+    assert main_bag(["export", str(bags / "together"), "--namespace", "a/b", "--format", "csv"]) == 2
+    assert not (bags / "together_a_b_csv").exists()
+    capsys.readouterr()
+
+
+def test_a_rig_is_exported_without_its_namespace_and_the_whole_bag_is_accounted_for(bags, capsys):
+    assert main_bag(["export", str(bags / "together"), "--namespace", "/b"]) == 0
+    folder = bags / "together_b_csv"
+    assert sorted(p.name for p in folder.iterdir()) == ["clock.csv", "command.csv", "plant.state.csv"]
+    assert len(list(csv.reader((folder / "plant.state.csv").open()))) == 51
+    metadata = bags / "together" / "metadata.yaml"
+    metadata.write_text(
+        re.sub(r"(name: /ab/command.*?message_count: )\d+", r"\g<1>99", metadata.read_text(), flags=re.S)
+    )
+    assert main_bag(["export", str(bags / "together"), "--namespace", "/b"]) == 1
+    assert "/ab/command" in capsys.readouterr().err  # of another rig, yet of this bag
+
+
+def test_a_rig_of_several_is_drawn_and_viewed(bags, monkeypatch, capsys):
+    shown = []
+    monkeypatch.setattr("softrig_bringup.view.serve.serve", lambda source, *_: shown.append(source))
+    assert main(["view", str(bags / "together"), "--namespace", "a"]) == 0
+    (source,) = shown
+    assert {port.topic for m in source.rig.members for port in m.outputs} == {"plant/state", "command"}
+    words = ["draw", "plot", str(bags / "together"), "plant/state/a/position", "--namespace", "b", "--format", "svg"]
+    assert main([*words, "--out", str(bags / "pictures")]) == 0
+    assert main([*words[:-4], "--namespace", "c"]) == 2
+    assert "no topic in the namespace /c" in capsys.readouterr().err
+    (bags / "pack").mkdir()
+    (bags / "pack/pack.json").write_text("{}")  # of one rig, whatever is in it
+    assert main(["view", str(bags / "pack"), "--namespace", "a"]) == 2
+    assert "leave out --namespace" in capsys.readouterr().err
+
+
+def test_a_recorder_takes_the_topics_of_a_namespace_and_names_in_it():
+    topics = ["/a/clock", "/a/plant/state", "/a/_hidden/x", "/ab/clock", "/clock", "/rosout", "/b/a/clock"]
+    for chosen, found in (
+        (Selection.of((), namespace="a"), ["/a/clock", "/a/plant/state"]),
+        (Selection.of((), regex="state|rosout", namespace="/a/"), ["/a/plant/state"]),
+        (Selection.of((), exclude="state", namespace="a"), ["/a/clock"]),
+        (Selection.of(("clock", "/rosout"), namespace="a"), ["/a/clock", "/rosout"]),
+        (Selection.of(()), [t for t in topics if "hidden" not in t]),
+    ):
+        assert [topic for topic in topics if topic in chosen] == found
+    with pytest.raises(BagError, match="not the name of a namespace"):
+        Selection.of((), namespace="1a")
