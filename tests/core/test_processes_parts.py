@@ -173,6 +173,26 @@ def test_while_a_participant_begins_its_profile_is_that_of_the_environment(given
     assert os.environ.get(profile.VARIABLE) == before
 
 
+@pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
+@pytest.mark.parametrize("asked", ["", "UDPv4"])
+def test_without_room_in_shared_memory_no_transport_uses_it(reach, asked, fixed, monkeypatch):
+    variables = {"ROS_AUTOMATIC_DISCOVERY_RANGE": reach, profile.TRANSPORTS: asked}
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.delenv(profile.VARIABLE, raising=False)
+    monkeypatch.setattr(profile, "lacking", lambda nodes: "" if asked else f"no room for {nodes}")
+    with profile.joining():
+        root = ElementTree.parse(os.environ[profile.VARIABLE]).getroot()
+        assert os.environ[profile.TRANSPORTS] == "UDPv4"  # what a profile without transports of its own follows
+        # rmw_fastrtps adds shared memory to whatever profile a LOCALHOST participant has
+        assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == {"LOCALHOST": "SYSTEM_DEFAULT"}.get(reach, reach)
+    local = reach == "LOCALHOST"
+    assert [e.text for e in root.iter(f"{{{profile.SPACE}}}transport_id")] == ["softrig_loopback"] * 2 * local
+    assert [e.text for e in root.iter(f"{{{profile.SPACE}}}type")] == ["UDPv4"] * local
+    assert {name: os.environ[name] for name in variables} == variables
+    assert profile.VARIABLE not in os.environ
+
+
 def test_a_node_is_reached_from_other_hosts_only_where_somebody_asks_for_it(monkeypatch, tmp_path):
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", *executables.NETWORK, "FASTRTPS_DEFAULT_PROFILES_FILE"):
         monkeypatch.delenv(name, raising=False)

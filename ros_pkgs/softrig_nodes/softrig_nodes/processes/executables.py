@@ -18,6 +18,7 @@ from softrig_core.rig.installed import load_main
 PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
 LOOPBACK = PROFILE.with_name("fastdds_loopback.xml")  # the same for who is not to be reached from elsewhere
 NETWORK = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")  # who sets one wants other hosts
+NO_MEMORY = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}  # Fast DDS's own variable; `ros.profile` follows it, too
 MARGIN = 2  # s: an announcement in 0.5 s renews the lease; on a busy host it comes late
 
 

@@ -16,7 +16,7 @@ from softrig_core.wire.recording import Recording
 
 from .children import Child, last_line, read_status, stop
 from .domain import DOMAINS, free_domain, holders, require_loopback
-from .executables import environment
+from .executables import NO_MEMORY, environment
 from .guests import Guests
 from .peers import starter
 from .placement import NOBODY, PROCESSES, Listener, Placement
@@ -94,11 +94,13 @@ def run_processes(
         if own_domain and domain not in DOMAINS and listener.announce is not None:
             listener.announce(f"domain {domain}: {DOMAINS[0]} to {DOMAINS[-1]} are taken{holders(DOMAINS)}")
         members = groups(rig, placement.shared(rig), only)
-        if listener.announce is not None and (why := lacking(len(members))):
-            listener.announce(f"{why}: what does not fit goes by UDP, which takes longer")
         variables = environment(
             domain, directory, discovery="SUBNET" if only else "LOCALHOST", silence=rig.scenario.timeout
         )
+        if why := lacking(len(members)):
+            variables |= NO_MEMORY
+            if listener.announce is not None:
+                listener.announce(f"{why}: messages go by UDP, which takes longer")
         options = {
             "run.mode": placement.clock,
             "run.start_timeout": wait,

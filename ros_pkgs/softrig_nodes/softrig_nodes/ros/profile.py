@@ -4,6 +4,10 @@ Its ports are such that nobody who was killed just now had them (see `processes.
 does not match its own writers with its own readers: what two nodes of one process say to each other goes by memory, DDS
 would deliver it a second time. With the property `fastdds.ignore_local_endpoints` the endpoints stay in the graph and
 are matched with other processes only.
+
+Where shared memory has no room for a node, the profile has no transport by shared memory. Fast DDS falls back to UDP
+only if it cannot make a segment. If the room ends between a segment and its ports, the node's peers write to ports that
+do not exist and wait for ever; if it ends at a semaphore, the node is killed by SIGBUS.
 """
 
 from __future__ import annotations
@@ -17,12 +21,15 @@ from tempfile import NamedTemporaryFile
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from ..processes.executables import LOOPBACK, PROFILE, given_profile, leased
+from ..processes.executables import LOOPBACK, NO_MEMORY, PROFILE, given_profile, leased
 from ..processes.ports import chosen
-from ..processes.shared_memory import Ears, clear_ports, domain_id, numbers
+from ..processes.shared_memory import Ears, clear_ports, domain_id, lacking, numbers
 
 PROPERTY = "fastdds.ignore_local_endpoints"
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+(TRANSPORTS,) = NO_MEMORY
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+STARTING = 8  # nodes that may start at this moment and look for the same room
 SPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 
 
@@ -45,23 +52,29 @@ def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterato
         It is no XML, or has no participant.
     """
     clear_ports(domain_id())
-    before = os.environ.get(VARIABLE)
     given = given_profile()
     text = given.read_bytes()
     if silence is not None and given in (PROFILE, LOOPBACK):
         text = leased(text.decode(), silence).encode()
-    profile = own(text, exclusive=exclusive)
     with NamedTemporaryFile(prefix="softrig-", suffix=".xml") as file:
-        file.write(profile)
+        changes = {VARIABLE: file.name}
+        if lacking(STARTING):
+            changes |= NO_MEMORY
+        memory = (os.environ | changes).get(TRANSPORTS) != NO_MEMORY[TRANSPORTS]
+        if not memory and os.environ.get(RANGE) == "LOCALHOST":  # rmw_fastrtps adds shared memory to this one itself;
+            changes[RANGE] = "SYSTEM_DEFAULT"  # what the profile allows is the loopback interface all the same
+        file.write(own(text, exclusive=exclusive, memory=memory))
         file.flush()
-        os.environ[VARIABLE] = file.name
+        before = {name: os.environ.get(name) for name in changes}
+        os.environ |= changes
         try:
             yield
         finally:  # as it was: a run that this process starts later makes one that fits it
-            if before is None:
-                del os.environ[VARIABLE]
-            else:
-                os.environ[VARIABLE] = before
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
 
 
 def look_after_ports(node: Node) -> None:
@@ -69,8 +82,17 @@ def look_after_ports(node: Node) -> None:
     node.create_timer(1.0, Ears().lost, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-def own(profile: bytes, *, exclusive: bool = False) -> bytes:
-    """Give a profile file whose participants have ports, unless it names some, and if `exclusive` the property.
+def own(profile: bytes, *, exclusive: bool = False, memory: bool = True) -> bytes:
+    """Return a profile file whose participants have ports, unless it names some.
+
+    Parameters
+    ----------
+    profile : bytes
+        A profile file of Fast DDS.
+    exclusive : bool
+        Add the property that matches endpoints with other processes only.
+    memory : bool
+        Keep the transports by shared memory.
 
     Raises
     ------
@@ -86,6 +108,8 @@ def own(profile: bytes, *, exclusive: bool = False) -> bytes:
     participants = list(root.iter(f"{space}participant"))
     if not participants:
         raise ValueError(f"{VARIABLE}: no participant in the profile, expected one")
+    if not memory:
+        _without_memory(root, space)
     for participant in participants:
         rtps = _within(participant, f"{space}rtps")
         if rtps.find(f"{space}port") is None:
@@ -98,6 +122,18 @@ def own(profile: bytes, *, exclusive: bool = False) -> bytes:
             ElementTree.SubElement(entry, f"{space}name").text = PROPERTY
             ElementTree.SubElement(entry, f"{space}value").text = "true"
     return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+
+
+def _without_memory(root: ElementTree.Element, space: str) -> None:
+    """Remove the transports by shared memory, and where participants name them."""
+    gone = set()
+    for parent in root.iter(f"{space}transport_descriptors"):
+        for entry in [e for e in parent if e.findtext(f"{space}type") == "SHM"]:
+            gone.add(entry.findtext(f"{space}transport_id"))
+            parent.remove(entry)
+    for parent in root.iter(f"{space}userTransports"):
+        for entry in [e for e in parent if e.text in gone]:
+            parent.remove(entry)
 
 
 def _within(element: ElementTree.Element, tag: str) -> ElementTree.Element:
