@@ -21,6 +21,13 @@ NODES = {
     "a plant with a compiled loop": ("lsrm_fuzzy", "lsrm_plant"),
     "an output that is silent at times, an absent input": ("dc_motor_fsfb", "step_buttons"),
     "states that are absent at first": ("rehab_impedance", "voltage_controller"),
+    "what is None until the first message": ("dc_motor_fsfb", "fsfb_controller"),
+    "a history that begins with the first message": ("pwa_delay_p3", "delay_line"),
+    "a queue of messages, which grows": ("dc_motor_fsfb", "fieldbus_delay"),
+    "random numbers": ("dc_motor_smc_b2", "dc_motor_plant"),
+    "complex quotients": ("gupfc", "series_controller_1"),
+    "a casadi function": ("induction_dtc", "im_plant"),
+    "arrays that loops write": ("tcp_aqm_smc", "tcp_fluid"),
 }
 
 
@@ -140,8 +147,8 @@ def test_files_say_what_they_are_and_are_the_same_again(law, tmp_path):
     ("scenario", "node", "words"),
     [
         ("dc_motor_smc_b2", "dc_motor_smcc", ["dc_motor_smcc", "did you mean", "dc_motor_smc"]),
-        ("dc_motor_smc_b2", "dc_motor_plant", ["cannot be exported as C", "random numbers"]),
-        ("manipulator_adsmc", "manipulator_plant", ["cannot be exported as C", "CasADi"]),
+        ("gupfc_s5", "pulse_generator", ["cannot be exported as C", "gupfc.pulses.gates, line"]),
+        ("economic_dispatch", "dispatch_solver", ["cannot be exported as C", "solver"]),
     ],
 )
 def test_what_has_no_c_is_refused_by_its_reason(scenario, node, words, tmp_path):

@@ -20,6 +20,7 @@ from .kinds import (
     Table,
     Tuple,
     identifier,
+    leaves,
     united,
 )
 from .unit import Unit, Value, literal
@@ -46,6 +47,7 @@ class Base:
         self.kinds_of: dict[str, Kind] = {}  # of C's variables
         self.result: Kind | None = None
         self.local_tables: dict[str, Table] = {}
+        self.name = ""  # of the function in C
         self.lines: list[str] = []
         self.env: dict[str, Value] = {}
         self.loops: list[list[tuple[str, bool]]] = []  # names that each loop binds, and whether they were bound before
@@ -62,7 +64,7 @@ class Base:
 
     def fresh(self, kind: Kind, c: str) -> Value:
         """Return a value under a name of its own."""
-        if isinstance(kind, (Absent, Table)):
+        if isinstance(kind, Absent):
             return Value(kind, c)
         name = f"u{self.temporaries}"
         self.temporaries += 1
@@ -103,12 +105,14 @@ class Base:
 
     def named(self, value: Value) -> Value:
         """Return a value by a name, so that it stays as it is."""
-        if value.thing is not None or isinstance(value.kind, (Absent, Table)):
+        if value.thing is not None or isinstance(value.kind, Absent) or self.is_room(value):
             return value
         return self.fresh(value.kind, value.c)
 
     def coerced(self, value: Value, kind: Kind) -> Value:
         """Return a value as one of another type, which holds it."""
+        if isinstance(kind, Table) and value.thing is not None and value.kind == kind:
+            return Value(kind, f"(({self.unit.c(kind)}){value.c})")  # a constant that nobody writes
         if value.kind == kind:
             return value
         if isinstance(kind, Number) and isinstance(value.kind, Number):
@@ -136,11 +140,32 @@ class Base:
     def group(self, parts: Sequence[Value], kind: Tuple) -> Value:
         """Return a tuple of its parts."""
         inner = ", ".join(
-            f".{identifier(n)} = {p.c}"
+            f".{identifier(n)} = {self.coerced(p, p.kind).c}"
             for n, p in zip(kind.names, parts, strict=True)
             if not isinstance(p.kind, Absent)
         )
         return Value(kind, f"({self.unit.c(kind)}){{ {inner or '0'} }}")
+
+    @staticmethod
+    def item(table: Value, place: int | str) -> Value:
+        """Return an item of an array, or a row of one with several dimensions."""
+        assert isinstance(table.kind, Table)
+        if len(table.kind.shape) == 1:
+            return Value(table.kind.item, f"{table.c}[{place}]")
+        row = Table(table.kind.item, table.kind.shape[1:])
+        return Value(row, f"(&{table.c}[{place} * {row.size}])")
+
+    def room(self, kind: Table) -> Value:
+        """Return an array of this function: on the stack, or, where it may be returned, in the node's struct."""
+        name = f"w{len(self.local_tables)}"
+        if self.result is not None and leaves(self.result):
+            name = f"s->m.{self.name}_{name}"
+        self.local_tables[name] = kind
+        return Value(kind, name)
+
+    def is_room(self, value: Value) -> bool:
+        """Return whether a value is an array that has a name of its own."""
+        return isinstance(value.kind, Table) and value.c in self.local_tables
 
     def _check(self, wrong: str) -> None:
         """Discard the tick where a condition holds."""
@@ -162,8 +187,8 @@ class Base:
                 Value(k, "0" if isinstance(k, Absent) else f"{one.c}.{identifier(n)}")
                 for k, n in zip(value.kind.items, value.kind.names, strict=True)
             ]
-        if isinstance(value.kind, Table) and len(value.kind.shape) == 1:
-            return [Value(value.kind.item, f"{value.c}[{k}]") for k in range(value.kind.shape[0])]
+        if isinstance(value.kind, Table):
+            return [self.item(value, k) for k in range(value.kind.shape[0])]
         raise self.unknown("something whose length is not fixed", node)
 
     def truth(self, value: Value, node: ast.AST) -> str:

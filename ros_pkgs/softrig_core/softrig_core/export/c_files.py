@@ -22,13 +22,13 @@ from ..native.twins import packed
 from ..native.value import NotNative
 from ..rig.members import Member
 from .drawn import Raised
-from .golden import Call, methods
-from .kinds import ABSENT, INT, Absent, Kind, Maybe, Number, Tuple, identifier, kind_of
+from .golden import Call, Changed, methods
+from .kinds import ABSENT, INT, Absent, Kind, Maybe, Number, Table, Tuple, identifier, kind_of, leaves
 from .law import Form, Law, input_kind, law_of
 from .reader import Reader
 from .unit import Unit, Value, literal
 
-SUPPORT = "softrig_c.h"
+SUPPORT, DRAWS = "softrig_c.h", "softrig_draws.h"
 SHIFTS = (1.0625, 0.9375, 0.5, 2.0, -1.0)  # factors by which a parameter is tried, until one is in its bounds
 
 
@@ -50,6 +50,8 @@ class Exported:
         The values that it publishes, as ``topic/label``.
     discards : tuple of str
         What it answers by SR_GAVE_UP although Python does not raise there: ways that have no C.
+    ends : str
+        Why the golden rows end before the run does; empty: they do not, or after as many as wanted.
     """
 
     name: str
@@ -58,12 +60,13 @@ class Exported:
     settable: tuple[str, ...]
     channels: tuple[str, ...]
     discards: tuple[str, ...]
+    ends: str
 
 
 def c_files(
     member: Member,
     block: Block,
-    golden: Sequence[Call],
+    golden: Sequence[Call | Changed],
     drawn: Sequence[Sequence[Call | Raised]],
     *,
     single: bool = False,
@@ -74,7 +77,7 @@ def c_files(
     ----------
     block : Block
         As at the begin of the run.
-    golden : sequence of Call
+    golden : sequence of Call or Changed
         Of a run, from its first tick on.
     drawn : sequence of sequences of Call or Raised
         Further calls, each sequence from the first state on.
@@ -94,50 +97,65 @@ class _Files:
         self,
         member: Member,
         block: Block,
-        golden: Sequence[Call],
+        golden: Sequence[Call | Changed],
         drawn: Sequence[Sequence[Call | Raised]],
         single: bool,
     ) -> None:
         self.single = single
-        self.member, self.block, self.golden, self.drawn = member, block, golden, drawn
+        self.member, self.block, self.drawn = member, block, drawn
         self.name = re.sub(r"\W", "_", member.name)
         self.inputs, self.outputs = member.inputs, member.outputs
         self.methods = methods(block)
-        calls = [*golden, *(c for calls in drawn for c in calls if isinstance(c, Call))]
+        calls = [c for calls in (golden, *drawn) for c in calls if isinstance(c, Call)]
         self.law: Law = law_of(block, _punctual(member), self.inputs, self.outputs, calls)
         self.slots = list(self.law.program.slots)
         self.values = [as_slot(follow(path, [block])) for path in self.slots]
         self.fields = _fields([written(path) for path in self.slots])
         self.settable = _settable(block, self.law, self.slots, self.values)
+        self.golden, self.ends = self._replayable(golden)
         constants = [(kind_of(v), f"s->k.{f}") for v, f in zip(self.values, self.fields, strict=True)]
         places = {p.at: k for k, p in enumerate(self.law.reports.places)}
-        self.unit = Unit(self.name, Reader, self.law.texts, self.law.program.names, constants, places)
-        self.forms = self._forms(calls)
+        program = self.law.program
+        casadi = {name: program.names[f"{name}_there"] for name in program.callers.values()}
+        self.draws = {name: follow(path, [block]) for path, name in program.draws.items()}
+        self.unit = Unit(self.name, Reader, self.law.texts, program.names, constants, places, casadi=casadi)
+        self.unit.by_name |= self.draws
+        self.forms = self.law.states
+        self.stores: dict[str, Table] = {}
+        for form in self.forms:
+            for path, table in leaves(form):
+                known = self.stores.get(_store(path))
+                if known is not None and known.item != table.item:
+                    raise NotNative(f"{path} is an array of two types")
+                if known is None or known.size < table.size:
+                    self.stores[_store(path)] = table
         self.state_types = [self.unit.c(state) for state in self.forms]
         self.constant_types = [self.unit.c(kind_of(v)) for v in self.values]
         self.in_header = len(self.unit.typedefs)
         self.discards = tuple(sorted(set(self.law.program.seldom)))
         self.roots = {form: self._root(form) for form in self.law.roots}
 
-    # reading ------------------------------------------------------------------------------------------------------
+    def _replayable(self, golden: Sequence[Call | Changed]) -> tuple[Sequence[Call | Changed], str]:
+        """Return the calls up to a change of parameters that C cannot repeat, and why it cannot."""
+        for k, one in enumerate(golden):
+            if isinstance(one, Changed):
+                fixed = sorted(one.names - self.settable.keys())
+                if fixed or one.moved:
+                    why = (
+                        f"{', '.join(fixed)} changed, which is compiled in" if fixed else "the state changed with them"
+                    )
+                    return golden[:k], f"the rows end at {one.t / 1e9:g} s: {why}"
+        return golden, ""
 
-    def _forms(self, calls: Sequence[Call]) -> list[Kind]:
-        """Return the types that the state has at some time, the first one first."""
-        states = [kind_of(packed(self.block.first()))]
-        for call in calls:
-            for x in (call.x, call.after):
-                kind = kind_of(packed(x))
-                if kind not in states:
-                    states.append(kind)
-        return states
+    # reading ------------------------------------------------------------------------------------------------------
 
     def _root(self, form: Form) -> Any:
         kinds: list[Kind] = [ABSENT, ABSENT]
         handed: list[Any] = ["", ""]
         for name in self.law.arrays[form]:
-            if name == "told":
+            if name == "told" or name in self.law.program.scratches.values() or name in self.draws:
                 kinds.append(ABSENT)
-                handed.append("")
+                handed.append(name if name in self.draws else "")
                 continue
             value = self.unit.table(self._array(name), name)
             kinds.append(value.kind)
@@ -151,10 +169,6 @@ class _Files:
         for path, known in program.arrays.items():
             if known == name:
                 return np.ascontiguousarray(follow(path, [self.block]))
-        if name in program.draws.values():
-            raise NotNative("it draws random numbers, which come from the rig's seed")
-        if name in program.scratches.values():
-            raise NotNative("it calls a CasADi function")
         raise NotNative(f"it needs {name}, which only a rig has")
 
     # writing ------------------------------------------------------------------------------------------------------
@@ -168,11 +182,15 @@ class _Files:
             SUPPORT: (resources.files(__package__) / SUPPORT).read_text(),
             f"{self.name}.h": header.replace("@DIGEST@", digest),
             f"{self.name}.c": source,
+            **({DRAWS: (resources.files(__package__) / DRAWS).read_text()} if self.draws else {}),
+            **{f"{name}.c": _CASADI.format(n=self.name) + text for name, text in self.unit.sources.items()},
             f"{self.name}_rows.txt": self.rows(),
             f"{self.name}_replay.c": self.replay(),
             f"{self.name}.json": self.description(digest),
         }
-        return Exported(self.name, files, tuple(sorted(self.unit.libm)), tuple(self.settable), channels, self.discards)
+        return Exported(
+            self.name, files, tuple(sorted(self.unit.libm)), tuple(self.settable), channels, self.discards, self.ends
+        )
 
     def header(self) -> str:
         """Return the header."""
@@ -191,7 +209,7 @@ class _Files:
             f"#define {upper}_H",
             "",
             *(["#ifndef SR_FLOAT", "#define SR_FLOAT", "#endif"] if self.single else []),
-            f'#include "{SUPPORT}"',
+            f'#include "{DRAWS if self.draws else SUPPORT}"',
             "",
             f'#define {upper}_DIGEST "@DIGEST@" /**< of this build */',
             f"#define {upper}_PERIOD_NUMERATOR {period.numerator} /**< period, s, as a fraction */",
@@ -221,7 +239,11 @@ class _Files:
             *(f"        {t} f{i};" for i, t in enumerate(self.state_types)),
             "    } x;",
             "    uint8_t form; /**< which of them holds the state */",
+            *self._struct("a", self.stores, "arrays of the state"),
+            *self._struct("b", self.stores, "the same while a call works on them"),
+            *self._struct("m", self.unit.rooms, "arrays that functions return"),
             "    bool discarded;",
+            *(f"    sr_draws {name}; /**< a stream of random numbers */" for name in self.draws),
             *([f"    uint32_t reports[{len(reports)}];", f"    uint32_t pending[{len(reports)}];"] if reports else []),
             f"}} {n};",
             "",
@@ -245,6 +267,12 @@ class _Files:
                 "",
             ]
         return "\n".join([*lines, "#ifdef __cplusplus", "}", "#endif", "", "#endif", ""])
+
+    def _struct(self, name: str, arrays: Mapping[str, Table], what: str) -> list[str]:
+        if not arrays:
+            return []
+        inner = [f"        {self.unit.c(t.item)} {n}[{max(t.size, 1)}];" for n, t in arrays.items()]
+        return ["    struct {", *inner, f"    }} {name}; /**< {what} */"]
 
     def _heads(self) -> dict[str, str]:
         n = self.name
@@ -301,8 +329,12 @@ class _Files:
         tables, functions = self.unit.used([root.name for root in self.roots.values()])
         parts = [
             f"/* {n}.c: see {n}.h. Written by `softrig export c`. */",
-            f'#include "{n}.h"\n\n#include <stddef.h>\n',
+            f'#include "{n}.h"\n\n#include <stddef.h>\n#include <string.h>\n',
             *self.unit.typedefs[self.in_header :],
+            *(
+                f"int {name}(const real_t **arg, real_t **res, long long int *iw, real_t *w, int mem);"
+                for name in self.unit.sources
+            ),
             *tables,
             "",
             *functions,
@@ -313,7 +345,17 @@ class _Files:
     def _init(self) -> str:
         n = self.name
         first = packed(self.block.first())
+        tables = {
+            f"{n}_first_{_store(path)}": (path, np.asarray(value).ravel())
+            for path, value in _arrays(first)
+            if np.asarray(value).any()
+        }
         lines = [
+            *(
+                f"static SR_TABLE {self.unit.c(kind_of(v[0].item()))} {table}[{v.size}] = "
+                f"{{ {', '.join(map(literal, v.tolist()))} }};"
+                for table, (_, v) in tables.items()
+            ),
             f"void {n}_set({n} *s, const {n}_params *params)",
             "{",
             *(
@@ -327,13 +369,16 @@ class _Files:
             "",
             f"void {n}_init({n} *s, const {n}_params *params)",
             "{",
-            f"    static const {n} zero;",
-            "    *s = zero;",
+            "    memset(s, 0, sizeof *s);",
         ]
         for field, kind, value in zip(self.fields, self.constant_types, self.values, strict=True):
             initial = _initial(value)
             lines.append(f"    s->k.{field} = {f'({kind}){initial}' if initial.startswith('{') else initial};")
         lines.append(f"    s->x.f0 = ({self.state_types[0]}){_initial(first)};")
+        lines += [f"    memcpy(s->a.{_store(path)}, {table}, sizeof {table});" for table, (path, _) in tables.items()]
+        for name, draws in self.draws.items():
+            words = ", ".join(f"UINT64_C({part})" for word in draws.words for part in divmod(word, 1 << 64))
+            lines.append(f"    sr_draws_init(&s->{name}, {words});")
         lines += ["    if (params != NULL) {", f"        {n}_set(s, params);", "    }", "}", ""]
         return "\n".join(lines)
 
@@ -344,8 +389,7 @@ class _Files:
         if self.law.reports.places:
             count = len(self.law.reports.places)
             lines += [f"    for (unsigned i = 0; i < {count}u; i++) {{", "        s->pending[i] = 0;", "    }"]
-        if method != "outputs":
-            lines.append("    (void)in;")
+        lines += ["    (void)in;"] * (method != "outputs") + ["    (void)out;"] * with_out
         lines += ["    (void)t_ns;", "    s->discarded = false;"]
         for form, root in self.roots.items():
             if form.method == method:
@@ -375,7 +419,7 @@ class _Files:
         for port in there:
             if port.held:
                 tests.append(f"{'' if port.name in form.there else '!'}in->has_{identifier(port.name)}")
-        given = ["s", f"s->x.f{self.forms.index(form.state)}", "t_ns"]
+        given = ["s", "x", "t_ns"]
         for port in there:
             if port.name in form.there:
                 name = identifier(port.name)
@@ -383,8 +427,13 @@ class _Files:
                 stamped = f"in->{name}_stamp_ns, {{ {numbers} }}" if port.delayed else numbers
                 given.append(f"({self.unit.c(input_kind(port))}){{ {stamped} }}")
         lines = [f"if (!known && {' && '.join(f'({t})' for t in tests)}) {{", "    known = true;"]
+        k = self.forms.index(form.state)
+        lines.append(f"    {self.state_types[k]} x = s->x.f{k};")
+        for path, _ in leaves(form.state):
+            lines.append(f"    memcpy(s->b.{_store(path)}, s->a.{_store(path)}, sizeof s->b.{_store(path)});")
+            lines.append(f"    x{path} = s->b.{_store(path)};")
         lines.append(f"    {self.unit.c(root.result)} r = {root.name}({', '.join(given)});")
-        inner: list[str] = []
+        inner = ["(void)r;"]
         state: Value | None = None
         if form.method == "advance":
             state = Value(root.result, "r")
@@ -426,7 +475,7 @@ class _Files:
         """Write what takes the state over, in the form that it has now."""
         if state.kind in self.forms:
             k = self.forms.index(state.kind)
-            return [f"s->x.f{k} = {state.c};", f"s->form = {k}u;"]
+            return [f"s->x.f{k} = {state.c};", f"s->form = {k}u;", *self._kept(k)]
         lines: list[str] = []
         for k, form in enumerate(self.forms):
             tests: list[str] = []
@@ -435,7 +484,17 @@ class _Files:
                 continue
             test = " && ".join(tests) or "true"
             lines += [f"{'} else ' if lines else ''}if ({test}) {{", f"    s->x.f{k} = {code};", f"    s->form = {k}u;"]
+            lines += [f"    {line}" for line in self._kept(k)]
         return [*lines, "} else {", "    s->discarded = true;", "}"] if lines else ["s->discarded = true;"]
+
+    def _kept(self, k: int) -> list[str]:
+        """Write what keeps the arrays of a state: a node that is copied has its own."""
+        lines: list[str] = []
+        for path, table in leaves(self.forms[k]):
+            store = f"s->a.{_store(path)}"
+            size = f"{max(table.size, 1)}u * sizeof {store}[0]"
+            lines += [f"memcpy({store}, s->x.f{k}{path}, {size});", f"s->x.f{k}{path} = NULL;"]
+        return lines
 
     def _as(self, value: Value, kind: Kind, tests: list[str]) -> str | None:
         """Return a value as one of a type, with the conditions under which it is one; None: never."""
@@ -473,6 +532,9 @@ class _Files:
             if calls:
                 lines.append("init")
             for call in calls:
+                if isinstance(call, Changed):
+                    lines.append(" ".join(["set", *(_told(call.values[name]) for name in self.settable)]))
+                    continue
                 number = self.methods.index(call.method)
                 raised = isinstance(call, Raised)
                 row = [f"{number} {int(raised)} {call.t}"]
@@ -519,7 +581,13 @@ class _Files:
                 *(f"        {line}" for line in compared),
                 "            break;",
             ]
-        return _REPLAY.format(n=n, cases="\n".join(cases), channels=sum(p.size for p in self.outputs))
+        sets = []
+        for name, (k, *_) in self.settable.items():
+            kind, own = self.unit.c(kind_of(self.values[k])), identifier(name)
+            scanned = "number(&at)" if kind == "real_t" else f"({kind})strtoll(at, &at, 10)"
+            sets.append(f"            params.{own} = {scanned};")
+        channels = sum(p.size for p in self.outputs)
+        return _REPLAY.format(n=n, upper=n.upper(), sets="\n".join(sets), cases="\n".join(cases), channels=channels)
 
     def description(self, digest: str) -> str:
         """Return the JSON description."""
@@ -563,6 +631,18 @@ class _Files:
         return json.dumps(found, indent=1, default=str) + "\n"
 
 
+_CASADI = """/* Written by CasADi, called by the node. Written by `softrig export c`. */
+#include "{n}.h"
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#pragma GCC diagnostic ignored "-Wunused-const-variable"
+#pragma GCC diagnostic ignored "-Wmissing-prototypes"
+#endif
+#ifdef SR_FLOAT
+#define casadi_real float
+#endif
+"""
+
 _WORDS = {
     "update": "Answer one tick.",
     "outputs": "Compute the outputs at t.",
@@ -605,11 +685,14 @@ int main(int argc, char **argv)
     {n} node;
     {n}_in in;
     {n}_out out;
+    {n}_params params = {upper}_PARAMS;
     FILE *file = fopen(argc > 1 ? argv[1] : "{n}_rows.txt", "r");
     if (file == NULL) {{
         fprintf(stderr, "cannot read the rows\\n");
         return 2;
     }}
+    (void)number; /* a node without values reads and compares none */
+    (void)compare;
     memset(&in, 0, sizeof in);
     memset(&out, 0, sizeof out);
     while (fgets(line, sizeof line, file) != NULL) {{
@@ -618,6 +701,12 @@ int main(int argc, char **argv)
         if (strncmp(line, "init", 4) == 0) {{
             {n}_init(&node, NULL);
             sequence++;
+            continue;
+        }}
+        if (strncmp(line, "set", 3) == 0) {{
+            at += 3;
+{sets}
+            {n}_set(&node, &params);
             continue;
         }}
         const long method = strtol(at, &at, 10);
@@ -739,8 +828,28 @@ def _fields(paths: Sequence[str]) -> list[str]:
     return found
 
 
+def _store(path: str) -> str:
+    return identifier(path) or "array"
+
+
+def _arrays(value: Any, path: str = "") -> list[tuple[str, Any]]:
+    """Return the arrays in a state, each with its path in C."""
+    if isinstance(value, np.ndarray):
+        return [(path, value)]
+    if not isinstance(value, tuple):
+        return []
+    names = getattr(value, "_fields", None) or [f"f{k}" for k in range(len(value))]
+    return [one for n, v in zip(names, value, strict=True) for one in _arrays(v, f"{path}.{identifier(n)}")]
+
+
+def _told(value: Any) -> str:
+    return value.hex() if isinstance(value, float) else str(int(value))
+
+
 def _initial(value: Any) -> str:
     """Return how C initialises a value."""
+    if isinstance(value, np.ndarray):
+        return "NULL"
     if isinstance(value, complex):
         return f"{{ .real = {literal(value.real)}, .imag = {literal(value.imag)} }}"
     if isinstance(value, tuple):

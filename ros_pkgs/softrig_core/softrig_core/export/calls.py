@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from ..kit.compiled import Compiled
+from ..kit.draws import Draws
 from ..kit.jit import Jit, power
-from .expressions import Expressions
+from .expressions import WHOLE, Expressions
 from .kinds import (
     ABSENT,
     BOOL,
@@ -55,6 +56,7 @@ UNARY_MATH = [
     "trunc",
 ]
 BINARY_MATH = {"atan2": "atan2", "copysign": "copysign", "fmod": "fmod", "pow": "pow", "power": "pow"}
+MAKERS = (np.zeros, np.ones, np.empty, np.full, np.zeros_like, np.ones_like, np.empty_like, np.copy)
 EXACT = {"sqrt", "fabs", "floor", "ceil", "trunc", "copysign", "fmod", "rint"}  # IEEE 754 fixes their bits
 
 
@@ -66,9 +68,16 @@ class Calls(Expressions):
             raise self.unknown("a call with words", node)
         if isinstance(node.func, ast.Name) and node.func.id == "reported_":
             return self._reported(node)
+        if isinstance(node.func, ast.Name) and node.func.id == "drawn_":
+            stream, _, place = [self.value(a) for a in node.args]
+            self.unit.libm |= {"exp", "log1p"} if stream.thing.normal else set()
+            k = self.coerced(place, INT).c
+            return self.fresh(REAL, f"sr_draw(&s->{stream.c}, {k}, {literal(stream.thing.normal)})")
         if isinstance(node.func, ast.Attribute) and node.func.attr == "conjugate":
             real, imag = self.parts(self.value(node.func.value), node)
             return self.group([real, Value(REAL, f"(-{imag.c})")], COMPLEX)
+        if isinstance(node.func, ast.Attribute) and node.func.attr == "copy":
+            return self._new(np.copy, [self.value(node.func.value)], node)
         function = self.value(node.func)
         if function.thing is None:
             raise self.unknown("a call of something that is computed", node)
@@ -153,16 +162,17 @@ class Calls(Expressions):
     def _function(self, function: Any, given: list[Value], node: ast.AST, python: bool) -> Value:
         given = [self.coerced(v, v.kind.item) if isinstance(v.kind, Maybe) and not python else v for v in given]
         tables: list[Any] = []
+        sized = not isinstance(function, str) and bool(
+            {"zeros", "empty", "full"}.intersection(function.__code__.co_names)
+        )
         for value in given:
-            is_table = isinstance(value.kind, Table) or value.thing is not None
-            tables.append(
-                value.c if is_table and isinstance(value.thing, np.ndarray) else "" if value.thing is not None else None
-            )
+            if sized and value.kind == INT and WHOLE.fullmatch(value.c):
+                tables.append(value.c)
+                continue
+            named = isinstance(value.thing, (np.ndarray, Draws))
+            tables.append(value.c if named else "" if value.thing is not None else None)
         done = self.unit.call(function, tuple(v.kind for v in given), tuple(tables), python)
-        handed = [
-            v.c for v, t in zip(given, tables, strict=True) if t is None and not isinstance(v.kind, (Absent, Table))
-        ]
-        handed += [v.c for v, t in zip(given, tables, strict=True) if t is None and isinstance(v.kind, Table)]
+        handed = [v.c for v, t in zip(given, tables, strict=True) if t is None and not isinstance(v.kind, Absent)]
         c = f"{done.name}({', '.join(['s', *handed])})"
         if isinstance(done.result, Absent):
             self.emit(f"(void){c};")
@@ -178,6 +188,8 @@ class Calls(Expressions):
 
     def _builtin(self, called: Any, given: list[Value], node: ast.AST) -> Value:
         numbers = [v.kind for v in given if isinstance(v.kind, Number)]
+        if called is complex and len(given) == 1 and given[0].kind == COMPLEX:
+            return given[0]
         if called is complex and len(numbers) == len(given):
             parts = [self.coerced(v, REAL) for v in given]
             return self.group([*parts, Value(REAL, literal(0.0))][:2], COMPLEX)
@@ -201,8 +213,10 @@ class Calls(Expressions):
             kind = given[0].kind
             size = kind.shape[0] if isinstance(kind, Table) else len(self.parts(given[0], node))
             return Value(INT, literal(size))
-        if called is np.array and len(given) == 1:
+        if called is np.array and len(given) == 1 and not isinstance(given[0].kind, Table):
             return self._array(given[0], node)
+        if called in MAKERS:
+            return self._new(called, given, node)
         if len(numbers) != len(given) or not given:
             raise self.unknown(f"{getattr(called, '__name__', called)}()", node)
         one, kind = given[0], numbers[0]
@@ -227,9 +241,37 @@ class Calls(Expressions):
 
     def _array(self, given: Value, node: ast.AST) -> Value:
         """Return an array on the stack, made of a tuple."""
-        name = f"w{len(self.local_tables)}"
         parts = [self.coerced(p, REAL) for p in self.parts(given, node)]
-        self.local_tables[name] = table = Table(REAL, (len(parts),))
+        table = self.room(Table(REAL, (len(parts),)))
         for k, part in enumerate(parts):
-            self.emit(f"{name}[{k}] = {part.c};")
-        return Value(table, name)
+            self.emit(f"{table.c}[{k}] = {part.c};")
+        return table
+
+    def filled(self, table: Value, item: str) -> Value:
+        """Write one value, which may depend on the place `i`, into an array."""
+        assert isinstance(table.kind, Table)
+        self.emit(f"for (int64_t i = 0; i < INT64_C({table.kind.size}); i++) {{")
+        self.emit(f"    {table.c}[i] = {item};")
+        self.emit("}")
+        return table
+
+    def _new(self, called: Any, given: list[Value], node: ast.AST) -> Value:
+        """Return an array of a fixed shape as numpy makes it."""
+        if called in (np.zeros_like, np.empty_like, np.ones_like, np.copy):
+            like = given[0].kind
+            if not isinstance(like, Table):
+                raise self.unknown("an array like something that is none", node)
+            kind = like
+        else:
+            sizes = self.parts(given[0], node) if isinstance(given[0].kind, Tuple) else [given[0]]
+            found = [WHOLE.fullmatch(one.c) for one in sizes]
+            if not all(found):
+                raise self.unknown("an array of no fixed length", node)
+            whole = len(given) > 1 and called is not np.full and given[1].thing in (int, np.int64)
+            kind = Table(INT if whole else REAL, tuple(int(one[1]) for one in found if one))
+        table = self.room(kind)
+        if called is np.copy:
+            return self.filled(table, f"{given[0].c}[i]")
+        fill = given[1].c if called is np.full else "1" if called in (np.ones, np.ones_like) else "0"
+        item = f"({self.unit.c(kind.item)}){{ 0 }}" if kind.item == COMPLEX else f"({kind.item.c})({fill})"
+        return self.filled(table, item)

@@ -74,7 +74,7 @@ def replayed(folder: Path, name: str, board: str = "") -> Replayed:
         A tool is missing, the compiler refuses the code, or the program does not end by itself.
     """
     program = folder / f"{name}_replay.elf"
-    files = [f"{name}_replay.c", f"{name}.c"]
+    files = [f"{name}_replay.c", f"{name}.c", *sorted(p.name for p in folder.glob(f"{name}_casadi*.c"))]
     flash = 0
     try:
         if board:

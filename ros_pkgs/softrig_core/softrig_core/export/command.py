@@ -93,6 +93,8 @@ def main(arguments: Sequence[str]) -> int:
         print(f"{folder}: {', '.join(done.files)}")
         if done.libm:
             print(f"{node}: bits depend on the C library's {', '.join(done.libm)}")
+        if done.ends:
+            print(f"{node}: {done.ends}")
         for reason in done.discards:
             print(f"{node}: answers SR_GAVE_UP at {reason}")
         for board in [""] * options.check + [options.board] * bool(options.board):

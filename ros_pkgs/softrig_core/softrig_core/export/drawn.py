@@ -14,7 +14,7 @@ from ..block.answer import admit
 from ..block.block import Block
 from ..block.port import Sample
 from ..rig.members import Member
-from .golden import Call, answer_of, methods
+from .golden import Call, Changed, answer_of, methods
 
 # zeros of both signs, the smallest numbers, large ones, and what no port lets in but C may be handed
 ODD = (0.0, -0.0, 5e-324, -5e-324, 1e-308, 1e-30, 1.0, -1.0, 1e30, -1e300, math.inf, -math.inf, math.nan)
@@ -35,7 +35,7 @@ class Raised:
 
 
 def drawn_calls(
-    member: Member, block: Block, golden: Sequence[Call], count: int, seed: int, *, absent: bool = True
+    member: Member, block: Block, golden: Sequence[Call | Changed], count: int, seed: int, *, absent: bool = True
 ) -> list[list[Call | Raised]]:
     """Return sequences of calls with drawn inputs, each from the first state on.
 
@@ -43,7 +43,7 @@ def drawn_calls(
     ----------
     block : Block
         As at the begin of the run.
-    golden : sequence of Call
+    golden : sequence of Call or Changed
         Of a run: the inputs are spread as its inputs are.
     count : int
         Calls in all.
@@ -54,7 +54,8 @@ def drawn_calls(
     """
     draw = np.random.default_rng(seed)
     held = {p.name for p in member.inputs if p.held} if absent else set()
-    rows = {name: [c.inputs for c in golden if c.method == name] for name in methods(block)}
+    asked = [c for c in golden if isinstance(c, Call)]
+    rows = {name: [c.inputs for c in asked if c.method == name] for name in methods(block)}
     period = member.schedule.period
     found: list[list[Call | Raised]] = []
     while sum(map(len, found)) < count:

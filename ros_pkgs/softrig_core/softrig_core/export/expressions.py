@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import builtins
 import math
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..native.compile import BASE
-from ..native.translate import outside
+from ..native.translate import COMPARE, outside
 from .base import Base
 from .kinds import (
     ABSENT,
@@ -34,6 +35,8 @@ from .unit import Value, literal
 
 ORDER = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 ARITHMETIC = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*"}
+WHOLE = re.compile(r"INT64_C\((\d+)\)")
+LARGE = 1 << 31
 BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^"}
 
 
@@ -100,8 +103,16 @@ class Expressions(Base):
         if isinstance(thing, tuple):
             kind = kind_of(thing)
             assert isinstance(kind, Tuple)
-            return self.group([self.of_python(v, node) for v in thing], kind)
+            return self.group([self._own(self.of_python(v, node)) for v in thing], kind)
         return Value(ABSENT, "0", thing)
+
+    def _own(self, value: Value) -> Value:
+        """Return a copy of a constant array: the object that has it writes into its own."""
+        if value.thing is None or not isinstance(value.kind, Table):
+            return value
+        table = self.room(value.kind)
+        self.emit(f"memcpy({table.c}, {value.c}, {value.kind.size}u * sizeof {table.c}[0]);")
+        return table
 
     def _value_tuple(self, node: ast.Tuple | ast.List) -> Value:
         items: list[Value] = []
@@ -139,7 +150,7 @@ class Expressions(Base):
             return self._sliced(base, node)
         index = self.value(node.slice)
         if isinstance(base.kind, Table):
-            return Value(base.kind.item, self.place(base, index, node))
+            return self.place(base, index, node)
         if not isinstance(base.kind, Tuple):
             raise self.unknown("an item of something that is no tuple", node)
         fixed = _fixed(node.slice)
@@ -160,11 +171,10 @@ class Expressions(Base):
         at = self.named(self.coerced(index, INT))
         self._check(f"({at.c} < -INT64_C({len(parts)})) || ({at.c} >= INT64_C({len(parts)}))")
         if isinstance(first, Number):
-            name = f"w{len(self.local_tables)}"
-            self.local_tables[name] = Table(first, (len(parts),))
+            table = self.room(Table(first, (len(parts),)))
             for k, part in enumerate(parts):
-                self.emit(f"{name}[{k}] = {self.coerced(part, first).c};")
-            return self.fresh(first, f"{name}[({at.c} < 0) ? ({at.c} + INT64_C({len(parts)})) : {at.c}]")
+                self.emit(f"{table.c}[{k}] = {self.coerced(part, first).c};")
+            return self.fresh(first, f"{table.c}[({at.c} < 0) ? ({at.c} + INT64_C({len(parts)})) : {at.c}]")
         c = self._variable(f"look{self.temporaries}", first)
         self.temporaries += 1
         for k, part in enumerate(parts):
@@ -177,20 +187,24 @@ class Expressions(Base):
         self.emit("}")
         return Value(first, c)
 
-    def place(self, table: Value, index: Value, node: ast.AST) -> str:
-        """Return an element of an array, after a check of its indices."""
-        shape = table.kind.shape  # type: ignore[union-attr]
+    def place(self, table: Value, index: Value, node: ast.AST) -> Value:
+        """Return an element or a row of an array, after a check of its indices."""
+        assert isinstance(table.kind, Table)
+        shape = table.kind.shape
         ends = list(index.thing) if isinstance(index.thing, tuple) else None
         indices = self.parts(index, node) if isinstance(index.kind, Tuple) and ends is None else ends or [index]
-        if len(indices) != len(shape):
-            raise self.unknown("a row of an array", node)
+        if len(indices) > len(shape):
+            raise self.unknown(f"{len(indices)} indices of an array of {len(shape)} dimensions", node)
         flat = ""
-        for one, size in zip(indices, shape, strict=True):
+        for one, size in zip(indices, shape, strict=False):
             at = self.named(self.coerced(one, INT))
             self._check(f"({at.c} < -INT64_C({size})) || ({at.c} >= INT64_C({size}))")
             own = f"(({at.c} < 0) ? ({at.c} + INT64_C({size})) : {at.c})"
             flat = f"({flat} * INT64_C({size}) + {own})" if flat else own
-        return f"{table.c}[{flat}]"
+        inner = Table(table.kind.item, shape[len(indices) :])
+        if inner.shape:
+            return Value(inner, f"(&{table.c}[{flat} * INT64_C({inner.size})])")
+        return Value(inner.item, f"{table.c}[{flat}]")
 
     def _sliced(self, base: Value, node: ast.Subscript) -> Value:
         part = node.slice
@@ -235,6 +249,8 @@ class Expressions(Base):
         if isinstance(op, ast.Div):
             both = REAL
         a, b = self.coerced(left, both), self.coerced(right, both)
+        if type(op) in ARITHMETIC and (fixed := _folded(type(op), a.c, b.c)) is not None:
+            return Value(INT, literal(fixed))
         if type(op) in ARITHMETIC:
             return Value(both, f"({a.c} {ARITHMETIC[type(op)]} {b.c})")
         if type(op) in BITS and both != REAL:
@@ -258,6 +274,10 @@ class Expressions(Base):
             found = f"({a} {sign} {c})", f"({b} {sign} {d})"
         elif isinstance(op, ast.Mult):
             found = f"(({a} * {c}) - ({b} * {d}))", f"(({a} * {d}) + ({b} * {c}))"
+        elif isinstance(op, ast.Div):
+            c, d = (self.fresh(REAL, one).c for one in (c, d))
+            self._check(f"({c} == 0) && ({d} == 0)")
+            found = f"sr_c_quot_real({a}, {b}, {c}, {d})", f"sr_c_quot_imag({a}, {b}, {c}, {d})"
         else:
             raise self.unknown(f"an operation {type(op).__name__.lower()} of complex numbers", node)
         return self.group([Value(REAL, one) for one in found], COMPLEX)
@@ -296,6 +316,9 @@ class Expressions(Base):
         if not (isinstance(left.kind, Number) and isinstance(right.kind, Number)):
             raise self.unknown("a comparison of something that is no number", node)
         both = left.kind if left.kind.rank >= right.kind.rank else right.kind
+        known = [WHOLE.fullmatch(v.c) for v in (left, right)]
+        if all(known):
+            return str(bool(COMPARE[type(op)][1](*(int(one[1]) for one in known if one)))).lower()
         return f"({self.coerced(left, both).c} {ORDER[type(op)]} {self.coerced(right, both).c})"
 
     def _value_boolop(self, node: ast.BoolOp) -> Value:
@@ -334,7 +357,7 @@ class Expressions(Base):
         self.lines, self.env = lines, env
         (a, then), (b, orelse) = found
         kind = united(a.kind, b.kind)
-        if kind is None or isinstance(kind, Table):
+        if kind is None:
             raise self.unknown("a choice of two types", node)
         if not then and not orelse and isinstance(kind, Number):
             return Value(kind, f"({test} ? {self.coerced(a, kind).c} : {self.coerced(b, kind).c})")
@@ -351,6 +374,16 @@ class Expressions(Base):
         self.lines += [f"    {line}" for line in orelse]
         self.emit("}")
         return Value(kind, c)
+
+
+def _folded(op: type, a: str, b: str) -> int | None:
+    """Return what an operation on two whole numbers that are written out gives; None: it is computed."""
+    found = [WHOLE.fullmatch(c) for c in (a, b)]
+    if not all(found):
+        return None
+    x, y = (int(one[1]) for one in found if one)
+    made = x + y if op is ast.Add else x - y if op is ast.Sub else x * y
+    return made if 0 <= made < LARGE else None
 
 
 def _fixed(node: ast.expr) -> int | None:

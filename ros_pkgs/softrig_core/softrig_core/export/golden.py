@@ -8,6 +8,8 @@ from typing import Any
 
 from ..block.block import Block, Plant
 from ..block.loop import Loop
+from ..block.params import flatten
+from ..block.step import Step
 from ..errors import ScenarioError, closest
 from ..rig.members import Member
 from ..rig.rig import Rig
@@ -42,6 +44,28 @@ class Call:
     outputs: Mapping[str, Any]
 
 
+@dataclass(frozen=True)
+class Changed:
+    """Live parameters that took other values between two calls.
+
+    Parameters
+    ----------
+    t : int
+        Time, ns.
+    values : mapping of str to object
+        All parameters from then on, flattened.
+    names : frozenset of str
+        Those that changed.
+    moved : bool
+        Whether the state changed with them (`Block.go_on`).
+    """
+
+    t: int
+    values: Mapping[str, Any]
+    names: frozenset[str]
+    moved: bool
+
+
 def member_of(rig: Rig, node: str) -> Member:
     """Return a node of a rig.
 
@@ -64,25 +88,25 @@ def methods(block: Block) -> tuple[str, ...]:
     return PLANT if isinstance(block, Plant) else LAW
 
 
-def golden_calls(rig: Rig, node: str, seed: int, most: int) -> list[Call]:
-    """Run a rig in this process, tick by tick in Python, and return the calls of one node.
+def golden_calls(rig: Rig, node: str, seed: int, most: int) -> list[Call | Changed]:
+    """Run a rig in this process, tick by tick in Python, and return the calls of one node and changes between them.
 
     Parameters
     ----------
     most : int
-        The run ends after so many calls; it also ends before the first change of the node's parameters.
+        The run ends after so many calls.
     """
-    member = member_of(rig, node)
+    member_of(rig, node)
     blocks = {m.name: m.block(seed) for m in rig.members}
-    block, calls = blocks[node], list[Call]()
+    block, calls = blocks[node], list[Call | Changed]()
     for name in methods(block):
         _watch(block, name, calls)
     steps = wired(rig, blocks)
-    until = member.changes[0].at if member.changes else None
-    for t in Loop(list(steps.values())).run():
-        if len(calls) >= most or (until is not None and t is not None and t >= until):
+    _watch_changes(steps[node], calls)
+    for _ in Loop(list(steps.values())).run():
+        if len(calls) >= most:
             break
-    return [c for c in calls[:most] if until is None or c.t < until]
+    return calls[:most]
 
 
 def answer_of(method: str, x: Any, found: Any) -> tuple[Any, Mapping[str, Any]]:
@@ -91,7 +115,20 @@ def answer_of(method: str, x: Any, found: Any) -> tuple[Any, Mapping[str, Any]]:
     return after, outputs
 
 
-def _watch(block: Block, name: str, calls: list[Call]) -> None:
+def _watch_changes(step: Step, calls: list[Call | Changed]) -> None:
+    change, block = step.change, step.block
+
+    def watched(params: Any) -> None:
+        before, x = flatten(block.p), step.x
+        change(params)
+        now = flatten(block.p)
+        names = frozenset(name for name, value in now.items() if value != before[name])
+        calls.append(Changed(step.t, now, names, type(block).go_on is not Block.go_on and step.x != x))
+
+    setattr(step, "change", watched)  # noqa: B010 - of this step alone
+
+
+def _watch(block: Block, name: str, calls: list[Call | Changed]) -> None:
     method = getattr(block, name)
 
     def watched(x: Any, t: int, **inputs: Any) -> Any:

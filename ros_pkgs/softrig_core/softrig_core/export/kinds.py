@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,10 +53,15 @@ class Maybe:
 
 @dataclass(frozen=True)
 class Table:
-    """An array of numbers of fixed shape, constant or on the stack."""
+    """An array of fixed shape, which C has as a pointer: constant, on the stack, or of the state."""
 
-    item: Number
+    item: Any  # Number or COMPLEX
     shape: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of its items."""
+        return math.prod(self.shape)
 
 
 KEYWORDS = frozenset(
@@ -108,6 +114,7 @@ def identifier(text: str) -> str:
 BOOL, INT, REAL = Number("bool", 0), Number("int64_t", 1), Number("real_t", 2)
 ABSENT = Absent()
 COMPLEX = Tuple((REAL, REAL), ("real", "imag"), "complex")
+ITEMS = {"f": REAL, "i": INT, "b": BOOL, "c": COMPLEX}  # by the kind of an array's type
 Kind = Number | Absent | Tuple | Maybe | Table
 
 
@@ -133,8 +140,8 @@ def kind_of(value: Any) -> Kind:
         names = getattr(value, "_fields", None)
         title = type(value).__name__.rpartition("__")[2] if names else ""
         return tuple_of([kind_of(v) for v in value], names, title)
-    if isinstance(value, np.ndarray) and value.dtype.kind in "fib":
-        return Table({"f": REAL, "i": INT, "b": BOOL}[value.dtype.kind], value.shape)
+    if isinstance(value, np.ndarray) and value.dtype.kind in ITEMS:
+        return Table(ITEMS[value.dtype.kind], value.shape)
     raise NotNative(f"{type(value).__name__} has no type in C here")
 
 
@@ -162,3 +169,31 @@ def united(a: Kind | None, b: Kind | None) -> Kind | None:
         named = a if a.title else b
         return None if None in parts else Tuple(tuple(p for p in parts if p is not None), named.names, named.title)
     return None
+
+
+def leaves(kind: Kind, path: str = "") -> list[tuple[str, Table]]:
+    """Return the arrays in a value of a type, each with its path in C."""
+    if isinstance(kind, Table):
+        return [(path, kind)]
+    if isinstance(kind, Maybe):
+        return leaves(kind.item, f"{path}.item")
+    if isinstance(kind, Tuple):
+        return [
+            one for n, k in zip(kind.names, kind.items, strict=True) for one in leaves(k, f"{path}.{identifier(n)}")
+        ]
+    return []
+
+
+def roomy(kind: Kind, rooms: Mapping[tuple[Any, ...], int], path: str = "") -> Kind:
+    """Return a type whose arrays have room for as many rows as `rooms` says, by `room_of`."""
+    if isinstance(kind, Table):
+        return Table(kind.item, (rooms[room_of(path, kind)], *kind.shape[1:])) if kind.shape else kind
+    if isinstance(kind, Tuple):
+        parts = zip(kind.names, kind.items, strict=True)
+        return Tuple(tuple(roomy(k, rooms, f"{path}.{identifier(n)}") for n, k in parts), kind.names, kind.title)
+    return kind
+
+
+def room_of(path: str, table: Table) -> tuple[Any, ...]:
+    """Return what arrays of states have in common that share their room: path, type, and columns."""
+    return path, table.item, table.shape[1:]

@@ -16,7 +16,7 @@ from ..native.value import Dynamic, Group, NotNative, Static, Value
 from ..native.words import TEXTS
 from ..native.writer import Writer
 from .golden import Call
-from .kinds import INT, REAL, Kind, Tuple, kind_of, tuple_of
+from .kinds import INT, REAL, Kind, Tuple, kind_of, leaves, room_of, roomy, tuple_of
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,8 @@ class Law:
     arrays : mapping of Form to tuple of str
         What it is handed beside time, state and inputs.
     reports : Reports
+    states : list
+        Types that the state has at some time, the first one first.
     """
 
     program: Program
@@ -49,12 +51,27 @@ class Law:
     roots: Mapping[Form, str]
     arrays: Mapping[Form, tuple[str, ...]]
     reports: Reports
+    states: list[Kind]
 
 
-def form_of(call: Call) -> Form:
-    """Return the form of a call."""
-    there = tuple(sorted(name for name, value in call.inputs.items() if value is not None))
-    return Form(call.method, kind_of(packed(call.x)), there)
+def states_of(block: Block, calls: Sequence[Call]) -> tuple[list[Kind], dict[Form, Call]]:
+    """Return the types that the state has at some time, and the newest call of each form.
+
+    What keeps more or fewer samples at another time is one type, with room for the most.
+    """
+    kinds = [kind_of(packed(block.first())), *(kind_of(packed(x)) for call in calls for x in (call.x, call.after))]
+    rooms: dict[tuple[Any, ...], int] = {}
+    for kind in set(kinds):
+        for path, table in leaves(kind):
+            if table.shape:
+                place = room_of(path, table)
+                rooms[place] = max(rooms.get(place, 0), table.shape[0])
+    kinds = [roomy(kind, rooms) for kind in kinds]
+    newest = {}
+    for call, x in zip(calls, kinds[1::2], strict=True):
+        there = tuple(sorted(name for name, value in call.inputs.items() if value is not None))
+        newest[Form(call.method, x, there)] = call
+    return list(dict.fromkeys(kinds)), newest
 
 
 def law_of(
@@ -78,11 +95,12 @@ def law_of(
     """
     if type(block).decides is not Block.decides:
         raise NotNative("it leaves some ticks to Python (`decides`)")
-    program = Program([block], Writer, {(0, name): 0 for name in punctual}, [(0, p) for p in outputs if p.sporadic])
+    ages: dict[tuple[int, str], int | str | None] = {(0, name): 0 for name in punctual}
+    program = Program([block], Writer, ages, [(0, p) for p in outputs if p.sporadic], inferred=True)
     program.reports = Reports(worded=False)
     roots: dict[Form, str] = {}
     arrays: dict[Form, tuple[str, ...]] = {}
-    newest = {form_of(call): call for call in calls}
+    states, newest = states_of(block, calls)
     for k, (form, call) in enumerate(newest.items()):
         roots[form] = f"root{k}"
         handed: set[str] = set()
@@ -97,7 +115,7 @@ def law_of(
         program.functions.append("\n".join([head, *(f"    {line}" for line in lines)]))
     texts = {_name(text): text for text in program.functions}
     texts |= {word: TEXTS[word] for word in program.words if word in TEXTS}
-    return Law(program, texts, roots, arrays, program.reports)
+    return Law(program, texts, roots, arrays, program.reports, states)
 
 
 def input_kind(port: Port) -> Kind:

@@ -8,7 +8,7 @@ so that its flag is looked at before anything else is computed.
 from __future__ import annotations
 
 import ast
-import math
+import importlib
 import re
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from .calls import Calls
+from .expressions import WHOLE
 from .kinds import (
     ABSENT,
     INT,
@@ -38,9 +39,11 @@ class Reader(Calls):
         names = [a.arg for a in self.tree.args.args]
         if len(names) != len(self.kinds):
             raise self.unknown(f"{len(self.kinds)} arguments, expected {len(names)}", self.tree)
+        self.name = name
         for _ in range(ROUNDS):
             before = dict(self.kinds_of), self.result
             self.lines = []
+            self.local_tables = {}
             self.env = {}
             self.discards = self.ended = False
             self.temporaries = 0
@@ -59,12 +62,7 @@ class Reader(Calls):
         heads = [
             f"{self.unit.c(k)} p_{n.removeprefix('v_')}"
             for n, k, h in zip(names, self.kinds, self.handed, strict=True)
-            if h is None and not isinstance(k, (Absent, Table))
-        ]
-        heads += [
-            f"real_t *p_{n.removeprefix('v_')}"
-            for n, k, h in zip(names, self.kinds, self.handed, strict=True)
-            if h is None and isinstance(k, Table)
+            if h is None and not isinstance(k, Absent)
         ]
         head = f"static {self.unit.c(result)} {name}({', '.join([f'{self.unit.prefix} *s', *heads])})\n"
         self._without_unread()
@@ -72,9 +70,11 @@ class Reader(Calls):
         variables = [
             f"    {self.unit.c(kind)} {variable};" for variable, kind in self.kinds_of.items() if reads(variable, text)
         ]
-        variables += [
-            f"    {t.item.c} {n}[{math.prod(t.shape) or 1}];" for n, t in self.local_tables.items() if reads(n, text)
-        ]
+        for n, t in self.local_tables.items():
+            if n.startswith("s->m."):
+                self.unit.rooms[n.removeprefix("s->m.")] = t
+            elif reads(n, text):
+                variables.append(f"    {self.unit.c(t.item)} {n}[{max(t.size, 1)}];")
         zero = "0" if isinstance(result, (Number, Absent)) else f"({self.unit.c(result)}){{ 0 }}"
         words = ["s", *(g.rpartition(" ")[2].lstrip("*") for g in heads)]
         unused = [f"    (void){w};" for w in words if not reads(w, text)]
@@ -114,6 +114,10 @@ class Reader(Calls):
     def _pass(self, node: ast.Pass) -> None:
         pass
 
+    def _import(self, node: ast.Import) -> None:
+        for one in node.names:
+            self.env[one.asname or one.name] = Value(ABSENT, "0", importlib.import_module(one.name))
+
     def _raise(self, node: ast.Raise) -> None:
         self.give_up()
 
@@ -150,7 +154,8 @@ class Reader(Calls):
     def bind(self, target: ast.expr, value: Value) -> None:
         """Assign a value to a name, names, or an element of an array."""
         if isinstance(target, ast.Name):
-            if isinstance(value.kind, (Absent, Table)) or value.thing is not None:
+            fixed = isinstance(value.kind, Absent) or value.thing is not None or self.is_room(value)
+            if fixed or (value.kind == INT and WHOLE.fullmatch(value.c)):
                 self.env[target.id] = value
                 return
             c = self._variable(target.id, value.kind)
@@ -167,10 +172,27 @@ class Reader(Calls):
             table = self.value(target.value)
             if not isinstance(table.kind, Table) or isinstance(table.thing, np.ndarray):
                 raise self.unknown("an assignment to a part of a tuple", target)
+            if isinstance(target.slice, ast.Slice):
+                self._filled_whole(table, target.slice, value, target)
+                return
             place = self.place(table, self.value(target.slice), target)
-            self.emit(f"{place} = {self.coerced(value, table.kind.item).c};")
+            if isinstance(place.kind, Table):
+                raise self.unknown("an assignment to a row of an array", target)
+            self.emit(f"{place.c} = {self.coerced(value, place.kind).c};")
         else:
             raise self.unknown("an assignment to a part of something", target)
+
+    def _filled_whole(self, table: Value, part: ast.Slice, value: Value, node: ast.AST) -> None:
+        """Write all items of an array."""
+        assert isinstance(table.kind, Table)
+        if any((part.lower, part.upper, part.step)):
+            raise self.unknown("an assignment to a part of an array", node)
+        if isinstance(value.kind, Table):
+            if value.kind.shape != table.kind.shape:
+                raise self.unknown("an array of another shape", node)
+            self.filled(table, f"{value.c}[i]")
+        else:
+            self.filled(table, self.named(self.coerced(value, table.kind.item)).c)
 
     def _if(self, node: ast.If) -> None:
         test = self.truth(self.value(node.test), node)
@@ -210,7 +232,7 @@ class Reader(Calls):
                 env[name] = a or b  # type: ignore[assignment]  # one of them is there
                 continue
             kind = united(a.kind, b.kind)
-            if kind is None or isinstance(kind, (Table, Absent)):
+            if kind is None or isinstance(kind, Absent):
                 continue  # whoever reads it is told
             c = self._variable(f"{name}_j", kind)
             kind = self.kinds_of[c]
@@ -271,7 +293,7 @@ class Reader(Calls):
         for name in stored:
             value = self.env.get(name)
             c = self._carried(name)
-            if value is not None and not isinstance(value.kind, (Absent, Table)):
+            if value is not None and not isinstance(value.kind, Absent):
                 self._carry(name, value)
                 self.env[name] = Value(self.kinds_of[c], c)
             elif value is None and c in self.kinds_of:  # first bound in a turn: the loop may have none
@@ -305,7 +327,7 @@ class Reader(Calls):
         """Bring the variables of the innermost loop up to date."""
         for name, was_there in self.loops[-1]:
             value = self.env.get(name)
-            if value is None or value.thing is not None or isinstance(value.kind, (Absent, Table)):
+            if value is None or isinstance(value.kind, Absent):
                 continue
             if was_there or united(self.kinds_of.get(self._carried(name)), value.kind) is not None:
                 self._carry(name, value)

@@ -71,6 +71,23 @@ static inline real_t sr_floor_div_real(real_t x, real_t y)
     return f;
 }
 
+/* A quotient of complex numbers as CPython 3.13 computes it (Smith 1962), which depends on the larger part of the divisor. */
+static inline real_t sr_c_quot_real(real_t a, real_t b, real_t c, real_t d)
+{
+    const bool first = (SR_MATH(fabs)(c) >= SR_MATH(fabs)(d));
+    const real_t ratio = first ? (d / c) : (c / d);
+    const real_t denominator = first ? (c + (d * ratio)) : ((c * ratio) + d);
+    return (first ? (a + (b * ratio)) : ((a * ratio) + b)) / denominator;
+}
+
+static inline real_t sr_c_quot_imag(real_t a, real_t b, real_t c, real_t d)
+{
+    const bool first = (SR_MATH(fabs)(c) >= SR_MATH(fabs)(d));
+    const real_t ratio = first ? (d / c) : (c / d);
+    const real_t denominator = first ? (c + (d * ratio)) : ((c * ratio) + d);
+    return (first ? (b - (a * ratio)) : ((b * ratio) - a)) / denominator;
+}
+
 static inline int64_t sr_mod_int(int64_t x, int64_t y)
 {
     int64_t m = x % y;

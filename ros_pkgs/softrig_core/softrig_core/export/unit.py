@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ..kit.compiled import Compiled
 from ..native.value import NotNative
 from .kinds import (
+    REAL,
     Absent,
     Kind,
     Maybe,
@@ -19,6 +21,7 @@ from .kinds import (
     Table,
     identifier,
     kind_of,
+    tuple_of,
 )
 
 
@@ -75,6 +78,9 @@ class Unit:
     libm: set[str] = field(default_factory=set)
     places: dict[int, str] = field(default_factory=dict)  # of arrays of Python that are tables of C
     by_name: dict[str, Any] = field(default_factory=dict)
+    casadi: Mapping[str, Compiled] = field(default_factory=dict)  # by the name of the function that calls it
+    sources: dict[str, str] = field(default_factory=dict)  # of casadi, by the name of their functions in C
+    rooms: dict[str, Table] = field(default_factory=dict)  # arrays of functions that return one
 
     def used(self, roots: Sequence[str]) -> tuple[list[str], list[str]]:
         """Return the tables and functions that these functions need, in order: a type that did not stay left others."""
@@ -88,7 +94,25 @@ class Unit:
                 open_ += re.findall(r"\b\w+(?=\()", known[name])
         functions = [text for name, text in known.items() if name in reached]
         whole = "".join(functions)
+        for name in roots:
+            self._check_rooms(name, known)
         return [text for name, text in self.tables.items() if reads(name, whole)], functions
+
+    def _check_rooms(self, root: str, known: Mapping[str, str]) -> None:
+        """Make sure that an array that a function returns is made once in a tick: it has one place."""
+        counts: dict[str, int] = {}
+
+        def count(name: str, times: int) -> None:
+            counts[name] = counts.get(name, 0) + times
+            for called in re.findall(r"\b\w+(?=\()", known[name].partition("{")[2]):
+                if called in known:
+                    count(called, times)
+
+        if self.rooms:
+            count(root, 1)
+        for name, times in counts.items():
+            if times > 1 and any(room.startswith(f"{name}_w") and reads(room, known[name]) for room in self.rooms):
+                raise NotNative(f"{name} returns an array, and is called {times} times in a tick")
 
     def c(self, kind: Kind) -> str:
         """Return how C writes a type."""
@@ -97,7 +121,7 @@ class Unit:
         if isinstance(kind, Absent):
             return "uint8_t"
         if isinstance(kind, Table):
-            raise NotNative("an array as a value")
+            return f"{self.c(kind.item)} *"
         if kind not in self.structs:
             if isinstance(kind, Maybe):
                 fields, title = [("bool", "some"), (self.c(kind.item), "item")], "maybe"
@@ -118,7 +142,7 @@ class Unit:
             name = f"{self.prefix}_{hint}{len(self.tables)}"
             numbers = ", ".join(literal(v) for v in value.ravel().tolist()) or "0"
             size = max(value.size, 1)
-            self.tables[name] = f"static SR_TABLE {kind.item.c} {name}[{size}] = {{ {numbers} }};\n"
+            self.tables[name] = f"static SR_TABLE {self.c(kind.item)} {name}[{size}] = {{ {numbers} }};\n"
             self.places[id(value)] = name
             self.by_name[name] = value
         return Value(kind, self.places[id(value)], value)
@@ -138,6 +162,11 @@ class Unit:
         key = (function, kinds, tables, python)
         if key in self.done:
             return self.done[key]
+        if function in self.casadi:
+            text, signature = self._of_casadi(self.casadi[function])
+            self.functions.append(text)
+            self.done[key] = signature
+            return signature
         if key in self.under_way:
             raise NotNative(f"{function} calls itself")
         self.under_way.add(key)
@@ -150,9 +179,56 @@ class Unit:
         self.done[key] = signature
         return signature
 
+    def _of_casadi(self, compiled: Compiled) -> tuple[str, Signature]:
+        """Return a function that calls one of casadi, whose source becomes a file of its own."""
+        own = f"{self.prefix}_casadi{len(self.sources)}"
+        self.sources[own] = casadi_source(compiled, own)
+        self.libm.update(set(LIBM.findall(self.sources[own])))
+        inputs, outputs, *sizes = compiled.sizes
+        result = tuple_of([REAL] * sum(outputs))
+        name = f"{self.prefix}_call{len(self.done)}"
+        arg, res, whole, work = sizes
+        names, found = [f"p_{k}" for k in range(sum(inputs))], [f"found[{k}]" for k in range(sum(outputs))]
+        heads = ", ".join([f"{self.prefix} *s", *(f"real_t {one}" for one in names)])
+        lines = [
+            f"static {self.c(result)} {name}({heads})",
+            "{",
+            f"    const real_t given[{max(len(names), 1)}] = {{ {', '.join(names) or '0'} }};",
+            f"    real_t found[{max(len(found), 1)}] = {{ 0 }};",
+            f"    const real_t *arg[{max(arg, 1)}] = {{ 0 }}; /* casadi works in the places behind its arguments */",
+            f"    real_t *res[{max(res, 1)}] = {{ 0 }};",
+            f"    long long int iw[{max(whole, 1)}] = {{ 0 }};",
+            f"    real_t w[{max(work, 1)}] = {{ 0 }};",
+            *(f"    arg[{k}] = &given[{sum(inputs[:k])}];" for k in range(len(inputs))),
+            *(f"    res[{k}] = &found[{sum(outputs[:k])}];" for k in range(len(outputs))),
+            f"    if ({own}(arg, res, iw, w, 0) != 0) {{",
+            "        s->discarded = true;",
+            "    }",
+            f"    return ({self.c(result)}){{ {', '.join(found) or '0'} }};",
+            "}",
+        ]
+        return "\n".join(lines) + "\n", Signature(name, result, True)
+
+
+CALLED = "acos acosh asin asinh atan atan2 atanh cos cosh erf exp expm1 hypot log log10 log1p pow sin sinh tan tanh"
+LIBM = re.compile(rf"\b({CALLED.replace(' ', '|')})(?=\()")
+
+
+def casadi_source(compiled: Compiled, own: str) -> str:
+    """Return the C of a casadi function under another name, without what casadi's own loader asks for."""
+    title, text = compiled.title, compiled.source
+    text = re.sub(r"/\* Configuration this file.*?_real_size\(void\)[^\n]*\n", "", text, flags=re.DOTALL)
+    text = text.replace(f"#define CASADI_PREFIX(ID) {title}_ ## ID", f"#define CASADI_PREFIX(ID) {own}_ ## ID")
+    head = f"CASADI_SYMBOL_EXPORT int {title}("
+    before, _, after = text.partition(head)
+    body, end, _ = after.partition("\n}\n")
+    return before + f"int {own}(" + body + end
+
 
 def literal(value: Any) -> str:
     """Return how C writes a number."""
+    if isinstance(value, complex):
+        return f"{{ {literal(value.real)}, {literal(value.imag)} }}"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int):

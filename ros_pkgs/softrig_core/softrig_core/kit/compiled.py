@@ -50,6 +50,8 @@ class Compiled:
         Number of all inputs, of all outputs.
     symbol : str or None
         A name for the compiled code that no other code has.
+    source : str
+        The C that casadi has written; empty in the virtual machine.
 
     Examples
     --------
@@ -70,9 +72,11 @@ class Compiled:
         self.native = library is not None
         self.n_in, self.n_out = function.nnz_in(), function.nnz_out()
         self.symbol = None if library is None else library.stem.replace("-", "_")
+        self.source = ""
         if library is not None:
             import casadi as ca
 
+            self.source = _source(function)
             function = ca.external(function.name(), str(library))
         n_in, n_out = self.n_in, self.n_out
         self._arguments = bytearray(8 * n_in)
@@ -130,6 +134,18 @@ class Compiled:
         """Where the compiled code is, a C function of (casadi_real** arg, res, casadi_int* iw, casadi_real* w, mem)."""
         found = getattr(ctypes.CDLL(str(self._library)), self._function.name())
         return ctypes.cast(found, ctypes.c_void_p).value or 0
+
+    @property
+    def title(self) -> str:
+        """Name of the function in `source`."""
+        return str(self._function.name())
+
+    @property
+    def sizes(self) -> tuple[list[int], list[int], int, int, int, int]:
+        """Numbers of each input and output, then the places that a call wants: arg, res, iw, w."""
+        f = self._function
+        inputs, outputs = [f.nnz_in(k) for k in range(f.n_in())], [f.nnz_out(k) for k in range(f.n_out())]
+        return inputs, outputs, f.sz_arg(), f.sz_res(), f.sz_iw(), f.sz_w()
 
     def scratch(self) -> NDArray[np.float64]:
         """Give memory for calls from native code: inputs, outputs, then what `places` says, addresses filled in."""

@@ -75,6 +75,17 @@ class Draws:
         row = self._rows.get(k // SIZE)
         return (self._drawn(k // SIZE) if row is None else row)[k % SIZE]
 
+    @property
+    def normal(self) -> bool:
+        """Whether they are normal, not uniform."""
+        return self._kind == "standard_normal"
+
+    @property
+    def words(self) -> tuple[int, int]:
+        """State of the generator before the first number, and its increment: 128 bits each (PCG64)."""
+        state: Any = self._before[0]
+        return state["state"]["state"], state["state"]["inc"]
+
     def first(self, count: int) -> NDArray[np.float64]:
         """Give the first `count` numbers, shape (count,)."""
         found: NDArray[np.float64] = getattr(self._stream(), self._kind)(count)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from .jit import jit
 
@@ -49,6 +49,7 @@ class History:
     """
 
     __slots__ = ("_count", "_line")
+    RING: ClassVar[type[HistoryRing]]
     SCRATCH = frozenset({"_line"})  # later values append to it; what this one reads of it stays
 
     _line: _Line
@@ -59,9 +60,13 @@ class History:
             raise ValueError(f"step = {step} s: expected a positive time")
         if not longest >= 0.0 or not math.isfinite(longest):
             raise ValueError(f"longest delay = {longest} s: expected a finite time of at least 0")
-        # more than the samples around the longest delay, so that a delay that rounds up is still inside
-        self._count = size = math.ceil(longest / step - 1e-9) + 3
+        self._count = size = History.rows(step, longest)
         self._line = _Line(step, longest, size, [tuple(past)] * size)
+
+    @staticmethod
+    def rows(step: float, longest: float) -> int:
+        """Return how many samples are kept: around the longest delay, and one where it rounds up."""
+        return math.ceil(longest / step - 1e-9) + 3
 
     def put(self, values: Sequence[float]) -> History:
         """Give the history with one sample more, one value a channel.
@@ -191,6 +196,12 @@ class HistoryRing(NamedTuple):
     newest: Row
     ring: NDArray[np.float64]
 
+    @staticmethod
+    def begin(size: int, step: float, longest: float, past: Sequence[float] = (0.0,)) -> HistoryRing:
+        """See `History`."""
+        row = tuple([float(v) for v in past])
+        return HistoryRing(step, longest, size, size, row, _repeated(size, row))
+
     def put(self, values: Sequence[float]) -> HistoryRing:
         """See `History.put`."""
         if len(values) != len(self.newest):
@@ -231,6 +242,21 @@ class HistoryRing(NamedTuple):
         table = self.ring.reshape(2 * size, width).tolist()
         rows = [tuple(table[k % (2 * size)]) for k in range(self.written - size, self.written)]
         return History.of(self.step, self.longest, rows)
+
+
+History.RING = HistoryRing
+
+
+@jit
+def _repeated(size: int, row: Row) -> NDArray[np.float64]:
+    import numpy as np
+
+    n = len(row)
+    ring = np.zeros(2 * size * n)
+    for k in range(size):
+        for j in range(n):
+            ring[k * n + j] = row[j]
+    return ring
 
 
 @jit

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import operator
 import types
 from collections.abc import Callable, Mapping, Sequence
@@ -30,6 +31,7 @@ from .translate import (
 )
 from .twins import class_of, is_twinned, twin, unpacked
 from .value import (
+    MADE_TEXT,
     NONE,
     UNKNOWN,
     Dynamic,
@@ -144,6 +146,8 @@ class Calls(Expressions):
             base = self.value(node.func.value)
             if isinstance(base, Static) and isinstance(base.value, Block) and node.func.attr == "report":
                 return self._reported(base, node)
+            if isinstance(base, Static) and self.program.inferred and hasattr(base.value, "native"):
+                base = self._as_native(base)
             if not isinstance(base, Static):
                 return self._method(base, node)
             if isinstance(base.value, Block) and node.func.attr == "age" and base.value.ages is not None:
@@ -161,6 +165,23 @@ class Calls(Expressions):
             assert values is not None
             return Group(tuple(values))
         return self.call(function, *self._arguments(node), node)
+
+    def _as_native(self, value: Static) -> Dynamic:
+        """Give a fixed object as the value of native code that it stands for."""
+        found = value.value.native()
+        if value.path is not None:
+            self.program.objects[value.path] = found
+        return Dynamic(self.program.name(found, type(found).__name__), found)
+
+    def _made(self, kind: type, given: Sequence[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
+        """Make an object that native code has another type for; what decides its size is fixed."""
+        bound = inspect.signature(kind).bind(*given, **words).arguments
+        of: Any = kind
+        sizes = [bound[name] for name in inspect.signature(of.rows).parameters]
+        if not all(isinstance(v, Static) for v in sizes):
+            raise self.unknown(f"{kind.__name__} of a size that is computed", node)
+        rows = of.rows(*(self.program.guard(v) for v in sizes))
+        return made(self.program, of.RING.begin, [Static(rows)], bound, self.arrays)
 
     def _age(self, block: Block, wanted: Value) -> Value:
         """Give how old an input is: known, or written."""
@@ -343,6 +364,8 @@ class Calls(Expressions):
             return self._of_mapping(called.__name__, table, given, node)
         if isinstance(called, types.FunctionType):
             return made(self.program, called, given, words, self.arrays)
+        if isinstance(called, type) and self.program.inferred and hasattr(called, "RING"):
+            return self._made(called, given, words, node)
         if isinstance(called, type) and is_twinned(called):
             called = twin(called)
         if isinstance(called, type) and issubclass(called, tuple) and hasattr(called, "_fields"):
@@ -437,7 +460,13 @@ class Calls(Expressions):
             raise self.unknown(f".{name}() of a mapping", node)
         if isinstance(given[0], Static):
             return Static(self.program.guard(table).get(*(self.program.guard(v) for v in given)))  # type: ignore[arg-type]
-        return self._looked_up(table, given[0], node)
+        return self._got(table, given, node)
+
+    def _got(self, table: Static, given: Sequence[Value], node: ast.AST) -> Dynamic:
+        """Look up what may not be there."""
+        if not self.program.inferred:
+            return self._looked_up(table, given[0], node)
+        return self._looked_up(table, given[0], node, given[1] if len(given) > 1 else NONE)
 
     def _of_object(
         self,
@@ -456,7 +485,7 @@ class Calls(Expressions):
             return self.named(own, self.parts(given[0], node), node)
         home = None if path is None else path[:-1]
         if isinstance(own, Mapping) and called.__name__ == "get":
-            return self._looked_up(Static(own, home), given[0], node)
+            return self._got(Static(own, home), given, node)
         if path and own is not follow(path[:-1], self.program.roots):
             home = (*path, ("attr", "__self__"))  # a method that another object has lent, or that stands in a table
         if isinstance(own, type):
@@ -512,6 +541,8 @@ class Calls(Expressions):
             return Static(test) if isinstance(test, bool) else Dynamic(f"({test})", self.sampled)
         if called is complex:
             return self._written("complex", complex, given)
+        if called is round and len(given) > 1 and self.program.inferred:
+            return MADE_TEXT  # what is rounded to digits is shown, not computed with
         if called is round and len(given) > 1:
             raise self.unknown("round to digits", node)
         if called is int and isinstance(samples[0], bool):

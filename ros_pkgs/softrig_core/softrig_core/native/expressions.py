@@ -202,8 +202,8 @@ class Expressions(Ways):
             return self._part(simple, key % len(base.sample))
         return None
 
-    def _looked_up(self, table: Static, key: Value, node: ast.AST) -> Dynamic:
-        """Look a computed key up in a fixed mapping; without it the tick is given up."""
+    def _looked_up(self, table: Static, key: Value, node: ast.AST, other: Value | None = None) -> Dynamic:
+        """Look a computed key up in a fixed mapping; without it the tick is given up, or the `other` value is meant."""
         entries = list(table.value.items())
         if len(entries) > LONGEST:
             raise self.unknown(f"a mapping of {len(entries)}, expected at most {LONGEST}", node)
@@ -215,9 +215,10 @@ class Expressions(Ways):
         for k, v in entries:
             parts = [f"k[{i}] == {p!r}" for i, p in enumerate(k)] if isinstance(k, tuple) else [f"k == {k!r}"]
             lines += [f"    if {' and '.join(parts)}:", f"        return {self.code(Static(v))}"]
-        self.program.functions.append("\n".join([*lines, f"    {GIVEN_UP}"]))
+        last = GIVEN_UP if other is None else f"return {self.code(other)}"
+        self.program.functions.append("\n".join([*lines, f"    {last}"]))
         sample = computed(lambda k: table.value[k], at.sample)
-        return Dynamic(f"{name}({at.code})", entries[0][1] if sample is UNKNOWN else sample)
+        return Dynamic(f"{name}({at.code})", entries[0][1] if sample is UNKNOWN else sample, other is None)
 
     def _sliced(self, base: Value, part: ast.Slice, node: ast.AST) -> Value:
         ends = []
@@ -412,7 +413,7 @@ class Expressions(Ways):
             if not slots:
                 return Static(bool(function(self.program.guard(left), self.program.guard(right))))
         x, y = self.dynamic(left), self.dynamic(right)
-        if x.sample is None or y.sample is None:
+        if (x.sample is None or y.sample is None) and not self.program.inferred:
             raise self.unknown("a comparison with None", node)
         return Dynamic(f"({x.code} {text} {y.code})", computed(lambda a, b: bool(function(a, b)), x.sample, y.sample))
 
@@ -429,6 +430,9 @@ class Expressions(Ways):
         if isinstance(value, (Group, Record)):
             return bool(value.items)
         if isinstance(value.sample, tuple) and value.keys is None:
+            if not is_sure(value) and self.program.inferred:
+                self.sampled = bool(value.sample)
+                return f"({value.code} is not None)"
             if not is_sure(value):
                 raise self.unknown("whether there is anything in something of no fixed length")
             return bool(value.sample)

@@ -87,6 +87,8 @@ class Program:
         Outputs that say nothing at some ticks, with the number of the block.
     typed : bool
         Whether objects in a state are as native code takes them (`twins.packed`).
+    inferred : bool
+        Whether the text's reader finds types by itself: a value may then be of several types, None among them.
     reports : Reports, optional
         Takes what is reported; without it a report gives the tick up.
     """
@@ -96,6 +98,7 @@ class Program:
     ages: Mapping[tuple[int, str], int | str | None] = field(default_factory=dict)
     silent: Sequence[tuple[int, Any]] = ()
     typed: bool = True
+    inferred: bool = False
     functions: list[str] = field(default_factory=list)
     names: dict[str, Any] = field(default_factory=dict)
     words: set[str] = field(default_factory=set)
@@ -106,6 +109,7 @@ class Program:
     guards: dict[Path, Any] = field(default_factory=dict)
     scratches: dict[Path, str] = field(default_factory=dict)
     newest: set[Path] = field(default_factory=set)
+    objects: dict[Path, Any] = field(default_factory=dict)  # as native code takes them, where types are inferred
     callers: dict[str, str] = field(default_factory=dict)
     known: dict[Any, Made] = field(default_factory=dict)
     seldom: list[str] = field(default_factory=list)

@@ -191,7 +191,8 @@ class Ways:
             if value.path is not None:
                 self.program.guard(value)
             return [Static(k) for k in value.value]
-        if isinstance(value, Dynamic) and value.keys is None and isinstance(value.sample, tuple) and value.sure:
+        known = isinstance(value, Dynamic) and (value.sure or self.program.inferred)
+        if known and isinstance(value, Dynamic) and value.keys is None and isinstance(value.sample, tuple):
             if len(value.sample) > LONGEST:
                 raise self.unknown(f"a tuple of {len(value.sample)}, expected at most {LONGEST}", node)
             base = self.simple(value)
