@@ -639,7 +639,8 @@ def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monke
     before = signal.getsignal(signal.SIGTERM)
     assert run("lag", "--mode", "inprocess", "--out", "a") == 143
     assert signal.getsignal(signal.SIGTERM) is before
-    assert capsys.readouterr().err == "softrig: stopped\n"
+    told = "figures and bag are in a, pictures and report are not; `softrig report a` makes them"
+    assert capsys.readouterr().err == f"softrig: stopped by SIGTERM: {told}\n"
     monkeypatch.setattr("softrig_bringup.run.run.write_bag", write_bag)
     assert run("lag", "--mode", "inprocess", "--out", "b", "--no-plots") == 0
     assert main(["bag", "compare", "a/bag", "b/bag", "--bitwise"]) == 0

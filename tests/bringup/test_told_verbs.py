@@ -147,7 +147,12 @@ def test_the_processes_of_a_launch_are_as_told(launch, lag):
             ["", "b ended with status -9", ""],
             ("b ended with status -9", 0),
         ),
-        ({"judge": "true"}, [("a", 0, True), ("b", 3, True), ("c", 0, True)], ["", "", ""], ("", signal.SIGINT)),
+        (
+            {"judge": "true"},
+            [("a", 0, True), ("b", 3, True), ("c", 0, True)],
+            ["", "", "stopped by SIGINT at t = 0 s"],
+            ("", signal.SIGINT),
+        ),
         ({}, [("a", 0, False), ("b", 0, False), ("c", 4, False)], ["", "", "c ended with status 4"], None),
     ],
 )

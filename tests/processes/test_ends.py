@@ -5,6 +5,7 @@ import json
 import mmap
 import os
 import re
+import runpy
 import signal
 import struct
 import subprocess
@@ -12,6 +13,7 @@ import sys
 import threading
 import time
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,7 +21,7 @@ from conftest import PATIENCE, differences, in_process, make_scenario, no_proces
 from softrig_bags.read import read_bag
 from softrig_core import Signals, rig_of, run_inprocess
 from softrig_nodes import run_processes
-from softrig_nodes.processes import processes, shared_memory, spawning
+from softrig_nodes.processes import processes, shared_memory, spawning, stopping
 from softrig_nodes.processes.children import read_status
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import LOOPBACK, environment, find_executable
@@ -67,7 +69,16 @@ def test_a_signal_that_strikes_where_python_swallows_it_still_stops():
 def test_a_run_in_process_can_be_stopped():
     rig = rig_of(make_scenario(BASIC, 10.0))
     with pytest.raises(Stopped), stoppable():
-        run_inprocess(rig, 0, None, lambda t: os.kill(os.getpid(), signal.SIGHUP))
+        run_inprocess(rig, 0, None, lambda t: os.kill(os.getpid(), signal.SIGQUIT))
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_run_under_nohup_outlives_its_terminal(ignored):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
+    try:
+        assert (signal.SIGHUP in runpy.run_path(stopping.__file__)["SIGNALS"]) is not ignored
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
@@ -385,7 +396,8 @@ def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_pa
         str(out),
         "--no-plots",
     ]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    heard = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # also where the tests themselves run under nohup
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heard)
 
     def runs():
         assert process.poll() is None, process.stderr.read()

@@ -15,7 +15,7 @@ from launch.events import Shutdown as Ending
 from launch.substitutions import LaunchConfiguration
 from launch.utilities.signal_management import AsyncSafeSignalManager
 from launch_ros.actions import Node
-from softrig_bringup.verbs.launched import ARGUMENTS, Launched, strange
+from softrig_bringup.verbs.launched import ARGUMENTS, begin, strange
 
 
 def generate_launch_description():
@@ -50,7 +50,7 @@ def _end_in_order(context, launched):
 def _nodes(context):
     if told := strange(sys.argv):
         raise RuntimeError(told)
-    launched = Launched({name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS})
+    launched = begin({name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS})
     _end_in_order(context, launched)
     at_end = {"rig": partial(_ended, launched), "viewer": Shutdown(reason="the viewer is closed")}
     # launch_ros itself has no empty lists, and a container names its nodes in its arguments

@@ -70,7 +70,7 @@ def guarded(work: Callable[[], int]) -> int:
         say(error)
         return 3
     except KeyboardInterrupt as error:
-        say("stopped")
+        say(stopped_by(error))
         return 128 + int(getattr(error, "number", signal.SIGINT))
     except MemoryError:
         return _full()
@@ -83,6 +83,13 @@ def guarded(work: Callable[[], int]) -> int:
         if isinstance(error, ImportError) and "failed to map segment" in str(error):  # a library under `ulimit -v`
             return _full()
         return _wrong(error)
+
+
+def stopped_by(error: KeyboardInterrupt) -> str:
+    """Return in a line which signal has come, and what its notes say: what is missing because of it, how to make it."""
+    notes = getattr(error, "__notes__", ())
+    number = int(getattr(error, "number", signal.SIGINT))
+    return f"stopped by {signal.Signals(number).name}: {'; '.join(notes)}" if notes else "stopped"
 
 
 def _full() -> int:

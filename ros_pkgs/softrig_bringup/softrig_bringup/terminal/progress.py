@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from typing import Any
 
 from softrig_core.guard import is_quiet, say
 
+SILENT = 1.0  # s of wall-clock time that work may take without a word
 NEWS = 10.0  # s of wall-clock time between two lines
 REDRAWN = 0.1  # s of wall-clock time between two states of a notebook's bar
 
@@ -54,6 +56,21 @@ def progress(title: str, duration: float) -> Iterator[Tell]:
     with Progress(*columns, console=console(stderr=True, width=None), transient=True) as bar:
         task = bar.add_task(title, total=duration)
         yield lambda t: bar.update(task, completed=t / 1e9)
+
+
+@contextmanager
+def busy(what: str) -> Iterator[None]:
+    """Say what is done within the block if that takes longer than `SILENT`."""
+    if is_quiet():
+        yield
+        return
+    timer = threading.Timer(SILENT, say, [what])
+    timer.daemon = True  # an error of the work ends the process without waiting for it
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _notebook() -> Any:

@@ -13,8 +13,9 @@ from shutil import rmtree
 from tempfile import mkdtemp
 from typing import Any
 
-from softrig_core import Recording, Run, ScenarioError
+from softrig_core import Recording, Run, RunError, ScenarioError
 from softrig_core.errors import closest
+from softrig_core.guard import stopped_by
 from softrig_core.interrupt import PARENT
 from softrig_core.rig.members import Member
 from softrig_nodes.processes.children import read_status
@@ -24,6 +25,8 @@ from softrig_nodes.processes.peers import starter
 from softrig_nodes.processes.processes import gathered
 from softrig_nodes.processes.shared_memory import remove_leftovers
 from softrig_nodes.processes.spawning import container_arguments, groups, node_parameters, parameter_file
+from softrig_nodes.processes.stopping import stoppable, undisturbed
+from softrig_nodes.processes.supervision import left_early
 
 from ..options import run_options
 from ..run.run import checked, gaps, tripped
@@ -62,6 +65,22 @@ def strange(words: Sequence[str]) -> str:
     if unknown is None:
         return ""
     return f"{unknown}: no argument of rig.launch.py{closest(unknown, ARGUMENTS)}; expected {', '.join(ARGUMENTS)}"
+
+
+def begin(values: Mapping[str, str]) -> Launched:
+    """Return the processes of a rig; see `Launched`.
+
+    Raises
+    ------
+    RunError
+        A signal came; launch itself would go on without any process, and end with status 0.
+    """
+    try:
+        with stoppable():
+            return Launched(values)
+    except KeyboardInterrupt as interrupt:
+        interrupt.add_note("nothing was run or written")
+        raise RunError(stopped_by(interrupt)) from None
 
 
 class Launched:
@@ -172,18 +191,32 @@ class Launched:
         self._error = self._error or wrong
         if self._running:
             return wrong
+        try:
+            return self._over() or wrong
+        except KeyboardInterrupt as interrupt:
+            return stopped_by(interrupt)
+
+    def _over(self) -> str:
+        """Do what is to be done when all have ended; gives why the launch is to end with a failure."""
         rig, options = self._rig, self._options
         names = [m.name for m in rig.members if not m.external]
-        recording, nodes = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
-        found = self._conclude(recording, nodes) if self._record or self._judge else 0
-        if wrong or self._error or self._stopped:
-            return wrong
+        with undisturbed() as came:  # what was recorded is not lost while it is gathered
+            recording, nodes = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
+        if came and not self._stopped:
+            self._stopped, self.sent = True, signal.Signals(came[0])
+        late = "" if self._error or self._stopped else left_early(nodes)
+        self._error = self._error or late
+        keeps = self._record or self._judge
+        found, reached = self._conclude(recording, nodes) if keeps else (0, "")
+        if self._error or self._stopped:
+            return late or reached
         if trips := tripped(rig, nodes):
             slow = run_verb.too_slow(options, rig, nodes, container="place:=container") if self._realtime else ""
             return slow or "; ".join(f"{name}: {text}" for name, text in trips.items())
-        return f"judged: status {found}" if self._judge and found else ""
+        return f"judged: status {found}" if found and (self._judge or found > 1) else ""
 
-    def _conclude(self, recording: Recording, status: dict[str, dict[str, Any]]) -> int:
+    def _conclude(self, recording: Recording, status: dict[str, dict[str, Any]]) -> tuple[int, str]:
+        """Write, print and judge; gives the exit status of `softrig run` and how far a run that was stopped came."""
         rig, options = self._rig, self._options
         epoch = int(read_status(self._log / f"{starter(rig).name}.status").get("epoch", 0))
         told = [f"{name}: {s['error']}" for name, s in status.items() if s.get("error")]
@@ -194,7 +227,7 @@ class Launched:
             run.stopped = self.sent
         elif not self._realtime:
             run.error = gaps(rig, recording)
-        return run_verb.conclude(options, run, self._folder)
+        return run_verb.conclude(options, run, self._folder), run.stopped_at
 
 
 def _options(given: Mapping[str, str]) -> argparse.Namespace:

@@ -31,25 +31,30 @@ from ..options.trust import admitted
 from ..page.wording import NEVER, accepted, in_words, measured_here, short, spans
 from ..run.run import checked, execute, illustrate, once_broken_off, save, summary, tripped, turned
 from ..terminal.listing import console as make_console, styled
-from ..terminal.progress import progress
+from ..terminal.progress import busy, progress
 from ..terminal.tables import Cell, print_judged
 from ..view.beside import page
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-MANY = 100_000  # messages: a bag of more takes some seconds, in which nothing else is printed
 MISSED = 10.0  # per cent of missed deadlines that are worth a word
 
 
 def run(options: argparse.Namespace) -> int:
     """Run a scenario; gives the exit status."""
     # before anything of an earlier run is replaced: two runs in one domain would read each other's messages
-    with stoppable(), nullcontext() if options.domain is None or options.only else free_domain(options.domain):
-        return _run_reserved(options)
+    begun: list[ResultsFolder] = []
+    try:
+        with stoppable(), nullcontext() if options.domain is None or options.only else free_domain(options.domain):
+            return _run_reserved(options, begun)
+    except KeyboardInterrupt as interrupt:
+        if not hasattr(interrupt, "__notes__") and not options.only:  # whose shards are what there is
+            interrupt.add_note(_lacking(options, begun[0]) if begun else "nothing was run or written")
+        raise
 
 
-def _run_reserved(options: argparse.Namespace) -> int:
+def _run_reserved(options: argparse.Namespace, begun: list[ResultsFolder]) -> int:
     if options.realtime and options.mode == "inprocess":
         raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
     if options.view:
@@ -65,6 +70,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
 
         return run_part(rig, options)
     folder = results_folder(options, rig)
+    begun.append(folder)
     log = folder.path / "log"
     placement = placement_of(options)
     if options.view and options.mode == "inprocess":
@@ -178,25 +184,53 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
     -------
     int
         Exit status.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        A signal came; a note says what there is not because of it.
     """
-    kept = _keep(options, done, folder)
-    if slow := too_slow(options, done.rig, done.status, bool(done.error)):
-        say(slow)
-    _speak(kept, done, folder.path if folder is not None else None)
+    try:
+        with stoppable():
+            kept = _keep(options, done, folder)
+            if slow := too_slow(options, done.rig, done.status, bool(done.error)):
+                say(slow)
+            _speak(kept, done, folder.path if folder is not None else None)
+    except KeyboardInterrupt as interrupt:
+        interrupt.add_note(_lacking(options, folder))
+        raise
     return _judged(options, kept, done)
+
+
+def _lacking(options: argparse.Namespace, folder: ResultsFolder | None) -> str:
+    """Say what there is not of a run whose end was interrupted, and how to make it.
+
+    Parameters
+    ----------
+    folder : ResultsFolder or None
+        None: nothing was to be written.
+    """
+    if folder is None:
+        return "its figures are not judged; run it again"
+    place = _shown(folder.path)
+    if not (folder.path / METRICS).exists():
+        shards = any((folder.path / "log").glob("*.shard"))
+        made = (
+            f"; `softrig bag repair {_shown(folder.path / 'log')}` makes a bag of what was recorded" if shards else ""
+        )
+        return f"no bag, no figures and no pictures are in {place}{made or '; run it again'}"
+    if options.no_plots or (folder.path / "report.html").exists():
+        return f"the table was not printed; it is in {place}"
+    return f"figures and bag are in {place}, pictures and report are not; `softrig report {place}` makes them"
 
 
 def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> _Kept:
     """Write the folder and the report for continuous integration."""
     changed = changed_words(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
     changed += [f"branched at {b['at_s']:.9g} s" for b in done.branched]
-    messages = sum(len(topic.ticks()) for topic in done.recording.topics.values())
-    if done.stopped and folder is not None and messages > MANY:
-        log = folder.path / "log"
-        kept = f"; if it is killed, softrig bag repair {_shown(log)} makes the bag" if any(log.glob("*.shard")) else ""
-        say(f"stopped, still writing {messages} messages into {_shown(folder.path)}{kept}")
     with unstopped():  # who has waited for the last tick keeps what was recorded
-        figures = [] if done.error else done.results
+        with busy(f"computing {len(done.rig.scenario.figures)} figures"):
+            figures = [] if done.error else done.results
         command = shlex.join([*words((m.package for m in done.rig.members), "run"), *repeat(options)])
         content = summary(done, figures, command, options.label) | {"changed": changed}
         if options.external:  # the title of the scenario is about what did not run
@@ -216,18 +250,33 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
             content["repeats"] = told
             same = same or bool(options.recalled.late) or bool(done.epoch)
         if folder is not None:
-            save(done, content, folder, not options.no_record, options.record_all or done.rig.scenario.record == "all")
+            with busy(_writing(done, folder)):
+                health = options.record_all or done.rig.scenario.record == "all"
+                save(done, content, folder, not options.no_record, health)
+        if options.junit is not None:
+            _write_junit(options, done, bool(changed))
     if folder is not None and not options.no_plots:
-        illustrate(done, folder, options.format)
-    if options.junit is not None:
-        from ..page.junit import write_junit
-        from .check import outcome_of, suite_of
-
-        suite = suite_of(outcome_of(done, done.wall_s))
-        if changed and not options.strict:  # compared, not judged
-            suite = replace(suite, cases=[replace(case, failure="") for case in suite.cases])
-        write_junit(options.junit, [replace(suite, error=suite.error or done.stopped_at)])
+        with busy(f"drawing {len(done.rig.scenario.plots)} pictures and the report into {_shown(folder.path)}"):
+            illustrate(done, folder, options.format)
     return _Kept(content, changed, same, told)
+
+
+def _writing(done: Run, folder: ResultsFolder) -> str:
+    """Say what is written, and what there is of it if this process is killed."""
+    messages = sum(len(topic.ticks()) for topic in done.recording.topics.values())
+    log = folder.path / "log"
+    kept = f"; if it is killed, softrig bag repair {_shown(log)} makes the bag" if any(log.glob("*.shard")) else ""
+    return f"writing {messages} messages into {_shown(folder.path)}{kept}"
+
+
+def _write_junit(options: argparse.Namespace, done: Run, changed: bool) -> None:
+    from ..page.junit import write_junit
+    from .check import outcome_of, suite_of
+
+    suite = suite_of(outcome_of(done, done.wall_s))
+    if changed and not options.strict:  # compared, not judged
+        suite = replace(suite, cases=[replace(case, failure="") for case in suite.cases])
+    write_junit(options.junit, [replace(suite, error=suite.error or done.stopped_at)])
 
 
 def _doubts(like: Path) -> list[str]:

@@ -255,10 +255,10 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
     pages = Pages(source, source.control, str(placement), address, new_token(), loop)
     say(f"the page is {pages.url}")
     status, ended = 0, False
-    wrong: Exception | None = None
+    wrong: BaseException | None = None
 
     def end(stopped: int = 0) -> None:
-        nonlocal status, ended, place
+        nonlocal status, ended, place, wrong
         into = where()
         with unstopped(), into.keeping():
             source.look()
@@ -274,6 +274,9 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
                 status, written = 3, None
                 outcome = f"it is not written: {error}; make room, go back a little and let it end again"
                 say(outcome)
+            except KeyboardInterrupt as interrupt:
+                wrong, outcome = interrupt, "stopped while it was written"
+                loop.add_callback(loop.stop)
             ended, place = True, None
             source.finish(outcome, written)
 

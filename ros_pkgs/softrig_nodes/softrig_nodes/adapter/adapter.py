@@ -118,6 +118,7 @@ class Adapter:
         self.is_plant = isinstance(block, Plant)
         self.namespace = middleware.full_name.rsplit("/", 1)[0]
         self.state: Literal["starting", "running", "done", "failed"] = "starting"
+        self.left_early = False  # whether a person has stopped it before its last tick
         self.ticks = 0
         self.epoch = 0  # ns added to a block's time for the stamp on the wire
         self.error: BaseException | None = None
@@ -394,6 +395,8 @@ class Adapter:
             "prompt": self.middleware.prompt,
             "processor": self.middleware.processor,
         }
+        if self.left_early:
+            status["left_early"] = True
         if self.state != "running":
             status |= self.drive.native()
         status |= self.drive.counts()

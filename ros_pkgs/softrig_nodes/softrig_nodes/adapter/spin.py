@@ -62,7 +62,8 @@ def conclude(adapter: Adapter, stopped: bool) -> int:
             adapter.error, adapter.state = error, "failed"
     if stopped and adapter.state == "starting" and adapter.absent:
         tell(adapter.middleware.name, f"stopped before it could begin: {'; '.join(adapter.absent)}")
-    if stopped and adapter.state != "failed":
+    if stopped and adapter.state not in ("done", "failed"):
+        adapter.left_early = True
         adapter.state = "done"  # who is stopped by a person has not failed
     try:
         adapter.write_status()

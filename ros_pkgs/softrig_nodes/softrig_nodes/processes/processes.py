@@ -24,7 +24,7 @@ from .restarting import Restarts, check_restart
 from .shared_memory import lacking, remove_leftovers
 from .spawning import Started, groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
-from .supervision import SystemClock, idle, supervise
+from .supervision import SystemClock, idle, left_early, supervise
 
 
 @dataclass
@@ -156,7 +156,7 @@ def run_processes(
             status[name]["restarts"] = count
         stopped = next((number for number in (stopped, *late, *later) if number), 0)
     if not (error or stopped):
-        error = idle(status)
+        error = idle(status) or left_early(status)
     error += clock.set_back() if error else ""
     refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:

@@ -1,4 +1,7 @@
-"""Being stopped from outside: SIGINT, SIGTERM, SIGHUP and SIGQUIT end a run in the same orderly way."""
+"""Being stopped from outside: SIGINT, SIGTERM, SIGHUP and SIGQUIT end a run in the same orderly way.
+
+A SIGHUP that is ignored from the start, as by `nohup`, stays ignored.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+_HUNG_UP = (signal.SIGHUP,) if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN else ()
+SIGNALS = (signal.SIGINT, signal.SIGTERM, *_HUNG_UP, signal.SIGQUIT)
 
 
 class Stopped(KeyboardInterrupt):

@@ -122,6 +122,14 @@ def idle(states: Mapping[str, Mapping[str, Any]]) -> str:
     return "all nodes have ended, and none of them has said a tick"
 
 
+def left_early(states: Mapping[str, Mapping[str, Any]]) -> str:
+    """Name the nodes that a signal of somebody else has ended before their last tick; empty without any."""
+    found = [
+        f"{name} at t = {state.get('t', 0) / 1e9:.9g} s" for name, state in states.items() if state.get("left_early")
+    ]
+    return f"somebody has stopped node {', '.join(found)}" if found else ""
+
+
 def _mute(states: Mapping[str, Mapping[str, Any]], patience: float) -> str:
     """Name the nodes that have said nothing yet; empty without any."""
     names = ", ".join(name for name, state in states.items() if not state)

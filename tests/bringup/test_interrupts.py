@@ -1,0 +1,225 @@
+"""Each phase of a run is interrupted through each door: the status is never 0, one line says what is missing.
+
+What is here needs no installation of ROS; `doc/lab/ends.md` has the table of what was tried by hand.
+"""
+
+import signal
+import sys
+from importlib import import_module
+from types import SimpleNamespace
+
+import pytest
+from conftest import in_process
+from launching import nodes_of
+from softrig_bringup.cli import main
+from softrig_bringup.terminal import progress
+from softrig_bringup.verbs import launched
+from softrig_bringup.view import here as here_module
+from softrig_core import RunError, rig_of
+from softrig_core.guard import quietly, stopped_by
+from softrig_nodes.processes.stopping import stoppable
+from softrig_nodes.processes.supervision import left_early
+from test_launch import SCENARIO
+from tornado.ioloop import IOLoop
+
+RUN, VERB = "softrig_bringup.run.run", "softrig_bringup.verbs.run_verb"
+PHASES = {  # of the end: what is called in it, what the line says
+    "figures": (f"{VERB}.summary", "figures and bag are in r, pictures and report are not; `softrig report r`"),
+    "bag": (f"{RUN}.write_bag", "figures and bag are in r, pictures and report are not; `softrig report r`"),
+    "pictures": (f"{RUN}.plot_run", "figures and bag are in r, pictures and report are not; `softrig report r`"),
+    "report": (f"{RUN}.write_report", "figures and bag are in r, pictures and report are not; `softrig report r`"),
+    "table": (f"{VERB}.print_judged", "the table was not printed; it is in r"),
+}
+BEFORE = {
+    "start": (f"{VERB}.checked", "nothing was run or written"),
+    "native": (f"{RUN}.run_inprocess", "stopped by {} at t = 0 s"),
+}
+SIGNALS = [signal.SIGINT, signal.SIGTERM]
+
+
+@pytest.fixture(autouse=True)
+def lag(tmp_path, monkeypatch):
+    (tmp_path / "lag.yaml").write_text(
+        SCENARIO.replace("claims:", "plots: [{title: x, signals: {lag/state/x/position: x}}]\nclaims:")
+    )
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(f"{RUN}.plot_run", lambda *_: [])  # pictures and page are tested elsewhere
+    monkeypatch.setattr(f"{RUN}.write_report", lambda folders, page: page.touch())
+
+
+def strike(monkeypatch, where, number, twice):
+    """Have a signal come when something is called, and another while that is cleared up."""
+    module, _, name = where.rpartition(".")
+    real = getattr(import_module(module), name)
+
+    def struck(*arguments, **options):
+        try:
+            signal.raise_signal(number)
+        finally:
+            if twice:
+                signal.raise_signal(number)
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(where, struck)
+
+
+def in_a_run():
+    return main(["run", "lag", "--mode", "inprocess", "--out", "r"])
+
+
+class Pages:
+    """Of a browser that lets the run go on and leaves at its end."""
+
+    url = "http://here"
+
+    def __init__(self, source, control, *_):
+        self.control = control
+
+    def measure(self):
+        if self.control.held:
+            self.control.hold("me", "resume")
+
+    def left(self):
+        return True
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def in_a_view(monkeypatch):
+    monkeypatch.setattr(here_module, "Pages", Pages)
+    monkeypatch.setattr(here_module, "FRAME", 5)
+    monkeypatch.setattr("softrig_bringup.verbs.run_verb._check_view", lambda options: None)
+    loop = IOLoop(make_current=False)
+    monkeypatch.setattr(IOLoop, "current", staticmethod(lambda *_: loop))
+    yield lambda: main(["view", "lag", "--mode", "inprocess", "--out", "r", "--pace", "full", "--running"])
+    loop.close()
+
+
+@pytest.fixture
+def in_a_launch(monkeypatch, capsys):
+    """The end of a launch whose nodes have all done their work, without any process."""
+    rig = rig_of("lag")
+    done = in_process(rig), {m.name: {"state": "done", "t": 0} for m in rig.members}
+    monkeypatch.setattr(launched, "gathered", lambda *_: done)
+
+    def launch():
+        values = {"scenario": "lag", "mode": "lockstep", "record": "true", "judge": "true", "out": "r"}
+        try:
+            for node in nodes_of(values):
+                event = SimpleNamespace(returncode=0, process_name=node.name)
+                node.on_exit(event, SimpleNamespace(is_shutdown=False))
+        except RuntimeError as error:  # which launch logs, and ends with status 1
+            print("softrig:", error, file=sys.stderr)
+            return 1
+        return 0
+
+    return launch
+
+
+@pytest.mark.parametrize("twice", [False, True], ids=["once", "twice"])
+@pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
+@pytest.mark.parametrize("phase", [*BEFORE, *PHASES])
+@pytest.mark.parametrize("door", ["run", "view", "launch"])
+def test_no_interrupted_run_has_status_0_and_one_line_says_what_is_missing(
+    door, phase, number, twice, monkeypatch, capsys, request
+):
+    if phase == "native" and door != "run":
+        pytest.skip("the page and the nodes have a loop of their own")
+    where, told = (BEFORE | PHASES)[phase]
+    if door == "launch":
+        where = where.replace(f"{VERB}.checked", "softrig_bringup.verbs.launched.checked")
+    call = in_a_run if door == "run" else request.getfixturevalue(f"in_a_{door}")
+    strike(monkeypatch, where, number, twice)
+    usual = [signal.getsignal(n) for n in SIGNALS]
+    assert call() == (1 if door == "launch" else 128 + number)
+    assert [signal.getsignal(n) for n in SIGNALS] == usual
+    lines = [line for line in capsys.readouterr().err.splitlines() if "stopped" in line]
+    assert len(lines) == 1, lines
+    assert told.format(number.name) in lines[0]
+    assert number.name in lines[0]
+
+
+def test_what_the_line_says_makes_what_is_missing(monkeypatch, undrawn, tmp_path):
+    with monkeypatch.context() as patched:
+        strike(patched, f"{RUN}.plot_run", signal.SIGINT, False)
+        assert in_a_run() == 130
+    assert main(["report", "r"]) == 0
+    assert (tmp_path / "report.html").read_text().count("<img") == 2
+    assert in_a_run() == 1  # what was left there is in nobody's way
+
+
+def test_what_nodes_recorded_is_named_where_their_run_was_not_written(monkeypatch, capsys, tmp_path):
+    def gone(rig, placement, log, listener):
+        log.mkdir()
+        (log / "plant.shard").write_bytes(b"")
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(f"{VERB}.execute", gone)
+    assert in_a_run() == 143
+    assert "`softrig bag repair r/log` makes a bag" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("record", ["true", "false"])
+def test_a_launch_that_is_interrupted_in_mid_run_is_no_success_where_something_was_wanted_of_it(record, in_a_launch):
+    values = {"scenario": "lag", "mode": "lockstep", "record": record, "out": "r"}
+    over = SimpleNamespace(is_shutdown=True)
+
+    def end():
+        for node in nodes_of(values):
+            node.on_exit(SimpleNamespace(returncode=0, process_name=node.name), over)
+
+    if record == "true":
+        with pytest.raises(RuntimeError, match=r"^stopped by SIGINT at t = 0\.5 s$"):
+            end()
+    else:
+        end()  # as of every launch: nothing was to be judged or written
+
+
+def test_a_launch_that_is_interrupted_while_it_reads_its_scenario_is_no_success(monkeypatch):
+    strike(monkeypatch, "softrig_bringup.verbs.launched.checked", signal.SIGINT, False)
+    with pytest.raises(RunError, match=r"^stopped by SIGINT: nothing was run or written$"):
+        nodes_of({"scenario": "lag"})
+
+
+def test_a_node_that_somebody_stops_ends_its_run_with_an_error():
+    states = {"plant": {"state": "done", "t": 5 * 10**8, "left_early": True}, "gain": {"state": "done", "t": 10**9}}
+    assert left_early(states) == "somebody has stopped node plant at t = 0.5 s"
+    assert left_early({"gain": states["gain"]}) == ""
+
+
+def test_work_that_takes_long_says_what_it_does(monkeypatch, capsys):
+    class Timer:
+        daemon = False
+
+        def __init__(self, seconds, function, arguments):
+            said.append(seconds)
+            self.start = lambda: function(*arguments)  # the second is over
+
+        def cancel(self):
+            said.append("cancelled")
+
+    said = []
+    monkeypatch.setattr(progress.threading, "Timer", Timer)
+    assert in_a_run() == 1
+    assert said == [progress.SILENT, "cancelled"] * 3
+    told = [line for line in capsys.readouterr().err.splitlines() if "ing " in line]
+    assert [line.split(": ")[1] for line in told] == [
+        "computing 1 figures",
+        "writing 253 messages into r",
+        "drawing 1 pictures and the report into r",
+    ]
+    with quietly(), progress.busy("x"):
+        pass
+    assert "x" not in capsys.readouterr().err
+
+
+def test_a_signal_without_a_note_is_stopped():
+    with pytest.raises(KeyboardInterrupt) as caught, stoppable():
+        signal.raise_signal(signal.SIGTERM)
+    assert stopped_by(caught.value) == "stopped"
+    caught.value.add_note("a")
+    caught.value.add_note("b")
+    assert stopped_by(caught.value) == "stopped by SIGTERM: a; b"
