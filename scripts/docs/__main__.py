@@ -15,7 +15,7 @@ from softrig_core.errors import ScenarioError
 from softrig_core.extras import need
 from softrig_core.guard import guarded
 
-from .outline import ROOT, SYSTEMS
+from .outline import GALLERY, ROOT
 
 
 def main() -> int:
@@ -50,7 +50,7 @@ def build(out: Path, sources_only: bool = False) -> int:
     shutil.rmtree(source, ignore_errors=True)
     collect.collect(source)
     gallery.write(source)
-    for system in SYSTEMS:
+    for system in GALLERY:
         gallery.thumbnail(system, source)
     reference.write(source)
     gallery.write_indices(source)

@@ -14,7 +14,7 @@ from softrig_bringup.film.svg import still
 from softrig_core import list_scenarios, load_scenario, rig_of
 from softrig_core.drawing import drawing_for
 
-from .outline import KINDS, ROOT, SYSTEMS, opening, pages, title
+from .outline import GALLERY, KINDS, ROOT, SYSTEMS, opening, pages, title
 
 _ROW = re.compile(r"\]\(ros_pkgs/[^)]*/doc/(\w+)\.md\)[^`|]*`(\w+)`\s*\|\s*([^|]*?)\s*\|")
 
@@ -64,15 +64,15 @@ def slug(text: str) -> str:
 def write(site: Path) -> None:
     """Write the gallery: a card a system, with buttons for fields and methods."""
     said = sentences()
-    if missing := sorted(SYSTEMS.keys() - said.keys()):
+    if missing := sorted(GALLERY.keys() - said.keys()):
         raise ValueError(f"README.md: its table of systems has no row of {', '.join(missing)}")
-    fields = dict.fromkeys(s.field for s in SYSTEMS.values())
-    methods = sorted({m for s in SYSTEMS.values() for m in s.methods})
+    fields = dict.fromkeys(s.field for s in GALLERY.values())
+    methods = sorted({m for s in GALLERY.values() for m in s.methods})
     text = [
         "# Gallery",
         "",
-        "Each system was rebuilt from its paper, whose errors are corrected in the model; its",
-        "page holds what was published beside what is measured here.",
+        "Most systems were rebuilt from a paper, whose errors are corrected in the model; the page holds what was",
+        "published beside what is measured here. Machines and converters of the field are held against closed forms.",
         "",
         "```{raw} html",
         '<div class="filter">',
@@ -81,26 +81,26 @@ def write(site: Path) -> None:
         buttons = "".join(f'<button type="button" data-only="{slug(n)}">{n}</button>' for n in names)
         text.append(f'<p><span>{label}</span><button type="button" data-only="" class="on">all</button>{buttons}</p>')
     text += ["</div>", "```", "", "::::{grid} 1 2 2 3", ":gutter: 3", ":class-container: systems", ""]
-    for name, system in SYSTEMS.items():
+    for name, system in GALLERY.items():
         scenario, sentence = said[name]
-        claims = verdicts(load_scenario(scenario).system)
+        claims = [f"{{.verdicts}}\nClaims of the paper: {verdicts(load_scenario(scenario).system)}", ""]
         text += [
             f":::{{grid-item-card}} {title(pages()[name]).split(':')[0]}", f":link: {name}", ":link-type: doc",
             f":img-top: ../pictures/{name}_drawing.svg", f":img-alt: {title(pages()[name])}",
             f":class-item: {' '.join(map(slug, (system.field, *system.methods)))}", "",
             sentence, "", f"{{.tags}}\n{system.field} · {' · '.join(system.methods)}", "",
-            f"{{.verdicts}}\nClaims of the paper: {claims}", "", f"{{.try}}\n`run {scenario}`", "",
+            *(claims if name in SYSTEMS else ()), f"{{.try}}\n`run {scenario}`", "",
             f"{{.another}}\nAnother machine: {load_scenario(system.another).title}, `run {system.another}`", ":::", "",
         ]  # fmt: skip
-    text += ["::::", "", "```{toctree}", ":hidden:", "", *SYSTEMS, "```", ""]
+    text += ["::::", "", "```{toctree}", ":hidden:", "", *GALLERY, "```", ""]
     (site / "gallery" / "index.md").write_text("\n".join(text), encoding="utf-8")
 
 
 def write_indices(site: Path) -> None:
     """Write the first page and one that opens each kind of page, from what lies there."""
     index = [INDEX]
-    shown = "{} systems rebuilt from their papers: {} experiments to run, change and question."
-    entries = [("gallery", "Gallery", shown.format(len(SYSTEMS), len(list_scenarios())))]
+    shown = "{} systems: {} experiments to run, change and question."
+    entries = [("gallery", "Gallery", shown.format(len(GALLERY), len(list_scenarios())))]
     entries += [(kind, head, text) for kind, (head, text, _) in KINDS.items()]
     for folder, head, text in entries:
         index += [f":::{{grid-item-card}} {head}", f":link: {folder}/index", ":link-type: doc", "", text, ":::", ""]

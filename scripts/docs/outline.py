@@ -97,6 +97,12 @@ SYSTEMS = {
     "pwa_delay": System("theory", ("stability proof", "state feedback"), "pwa_delay_hayes"),
 }
 
+# machines and converters of the field with the laws of the field: no paper, so no claims
+MACHINES = {
+    "pmsm_foc": System("machines", ("field orientation",), "pmsm_foc_servo"),
+}
+GALLERY = SYSTEMS | MACHINES
+
 
 @cache
 def pages() -> dict[str, Path]:
@@ -114,7 +120,7 @@ def places() -> dict[Path, str]:
         A place has no page.
     """
     found = {name: f"{kind}/{name}" for kind, (_, _, names) in KINDS.items() for name in names}
-    found |= {name: f"gallery/{name}" for name in SYSTEMS}
+    found |= {name: f"gallery/{name}" for name in GALLERY}
     if lost := sorted(found.keys() - pages().keys()):
         raise ValueError(f"{', '.join(lost)}: named in scripts/docs/outline.py, but no package has such a page in doc/")
     found = {name: f"how-to/{name}" for name in pages()} | found

@@ -65,12 +65,12 @@ def test_the_gallery_has_a_card_of_every_system_with_a_picture_that_is_there(tmp
     collect.collect(tmp_path)
     gallery.write(tmp_path)
     text = (tmp_path / "gallery/index.md").read_text()
-    assert re.findall(r"^:link: (\w+)$", text, re.M) == list(outline.SYSTEMS)
+    assert re.findall(r"^:link: (\w+)$", text, re.M) == list(outline.GALLERY)
     pictures = re.findall(r"^:img-top: (\S+)$", text, re.M)
-    assert pictures == [f"../pictures/{name}_drawing.svg" for name in outline.SYSTEMS]  # the site is built with all
+    assert pictures == [f"../pictures/{name}_drawing.svg" for name in outline.GALLERY]  # the site is built with all
     gallery.thumbnail("tcp_aqm", tmp_path)
     assert "prefers-color-scheme:dark" in (tmp_path / "pictures/tcp_aqm_drawing.svg").read_text()
-    assert {p.stem for p in (tmp_path / "gallery").glob("*.md")} == {*outline.SYSTEMS, "index"}
+    assert {p.stem for p in (tmp_path / "gallery").glob("*.md")} == {*outline.GALLERY, "index"}
 
 
 def test_the_reference_has_everything_that_there_is():

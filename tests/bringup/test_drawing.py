@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 from docs.gallery import sentences
+from docs.outline import GALLERY
 from softrig_bringup.cli import main
 from softrig_bringup.film.film import comfortable, film
 from softrig_bringup.film.smil import animated
@@ -19,7 +20,8 @@ from told import check_told, drawing_lines
 DRAWN = [
     "dc_motor_smc", "dc_motor_smc_b2", "dc_motor_fsfb", "economic_dispatch", "fault_location", "gupfc", "induction_dtc",
     "lsrm_fuzzy", "manipulator_adsmc", "manipulator_adsmc_two_link", "optimal_control_mvim", "optimal_control_mvim_s1",
-    "optimal_control_mvim_s3", "pv_mppt", "pwa_delay", "pwa_delay_p2", "pwa_delay_p2c", "pwa_delay_p3", "rectifier_mpc",
+    "optimal_control_mvim_s3", "pmsm_foc", "pmsm_foc_synrm", "pv_mppt", "pwa_delay", "pwa_delay_p2", "pwa_delay_p2c",
+    "pwa_delay_p3", "rectifier_mpc",
     "rectifier_mpc_decoupled", "rehab_impedance", "rehab_impedance_r5", "tcp_aqm_smc", "tcp_aqm_smc_s4",
 ]  # fmt: skip
 
@@ -75,7 +77,7 @@ def _look(shape):
 
 def test_every_system_is_drawn():
     systems = {load_scenario(scenario).system for scenario, _ in sentences().values()}
-    assert len(systems) == 14
+    assert len(systems) == len(GALLERY)
     assert {load_scenario(name).system for name in DRAWN} == systems
 
 

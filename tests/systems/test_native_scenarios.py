@@ -85,6 +85,8 @@ GOES = {
     "lsrm_fuzzy": 40,
     "manipulator_adsmc": 13,
     "optimal_control": 6,
+    "pmsm_field_weakening": 1,
+    "pmsm_foc": 6,
     "pv_mppt": 30,
     "pwa_delay": 18,
     "rectifier_mpc": 16,

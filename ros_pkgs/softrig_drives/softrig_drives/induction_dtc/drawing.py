@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from softrig_core.drawing.base import Drawing, Quantity, Row, held, readings, tail
 from softrig_core.drawing.shapes import Pen, Point, polar
 
+from ..stator import PHASES, SLOTS, THIRD, belt
+
 CENTRE = (190.0, 180.0)
 OUTER, INNER, ROTOR = 150.0, 116.0, 108.0
-SLOTS = 12  # two a side of each phase
 BARS = 14
-PHASES = (("a", "accent"), ("b", "second"), ("c", "third"))
-THIRD = 2.0 * math.pi / 3.0
 
 
 class InductionMotor(Drawing):
@@ -55,7 +54,7 @@ class InductionMotor(Drawing):
         pen.circle(CENTRE, INNER, "line", "paper")
         for slot in range(SLOTS):
             # the axis of phase a points right: its conductors lie a quarter turn before and after
-            phase, side = _belt(slot)
+            phase, side = belt(slot)
             role = PHASES[phase][1]
             place = polar(CENTRE, (OUTER + INNER) / 2, 2.0 * math.pi * (slot + 0.5) / SLOTS)
             current = side * held(self.currents[phase](row) / self.rated, 1.6)
@@ -108,11 +107,3 @@ class InductionMotor(Drawing):
             pen.line([(x + 24, middle), (x, to)], role, 3.0)
             pen.circle((x + 24, middle), 3.0, role, role)
             pen.text((x + 31, middle + 5), name, role)
-
-
-def _belt(slot: int) -> tuple[int, int]:
-    """Give phase and sense of a slot: a current out of the page a quarter turn after its axis makes flux along it."""
-    angle = 2.0 * math.pi * (slot + 0.5) / SLOTS
-    turns = [math.sin(angle - k * THIRD) for k in range(3)]  # 1 a quarter turn after the axis of phase k
-    phase = max(range(3), key=lambda k: abs(turns[k]))
-    return phase, 1 if turns[phase] > 0 else -1

@@ -1,0 +1,1 @@
+"""Three-phase machines on a two-level inverter, and their field-oriented control."""
