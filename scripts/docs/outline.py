@@ -22,7 +22,7 @@ KINDS = {
         "You know what you want to do; here is how.",
         ("set_up", "wheel", "upgrade", "view", "studies", "send", "strangers", "reports", "continuous_integration",
          "python", "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools",
-         "hardware", "node", "cpp_node", "classroom", "workspace", "two_machines", "distribution"),
+         "hardware", "boards", "node", "cpp_node", "classroom", "workspace", "two_machines", "distribution"),
     ),
     "notebooks": (
         "Notebooks",
@@ -63,6 +63,7 @@ KEYWORDS = {
     "linear_view": "bode, nyquist, poles, margin, linearize, eigenvalues",
     "file_formats": "urdf, comtrade, fmu, csv, tags, columns, mimic, damping, friction",
     "outside_tools": "plotjuggler, foxglove, rviz, gif, video, animation",
+    "boards": "serial, arduino, uno, link, loop, simavr, qemu, hil",
     "hardware": "c, embedded, arduino, microcontroller, export, firmware, misra",
     "bags": "rosbag, mcap, record, replay",
     "realtime": "hardware, loop, hil, latency, wall, clock",

@@ -15,7 +15,7 @@ MIDDLEWARE = ("rclpy", "rcl_interfaces", "std_srvs", "rosgraph_msgs", "builtin_i
 ROOMS = {
     "softrig_core": (
         "errors bits timebase entry guard interrupt needs extras command_line runners kit wire judge block former "
-        "native solver scenario rig verdict run drawing analysis export"
+        "board native solver scenario rig verdict run drawing analysis export firmware"
     ),
     "softrig_nodes": "processes seam ros adapter lockstep realtime face group rehearsal main container preloaded",
     "softrig_bringup": "folder terminal options page plots film report run study falsify view verbs cli __main__",

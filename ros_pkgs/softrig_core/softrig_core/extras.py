@@ -21,6 +21,10 @@ EXTRAS = {
     "myst_nb": "docs",
     "fmpy": "fmu",
     "pythonfmu": "fmu",
+    "serial": "hardware",
+    "can": "hardware",
+    "cantools": "hardware",
+    "pyads": "hardware",
 }
 
 

@@ -15,6 +15,8 @@ from rclpy.utilities import remove_ros_args
 from softrig_core.block.block import Block, Plant
 from softrig_core.block.params import Declaration, build, declarations, flatten
 from softrig_core.block.port import require_distinct
+from softrig_core.board.entry import LinkEntry
+from softrig_core.board.link import linked
 from softrig_core.guard import secure_streams, tell
 from softrig_core.interrupt import interrupt
 from softrig_core.rig.options import RunOptions
@@ -93,6 +95,8 @@ def make_adapter(node: ServingNode, block_class: type[Block], middleware: Middle
     """
     params, options = _parameters(node, block_class)
     require_distinct(*block_class.ports(params))
+    if options.link:
+        block_class = linked(block_class, LinkEntry.model_validate_json(options.link), params, node.get_name())
     rehearse(block_class, params, node.get_name(), always=options.mode == "realtime")
     block = block_class(params, node.get_name())
     block.reset(options.seed)

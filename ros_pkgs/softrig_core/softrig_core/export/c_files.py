@@ -610,6 +610,7 @@ class _Files:
             "node": m.name,
             "class": f"{type(self.block).__module__}:{type(self.block).__qualname__}",
             "digest": digest,
+            "real": "float" if self.single else "double",
             "period_s": [m.schedule.period.numerator, m.schedule.period.denominator],
             "parameters": {k: v for k, v in p.items() if isinstance(v, (int, float, str, bool, list, tuple))},
             "settable": list(self.settable),

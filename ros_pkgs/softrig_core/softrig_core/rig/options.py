@@ -47,6 +47,7 @@ class RunOptions(Params):
         live=True,
     )
     again: str = param("", "lockstep: folder of the files of a run in which this node died, and comes back")
+    link: str = param("", "JSON of a scenario's `link`: a board answers the ticks", max_length=1 << 12)
     changes: str = param("", "JSON of changes of parameters while it runs, written by the runner", max_length=1 << 20)
 
     @field_validator("pace")

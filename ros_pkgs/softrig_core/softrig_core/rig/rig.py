@@ -13,6 +13,8 @@ from ..block.codec import selection
 from ..block.params import ParameterError, build, flatten
 from ..block.port import Port, Refused, require_distinct
 from ..block.schedule import Schedule
+from ..board.entry import require_own_ports
+from ..board.link import linked
 from ..errors import ScenarioError
 from ..judge.units import misfit
 from ..scenario.changes import script
@@ -165,6 +167,7 @@ def members_of(
     entries = scenario.nodes.items()
     known = {n: classes[n] if n in classes else load_block(e.package, e.executable) for n, e in entries}
     parameters = NodeParameters(scenario, known)
+    require_own_ports({n: e.link for n, e in entries if e.link is not None}, scenario.name)
     return [_member(scenario, n, known[n], parameters) for n in (known if names is None else names)]
 
 
@@ -177,6 +180,10 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
         require_distinct(inputs, outputs)
     except ValueError as error:
         raise ScenarioError(f"{where}: {error}") from None
+    if entry.link is not None:
+        if entry.external:
+            raise ScenarioError(f"{where}: it is external and has a link; remove one of the two")
+        block = linked(block, entry.link, params, where)
     topics = [p.topic for p in (*inputs, *outputs)]
     for topic in entry.remap:
         if topic not in topics:

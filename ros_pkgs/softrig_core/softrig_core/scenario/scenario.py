@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
 
+from ..board.entry import LinkEntry
 from ..entry import Entry
 from ..errors import ScenarioError, closest
 from ..judge.claims import Claim
@@ -45,6 +46,7 @@ class NodeEntry(Entry):
     parameters: dict[str, Any] = {}
     remap: dict[str, TopicName] = {}
     external: bool = Field(False, description="somebody else starts it; our executable only tells its ports")
+    link: LinkEntry | None = Field(None, description="a board with its exported firmware answers its ticks")
 
 
 class FigureEntry(Entry):

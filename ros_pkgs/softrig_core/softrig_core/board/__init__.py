@@ -1,0 +1,1 @@
+"""Boards in a rig: frames, wires, and blocks whose ticks a board answers."""

@@ -1,0 +1,96 @@
+"""Frames of the link to a board: COBS(number, kind, values, CRC) and a zero; `softrig_link.h` is the board's side."""
+
+from __future__ import annotations
+
+import struct
+from binascii import crc_hqx
+from enum import IntEnum
+from typing import NamedTuple
+
+HEAD = struct.Struct("<HB")
+CRC = struct.Struct("<H")
+LONGEST = 1 << 16  # bytes between two zeros: more is no frame
+
+
+class Kind(IntEnum):
+    """What a frame is."""
+
+    HELLO = 1
+    RESET = 2
+    PARAMS = 3
+    STEP = 4
+    ANSWER = 5
+
+
+class Frame(NamedTuple):
+    """A frame without its checksum."""
+
+    number: int
+    kind: int
+    values: bytes
+
+
+def encoded(body: bytes) -> bytes:
+    """Return bytes as COBS, which has no zero in it."""
+    found = bytearray()
+    for part in body.split(b"\0"):
+        while len(part) >= 254:
+            found += b"\xff" + part[:254]
+            part = part[254:]
+        found.append(len(part) + 1)
+        found += part
+    if body and not part and body[-1]:
+        del found[-1]  # a full block at the end needs no further one
+    return bytes(found)
+
+
+def decoded(data: bytes) -> bytes | None:
+    """Return the bytes that COBS stands for; None where it is cut."""
+    found, at, end = bytearray(), 0, len(data)
+    while at < end:
+        code = data[at]
+        if code == 0 or at + code > end:
+            return None
+        found += data[at + 1 : at + code]
+        at += code
+        if code != 0xFF and at < end:
+            found.append(0)
+    return bytes(found)
+
+
+def written(number: int, kind: int, values: bytes, session: int) -> bytes:
+    """Return a frame as it goes over the wire, behind a zero that ends what noise has begun.
+
+    Parameters
+    ----------
+    session : int
+        What the checksum begins with; 0 in a hello.
+    """
+    body = HEAD.pack(number, kind) + values
+    return b"\0" + encoded(body + CRC.pack(crc_hqx(CRC.pack(session) + body, 0))) + b"\0"
+
+
+def read(data: bytes, session: int) -> Frame | None:
+    """Return the frame in bytes between two zeros; None where it is damaged or of another session."""
+    body = decoded(data)
+    if body is None or len(body) < HEAD.size + CRC.size:
+        return None
+    inner = body[: -CRC.size]
+    number, kind = HEAD.unpack_from(inner)
+    of = 0 if kind == Kind.HELLO else session
+    if crc_hqx(CRC.pack(of) + inner, 0) != CRC.unpack(body[-CRC.size :])[0]:
+        return None
+    return Frame(number, kind, inner[HEAD.size :])
+
+
+class Splitter:
+    """Cuts a stream of bytes at its zeros."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def take(self, data: bytes) -> list[bytes]:
+        """Return what came whole between two zeros; empty pieces are left out."""
+        *whole, self._rest = (self._rest + data).split(b"\0")
+        self._rest = self._rest[-LONGEST:]
+        return [piece for piece in whole if piece]

@@ -1,0 +1,100 @@
+"""Where each value stands in the frames of a link, for Python and for the board's C."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from ..block.port import Port, Sample
+
+# answer to a hello: status, digest, period in s as a fraction, bytes of a number, of values of a step, an answer and
+# parameters; longest step since the last reset, in ticks of the board's clock
+HELLO = struct.Struct("<B16sqqBHHHI")
+Settable = Mapping[str, type]  # parameters that a board takes: name to int or float
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The frames of one node.
+
+    Parameters
+    ----------
+    inputs, outputs : tuple of Port
+    settable : mapping of str to type
+        Parameters that may be set on the board, in order.
+    plant : bool
+        Whether a step first moves the state on, from one time to another.
+    single : bool
+        The board's numbers are float.
+    """
+
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    settable: Settable
+    plant: bool
+    single: bool
+
+    @cached_property
+    def step(self) -> struct.Struct:
+        """Times, then the inputs; of a plant, whether they count, first."""
+        return struct.Struct("<" + ("Bqq" if self.plant else "q") + self._ports(self.inputs, "held"))
+
+    @cached_property
+    def answer(self) -> struct.Struct:
+        """Status and outputs."""
+        return struct.Struct("<B" + self._ports(self.outputs, "sporadic"))
+
+    @cached_property
+    def params(self) -> struct.Struct:
+        """Parameters."""
+        return struct.Struct("<" + "".join("q" if of is int else self.real for of in self.settable.values()))
+
+    @property
+    def real(self) -> str:
+        """How `struct` names the board's numbers."""
+        return "f" if self.single else "d"
+
+    @property
+    def room(self) -> int:
+        """Bytes of the longest frame before its zero, checksum included."""
+        return 5 + max(self.step.size, self.answer.size, self.params.size)
+
+    def _ports(self, ports: Sequence[Port], flag: str) -> str:
+        return "".join(
+            ("B" if getattr(p, flag) else "") + ("q" if p.delayed else "") + f"{p.size}{self.real}" for p in ports
+        )
+
+    def numbers(self, inputs: Mapping[str, Any]) -> list[Any]:
+        """Return the inputs of a tick in the order of a step."""
+        found: list[Any] = []
+        for port in self.inputs:
+            given = inputs.get(port.name)
+            if port.held:
+                found.append(given is not None)
+            if port.delayed:
+                found.append(0 if given is None else given.stamp)
+            if given is None:
+                found += (0.0,) * port.size
+            else:
+                found += given.data if isinstance(given, Sample) else given
+        return found
+
+    def outputs_of(self, answer: Sequence[Any]) -> dict[str, Any]:
+        """Return what each output says, of an unpacked answer."""
+        found: dict[str, Any] = {}
+        at = 1
+        for port in self.outputs:
+            said = True
+            if port.sporadic:
+                said = bool(answer[at])
+                at += 1
+            stamp = answer[at]
+            at += port.delayed
+            row = tuple(answer[at : at + port.size])
+            at += port.size
+            if said:
+                found[port.name] = Sample(stamp, row) if port.delayed else row
+        return found

@@ -1,0 +1,408 @@
+"""One board at its wire: sessions, repeats, and what is counted."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+from ..errors import RunError, ScenarioError
+from .frames import Frame, Kind, Splitter, read, written
+from .layout import HELLO, Layout
+from .wires import Wire
+
+PATIENCE = 16  # timeouts without an answer, after which the board is given up
+SETTLE = 0.05  # s after an answer to a hello: a second board on the wire would have answered by then
+TRIES = 3  # of a reset or of parameters, before another hello
+REOPEN = 0.1  # s between two tries to open a port
+NUMBERS = 1 << 16
+REMEMBERED = 64  # numbers of requests without an answer, to tell late ones from strays
+
+
+@dataclass(frozen=True)
+class Build:
+    """What a board must say of its firmware: digest, period in s as a fraction, and the frames of its node."""
+
+    digest: str
+    period: tuple[int, int]
+    layout: Layout
+
+
+@dataclass
+class Counts:
+    """What happened on a wire.
+
+    Attributes
+    ----------
+    sent : int
+        Frames.
+    repeated : int
+        Frames sent again because no answer came.
+    damaged : int
+        Frames that did not pass their checksum, or are of another session.
+    strays : int
+        Answers that nobody waited for: doubled ones, those of an older request.
+    late, lost : int
+        Real time: answers after their deadline, and those that never came.
+    reopened : int
+        Times at which the port was gone and came back.
+    rejoined : int
+        Real time: times at which the board began anew, with a fresh state.
+    """
+
+    sent: int = 0
+    repeated: int = 0
+    damaged: int = 0
+    strays: int = 0
+    late: int = 0
+    lost: int = 0
+    reopened: int = 0
+    rejoined: int = 0
+
+    def told(self) -> str:
+        """Return what was unusual, in words; empty when nothing was."""
+        return ", ".join(f"{n} {name}" for name, n in asdict(self).items() if n and name != "sent")
+
+
+class Line:
+    """Requests to one board and its answers.
+
+    Parameters
+    ----------
+    port : str
+        For errors.
+    opened : callable
+        Opens the wire; an OSError: not now, a ScenarioError: never.
+    build : Build
+        Another one is refused.
+    timeout : float
+        s until a request is sent again.
+    clock, sleep : callable
+        Give a time in s, and let one pass.
+
+    Attributes
+    ----------
+    counts : Counts
+    joined : bool
+        Whether the board has taken the reset of this session: steps may be sent.
+    served : (int, bytes, bytes)
+        Number of the tick that was answered last, its request and its answer.
+    accepted : bytes
+        The parameters that the board has.
+    longest : int
+        Ticks of the board's clock that its longest step took, as it said with its last hello.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        opened: Callable[[], Wire],
+        build: Build,
+        timeout: float,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], object] = time.sleep,
+    ) -> None:
+        self.port, self.build, self.timeout = port, build, timeout
+        self._opened, self._clock, self._sleep = opened, clock, sleep
+        self._wire: Wire | None = None
+        self._splitter = Splitter()
+        self._inbox: list[Frame] = []
+        self._number = int.from_bytes(os.urandom(2), "little")
+        self._session = 0
+        self._tried = clock() - REOPEN
+        self._newest: Frame | None = None  # the answer that was taken last
+        self._missing: dict[int, None] = {}
+        self._heard = 0.0
+        self.counts = Counts()
+        self.joined = False
+        self.longest = 0
+        self.served: tuple[int, bytes, bytes] = (-1, b"", b"")
+        self.accepted = b""
+        self.begin(b"")
+
+    def begin(self, params: bytes) -> None:
+        """Have the next request begin a session, with these parameters."""
+        self._stage = Kind.HELLO
+        self._asked: tuple[int, float] | None = None  # number, and when it is sent again
+        self._greeted: Frame | None = None
+        self._settled = 0.0
+        self._params = params
+        self.joined = False
+
+    def close(self) -> None:
+        """Let the port go."""
+        if self._wire is not None:
+            self._wire.close()
+            self._wire = None
+        self.joined = False
+
+    # lockstep -----------------------------------------------------------------------------------------------------
+
+    def ask(self, kind: Kind, values: bytes) -> bytes:
+        """Send a request until it is answered, and return the answer's values.
+
+        Raises
+        ------
+        RunError
+            The board does not answer, is another one, or has lost its state.
+        ScenarioError
+            The wire can never be opened.
+        """
+        patience = PATIENCE * self.timeout
+        self._join_within(patience)
+        number = self._next()
+        end = self._clock() + patience
+        first = True
+        while first or self._clock() < end:
+            if not self._there():
+                if not self._open():
+                    self._pause()
+                    continue
+                self.counts.reopened += 1
+            if not first:
+                self.counts.repeated += 1
+            first = False
+            self._send(number, kind, values)
+            if (frame := self._await(number, self._clock() + self.timeout)) is not None:
+                return frame.values
+        raise RunError(f"the board at {self.port} does not answer{self._restarted()}")
+
+    def _join_within(self, patience: float) -> None:
+        end = self._clock() + patience
+        before = self.counts.strays
+        while not self.joined:
+            if self._clock() >= end:
+                raise RunError(self._absent(before))
+            if not self._there() and not self._open():
+                self._pause()
+                continue
+            self._join(self._clock() + self.timeout)
+
+    def _absent(self, before: int) -> str:
+        if self._wire is None:
+            return f"the port {self.port} cannot be opened: {self._why}"
+        if self._doubled:
+            return f"two boards answer at {self.port}; connect one board to a port"
+        strays = self.counts.strays - before
+        return f"no board answers at {self.port}" + (f" ({strays} frames are answers to others)" if strays else "")
+
+    def _restarted(self) -> str:
+        """Say that the board is there and has restarted, when it is."""
+        self.begin(self._params)
+        while self._there():
+            self._join(self._clock() + self.timeout)
+            if self.joined or self._stage is not Kind.HELLO:
+                return ": it has restarted and lost its state"
+            if self._asked is None or self._clock() >= self._asked[1]:
+                break
+        return f" within {PATIENCE * self.timeout:g} s"
+
+    # real time ----------------------------------------------------------------------------------------------------
+
+    def try_ask(self, kind: Kind, values: bytes, wait: float) -> bytes | None:
+        """Send a request once, and return the answer's values if it comes within `wait` s; never wait for longer."""
+        end = self._clock() + wait
+        if not self._there() and not self._open():
+            return None
+        if not self.joined:
+            self._join(end)
+            if not self.joined:
+                return None
+            self.counts.rejoined += 1
+            self._heard = self._clock()
+        number = self._next()
+        self._send(number, kind, values)
+        frame = self._await(number, end)
+        if frame is not None:
+            self._heard = self._clock()
+            return frame.values
+        self.counts.lost += 1
+        self._missing[number] = None
+        while len(self._missing) > REMEMBERED:
+            del self._missing[next(iter(self._missing))]
+        if self._clock() - self._heard > self.timeout:  # it may have restarted
+            self.begin(self._params)
+        return None
+
+    # joining ------------------------------------------------------------------------------------------------------
+
+    def _join(self, end: float) -> None:
+        """Go on with hello, reset, parameters until a time; the board answers each."""
+        while not self.joined and self._there():
+            now = self._clock()
+            if self._greeted is not None:
+                frame = self._greeted
+                if now < self._settled:
+                    self._pump(min(end, self._settled))
+                    if self._clock() < self._settled and self._clock() >= end:
+                        return
+                    continue
+                self._greeted, self._asked = None, None
+                if self._doubled:
+                    if now >= end:
+                        return
+                    continue
+                self._check(frame)
+                self._stage = Kind.RESET
+            if self._asked is None or now >= self._asked[1]:
+                self._post()
+            assert self._asked is not None
+            frame_ = self._await(self._asked[0], min(end, self._asked[1]))
+            if frame_ is None:
+                if self._clock() >= end:
+                    return
+                continue
+            self._stage_over(frame_)
+
+    def _post(self) -> None:
+        self._tries += 1
+        if self._stage is not Kind.HELLO and self._tries > TRIES:
+            self._stage = Kind.HELLO
+        if self._stage is Kind.HELLO:
+            self._tries = 0
+            self._session = self._new_session()
+            self._doubled = False
+        values = {Kind.HELLO: self._session.to_bytes(2, "little"), Kind.PARAMS: self._params}.get(self._stage, b"")
+        number = self._next()
+        self._asked = number, self._clock() + self.timeout
+        self._send(number, self._stage, values)
+
+    def _stage_over(self, frame: Frame) -> None:
+        if self._stage is Kind.HELLO:
+            self._greeted, self._settled = frame, self._clock() + SETTLE
+            return
+        self._asked, self._tries = None, 0
+        if frame.values[:1] != b"\0":
+            raise RunError(
+                f"the board at {self.port} refuses its {self._stage.name.lower()} (status {frame.values[0]})"
+            )
+        if self._stage is Kind.RESET and self._params:
+            self._stage = Kind.PARAMS
+        else:
+            self.joined = True
+
+    def _check(self, frame: Frame) -> None:
+        """Make sure that the board has the build."""
+        if len(frame.values) != HELLO.size:
+            raise RunError(f"the board at {self.port} has firmware of another version of softrig; build it again")
+        _, digest, over, under, size, step, answer, params, self.longest = HELLO.unpack(frame.values)
+        layout = self.build.layout
+        wanted = (8 - 4 * layout.single, layout.step.size, layout.answer.size, layout.params.size)
+        build = digest.decode("ascii", "replace")
+        if build != self.build.digest or (size, step, answer, params) != wanted:
+            raise RunError(
+                f"the board at {self.port} has build {build}, expected {self.build.digest}; "
+                "load the firmware that the scenario names, or name that of the board"
+            )
+        if over * self.build.period[1] != under * self.build.period[0]:
+            raise RunError(f"the board at {self.port} has a period of {over}/{under} s, expected {self.build.period}")
+
+    # frames -------------------------------------------------------------------------------------------------------
+
+    _doubled = False
+    _why = ""
+    _tries = 0
+
+    def _new_session(self) -> int:
+        """Return a session that is not the one before, and not none."""
+        found = self._session
+        while found in (0, self._session):
+            found = int.from_bytes(os.urandom(2), "little")
+        return found
+
+    def _next(self) -> int:
+        self._number = (self._number + 1) % NUMBERS
+        return self._number
+
+    def _there(self) -> bool:
+        return self._wire is not None
+
+    def _open(self) -> bool:
+        """Try to open the port; seldom enough to cost nothing."""
+        if self._clock() - self._tried < REOPEN:
+            return False
+        self._tried = self._clock()
+        try:
+            self._wire = self._opened()
+        except OSError as error:
+            self._why = error.strerror or str(error)
+            return False
+        except ScenarioError as error:  # waiting does not help
+            raise RunError(str(error)) from None
+        self._splitter = Splitter()
+        self._inbox.clear()
+        return True
+
+    def _pause(self) -> None:
+        self._sleep(REOPEN / 4)
+
+    def _send(self, number: int, kind: Kind, values: bytes) -> None:
+        if self._wire is None:
+            return
+        self.counts.sent += 1
+        try:
+            self._wire.write(written(number, kind, values, 0 if kind is Kind.HELLO else self._session))
+        except OSError:
+            self._gone()
+
+    def _gone(self) -> None:
+        """Close a wire whose board is not there: the session goes on if the board kept its power."""
+        if self._wire is not None:
+            self._wire.close()
+            self._wire = None
+            self._tried = self._clock()
+
+    def _await(self, number: int, end: float) -> Frame | None:
+        """Return the answer to a request if it comes until a time."""
+        while True:
+            for k, frame in enumerate(self._inbox):
+                if frame.number == number:
+                    rest = self._inbox[k + 1 :]
+                    self._inbox = []
+                    self._newest = frame
+                    for other in rest:
+                        self._stray(other)
+                    return frame
+                self._stray(frame)
+            self._inbox.clear()
+            if not self._there() or self._clock() >= end:
+                return None
+            self._pump(end)
+
+    def _pump(self, end: float) -> None:
+        """Take what comes until a time, or the first bytes."""
+        if self._wire is None:
+            return
+        try:
+            data = self._wire.read(end - self._clock())
+        except OSError:
+            self._gone()
+            return
+        for piece in self._splitter.take(data):
+            frame = read(piece, self._session)
+            if frame is None or frame.kind not in (Kind.HELLO, Kind.ANSWER):
+                self.counts.damaged += 1
+            elif self._greeted is not None:
+                self._stray(frame)
+            else:
+                self._inbox.append(frame)
+
+    def _stray(self, frame: Frame) -> None:
+        """Count an answer that nobody waits for; a second answer to one request tells of a second board."""
+        if frame.number in self._missing:
+            del self._missing[frame.number]
+            self.counts.late += 1
+            self.counts.lost -= 1
+            return
+        self.counts.strays += 1
+        newest = self._newest
+        if newest is None or frame.number != newest.number:
+            return
+        if frame.kind == Kind.HELLO:
+            self._doubled = True
+        elif frame != newest:
+            self.begin(self._params)
+            raise RunError(
+                f"frame {frame.number} has two different answers at {self.port}; are two boards connected to one port?"
+            )

@@ -1,0 +1,289 @@
+"""A block whose ticks a board answers, in the place of the block that the board's firmware was made from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+from ..block.block import Block, Level, Plant
+from ..block.params import flatten
+from ..block.port import Sample
+from ..errors import RunError, ScenarioError
+from .entry import LinkEntry, absolute_port
+from .frames import Kind
+from .layout import Layout
+from .line import Build, Line
+from .wires import opened
+
+PART = 0.5  # of its period that a node waits for its board in real time
+DONE, GAVE_UP = 0, 1
+
+
+class LinkState(NamedTuple):
+    """How many ticks the board has answered; of a plant what the next one moves it on with: time, and its inputs."""
+
+    k: int = 0
+    moved: tuple[Any, ...] = ()
+
+
+class Linked(Block):
+    """Answers each tick by what a board says.
+
+    In lockstep a frame is sent again until it is answered, and the answer is that of one step. In real time the answer
+    has half a period, then the safe values are published; late and lost frames are counted in /diagnostics.
+    """
+
+    ENTRY: ClassVar[LinkEntry]
+    FIRMWARE: ClassVar[Mapping[str, Any]]
+    SCRATCH = frozenset({"_lines"})  # the open port, of which there is one at most
+
+    def setup(self) -> None:
+        """Prepare the frames; the port is opened with the first tick."""
+        super().setup()
+        self._lines: list[Line] = []
+        inputs, outputs = self.ports(self.p)
+        settable = _settable(self.FIRMWARE, self.p)
+        single = self.FIRMWARE["real"] == "float"
+        layout = self._layout = Layout(inputs, outputs, settable, isinstance(self, Plant), single)
+        over, under = self.FIRMWARE["period_s"]
+        self._build = Build(self.FIRMWARE["digest"], (over, under), layout)
+        known = flatten(self.p)
+        self._params = _packed(layout.params, [of(known[name]) for name, of in settable.items()])
+        self._safe = {p.name: p.safe for p in outputs if not p.sporadic}
+        self._delayed = frozenset(p.name for p in outputs if p.delayed)
+
+    @classmethod
+    def fixed(cls, params: Any) -> Any:
+        """Return what the board's build has compiled in: its other parameters cannot change."""
+        settable = cls.FIRMWARE["settable"]
+        return super().fixed(params), {k: v for k, v in flatten(params).items() if k not in settable}
+
+    @classmethod
+    def contents(cls, params: Any) -> Mapping[str, str]:
+        """Return the digest of the firmware's description."""
+        text = json.dumps(cls.FIRMWARE, sort_keys=True)
+        return {**super().contents(params), "firmware": hashlib.sha256(text.encode()).hexdigest()}
+
+    def first(self) -> LinkState:
+        """Begin a session with the first tick."""
+        return LinkState()
+
+    def go_on(self, x: LinkState, before: Any) -> LinkState:
+        """Send the changed parameters before the next tick; the state is the board's."""
+        return x
+
+    def params(self, x: LinkState) -> Any:
+        """Return the parameters as they were set; the board moves none."""
+        return self.p
+
+    def save(self, x: LinkState) -> Any:
+        """Refuse: the state is on the board.
+
+        Raises
+        ------
+        RunError
+        """
+        raise RunError(f"{self.name}: the state is on the board at {self.ENTRY.port} and cannot be saved")
+
+    def refused(self, x: LinkState, t: int) -> tuple[LinkState, Any]:
+        """Publish what was published last: the board does not see the tick, as it would not see the bad input."""
+        return x, None
+
+    def health(self, x: LinkState) -> Mapping[str, str]:
+        """Return what happened on the wire."""
+        if not self._lines:
+            return {"board": "not connected yet"}
+        line = self._lines[0]
+        return {"board": f"{self.ENTRY.port}, {line.counts.sent} frames; {line.counts.told() or 'all answered'}"}
+
+    def markers(self, x: LinkState) -> tuple[()]:
+        """Draw nothing: what the block knows is on the board."""
+        return ()
+
+    def asked(self, x: LinkState, t: int, row: list[Any]) -> Mapping[str, Any]:
+        """Return what the board answers to a tick.
+
+        Parameters
+        ----------
+        row : list of number
+            Of the frame of a step.
+
+        Raises
+        ------
+        RunError
+            Lockstep: the board does not answer, or its code has given the tick up.
+        """
+        values = _packed(self._layout.step, row)
+        line = self._connected(x)
+        told = line.counts.told()
+        answer = self._live(line, values) if self.realtime else self._paired(line, x.k, values)
+        if answer is not None and len(answer) != self._layout.answer.size:
+            raise RunError(f"the board at {line.port} refuses a step (status {answer[0]})")
+        found = None if answer is None else self._layout.answer.unpack(answer)
+        status = "no answer" if found is None else "" if found[0] == DONE else f"the board gave up (status {found[0]})"
+        if status and not self.realtime:
+            raise RunError(f"{status}: an error in the block, or a number beyond the limit of its port")
+        if line.counts.told() != told:
+            self.report(Level.WARN, "link", line.counts.told())
+        if status or found is None:
+            self.report(Level.ERROR, "board", f"{status}: the safe values are published")
+            return {name: Sample(t, row) if name in self._delayed else row for name, row in self._safe.items()}
+        self.withdraw("board")
+        return self._layout.outputs_of(found)
+
+    def _connected(self, x: LinkState) -> Line:
+        """Return the line, whose next request begins a session where the block is at its first state."""
+        if not self._lines:
+            self._lines.append(_line(self.ENTRY, self._build))
+        line = self._lines[0]
+        if x.k == 0:
+            line.begin(self._params)
+            line.served = -1, b"", b""
+            line.accepted = self._params
+        return line
+
+    def _live(self, line: Line, values: bytes) -> bytes | None:
+        wait = min(self.ENTRY.timeout, PART * self.p.period)
+        if line.accepted != self._params:
+            if line.joined and line.try_ask(Kind.PARAMS, self._params, wait) is None:
+                return None
+            line.accepted = self._params
+        return line.try_ask(Kind.STEP, values, wait)
+
+    def _paired(self, line: Line, k: int, values: bytes) -> bytes:
+        if (k, values) == line.served[:2]:  # the same tick again
+            return line.served[2]
+        if k not in (0, line.served[0] + 1):
+            raise RunError(f"the board at {line.port} cannot go back to an earlier tick: its state is not known here")
+        if line.accepted != self._params:
+            line.ask(Kind.PARAMS, self._params)
+            line.accepted = self._params
+        answer = line.ask(Kind.STEP, values)
+        line.served = k, values, answer
+        return answer
+
+
+class LinkedLaw(Linked):
+    """A controller on a board."""
+
+    def update(self, x: LinkState, t: int, **inputs: Any) -> tuple[LinkState, Mapping[str, Any]]:
+        """Return what the board answers to the inputs."""
+        return LinkState(x.k + 1), self.asked(x, t, [t, *self._layout.numbers(inputs)])
+
+
+class LinkedPlant(Linked):
+    """A plant on a board: a frame moves it on and brings its next outputs."""
+
+    def outputs(self, x: LinkState, t: int) -> Mapping[str, Any]:
+        """Return what the board answers."""
+        moved = x.moved or (t, *self._layout.numbers({}))
+        return self.asked(x, t, [bool(x.moved), moved[0], t, *moved[1:]])
+
+    def advance(self, x: LinkState, t: int, **inputs: Any) -> LinkState:
+        """Keep the inputs for the next frame."""
+        return LinkState(x.k + 1, (t, *self._layout.numbers(inputs)))
+
+
+def linked(block: type[Block], entry: LinkEntry, params: Any, where: str) -> type[Block]:
+    """Return the class of a node whose block runs on a board.
+
+    Parameters
+    ----------
+    block : type of Block
+        What the firmware was made from.
+    params : BlockParams
+        Of the node; those that the build has compiled in must be the same.
+    where : str
+        For errors.
+
+    Raises
+    ------
+    ScenarioError
+        The firmware cannot be read, or is of another block or of other parameters.
+    """
+    if issubclass(block, Linked):  # of a rig that is made again, with other parameters
+        block = block.__bases__[1]
+    file = Path(entry.firmware)
+    if file.is_dir():
+        found = sorted(file.glob("*.json"))
+        if len(found) != 1:
+            raise ScenarioError(f"{where}: link: {file} has {len(found)} JSON files, expected one; name the file")
+        file = found[0]
+    try:
+        described = json.loads(file.read_text(encoding="utf-8"))
+        known = {
+            key: described[key] for key in ("class", "digest", "period_s", "ports", "settable", "parameters", "real")
+        }
+    except OSError as error:
+        raise ScenarioError(f"{where}: link: {file}: {error.strerror}; `softrig export` writes it") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise ScenarioError(
+            f"{where}: link: {file} is no description of firmware; `softrig export` writes it"
+        ) from None
+    _check(block, params, known, f"{where}: link: {file}")
+    absolute = entry.model_copy(update={"firmware": str(file.resolve()), "port": absolute_port(entry.port)})
+    return _class(block, absolute, json.dumps(known))  # type: ignore[arg-type]  # mypy: a class has no hash
+
+
+@lru_cache(maxsize=64)
+def _class(block: type[Block], entry: LinkEntry, known: str) -> type[Block]:
+    base = LinkedPlant if issubclass(block, Plant) else LinkedLaw
+    body = {"ENTRY": entry, "FIRMWARE": json.loads(known), "__module__": block.__module__, "__doc__": block.__doc__}
+    return type(block.__name__, (base, block), body | {"__qualname__": block.__qualname__})
+
+
+def _check(block: type[Block], params: Any, known: Mapping[str, Any], where: str) -> None:
+    """Make sure that firmware is of a block with these parameters."""
+    name = f"{block.__module__}:{block.__qualname__}"
+    if known["class"] != name:
+        raise ScenarioError(f"{where} is firmware of {known['class']}, expected {name}")
+    inputs, outputs = block.ports(params)
+    mine = [(way, p.name, list(p.labels)) for way, ports in (("in", inputs), ("out", outputs)) for p in ports]
+    theirs = [(p["direction"], p["name"], [v["label"] for v in p["values"]]) for p in known["ports"]]
+    if mine != theirs:
+        raise ScenarioError(f"{where} has the ports {theirs}, expected {mine}; export it again")
+    compiled, given = known["parameters"], json.loads(json.dumps(flatten(params), default=str))
+    for key, value in given.items():
+        if key not in known["settable"] and value != compiled.get(key):
+            raise ScenarioError(
+                f"{where} has {key} = {compiled.get(key)} compiled in, expected {value}; export it again"
+            )
+    if block.finishes():
+        raise ScenarioError(f"{where}: a block with a last answer at the end of a run cannot run on a board")
+
+
+def _settable(known: Mapping[str, Any], params: Any) -> dict[str, type]:
+    values = flatten(params)
+    return {name: type(known["parameters"][name]) for name in known["settable"] if name in values}
+
+
+def _packed(layout: struct.Struct, row: list[Any]) -> bytes:
+    """Return numbers as the board takes them.
+
+    Raises
+    ------
+    RunError
+        One does not fit the board's numbers.
+    """
+    try:
+        return layout.pack(*row)
+    except (OverflowError, struct.error) as error:
+        raise RunError(f"a number does not fit the board's ({error})") from None
+
+
+_lines: dict[tuple[int, str, int], Line] = {}  # of this process: a port is opened once, and opening one resets boards
+
+
+def _line(entry: LinkEntry, build: Build) -> Line:
+    key = os.getpid(), entry.port, entry.baud
+    line = _lines.get(key)
+    if line is None:
+        line = _lines[key] = Line(entry.port, lambda: opened(entry.port, entry.baud), build, entry.timeout)
+    line.build, line.timeout = build, entry.timeout
+    return line

@@ -1,0 +1,158 @@
+"""What carries bytes to a board: a serial port, or a simulator of the board as a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import shutil
+import socket
+import subprocess
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..errors import ScenarioError
+from ..extras import need
+from .entry import SIMULATORS
+from .simavr import simavr_program
+
+CHUNK = 4096
+QEMU = "apt-get install qemu-system-arm"
+
+
+class Wire(Protocol):
+    """Bytes to a board and back."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; an OSError says that the board is gone."""
+
+    def read(self, wait: float) -> bytes:
+        """Return what has come within so many s, at once when something has; an OSError says that the board is gone."""
+
+    def close(self) -> None:
+        """Let the port go."""
+
+
+class FileWire:
+    """A wire that is a file descriptor.
+
+    Parameters
+    ----------
+    port : object
+        What `close` closes.
+    fd : int
+        To read and to write, without waiting.
+    """
+
+    def __init__(self, port: Any, fd: int) -> None:
+        self._port, self._fd = port, fd
+        os.set_blocking(fd, False)
+        self._poll = select.poll()
+        self._poll.register(fd, select.POLLIN)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; see `Wire`."""
+        while data:
+            try:
+                data = data[os.write(self._fd, data) :]
+            except BlockingIOError:
+                if not select.select([], [self._fd], [], 1.0)[1]:
+                    raise OSError("the port takes no bytes") from None
+
+    def read(self, wait: float) -> bytes:
+        """Return what has come; see `Wire`."""
+        if not self._poll.poll(max(wait, 0.0) * 1e3):
+            return b""
+        try:
+            data = os.read(self._fd, CHUNK)
+        except BlockingIOError:
+            return b""
+        if not data:
+            raise OSError("the port has closed")
+        return data
+
+    def close(self) -> None:
+        """Let the port go."""
+        self._port.close()
+
+
+class Simulated(FileWire):
+    """A simulator that has the other end of a socket as its standard input and output."""
+
+    def __init__(self, command: list[str]) -> None:
+        here, there = socket.socketpair()
+        with there:
+            end = there.fileno()
+            self._process = subprocess.Popen(command, stdin=end, stdout=end, stderr=subprocess.DEVNULL)
+        super().__init__(here, here.fileno())
+
+    def close(self) -> None:
+        """End the simulator, which ends by itself when its input does."""
+        super().close()
+        self._process.terminate()
+        self._process.wait()
+
+
+def opened(port: str, baud: int) -> Wire:
+    """Open the port of a board.
+
+    Parameters
+    ----------
+    port : str
+        A serial port's file, ``simavr:FILE.elf``, ``qemu:FILE.elf``, or ``program:FILE``, firmware for this machine.
+    baud : int
+        Bits a second of a serial port.
+
+    Raises
+    ------
+    ScenarioError
+        A package, tool or file is missing: waiting does not help.
+    OSError
+        The port cannot be opened now.
+    """
+    kind, _, name = port.partition(":")
+    if kind in SIMULATORS and name:
+        file = Path(name)
+        if not file.is_file():
+            raise ScenarioError(f"link: {port}: there is no such file; `softrig export` writes it with --check")
+        return Simulated(_command(kind, file))
+    need("serial", "a board at a serial port")
+    import serial
+
+    try:
+        device = serial.Serial(port, baud, timeout=0, exclusive=True)
+    except serial.SerialException as error:
+        raise OSError(error.errno or 0, str(error)) from error
+    except ValueError as error:
+        raise ScenarioError(f"link: {port}: {error}") from None
+    return FileWire(device, device.fileno())
+
+
+def _command(kind: str, file: Path) -> list[str]:
+    if kind == "simavr":
+        return [str(simavr_program("board")), str(file)]
+    if kind == "program":
+        return [str(file.resolve())]
+    if (emulator := shutil.which("qemu-system-arm")) is None:
+        raise ScenarioError(f"qemu-system-arm is not installed (Debian: {QEMU})")
+    return [emulator, *qemu_options(machine_of(file)), "-serial", "stdio", "-kernel", str(file)]
+
+
+def qemu_options(machine: str) -> list[str]:
+    """Return how qemu simulates a machine without a display, an instruction a fixed time."""
+    return ["-M", machine, "-display", "none", "-monitor", "none", "-icount", "shift=10,sleep=off"]
+
+
+def machine_of(file: Path) -> str:
+    """Return qemu's machine for a firmware: `softrig export cortex-m` writes it beside.
+
+    Raises
+    ------
+    ScenarioError
+        It cannot be read.
+    """
+    told = file.with_suffix(".json")
+    try:
+        return str(json.loads(told.read_text())["machine"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ScenarioError(f"link: {told} does not name qemu's machine; `softrig export cortex-m` writes it") from None

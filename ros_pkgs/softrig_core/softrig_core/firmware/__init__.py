@@ -1,0 +1,1 @@
+"""Firmware of boards: an exported node behind a link, for Arduino, Cortex-M and this machine."""

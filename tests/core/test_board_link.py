@@ -1,0 +1,286 @@
+"""The link to a board: frames, a wire that damages them, boards that are others, and a rig with a board in it."""
+
+import ctypes
+import os
+import pty
+import random
+import shutil
+import struct
+import subprocess
+import tty
+from pathlib import Path
+
+import pytest
+from board_by_hand import Board, NoisyWire, QuietWire, library
+from hypothesis import given, strategies as st
+from softrig_core import ScenarioError, rig_of, simulate
+from softrig_core.board import line as line_module, link as link_module
+from softrig_core.board.entry import LinkEntry
+from softrig_core.board.frames import Kind, Splitter, decoded, encoded, read, written
+from softrig_core.board.line import Line
+from softrig_core.errors import RunError
+from softrig_core.export.check import FLAGS
+from softrig_core.export.golden import golden_calls, member_of
+from softrig_core.firmware.files import export_firmware
+from softrig_core.firmware.link_files import SUPPORT
+from softrig_core.scenario.scenario import merge, read_draft
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
+SCENARIO, NODE = "dc_motor_smc_b2", "dc_motor_smc"
+
+
+@pytest.fixture(scope="module")
+def firmware(tmp_path_factory):
+    """Folder, name, layout, requests of a run, and what an undisturbed board answers to them."""
+    folder = tmp_path_factory.mktemp("firmware")
+    rig = rig_of(SCENARIO)
+    name, layout = export_firmware(rig, NODE, folder, "host", rows=600, drawn=20)
+    library(folder, name)
+    main = ["cc", *FLAGS, "-D_POSIX_C_SOURCE=200809L", "-o", name, "main.c", f"{name}.c", f"{name}_link.c", "-lm"]
+    subprocess.run(main, cwd=folder, check=True, capture_output=True)
+    calls = golden_calls(rig, NODE, 1, 600)
+    steps = [layout.step.pack(c.t, *layout.numbers(c.inputs)) for c in calls]
+    answers = [b"\0" + b"".join(struct.pack("<d", v) for p in layout.outputs for v in c.outputs[p.name]) for c in calls]
+    return folder, name, layout, steps, answers
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Sessions and first numbers that are the same each time."""
+    rng = random.Random(7)
+    monkeypatch.setattr(line_module.os, "urandom", rng.randbytes)
+
+
+def build_of(firmware):
+    folder, name, *_ = firmware
+    rig = rig_of(SCENARIO)
+    entry = LinkEntry(port=f"program:{folder / name}", firmware=str(folder / f"{name}.json"))
+    member = member_of(rig, NODE)
+    cls = link_module.linked(member.block_class, entry, member.params, "test")
+    block = cls(member.params, NODE)
+    return block._build, block._params
+
+
+@given(
+    st.binary(max_size=700) | st.lists(st.sampled_from([b"\0", b"\1" * 253, b"\2" * 254, b"\3" * 255])).map(b"".join)
+)
+def test_cobs_has_no_zero_and_comes_back(body):
+    data = encoded(body)
+    assert 0 not in data
+    assert decoded(data) == body
+
+
+def test_c_and_python_write_the_same_frames(tmp_path):
+    source = """
+#include <stdint.h>
+#include <stddef.h>
+#include "softrig_c.h"
+#define SR_LINK_ROOM 2000u
+#define SR_LINK_SOURCE
+#include "softrig_link.h"
+static sr_link link; static uint8_t *to; static int used;
+static void put(uint8_t byte) { to[used++] = byte; }
+int echo(const uint8_t *in, int n, uint8_t *out)
+{
+    uint8_t kind = 0;
+    link.put = put; link.code = 0xFFu; to = out; used = 0;
+    for (int i = 0; i < n; i++) { uint8_t k = sr_request(&link, in[i]); kind = (k != 0u) ? k : kind; }
+    if (kind == 0u) { return (used > 0) ? used : -1; }
+    const uint16_t size = link.length;
+    memcpy(sr_values(&link, kind), link.in + 3, size);
+    sr_answer(&link, kind, 0, size);
+    return used;
+}
+"""
+    (tmp_path / "echo.c").write_text(source)
+    folder = line_module.__file__.rsplit("/board/", 1)[0]
+    (tmp_path / SUPPORT).write_text(Path(folder, "firmware", SUPPORT).read_text())
+    command = ["cc", "-std=c99", "-O1", "-shared", "-fPIC", f"-I{folder}/export", "-o", "echo.so", "echo.c"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    echo, out = ctypes.CDLL(str(tmp_path / "echo.so")), (ctypes.c_uint8 * 4096)()
+    rng = random.Random(3)
+
+    def asked(number, kind, values, session):
+        data = written(number, kind, values, session)
+        n = echo.echo(data, len(data), out)
+        return None if n < 0 else bytes(out[:n])
+
+    assert asked(1, Kind.HELLO, b"\x11\x22", 0)
+    for k in range(300):
+        values = b"".join(rng.choice([b"\0", b"\7" * 253, b"\7" * 254, rng.randbytes(9)]) for _ in range(k % 7))
+        answer = asked(2 + k, Kind.STEP, values, 0x2211)
+        assert answer == written(2 + k, Kind.ANSWER, b"\0" + values, 0x2211)[1:]
+        assert read(answer[:-1], 0x2211).values == b"\0" + values
+    assert asked(301, Kind.STEP, b"", 0x2211) is not None  # the same number: the same answer
+    assert asked(200, Kind.STEP, b"", 0x2211) is None  # an older one
+    assert asked(400, Kind.STEP, b"", 0x2212) is None  # another session
+
+
+def lockstep(firmware, wire, steps):
+    build, params = build_of(firmware)
+    line = Line("wire", wire.opened, build, 0.5, wire.now, wire.sleep)
+    line.begin(params)
+    return line, [line.ask(Kind.STEP, step) for step in steps]
+
+
+def test_a_quiet_wire_has_the_answers_of_python(firmware, tmp_path, drawn):
+    folder, _, _, steps, answers = firmware
+    line, found = lockstep(firmware, QuietWire(Board(folder / "board.so", tmp_path)), steps)
+    assert found == answers
+    assert line.counts.told() == ""
+
+
+@pytest.mark.parametrize(("frames", "seed"), [(10_000, 1), pytest.param(300_000, 2, marks=pytest.mark.long)])
+def test_no_damaged_frame_brings_a_wrong_answer_in_lockstep(frames, seed, firmware, tmp_path, drawn):
+    folder, _, _, steps, answers = firmware
+    rng = random.Random(seed)
+    taken, happened, counted = 0, {}, 0
+    while taken < frames:
+        wire = NoisyWire(rng, 0.3, Board(folder / "board.so", tmp_path), pulled=0.01)
+        line, found = lockstep(firmware, wire, steps)
+        assert found == answers
+        taken += line.counts.sent
+        counted += line.counts.damaged + line.counts.repeated + line.counts.strays
+        happened = {k: happened.get(k, 0) + v for k, v in wire.happened.items()}
+        assert line.counts.reopened >= min(1, wire.happened["pulled"])
+    assert min(happened.values()) > 0, happened
+    assert counted > frames / 10
+
+
+@pytest.mark.parametrize(("frames", "seed"), [(10_000, 4), pytest.param(300_000, 5, marks=pytest.mark.long)])
+def test_real_time_takes_an_answer_of_the_request_or_none(frames, seed, firmware, tmp_path, drawn):
+    folder, _, _, steps, _ = firmware
+    rng = random.Random(seed)
+    board = Board(folder / "board.so", tmp_path)
+    said = {}  # by session and number: what the board has answered
+
+    def feed(data, of=board.feed):
+        answer = of(data)
+        for piece in Splitter().take(answer):
+            frame = read(piece, line._session)
+            if frame is not None and frame.kind == Kind.ANSWER:
+                said.setdefault((line._session, frame.number), frame.values)
+        return answer
+
+    board.feed = feed
+    wire = NoisyWire(rng, 0.3, board, pulled=0.002)
+    build, params = build_of(firmware)
+    line = Line("wire", wire.opened, build, 0.5, wire.now, wire.sleep)
+    line.begin(params)
+    taken = 0
+    for k in range(frames):
+        begun = wire.time
+        answer = line.try_ask(Kind.STEP, steps[k % len(steps)], 0.005)
+        assert wire.time - begun < 0.0062  # what is waited for, and the least step of the wire's time
+        if rng.random() < 0.002:
+            board.power()  # it restarts
+        wire.time = max(wire.time, begun + 0.01)
+        if answer is not None:
+            taken += 1
+            assert answer == said[line._session, line._number]
+    assert taken > frames / 10
+    assert line.counts.lost > 0
+    assert line.counts.late > 0
+    assert line.counts.rejoined > 0
+
+
+def test_two_boards_at_one_port_are_refused(firmware, tmp_path, drawn):
+    boards = [Board(firmware[0] / "board.so", tmp_path) for _ in range(2)]
+    with pytest.raises(RunError, match="two boards answer at wire"):
+        lockstep(firmware, QuietWire(*boards), firmware[3][:1])
+
+
+def test_a_second_board_that_comes_later_is_not_heard(firmware, tmp_path, drawn):
+    wire = QuietWire(Board(firmware[0] / "board.so", tmp_path))
+    line, found = lockstep(firmware, wire, firmware[3][:10])
+    wire.boards = (*wire.boards, Board(firmware[0] / "board.so", tmp_path))
+    assert [*found, *(line.ask(Kind.STEP, s) for s in firmware[3][10:20])] == firmware[4][:20]
+
+
+def test_another_build_is_refused_by_name(firmware, tmp_path, drawn):
+    folder = tmp_path / "other"
+    name, _ = export_firmware(rig_of("dc_motor_smc_b2_delta1"), NODE, folder, "host", rows=50, drawn=5)
+    wire = QuietWire(Board(library(folder, name), tmp_path))
+    with pytest.raises(RunError, match=r"at wire has build [0-9a-f]{16}, expected [0-9a-f]{16}; load the firmware"):
+        lockstep(firmware, wire, firmware[3][:1])
+
+
+def test_a_board_that_restarts_ends_a_lockstep_run(firmware, tmp_path, drawn):
+    board = Board(firmware[0] / "board.so", tmp_path)
+    line, _ = lockstep(firmware, QuietWire(board), firmware[3][:10])
+    board.power()
+    with pytest.raises(RunError, match="it has restarted and lost its state"):
+        line.ask(Kind.STEP, firmware[3][10])
+
+
+def test_a_board_that_is_silent_ends_a_lockstep_run(firmware, drawn):
+    with pytest.raises(RunError, match="no board answers at wire"):
+        lockstep(firmware, QuietWire(), firmware[3][:1])
+
+
+def linked_rig(firmware, port, **more):
+    folder, name, *_ = firmware
+    link = {"port": port, "firmware": str(folder / f"{name}.json")} | more
+    draft = read_draft(SCENARIO)
+    return rig_of(draft._replace(raw=merge(draft.raw, {"nodes": {NODE: {"link": link}}})))
+
+
+def test_a_rig_with_a_board_over_a_pty_is_the_rig_without(firmware):
+    pytest.importorskip("serial", reason="needs pyserial (scripts/softrig setup hardware)")
+    folder, name, *_ = firmware
+    here, there = pty.openpty()
+    tty.setraw(there)
+    board = subprocess.Popen([folder / name], stdin=here, stdout=here)
+    try:
+        found = recorded(linked_rig(firmware, os.ttyname(there)), duration=1.0)
+    finally:
+        board.kill()
+        board.wait()
+        os.close(here)
+        os.close(there)
+    assert found == recorded(SCENARIO, duration=1.0)
+
+
+def recorded(rig, **more):
+    return {name: topic.data for name, topic in simulate(rig, **more).recording.topics.items()}
+
+
+def test_gains_change_on_the_board_between_two_ticks(firmware):
+    folder, name, *_ = firmware
+    script = {"changes": [{"at": 0.3, "set": {f"{NODE}.k_per_ref": 4.0}}]}
+    draft = read_draft(SCENARIO)
+    link = {"nodes": {NODE: {"link": {"port": f"program:{folder / name}", "firmware": str(folder)}}}}
+    plain = rig_of(draft._replace(raw=merge(draft.raw, script)), duration=0.6)
+    board = rig_of(draft._replace(raw=merge(merge(draft.raw, script), link)), duration=0.6)
+    assert recorded(board) == recorded(plain)
+    assert recorded(board) != recorded(linked_rig(firmware, f"program:{folder / name}"), duration=0.6)
+
+
+def test_a_parameter_that_is_compiled_in_is_refused(firmware):
+    folder, name, *_ = firmware
+    with pytest.raises(ScenarioError, match=r"has c = 5\.\d+ compiled in, expected 6\.0; export it again"):
+        rig_of(linked_rig(firmware, f"program:{folder / name}"), overrides={f"{NODE}.c": 6.0})
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    {
+        "of another node": ({"nodes": {NODE: {"executable": "dc_motor_smc_kalman"}}}, "is firmware of softrig_drives"),
+        "external": ({"nodes": {NODE: {"external": True}}}, "it is external and has a link; remove one of the two"),
+        "no file": ({"nodes": {NODE: {"link": {"firmware": "/nowhere"}}}}, "/nowhere: No such file or directory"),
+        "no number": ({"nodes": {NODE: {"link": {"timeout": 0.0}}}}, "greater than 0"),
+        "unknown key": ({"nodes": {NODE: {"link": {"speed": 9600}}}}, "speed"),
+    }.values(),
+)
+def test_a_link_that_cannot_work_is_refused_before_the_run(change, told, firmware):
+    folder = firmware[0]
+    link = {"nodes": {NODE: {"link": {"port": "program:x", "firmware": str(folder)}}}}
+    draft = read_draft(SCENARIO)
+    with pytest.raises(ScenarioError, match=told):
+        rig_of(draft._replace(raw=merge(merge(draft.raw, link), change)))
+
+
+def test_a_port_that_cannot_be_opened_ends_the_run_by_a_line(firmware):
+    pytest.importorskip("serial", reason="needs pyserial (scripts/softrig setup hardware)")
+    with pytest.raises(RunError, match=r"the port /dev/nowhere cannot be opened: .*No such file"):
+        simulate(linked_rig(firmware, "/dev/nowhere", timeout=0.01))
