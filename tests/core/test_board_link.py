@@ -26,6 +26,7 @@ from softrig_core.firmware.link_files import SUPPORT
 from softrig_core.scenario.scenario import merge, read_draft
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
+FRAMES, MANY = 10_000, 300_000  # over a wire that damages them; the second number long
 SCENARIO, NODE = "dc_motor_smc_b2", "dc_motor_smc"
 
 
@@ -130,7 +131,7 @@ def test_a_quiet_wire_has_the_answers_of_python(firmware, tmp_path, drawn):
     assert line.counts.told() == ""
 
 
-@pytest.mark.parametrize(("frames", "seed"), [(10_000, 1), pytest.param(300_000, 2, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("frames", "seed"), [(FRAMES, 1), pytest.param(MANY, 2, marks=pytest.mark.long)])
 def test_no_damaged_frame_brings_a_wrong_answer_in_lockstep(frames, seed, firmware, tmp_path, drawn):
     folder, _, _, steps, answers = firmware
     rng = random.Random(seed)
@@ -147,7 +148,7 @@ def test_no_damaged_frame_brings_a_wrong_answer_in_lockstep(frames, seed, firmwa
     assert counted > frames / 10
 
 
-@pytest.mark.parametrize(("frames", "seed"), [(10_000, 4), pytest.param(300_000, 5, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("frames", "seed"), [(FRAMES, 4), pytest.param(MANY, 5, marks=pytest.mark.long)])
 def test_real_time_takes_an_answer_of_the_request_or_none(frames, seed, firmware, tmp_path, drawn):
     folder, _, _, steps, _ = firmware
     rng = random.Random(seed)
