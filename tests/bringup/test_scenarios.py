@@ -386,8 +386,9 @@ def test_simulate_gives_figures_claims_and_what_missed(folder):
     assert run.figures["last"] == x[-1]
     assert t[-1] == 1.0
     assert run.missed == []
+    assert run.published_for == "k = 2"
     assert [c.key for c in run.claims] == ["last"]
-    assert {r.name for r in run.results if r.judged} == {"last"}
+    assert {r.name for r in run.results if r.published_for} == {"last"}
     with pytest.raises(ScenarioError, match=r"node 'pump'|override 'pump.k'"):
         simulate(load_scenario("lag"), overrides={"pump.k": 1.0})
     with pytest.raises(ScenarioError, match="duration"):

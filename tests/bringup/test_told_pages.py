@@ -154,6 +154,8 @@ RUNS = {
     "broke": {"error": "gone", "reached_s": 0.5},
     "stopped": {"stopped": "stopped", "reached_s": 1.0, "metrics": [OFF]},
     "changed": {"changed": ["k 3"], "metrics": [OFF, result("late", None, False, at_most=1.0, error="no sample")]},
+    "changed, nothing follows": {"changed": ["k 3"], "metrics": [OFF.not_judged("k = 2")]},
+    "changed, some follows": {"changed": ["k 3"], "metrics": [OFF.not_judged("k = 2"), ONE]},
     "of no time": {"wall_s": 0.0, "reached_s": 1.0},
     "that did nothing": {"reached_s": 0.0},
 }

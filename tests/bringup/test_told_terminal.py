@@ -268,6 +268,7 @@ CLAIMS = [
     ),
     Finding(scenario="x", key="b", text="b", where="W", verdict="reproduced", holds=True),
 ]
+CHANGED = [r.model_copy(update={"follows": r.name in ("margin", "always")}).not_judged("k = 1") for r in JUDGED]
 STATUS = {
     "plant": {"ticks": 900, "missed_deadlines": 100, "late_ticks": 3, "latest_ms": 1.23456, "cpu_s": 2.0},
     "law": {"ticks": 10, "reports": {"clip": [1, "clipped", 4]}, "refused": {"u": [2, "nan"]}},
@@ -306,7 +307,7 @@ CONTENT = {
     ("name", "content", "more"),
     [
         ("plain", {}, {}),
-        ("changed", {"changed": ["k=2", "seed 3"], "label": "soft"}, {}),
+        ("changed", {"changed": ["k=2", "seed 3"], "label": "soft"}, {"results": CHANGED, "published_for": "k = 1"}),
         ("stopped", {"reached_s": 0.0}, {"stopped": 2}),
         ("real_time", {}, {"epoch": 5, "results": JUDGED[2:3], "claims": [], "status": {}}),
     ],
@@ -332,9 +333,9 @@ def options(*words):
         ((), {}, {"results": JUDGED[1:2]}, 1),
         ((), {}, {"claims": CLAIMS[:1]}, 1),
         ((), {}, {"claims": CLAIMS[1:]}, 0),
-        ((), {"changed": ["k"]}, {"results": JUDGED[1:2], "claims": CLAIMS[:1]}, 0),
-        (("--strict",), {"changed": ["k"]}, {"results": JUDGED[1:2]}, 1),
-        ((), {"same": False, "changed": ["k"]}, {}, 1),
+        ((), {}, {"results": [JUDGED[1].not_judged("k = 1")]}, 0),
+        ((), {}, {"results": [JUDGED[1].model_copy(update={"follows": True}).not_judged("k = 1")]}, 1),
+        ((), {"same": False}, {}, 1),
         ((), {}, {"error": "x", "stopped": 2}, 3),
         ((), {"same": False}, {"stopped": 15}, 143),
         (("--max-missed", "10"), {}, {"status": STATUS}, 0),  # just that many
@@ -342,7 +343,7 @@ def options(*words):
     ],
 )
 def test_the_exit_status_of_a_run(words, kept, more, status):
-    about = {"content": {}, "changed": [], "same": True, "told": []} | kept
+    about = {"content": {}, "same": True, "told": []} | kept
     run = done(**{"results": JUDGED[:1], "claims": [], "status": {}} | more)
     assert run_verb._judged(options(*words), run_verb._Kept(**about), run) == status
 
@@ -379,7 +380,7 @@ def test_what_is_said_of_a_machine_that_does_not_keep_up_is_as_told(monkeypatch)
 
 def test_a_broken_run_says_where_what_it_left_is_and_a_stopped_one_when(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
-    kept = run_verb._Kept({}, [], True, ["told so"])
+    kept = run_verb._Kept({}, True, ["told so"])
     monkeypatch.setattr(run_verb, "_print_figures", lambda content, run, out: print("figures"))
     monkeypatch.setattr(run_verb, "assumptions", lambda members: ["assumed so"])
     for out, more in (

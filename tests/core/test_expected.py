@@ -4,6 +4,7 @@ import math
 
 import pytest
 from pydantic import ValidationError
+from softrig_core import ScenarioError
 from softrig_core.judge.claims import Claim, spoken
 from softrig_core.judge.expectation import FORMS, Expectation, parse
 from softrig_core.judge.formula import Condition
@@ -184,3 +185,56 @@ def test_conditions_decide_and_are_undefined_where_what_they_ask_of_is_no_number
     found = {pair: float(truth(Condition("x", edge), *pair)) for pair in pairs}
     assert found == pytest.approx(pairs, nan_ok=True)
     assert Condition("x", edge).variable == f"_{edge or 'true'}__x"
+
+
+SAID = {"motor.i_max": 10.0, "law.set_point": -4.0, "load.times.1": 0.5, "name": "word", "on": True}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("at most $motor.i_max", {"at_most": 10.0}),
+        ("at least 0.95 * $motor.i_max - 1", {"at_least": 8.5}),
+        ("between -$motor.i_max and max($motor.i_max, 3)", {"at_least": -10.0, "at_most": 10.0}),
+        ("$law.set_point +- 5 %", {"expected": -4.0, "tolerance": 0.2}),
+        ("2 * $law.set_point +- $load.times.1 / 4", {"expected": -8.0, "tolerance": 0.125}),
+        ("$law.set_point", {"expected": -4.0, "tolerance": 0.0}),
+        ("sqrt($motor.i_max ^ 2) +- 0", {"expected": 10.0, "tolerance": 0.0}),
+        ("at most $motor.i", "no motor.i"),
+        ("at most $name", r"\$name is 'word', expected a number"),
+        ("at most $on", r"\$on is True, expected a number"),
+        ("at most $motor.i_max / 0", "is no number"),
+        ("at most $motor.i_max ** 9999", "is no number"),
+        ("at most open($motor.i_max)", "is no number"),
+        ("at most ($motor.i_max).real", "is no number"),
+        ("at most [$motor.i_max]", "is no number"),
+        ("about $motor.i_max", "is no number"),
+        ("between $motor.i_max and 3", "nothing is"),
+        ("between $motor.i_max", "expected a number"),
+        ("3 +- -$motor.i_max", "a tolerance is not negative"),
+    ],
+)
+def test_an_expectation_takes_numbers_from_nodes(text, expected):
+    def said(name):
+        if name not in SAID:
+            raise ScenarioError(f"no {name}")
+        return SAID[name]
+
+    found = parse(text)
+    assert found.follows
+    with pytest.raises(ScenarioError, match="takes numbers from nodes"):
+        found.holds(0.0)
+    if isinstance(expected, str):
+        with pytest.raises(ScenarioError, match=expected):
+            found.resolved(said)
+        return
+    assert found.resolved(said).model_dump(exclude_none=True, exclude={"text"}) == pytest.approx(expected, rel=1e-15)
+    assert found.resolved(said).resolved(said) == found.resolved(said)
+
+
+def test_a_number_of_an_expectation_is_the_machines_unless_it_is_zero():
+    assert parse("0 +- 0").follows
+    assert parse("at least 0").follows
+    assert not parse("0 +- 0.01").follows
+    assert not parse("at most 3").follows
+    assert not parse(1).follows

@@ -8,19 +8,21 @@ import pytest
 from conftest import make_scenario
 from softrig_core import ByHand, RunError, ScenarioError, evaluate, figures_of, rig_of, simulate
 from softrig_core.judge.expectation import Expectation
-from softrig_core.judge.formula import margin_unit, read, variables
+from softrig_core.judge.formula import bounded_by_numbers, margin_unit, read, variables
 from softrig_core.judge.requirement_entry import Requirement, check_lengths
 from softrig_core.judge.robustness import Record
 from softrig_core.verdict.requirements import _ticker
 from softrig_core.wire.signals import Signal
 
 
+NODES = {"plant": "plant", "source": "source", "gain": "gain"}
+
+
 def requirement(formula, *, shared=None, duration=1.0, **about):
     """The rig of the test blocks with one requirement."""
     names = {"state": "state/lag/position", "command": "command/drive/effort", "level": 0.5} | (shared or {})
-    nodes = {"plant": "plant", "source": "source", "gain": "gain"}
     given = {"formula": formula, **about}
-    return rig_of(make_scenario(nodes, duration, shared=names, requirements={"it": given}))
+    return rig_of(make_scenario(NODES, duration, shared=names, requirements={"it": given}))
 
 
 def figure_of(rig, signals):
@@ -388,3 +390,76 @@ def test_a_watched_requirement_goes_back_to_any_tick():
     for _ in range(2):
         monitor.load(saved)
         assert go(20, 60) == whole[20:]
+
+
+def test_a_formula_takes_numbers_of_nodes_and_figures_of_the_run():
+    figures = {"peak": {"function": "maximum", "arguments": {"signal": "lag/state/x/position"}}}
+    figures |= {"there": {"function": "reach_time", "arguments": {"signal": "lag/state/x/position", "level": 0.1}}}
+
+    def margin(formula, **about):
+        names = {k: LIVE[k] for k in ("state", "gain")}
+        given = {"shared": names, "requirements": {"it": {"formula": formula, **about}}, "figures": figures}
+        return figure_of(rig := rig_of(make_scenario(NODES, 1.0, **given)), simulate(rig).signals)
+
+    run = simulate(rig_of(make_scenario(NODES, 1.0, shared={"state": LIVE["state"]}, figures=figures)))
+    t, x = run.signals["lag/state/x/position"]
+    assert margin("always state <= 3 * $gain.k").value == pytest.approx(3.0 * run.rig.parameter("gain", "k") - x.max())
+    assert margin("always state <= peak").value == 0.0
+    late = margin("always[there, inf] state >= 0.1")
+    assert late.value == pytest.approx(x[t >= run.figures["there"] - 1e-12].min() - 0.1)
+    after = margin("always[there + 2 * $plant.period, inf] state >= 0.1")
+    assert after.value > late.value
+    assert "the figure never of" not in after.error
+
+
+@pytest.mark.parametrize(
+    ("formula", "reason"),
+    [
+        ("always state <= $gain.kk", r"gain has .*k"),
+        ("always state <= $pump.k", "the nodes are"),
+        ("always[0, state] state <= 1", "state in an interval changes while the rig runs"),
+        ("always[0, stat] state <= 1", "stat in an interval is unknown"),
+        ("always[0, 1 +] state <= 1", "is no number"),
+        ("always[0 - $gain.k, 1] state <= 1", "expected a time of at least 0 s"),
+        ("always[peak, inf] state <= 1", "peak in an interval is in .*, expected s"),
+        ("always peak", "peak is a figure"),
+    ],
+)
+def test_numbers_of_nodes_that_are_none_are_refused(formula, reason):
+    figures = {"peak": {"function": "maximum", "arguments": {"signal": "lag/state/x/position"}}}
+    names = {"state": LIVE["state"]}
+    with pytest.raises(ScenarioError, match=reason):
+        figures_of(
+            rig_of(make_scenario(NODES, 1.0, shared=names, requirements={"it": {"formula": formula}}, figures=figures))
+        )
+
+
+def test_a_figure_that_never_happens_leaves_its_requirement_not_judged():
+    figures = {"never": {"function": "reach_time", "arguments": {"signal": "lag/state/x/position", "level": 1e6}}}
+    given = {"requirements": {"it": {"formula": "always[never, inf] state <= 9"}}, "figures": figures}
+    rig = rig_of(make_scenario(NODES, 1.0, shared={"state": LIVE["state"]}, **given))
+    found = figure_of(rig, simulate(rig).signals)
+    assert not found.passed
+    assert found.error == "not judged: the figure never of its formula never happens"
+
+
+@pytest.mark.parametrize(
+    ("formula", "own"),
+    [
+        ("always[0, inf] abs(v - ref) <= 0.02 * ref", False),
+        ("always share <= 1", False),
+        ("always v >= 0", False),
+        ("always v <= limit", False),
+        ("always[wait, inf] v <= limit + 0 * ref", False),
+        ("always[2 * wait + 0.1, inf] v <= ref", False),
+        ("always v <= 40", True),
+        ("always abs(v - ref) <= 2e-4", True),
+        ("always v <= ref + 3", True),
+        ("always[1.5, inf] v <= ref", True),
+        ("eventually[0, 3] v <= ref", True),
+        ("always (v <= ref and v >= 0 - 5)", True),
+    ],
+)
+def test_numbers_with_a_unit_and_times_do_not_follow_the_machine(formula, own):
+    known = {"v": None, "ref": None, "share": None, "limit": 3.0, "wait": 0.5}
+    assert bounded_by_numbers(formula, known, {"v": "V", "ref": "V", "share": ""}) is own

@@ -13,7 +13,6 @@ from softrig_core.verdict.figures import Result
 
 from ..page.citations import Citation
 from ..page.wiring import Wiring
-from ..page.wording import measured_here
 from ..plots.curves import Shown
 
 
@@ -95,7 +94,7 @@ class RunRecord(BaseModel):
 
     @property
     def compared(self) -> bool:
-        """Whether the paper's numbers stand beside it for comparison alone: it was changed, or stopped early."""
+        """Whether it was changed, or stopped early: what is published then stands beside it for comparison alone."""
         return bool(self.changed or self.stopped)
 
     @property
@@ -105,10 +104,8 @@ class RunRecord(BaseModel):
 
     @property
     def missed(self) -> list[Result]:
-        """The metrics that missed; of a run that is only compared, those that differ."""
-        if self.stopped:
-            return []
-        return [m for m in self.metrics if not m.passed and (not self.compared or measured_here(m))]
+        """The metrics that missed."""
+        return [] if self.stopped else [m for m in self.metrics if not m.passed]
 
 
 def read_run(directory: Path) -> RunRecord:

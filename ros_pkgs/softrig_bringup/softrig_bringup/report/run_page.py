@@ -19,7 +19,7 @@ from ..options.repeat import for_reader
 from ..page.citations import sources
 from ..page.diagram import SMALLEST, draw_diagram
 from ..page.html import NONE, e, mark, picture, table
-from ..page.wording import NEVER, accepted, difference, measured, measured_here, number
+from ..page.wording import NEVER, accepted, difference, measured, number
 from ..plots.pictures import OVERVIEW, plot_name
 from .record import RunRecord
 from .redraw import draw_missing
@@ -95,12 +95,13 @@ def verdict(run: RunRecord) -> Element:
     """Say in a few words how a run did."""
     if run.error:
         return mark(False, "broke")
+    others = sum(bool(m.published_for) for m in run.metrics)
+    if run.stopped or (others and not run.judged):
+        return e("span", "compared, not judged")
     if not run.judged:
         return e("span", NONE)
-    if run.compared:
-        return e("span", "compared, not judged")
     text = f"{len(run.judged) - len(run.missed)} of {len(run.judged)} pass"
-    return mark(not run.missed, text)
+    return mark(not run.missed, f"{text}, {others} not judged" if others else text)
 
 
 def metrics(run: RunRecord) -> Element:
@@ -115,7 +116,7 @@ def metrics(run: RunRecord) -> Element:
         "Against published": ("n", lambda m: difference(m.value, m.published)),
         "Accepted": ("n", lambda m: accepted(m) or NONE),
         "In tolerance": ("", _gauge),
-        "Result": ("", lambda m: "" if run.stopped else _result(m, run.compared)),
+        "Result": ("", lambda m: "" if run.stopped else _result(m)),
     }
     cells = {head: [cell(m) for m in run.metrics] for head, (_, cell) in columns.items()}
     there = [head for head, column in cells.items() if any(c not in ("", NONE) for c in column)]
@@ -129,13 +130,11 @@ def metrics(run: RunRecord) -> Element:
     return e("div", found, *([e("p", note, class_="note")] if note else []), class_="judged")
 
 
-def _result(metric: Result, compared: bool) -> Element | str:
-    if not metric.judged:
+def _result(metric: Result) -> Element | str:
+    if metric.published_for:
+        said = e("span", "not judged", title=f"published for {metric.published_for}")
+    elif not metric.judged:
         return NONE
-    if compared and not measured_here(metric):
-        said = e("span", "not measured")
-    elif compared:
-        said = e("span", "agrees" if metric.passed else "differs")
     else:
         said = mark(metric.passed, "pass" if metric.passed else "miss")
     return e("div", said, e("div", metric.error, class_="note")) if metric.error not in ("", NEVER) else said
@@ -152,7 +151,7 @@ def _gauge(metric: Result) -> Element | str:
         e("title", f"{100.0 * place:+.0f} % of the tolerance".replace("-", "−")),
         e("rect", x="14", y="5", width="52", height="4", rx="2", class_="band"),
         e("line", x1="40", x2="40", y1="2", y2="12", class_="centre"),
-        e("circle", cx=f"{dot:.1f}", cy="7", r="3.5", class_="pass" if metric.passed else "miss"),
+        e("circle", cx=f"{dot:.1f}", cy="7", r="3.5", class_="" if metric.published_for else "pass" if metric.passed else "miss"),
         width="80",
         height="14",
         viewBox="0 0 80 14",

@@ -128,15 +128,14 @@ def side_by_side(runs: Sequence[RunRecord], named: Sequence[str]) -> Iterator[El
         have = [{(m.name, m.unit): m for m in run.metrics} for _, run in group]
         if len(group) <= COLUMNS < len(columns):
             rows: list[list[Element | str]] = [
-                [_heading(key), *(_cell(h.get(key), run.compared) for h, (_, run) in zip(have, group, strict=True))]
-                for key in columns
+                [_heading(key), *(_cell(h.get(key)) for h in have)] for key in columns
             ]
             yield table(("Figure", *(named[i - 1] for i, _ in group)), rows, " " + "n" * len(group))
             continue
         for some in (columns[k : k + COLUMNS] for k in range(0, len(columns), COLUMNS)):
             rows = [
-                [e("a", named[i - 1], href=f"#run-{i}"), *(_cell(h.get(key), run.compared) for key in some)]
-                for (i, run), h in zip(group, have, strict=True)
+                [e("a", named[i - 1], href=f"#run-{i}"), *(_cell(h.get(key)) for key in some)]
+                for (i, _), h in zip(group, have, strict=True)
             ]
             yield table(("Run", *map(_heading, some)), rows, " " + "n" * len(some))
 
@@ -146,11 +145,11 @@ def _heading(measure: tuple[str, str]) -> str:
     return f"{name} ({unit})" if unit else name
 
 
-def _cell(metric: Result | None, compared: bool) -> Element | str:
+def _cell(metric: Result | None) -> Element | str:
     if metric is None:
         return ""
     text = measured(metric)
-    return text if metric.passed or compared else mark(False, text)
+    return text if metric.passed else mark(False, text)
 
 
 def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> Iterator[Element]:

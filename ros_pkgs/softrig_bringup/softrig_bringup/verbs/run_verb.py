@@ -28,7 +28,7 @@ from ..options.packed import BAG, METRICS, is_pack, opened
 from ..options.repeat import words
 from ..options.run_options import begun, changed_words, folder_name, placement_of, repeat, scenario_of
 from ..options.trust import admitted
-from ..page.wording import NEVER, accepted, in_words, measured_here, short, spans
+from ..page.wording import NEVER, accepted, in_words, short, spans
 from ..run.run import checked, execute, illustrate, once_broken_off, save, summary, tripped, turned
 from ..terminal.listing import console as make_console, styled
 from ..terminal.progress import busy, progress
@@ -162,10 +162,9 @@ def _kept(folder: ResultsFolder, rig: Rig, force: bool) -> str:
 
 
 class _Kept(NamedTuple):
-    """What a run has brought: content of metrics.json, what was changed, whether it repeats another and what of it."""
+    """What a run has brought: content of metrics.json, whether it repeats another and what of it."""
 
     content: Mapping[str, Any]
-    changed: Sequence[str]
     same: bool
     told: Sequence[str]
 
@@ -228,6 +227,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
     """Write the folder and the report for continuous integration."""
     changed = changed_words(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
     changed += [f"branched at {b['at_s']:.9g} s" for b in done.branched]
+    done.strict, done.changed = options.strict, ", ".join(text for text in changed if text != done.stopped_at)
     with unstopped():  # who has waited for the last tick keeps what was recorded
         with busy(f"computing {len(done.rig.scenario.figures)} figures"):
             figures = [] if done.error else done.results
@@ -254,11 +254,11 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
                 health = options.record_all or done.rig.scenario.record == "all"
                 save(done, content, folder, not options.no_record, health)
         if options.junit is not None:
-            _write_junit(options, done, bool(changed))
+            _write_junit(options, done)
     if folder is not None and not options.no_plots:
         with busy(f"drawing {len(done.rig.scenario.plots)} pictures and the report into {_shown(folder.path)}"):
             illustrate(done, folder, options.format)
-    return _Kept(content, changed, same, told)
+    return _Kept(content, same, told)
 
 
 def _writing(done: Run, folder: ResultsFolder) -> str:
@@ -269,12 +269,12 @@ def _writing(done: Run, folder: ResultsFolder) -> str:
     return f"writing {messages} messages into {_shown(folder.path)}{kept}"
 
 
-def _write_junit(options: argparse.Namespace, done: Run, changed: bool) -> None:
+def _write_junit(options: argparse.Namespace, done: Run) -> None:
     from ..page.junit import write_junit
     from .check import outcome_of, suite_of
 
     suite = suite_of(outcome_of(done, done.wall_s))
-    if changed and not options.strict:  # compared, not judged
+    if done.stopped:  # nothing is judged of it
         suite = replace(suite, cases=[replace(case, failure="") for case in suite.cases])
     write_junit(options.junit, [replace(suite, error=suite.error or done.stopped_at)])
 
@@ -314,8 +314,6 @@ def _judged(options: argparse.Namespace, kept: _Kept, done: Run) -> int:
         return 1
     if not kept.same:
         return 1
-    if kept.changed and not options.strict:  # the paper's numbers are for its own set-up: compared, not judged
-        return 0
     return 0 if all(f.passed for f in done.results) and all(c.holds is not False for c in done.claims) else 1
 
 
@@ -367,8 +365,8 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
     title = f"{content['scenario']}: {content['label'] or content['title']}"
     title += f", changed: {', '.join(changed)}" if changed else ""
     console.print(styled((title, "italic")))  # as wide as the terminal, not as the table
-    _print_table(console, run, bool(changed))
-    _print_remarks(console, run, bool(changed))
+    _print_table(console, run)
+    _print_remarks(console, run)
     reached, whole = content["reached_s"], content["duration_s"]
     speed = "" if run.epoch or not reached else f" ({reached / run.wall_s:.3g} x real time)"
     of = f" of {whole:g}" if run.stopped else ""
@@ -381,20 +379,22 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
         console.print(f"results in {_shown(out)}")
 
 
-def _print_table(console: Console, run: Run, changed: bool) -> None:
+def _print_table(console: Console, run: Run) -> None:
     published = any(f.published is not None for f in run.results)
     heads = [*(["published"] if published else []), "measured", "expected", "unit"]
     rows: list[list[Cell]] = []
     for f in run.results:
-        missed = ("MISS", "red") if not changed else ("differs" if measured_here(f) else "", "yellow")
-        mark = styled(("pass" if f.judged else "", "green") if f.passed else missed)
+        mark = styled(("pass" if f.judged else "", "green") if f.passed else ("MISS", "red"))
+        mark = styled(("not judged", "yellow")) if f.published_for else mark
         row = [*([short(f.published)] if published else []), in_words(f) or short(f.value), accepted(f), f.unit]
         rows.append([f.name, *row, styled("") if run.stopped else mark])
     print_judged(console, ("figure", *heads, ""), rows)
 
 
-def _print_remarks(console: Console, run: Run, changed: bool) -> None:
+def _print_remarks(console: Console, run: Run) -> None:
     """Say what figures, requirements and claims have to say beside the table."""
+    if any(f.published_for for f in run.results):
+        console.print(f"not judged: published for {run.published_for} (--strict judges them)")
     for f in run.results:
         if f.error and f.error != NEVER:
             console.print(f"{f.name}: {f.error}")
@@ -403,7 +403,7 @@ def _print_remarks(console: Console, run: Run, changed: bool) -> None:
         if f.open_from_s is not None:
             console.print(f"{f.name}: from {f.open_from_s:.6g} s on judged by what the run's end leaves decided")
     for claim in run.claims:
-        if claim.holds is False and not changed:
+        if claim.holds is False:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))
 
 

@@ -29,7 +29,7 @@ from bokeh.server.util import bind_sockets
 from pydantic import BaseModel, ConfigDict
 from softrig_core import Scenario, ScenarioError, rig_of
 from softrig_core.guard import say
-from softrig_core.verdict.figures import Result, evaluate
+from softrig_core.verdict.figures import Result, changed_from, evaluate
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
@@ -264,7 +264,9 @@ class Pages:
         def done(found: Any) -> None:
             self._busy = False
             self._next = time.monotonic() + max(1.0, SHARE * (time.monotonic() - started))
-            self._results = found.result()
+            turned = "the scenario without what was turned" if source.changes else ""
+            why = changed_from(source.rig) or turned
+            self._results = [result.not_judged(why) for result in found.result()]
 
         future = self._worker.submit(evaluate, source.rig, pane)
         future.add_done_callback(lambda found: self.server.io_loop.add_callback(done, found))

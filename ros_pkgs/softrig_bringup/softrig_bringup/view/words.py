@@ -67,6 +67,8 @@ def figures(results: Iterable[Result], so_far: bool) -> str:
         if f.judged and not f.passed:
             there = measured_here(f)
             mark = "" if so_far and not there else f'<span class="wrong">{"not yet" if so_far else "miss"}</span>'
+        if f.published_for:
+            mark = f'<span title="published for {html.escape(f.published_for)}">not judged</span>'
         value = "-" if f.value is None else f"{f.value:.5g}"
         unit = pretty_unit(f.unit)
         said = unit if f.value is not None or (so_far and not measured_here(f)) else in_words(f)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -53,6 +54,18 @@ def param(
     """
     extra: dict[str, Any] = {"unit": unit} | ({} if each is None else {"each": each}) | ({"live": True} if live else {})
     return Field(default, description=doc, json_schema_extra=extra, **bounds)
+
+
+class derived(property):  # noqa: N801, a decorator
+    """A number that follows from the parameters of a class; scenarios reach it as ``$node.name``, as they do parameters.
+
+    Examples
+    --------
+    >>> @derived
+    ... def search_time(self) -> float:
+    ...     "What a search takes, s."
+    ...     return self.budget * self.hold_time
+    """
 
 
 class Params(Entry):
@@ -171,6 +184,18 @@ def flatten(params: Params, prefix: str = "") -> dict[str, Any]:
             flat |= flatten(value, f"{prefix}{name}.")
         else:
             flat[prefix + name] = list(value) if isinstance(value, tuple) else value
+    return flat
+
+
+def known(params: Params, prefix: str = "") -> dict[str, Any]:
+    """Return the values of a model under dotted names, and the numbers that are `derived` from them."""
+    flat = flatten(params) if not prefix else {}
+    for name, value in inspect.getmembers_static(type(params)):
+        if isinstance(value, derived):
+            flat[prefix + name] = getattr(params, name)
+    for name in type(params).model_fields:
+        if isinstance(value := getattr(params, name), Params):
+            flat |= known(value, f"{prefix}{name}.")
     return flat
 
 

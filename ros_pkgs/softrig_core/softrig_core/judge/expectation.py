@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
 from ..entry import Entry
+from ..errors import ScenarioError
+from .expression import number, references
 
 _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 _TWO_SIDED = re.compile(rf"{_NUMBER}\s*\+-\s*{_NUMBER}\s*(%?)")
 _BOUND = re.compile(rf"at (most|least) {_NUMBER}")
 _RANGE = re.compile(rf"between {_NUMBER} and {_NUMBER}")
+_FOLLOWING = re.compile(r"(?:at (most|least)|between) (.+)")  # of forms with $ references
 WIDEST = 0.25  # a tolerance beyond this share of its value judges nothing
 FORMS = "expected a number, 'X +- T', 'X +- P %', 'at most X', 'at least X' or 'between A and B'"
 
@@ -27,15 +31,47 @@ class Expectation(Entry):
         Two-sided: |value - expected| <= tolerance.
     at_most, at_least : float, optional
         Bounds.
+    text : str
+        As it is written, where it follows the machine: with ``$node.parameter`` in it. Its numbers are known once the
+        nodes are (`resolved`).
     """
 
     expected: float | None = None
     tolerance: float | None = None
     at_most: float | None = None
     at_least: float | None = None
+    text: str | None = None
+
+    @property
+    def follows(self) -> bool:
+        """Whether its numbers are taken from the nodes, or are no numbers of a machine: none of them is but zero."""
+        return bool(self.text) or not any((self.expected, self.tolerance, self.at_most, self.at_least))
+
+    def resolved(self, value: Callable[[str], Any]) -> Expectation:
+        """Return it with the numbers that its references stand for; one without references as it is.
+
+        Parameters
+        ----------
+        value : callable
+            Gives what a reference stands for, without its dollar sign.
+
+        Raises
+        ------
+        ScenarioError
+            A reference that nothing stands for, no number, an empty range.
+        """
+        return _following(self.text, lambda part: number(part, value)) if self.text else self
 
     def holds(self, value: float) -> bool:
-        """Whether a measured value is within the limits; never for NaN or infinity."""
+        """Whether a measured value is within the limits; never for NaN or infinity.
+
+        Raises
+        ------
+        ScenarioError
+            It follows the machine, and what the machine says is not known yet.
+        """
+        if self.text and (self.expected, self.at_most, self.at_least) == (None, None, None):
+            raise ScenarioError(f"{self.text!r} takes numbers from nodes: expected the expectation of a rig")
         return (
             math.isfinite(value)
             and (self.expected is None or abs(value - self.expected) <= (self.tolerance or 0.0))
@@ -59,6 +95,7 @@ def parse(given: Any) -> Any:
     """Read an expectation as scenario files write it.
 
     ``0.694 +- 0.0069``, ``0.694 +- 1 %``, ``44`` (exactly), ``at most 0.02``, ``at least 3``, ``between 80 and 81.1``.
+    Any of these numbers may be arithmetic over what nodes say: ``at most 1.03 * $motor.current``.
 
     Raises
     ------
@@ -70,6 +107,8 @@ def parse(given: Any) -> Any:
     if isinstance(given, int | float) and not isinstance(given, bool):
         return Expectation(expected=given, tolerance=0.0)
     text = given.strip() if isinstance(given, str) else ""
+    if references(text):
+        return Expectation(text=text)
     if found := _TWO_SIDED.fullmatch(text):
         value, tolerance = float(found[1]), float(found[2])
         if found[3]:
@@ -90,6 +129,27 @@ def parse(given: Any) -> Any:
             raise ValueError(f"between {low:g} and {high:g}: nothing is")
         return Expectation(at_least=low, at_most=high)
     raise ValueError(FORMS)
+
+
+def _following(text: str, value: Callable[[str], float]) -> Expectation:
+    """Read a form with references, `value` giving the numbers of its parts."""
+    if found := _FOLLOWING.fullmatch(text):
+        if found[1]:
+            return Expectation(**{f"at_{found[1]}": value(found[2])}, text=text)
+        low, between, high = found[2].partition(" and ")
+        if not between:
+            raise ScenarioError(f"{text!r}: {FORMS}")
+        limits = Expectation(at_least=value(low), at_most=value(high), text=text)
+        if value(low) > value(high):
+            raise ScenarioError(f"{text!r}: between {value(low):g} and {value(high):g}: nothing is")
+        return limits
+    middle, plus, width = text.partition("+-")
+    share = width.rstrip().endswith("%")
+    wanted = value(middle)
+    tolerance = value(width.rstrip().rstrip("%")) if plus else 0.0
+    if tolerance < 0.0:
+        raise ScenarioError(f"{text!r}: a tolerance is not negative")
+    return Expectation(expected=wanted, tolerance=tolerance * (abs(wanted) / 100.0 if share else 1.0), text=text)
 
 
 Expected = Annotated[Expectation, BeforeValidator(parse)]

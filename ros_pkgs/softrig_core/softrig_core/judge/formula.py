@@ -19,6 +19,7 @@ import numpy as np
 from ..errors import ScenarioError, closest
 from ..timebase import SECOND
 from .arithmetic import SEVERAL, Tree, arithmetic
+from .expression import REFERENCE, number
 from .units import powers, text
 
 LONGEST = 1e9  # s, of an interval
@@ -27,6 +28,9 @@ _WORDS = {"always", "eventually", "until", "since", "once", "historically", "nex
 _LETTERS = {"G", "F", "U", "R", "H", "O", "S", "X", "Y", "P"}  # what sentil may take for operators
 _CALLS = {"abs", "min", "max", "sqrt", "exp", "log", "ln", "sin", "cos", "tan", "floor", "ceil"}
 _TOKEN = re.compile(r"\s*([A-Za-z_]\w*|\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|->|[<>=!]=|&&|\|\||\S)")
+_INTERVAL = re.compile(r"\[([^\[\],]+),([^\[\],]+)\]")
+_PLAIN = re.compile(r"\s*(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf)\s*")
+_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 _AFTER_CONDITION = {"->", "and", "or", "until", "since", "implies", ")", "&", "|", "&&", "||", ""}
 FUTURE, PAST = ("Always", "Eventually"), ("Historically", "Once")
 
@@ -44,15 +48,66 @@ class Condition:
         return f"_{self.edge or 'true'}__{self.signal}"
 
 
+def named(reference: str) -> str:
+    """Return the name that a reference ``node.parameter`` has in a formula that is read: ``node__parameter``."""
+    return reference.replace(".", "__")
+
+
+def with_names(given: str) -> str:
+    """Return a formula with names in the place of its references: ``$motor.R`` becomes ``motor__R``."""
+    return REFERENCE.sub(lambda found: named(found[1]), given)
+
+
+def timing(given: str) -> set[str]:
+    """Return the names in a formula's intervals."""
+    return {name for found in _INTERVAL.finditer(given) for name in _NAME.findall(found[0])} - _CALLS - {"inf"}
+
+
+def bounded_by_numbers(given: str, known: Mapping[str, float | None], units: Mapping[str, str]) -> bool:
+    """Return whether a formula has bounds of its own, which do not follow the machine.
+
+    These are times other than 0 that are written as numbers, and numbers with a unit: a comparison of something that
+    has a unit with a number alone, or a sum of the two. Shares of what is named, and zero, follow.
+
+    Parameters
+    ----------
+    given : str
+    known : mapping
+        As `read` takes it.
+    units : mapping
+        Of the names that are no numbers.
+    """
+    plain = [part.strip() for found in _INTERVAL.finditer(given) for part in found.groups() if _PLAIN.fullmatch(part)]
+    if any(part != "inf" and float(part) for part in plain):
+        return True
+    tree = _parsed(given, tuple(known.items()))[0]
+    return any(_number_beside(kind, body, units) for kind, body in nodes(tree))
+
+
+def _number_beside(kind: str, body: Any, units: Mapping[str, str]) -> bool:
+    if kind == "Predicate":
+        sides = [body["lhs"], body["rhs"]]
+    elif kind == "Binary" and body[0] in ("Add", "Sub"):
+        sides = body[1:]
+    else:
+        return False
+    alone = [side for side in sides if not variables(side)]
+    others = [name for side in sides for name in variables(side)]
+    if not alone or not others or not any(arithmetic(side, {}) for side in alone):
+        return False
+    return any(units.get(name, "") for name in others)
+
+
 def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str, Condition]]:
     """Read a formula.
 
     Parameters
     ----------
     given : str
-        Such as ``always (fault -> eventually[0, 0.05] abs(current) < 0.1)``, times in s.
+        Such as ``always (fault -> eventually[0, 0.05] abs(current) < 0.1)``, times in s: numbers, or arithmetic over
+        names of numbers.
     known : mapping
-        What its names stand for: a number, or None for a signal.
+        What its names stand for: a number, or None for a signal. References are names here (`with_names`).
 
     Returns
     -------
@@ -72,18 +127,8 @@ def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str,
 
 @lru_cache(maxsize=256)
 def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree, dict[str, Condition]]:
-    import sentil
-
     known = dict(items)
-    for name in sorted(_LETTERS & known.keys()):
-        raise ScenarioError(
-            f"formula {given!r}: {name} is the letter of an operator; give what it stands for a longer name"
-        )
-    written, conditions = _rewrite(given, known)
-    try:
-        tree = json.loads(sentil.Formula.parse(written).to_json())
-    except sentil.SentilError as error:
-        raise ScenarioError(f"formula {given!r}: {_reason(error, written)}") from None
+    tree, conditions = _parsed(given, items)
     if not any(kind in ("Always", "Eventually", "Until") for kind, _ in nodes(tree)):
         raise ScenarioError(f"formula {given!r} speaks of t = 0 only: write 'always (...)', or 'eventually (...)'")
     for kind, body in nodes(tree):
@@ -100,6 +145,47 @@ def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree
     except ScenarioError as error:
         raise ScenarioError(f"formula {given!r}: {error}") from None
     return tree, conditions
+
+
+def _parsed(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree, dict[str, Condition]]:
+    """Parse a formula; its names are variables still, its times seconds."""
+    import sentil
+
+    known = dict(items)
+    for name in sorted(_LETTERS & known.keys()):
+        raise ScenarioError(
+            f"formula {given!r}: {name} is the letter of an operator; give what it stands for a longer name"
+        )
+    written, conditions = _rewrite(_timed(given, known), known)
+    try:
+        return json.loads(sentil.Formula.parse(written).to_json()), conditions
+    except sentil.SentilError as error:
+        raise ScenarioError(f"formula {given!r}: {_reason(error, written)}") from None
+
+
+def _timed(given: str, known: Mapping[str, float | None]) -> str:
+    """Put numbers in the place of arithmetic over names in a formula's intervals."""
+
+    def value(name: str) -> float:
+        found = known.get(name)
+        if found is None:
+            numbers = [each for each, at in known.items() if at is not None]
+            what = "changes while the rig runs" if name in known else f"is unknown{closest(name, numbers)}"
+            raise ScenarioError(f"formula {given!r}: {name} in an interval {what}; expected the name of a number")
+        return found
+
+    def seconds(part: str) -> str:
+        if _PLAIN.fullmatch(part):
+            return part
+        try:
+            found = number(_NAME.sub(lambda name: name[0] if name[0] in _CALLS else f"${name[0]}", part), value)
+        except ScenarioError as error:
+            raise error if str(error).startswith("formula") else ScenarioError(f"formula {given!r}: {error}") from None
+        if found < 0.0:
+            raise ScenarioError(f"formula {given!r}: {part.strip()} is {found:g} s; expected a time of at least 0 s")
+        return format(found, ".12f").rstrip("0").rstrip(".")  # sentil reads no exponents there
+
+    return _INTERVAL.sub(lambda found: f"[{seconds(found[1])}, {seconds(found[2])}]", given)
 
 
 def _check_arithmetic(tree: Tree) -> None:

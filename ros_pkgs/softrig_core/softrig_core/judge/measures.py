@@ -48,6 +48,7 @@ __all__ = [
 ]  # fmt: skip
 
 NS = 1e-9
+UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)  # what figure functions raise
 ROUNDING = 1e-9  # what is so little beyond what is possible is rounding
 HALF_NS = 5e-10  # s; times are whole ns: what is nearer to an end of a window than this is inside
 
@@ -66,6 +67,7 @@ def figure(
     reads: Sequence[str] = (),
     agreed: Mapping[str, str] = MappingProxyType({}),
     possible: tuple[float, float] = (-math.inf, math.inf),
+    follows: bool = False,
 ) -> Callable[[_F], _F]:
     """Say what a figure function gives, so that a scenario is judged before its run.
 
@@ -80,11 +82,15 @@ def figure(
         leaves them out; one that gives another value is refused.
     possible : (float, float)
         What lies outside cannot be (an efficiency above 100 %): such a result is an error and never passes.
+    follows : bool
+        Whether it is measured against the machine itself (a share of what the module can give, whether a fault was
+        found): what is expected of it holds for a changed machine, too.
     """
 
     def declare(function: _F) -> _F:
         function.unit, function.reads = unit, tuple(reads)  # type: ignore[attr-defined]
         function.agreed, function.possible = agreed, possible  # type: ignore[attr-defined]
+        function.follows = follows  # type: ignore[attr-defined]
         return function
 
     return declare

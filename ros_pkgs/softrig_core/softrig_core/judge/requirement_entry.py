@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
@@ -10,7 +10,8 @@ from pydantic import BeforeValidator, Field
 from ..entry import Entry
 from ..errors import ScenarioError
 from ..timebase import SECOND
-from .formula import horizon, read
+from .expression import references
+from .formula import horizon, named, read, timing, with_names
 
 
 class Requirement(Entry):
@@ -19,7 +20,8 @@ class Requirement(Entry):
     Parameters
     ----------
     formula : str
-        Over the scenario's shared names, times in s: ``always[1.1, 3] abs(speed - set_point) <= 0.02 * set_point``.
+        Over the scenario's shared names, ``$node.parameter`` and figures, times in s:
+        ``always[1.1, 3] abs(speed - set_point) <= 0.02 * set_point``.
     where : str
         Where the paper or sheet says so.
     scale : dict of str to float
@@ -42,8 +44,23 @@ Required = Annotated[
 ]
 
 
-def check_lengths(duration: float, shared: Mapping[str, Any], requirements: Mapping[str, Requirement]) -> None:
+def check_lengths(
+    duration: float, shared: Mapping[str, Any], requirements: Mapping[str, Requirement], figures: Iterable[str] = ()
+) -> None:
     """Refuse requirements that no run of a scenario's length can be judged by.
+
+    Times that are taken from nodes are not known yet; a run that ends before them is not judged by that requirement.
+
+    Parameters
+    ----------
+    duration : float
+        Of the run, s.
+    shared : mapping
+        Values by name.
+    requirements : mapping
+        By name.
+    figures : iterable of str, optional
+        Names of the scenario's figures, which formulas may use.
 
     Raises
     ------
@@ -51,8 +68,13 @@ def check_lengths(duration: float, shared: Mapping[str, Any], requirements: Mapp
         Names the requirement, its last window and the duration.
     """
     for name, requirement in requirements.items():
+        formula, asked = with_names(requirement.formula), {*map(named, references(requirement.formula))}
+        numbers = {k: float(v) if _is_number(v) else None for k, v in shared.items()}
+        later = asked | {*figures} | {k for k, v in shared.items() if isinstance(v, str) and references(v)}
+        if timing(formula) & later - {k for k, v in numbers.items() if v is not None}:
+            continue
         try:
-            reach = horizon(read(requirement.formula, dict.fromkeys(shared))[0]) / SECOND
+            reach = horizon(read(formula, dict.fromkeys(asked, 1.0) | dict.fromkeys(figures) | numbers)[0]) / SECOND
         except ScenarioError as error:
             raise ScenarioError(f"requirement {name}: {error}") from None
         if reach > duration * (1.0 + 1e-12):
@@ -60,3 +82,7 @@ def check_lengths(duration: float, shared: Mapping[str, Any], requirements: Mapp
                 f"requirement {name}: its last window ends {reach:g} s after the start, the run ends "
                 f"after {duration:g} s"
             )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

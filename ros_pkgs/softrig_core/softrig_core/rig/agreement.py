@@ -40,8 +40,8 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
             node, known = said[quantity]
             if not _same(known, value):
                 raise ScenarioError(
-                    f"{where}: {node} and {member.name} must agree on {quantity}, but {node} has {_shown(known)} and "
-                    f"{member.name} has {_shown(value)}; a shared value or ${node}.PARAMETER keeps them together"
+                    f"{where}: {node} and {member.name} must agree on {quantity}, but {node} has {shown(known)} and "
+                    f"{member.name} has {shown(value)}; a shared value or ${node}.PARAMETER keeps them together"
                 )
 
 
@@ -50,7 +50,7 @@ def assumptions(members: Iterable[Named]) -> list[str]:
     members = list(members)
     said = spoken(members)
     return [
-        f"{member.name} takes {quantity} to be {_shown(value)}, {said[quantity][0]} has {_shown(said[quantity][1])}"
+        f"{member.name} takes {quantity} to be {shown(value)}, {said[quantity][0]} has {shown(said[quantity][1])}"
         for member in members
         for quantity, value in member.block_class.assumed(member.params).items()
         if quantity in said and not _same(said[quantity][1], value)
@@ -94,7 +94,7 @@ def agreeing(
         node, value = said[quantity]
         if not _same(filled.setdefault(name, value), value):
             raise ScenarioError(
-                f"argument {name} = {_shown(filled[name])}, but {node} has {_shown(value)}; "
+                f"argument {name} = {shown(filled[name])}, but {node} has {shown(value)}; "
                 f"leave it out and it is taken from there"
             )
     return filled
@@ -109,6 +109,7 @@ def _same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """Return a value as messages have it, a long one cut."""
     text = f"{value:.12g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 100 else f"{text[:100]} ..."

@@ -11,8 +11,8 @@ from ..block.fill import Pick
 from ..block.params import BlockParams, ParameterError
 from ..block.port import CLOCK, Port
 from ..block.schedule import Schedule
-from ..errors import ScenarioError
-from ..scenario.references import parameter_of
+from ..errors import ScenarioError, closest
+from ..scenario.references import fill_parameters, parameter_of
 from ..scenario.scenario import Scenario
 
 
@@ -114,6 +114,22 @@ class Members:
         """
         params = {m.name: m.params for m in self.members}
         return parameter_of("", params, params.__getitem__, node, name)
+
+    def reference(self, name: str) -> Any:
+        """Return what a reference stands for: ``node.parameter``, or the name of a shared value.
+
+        Raises
+        ------
+        ScenarioError
+            No such node, parameter or shared value.
+        """
+        node, _, parameter = name.partition(".")
+        if parameter:
+            return self.parameter(node, parameter)
+        shared = self.scenario.shared
+        if name not in shared:
+            raise ScenarioError(f"${name}{closest(name, shared)}: the shared values are {', '.join(shared) or 'none'}")
+        return fill_parameters(shared[name], self.parameter)
 
 
 def signal_units(rig: Members) -> dict[str, str]:

@@ -92,7 +92,19 @@ class Rig(Members):
         _check_units(scenario, new)
         plants = [m for m in members if m.is_plant]
         others = _sorted([m for m in members if not m.is_plant])
-        return replace(self, scenario=_whole_names(scenario, members), members=(*plants, *others))
+        return replace(self, scenario=_whole_names(scenario, members), members=(*plants, *others))._resolved()
+
+    def _resolved(self) -> Rig:
+        """Give the rig with the numbers that its scenario's expectations take from its nodes."""
+        scenario = self.scenario
+        found = {}
+        for name, limits in scenario.expect.items():
+            try:
+                found[name] = limits.resolved(self.reference)
+            except ScenarioError as error:
+                at = scenario.written("expect", name)
+                raise ScenarioError(f"{scenario.name}: expect {name}: {error}{at}") from None
+        return replace(self, scenario=scenario.model_copy(update={"expect": found}))
 
     @classmethod
     def from_blocks(
@@ -256,7 +268,7 @@ def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
     known = {f"{p.topic}/{label}" for m in members for p in (*m.outputs, *m.inputs) for label in p.labels}
 
     def whole(value: Any) -> Any:
-        if isinstance(value, str) and "/" in value and value not in known:
+        if isinstance(value, str) and "/" in value and "$" not in value and value not in known:
             return " - ".join(full_name(part, known) for part in value.split(" - "))
         return value
 

@@ -21,7 +21,7 @@ from ..rig.members import other_names, signal_units
 from ..rig.rig import Rig
 from ..scenario.scenario import Draft, Scenario
 from ..timebase import SECOND
-from ..verdict.figures import Figure, Result, evaluate, figures_of, read_by
+from ..verdict.figures import Figure, Result, changed_from, evaluate, figures_of, read_by
 from ..verdict.findings import Finding, findings, values
 from ..wire.recording import Recording
 from ..wire.signals import Signals, full_name, topic_of
@@ -65,6 +65,11 @@ class Run:
         What `figures_of` gives of the rig, where that is known.
     kernels : mapping of str to str
         After a run in process: those of numpy that this process has, see `softrig_core.bits.kernels`.
+    strict : bool
+        Whether a run that was changed is judged by all that is expected, also where that is published for the machine
+        as it was.
+    changed : str
+        What else was changed of the scenario as it is written, in words.
     branched : list of dict
         Where somebody went back while it ran: ``at_s``, ``from_s``, and ``left``, what keeps the branch that was left.
     """
@@ -81,6 +86,8 @@ class Run:
     blocks: Mapping[str, Held] = field(default_factory=dict)
     begun: Rig | None = None
     wanted: list[Figure] | None = None
+    strict: bool = False
+    changed: str = ""
     branched: list[dict[str, Any]] = field(default_factory=list)
     kernels: Mapping[str, str] = field(default_factory=dict)
 
@@ -104,12 +111,24 @@ class Run:
 
     @cached_property
     def results(self) -> list[Result]:
-        """The figures of the scenario, measured and judged; a run that was stopped cannot say "never"."""
+        """The figures of the scenario, measured and judged; a run that was stopped cannot say "never".
+
+        Of a run that was changed only what follows the machine is judged, the rest is published for the machine as it
+        was.
+        """
         found = evaluate(self.rig, self.signals, self.wanted)
+        if not self.strict:
+            found = [r.not_judged(self.published_for) for r in found]
         if not self.stopped:
             return found
         late = f"not until {self.reached_s:.9g} s, when the run was stopped"
         return [r.model_copy(update={"error": late, "number": math.nan}) if r.error == NEVER else r for r in found]
+
+    @cached_property
+    def published_for(self) -> str:
+        """What the machine had for which the scenario's numbers are published; empty of a run that was not changed."""
+        before = changed_from(self.rig)
+        return before or (f"the scenario without {self.changed}" if self.changed else "")
 
     @property
     def figures(self) -> dict[str, float | None]:
@@ -118,10 +137,15 @@ class Run:
 
     @cached_property
     def claims(self) -> list[Finding]:
-        """The scenario's claims held against this run; those that need another scenario's figures stay open."""
+        """The scenario's claims held against this run; those that need another scenario's figures stay open.
+
+        So do those of a run that was changed: a paper speaks of its own machine.
+        """
         own, units = values(self.results), {r.name: r.unit for r in self.results}
         name = self.rig.scenario.name
-        return findings(self.rig.scenario, lambda other: own if other == name else None, units)
+        found = findings(self.rig.scenario, lambda other: own if other == name else None, units)
+        open_ = bool(self.published_for) and not self.strict
+        return [c.model_copy(update={"holds": None}) for c in found] if open_ else found
 
     def __repr__(self) -> str:
         """Say what it was, how far it came and how its figures did."""

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ..block.params import flatten
+from ..block.params import flatten, known
 from ..errors import ScenarioError
 from .scenario_file import SHARED, Over, merge
 from .yaml_file import NODES
@@ -138,6 +138,8 @@ def pick(values: Mapping[str, Any], name: str) -> Any:
 def parameter_of(where: str, nodes: Mapping[str, Any], params: Callable[[str], Any], node: str, name: str) -> Any:
     """Give what ``$node.parameter`` stands for, `params` giving the parameters of one of the nodes.
 
+    It may also name what is `derived` from them.
+
     Raises
     ------
     ScenarioError
@@ -145,7 +147,12 @@ def parameter_of(where: str, nodes: Mapping[str, Any], params: Callable[[str], A
     """
     if node not in nodes:
         raise ScenarioError(f"{where}${node}.{name}: the nodes are {', '.join(nodes)}")
-    values = flatten(params(node))
+    own = params(node)
+    try:
+        return pick(flatten(own), name)  # what is derived takes longer to find
+    except KeyError:
+        pass
+    values = known(own)
     try:
         return pick(values, name)
     except KeyError:

@@ -57,7 +57,8 @@ class FigureEntry(Entry):
     function : str
         Name of a registered figure function; the figure's own name when absent.
     arguments : dict
-        Its arguments; ``$node.parameter`` stands for a parameter of the rig.
+        Its arguments; ``$node.parameter`` stands for a parameter of the rig, and may stand in arithmetic:
+        ``$load.times.1 + 0.5``.
     unit : str
         Unit of the figure; that of the function and its signal when absent.
     since : str
@@ -158,6 +159,17 @@ class Scenario(Entry):
     plots: tuple[PlotEntry, ...] = ()
 
     _file: Path | None = PrivateAttr(None)  # where all that is in it was written; for messages alone
+    _changed_from: dict[str, Any] = PrivateAttr(default_factory=dict)
+
+    @property
+    def changed_from(self) -> Mapping[str, Any]:
+        """What was changed of it since it was written, by key, to what that was; None where it was not said."""
+        return self._changed_from
+
+    def changing(self, before: Mapping[str, Any]) -> Scenario:
+        """Remember what was changed of it; what a key was at first counts."""
+        self._changed_from = {**before, **self._changed_from}
+        return self
 
     def written_in(self, file: Path | None) -> Scenario:
         """Remember where all that is in it is written."""
@@ -205,15 +217,18 @@ class Scenario(Entry):
             A bad value, or no such node.
         """
         raw: dict[str, Any] = {k: {n: e.model_dump() for n, e in getattr(self, k).items()} for k in ("nodes", "faults")}
+        before = _before(raw, overrides or {})
+        if duration is not None and duration != self.duration:
+            before["duration"] = self.duration
         for key, value in (overrides or {}).items():
             _override(raw, key, value)
         new = self.having(**({} if duration is None else {"duration": duration}), **(raw if overrides else {}))
-        return new.written_in(None if overrides else self._file)
+        return new.written_in(None if overrides else self._file).changing(before)
 
     def having(self, **keys: Any) -> Scenario:
         """Give the scenario with other values of some keys, checked; a ScenarioError says what does not fit."""
         try:
-            return Scenario.model_validate({**dict(self), **keys})
+            return Scenario.model_validate({**dict(self), **keys}).changing(self._changed_from)
         except ValidationError as error:
             raise ScenarioError(f"{self.name}: {explain(error, Scenario)}") from None
 
@@ -258,13 +273,14 @@ class Draft(NamedTuple):
     def filled(self, overrides: Mapping[str, Any] | None = None) -> Scenario:
         """Make the scenario of it; see `load_scenario`."""
         name, path, raw = self.name, self.path, dict(self.raw)
+        before = _before(raw, overrides or {})
         for key, value in (overrides or {}).items():
             _override(raw, key, value)
         try:
             shared = raw.get("shared") or {}
             scenario = Scenario.model_validate({**fill(raw, shared if isinstance(shared, dict) else {}), "name": name})
-            check_lengths(scenario.duration, scenario.shared, scenario.requirements)
-            return scenario.written_in(None if overrides else path)
+            check_lengths(scenario.duration, scenario.shared, scenario.requirements, scenario.figures)
+            return scenario.written_in(None if overrides else path).changing(before)
         except ValidationError as error:
             at = place(name, path, error.errors()[0]["loc"])
             raise ScenarioError(f"{at}: {explain(error, Scenario)}") from None
@@ -285,6 +301,33 @@ def read_draft(name: str) -> Draft:
     if "name" in raw:
         raise ScenarioError(f"{path.name}: key name: a scenario is named by its file")
     return Draft(name, path, raw)
+
+
+def _before(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is written of each key that is to be given another value; None where nothing is."""
+    found = {}
+    for key, value in overrides.items():
+        node, _, parameter = key.partition(".")
+        entry: Any = (raw.get("shared") or {}).get(node)
+        for part, below in (("nodes", ("parameters",)), ("faults", ())):
+            if isinstance(there := (raw.get(part) or {}).get(node), Mapping):
+                entry = there
+                for name in below:
+                    entry = entry.get(name) or {}
+        written = _at(entry, parameter) if parameter else entry
+        if written is None or written != value:
+            found[key] = written
+    return found
+
+
+def _at(entry: Any, name: str) -> Any:
+    """Return what is written under a dotted name, which may stand for mappings in each other."""
+    if not isinstance(entry, Mapping):
+        return None
+    if name in entry:
+        return entry[name]
+    head, _, rest = name.partition(".")
+    return _at(entry.get(head), rest) if rest else None
 
 
 def _override(raw: dict[str, Any], key: str, value: Any) -> None:

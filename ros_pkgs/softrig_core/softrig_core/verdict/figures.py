@@ -7,6 +7,7 @@ import json
 import math
 import typing
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from fnmatch import filter as filter_names
 from functools import cache
@@ -14,25 +15,35 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
+from ..block.params import ParameterError, flatten
 from ..block.port import CLOCK
 from ..entry import Entry
 from ..errors import ScenarioError, closest
 from ..judge.claims import NEVER
 from ..judge.expectation import Expectation
-from ..judge.measures import ROUNDING, Function, ImpossibleError, SignalMap, final_value, newest_step, step_levels
+from ..judge.expression import number, references
+from ..judge.measures import (
+    ROUNDING,
+    UNMEASURED,
+    Function,
+    ImpossibleError,
+    SignalMap,
+    final_value,
+    newest_step,
+    step_levels,
+)
 from ..judge.registry import find
 from ..judge.units import compose, factor, powers
-from ..rig.agreement import agreeing, spoken
+from ..rig.agreement import agreeing, shown, spoken
 from ..rig.members import Members, signal_units
 from ..scenario.port_text import ports_text, reader
-from ..scenario.references import fill_parameters
+from ..scenario.references import fill_parameters, pick
 from .requirements import Judge, judges
 
 MOST = 1e300
 DECIDED = "by its conditions alone"  # of a requirement without a distance
 SIGNALS = ("signal", "reference", "final", "initial")  # arguments that name a signal, if they are a word
 STEP = ("final", "initial")  # of these, those of a step
-UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)  # what figure functions raise
 
 
 class Result(BaseModel):
@@ -52,8 +63,14 @@ class Result(BaseModel):
         Of a requirement: intervals in which it does not hold, s.
     open_from_s : float, optional
         Of a requirement: the instant from which on the run's end leaves a part of it open, s; what is decided counts.
+    published_for : str
+        Of a run that was changed, where what is expected is a number for the machine as it was: what that machine had.
+        It is not judged then.
+    follows : bool
+        Whether what is expected of it follows the machine: it is taken from the nodes, or measured against them.
     passed : bool
-        Written as ``pass``. A figure for information passes, whatever it is, unless it is impossible.
+        Written as ``pass``. A figure for information passes, whatever it is, unless it is impossible; so does one that
+        is not judged.
     """
 
     model_config = ConfigDict(frozen=True, populate_by_name=True)
@@ -71,12 +88,31 @@ class Result(BaseModel):
     at_s: float | None = None
     violated_s: tuple[tuple[float, float], ...] = ()
     open_from_s: float | None = None
+    published_for: str = ""
+    follows: bool = Field(False, exclude=True)
     number: float = Field(math.nan, exclude=True)  # as measured: infinity too, which JSON cannot hold
 
     @property
-    def judged(self) -> bool:
-        """Whether anything is expected of it."""
+    def limited(self) -> bool:
+        """Whether there is anything to hold it against."""
         return any(x is not None for x in (self.expected, self.at_most, self.at_least))
+
+    @property
+    def judged(self) -> bool:
+        """Whether anything is expected of it, in this run."""
+        return self.limited and not self.published_for
+
+    def not_judged(self, why: str) -> Result:
+        """Return it as one of a changed run: judged no more, unless what is expected follows the machine.
+
+        Parameters
+        ----------
+        why : str
+            What the machine had for which it is published.
+        """
+        if self.follows or not self.judged or not why:
+            return self
+        return self.model_copy(update={"published_for": why, "passed": True})
 
 
 @dataclass(frozen=True)
@@ -89,6 +125,13 @@ class Figure:
     unit: str
     scale: float
     since: str = ""
+
+    @property
+    def reads(self) -> list[str]:
+        """Names of the signals that it reads, or patterns of them."""
+        given, reads = [a for a in self.arguments.values() if isinstance(a, str)], getattr(self.function, "reads", ())
+        # of one of several drives in a rig, whose name is an argument, too
+        return [*given, *reads, *(f"{one}/{name}" for one in given for name in reads), *self.since.split(", ")]
 
     def __call__(self, signals: SignalMap) -> float:
         """Measure; an ImpossibleError where the function says that the result cannot be."""
@@ -136,7 +179,7 @@ def figures_of(rig: Members) -> list[Figure]:
     for name, entry in rig.scenario.figures.items():
         try:
             function = find(entry.function or name)
-            given = fill_parameters(entry.arguments, rig.parameter)
+            given = {k: _computed(v, rig) for k, v in fill_parameters(entry.arguments, rig.parameter).items()}
             arguments = _arguments(function, agreeing(said, given, getattr(function, "agreed", {})))
             _check_since(function, arguments, units, entry.since)
             _check_signals(function, arguments, units)
@@ -145,8 +188,15 @@ def figures_of(rig: Members) -> list[Figure]:
             at = rig.scenario.written("figures", name)
             raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}{at}") from None
         found.append(Figure(name, function, arguments, unit, scale, entry.since))
-    found += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in judges(rig, units).items()]
+    required = judges(rig, units, {figure.name: figure for figure in found})
+    found += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in required.items()]
     return found
+
+
+def _computed(argument: Any, rig: Members) -> Any:
+    """Return an argument; of arithmetic over references its number."""
+    arithmetic = isinstance(argument, str) and bool(references(argument)) and any(c in argument for c in " *+")
+    return number(argument, rig.reference) if arithmetic else argument
 
 
 def _unit(
@@ -168,11 +218,7 @@ def _unit(
 
 def read_by(figures: Iterable[Figure], units: Mapping[str, str]) -> set[str]:
     """Give the signals that figures and requirements read; `units` has all of the rig (`signal_units`)."""
-    asked: list[str] = []
-    for f in figures:
-        given, reads = [a for a in f.arguments.values() if isinstance(a, str)], getattr(f.function, "reads", ())
-        # of one of several drives in a rig, whose name is an argument, too
-        asked += [*given, *reads, *(f"{one}/{name}" for one in given for name in reads), *f.since.split(", ")]
+    asked = [name for f in figures for name in f.reads]
     return {signal for name in asked for signal in _called(name, units)}
 
 
@@ -233,7 +279,8 @@ def evaluate(rig: Members, signals: SignalMap, figures: Sequence[Figure] | None 
         required = figure.name in rig.scenario.requirements
         limits = rig.scenario.expect.get(figure.name, Expectation(at_least=0.0) if required else None)
         about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}
-        about |= (limits or Expectation()).model_dump()
+        about |= (limits or Expectation()).model_dump(exclude={"text"})
+        about["follows"] = follows(figure, limits)
         impossible = False
         try:
             if isinstance(figure.function, Judge):
@@ -255,6 +302,27 @@ def evaluate(rig: Members, signals: SignalMap, figures: Sequence[Figure] | None 
         passed = passed and not impossible
         results.append(Result(value=None if error else value, number=value, passed=passed, error=error, **about))
     return results
+
+
+def follows(figure: Figure, limits: Expectation | None) -> bool:
+    """Return whether what is expected of a figure follows the machine."""
+    if isinstance(figure.function, Judge):
+        return figure.function.follows
+    return bool(limits and limits.follows) or bool(getattr(figure.function, "follows", False))
+
+
+def changed_from(rig: Members) -> str:
+    """Return what the machine of a scenario had that was changed by overrides: ``motor.J = 0.01``; empty for none."""
+    params = {m.name: m.params for m in rig.members}
+    parts = []
+    for key, before in rig.scenario.changed_from.items():
+        node, _, name = key.partition(".")
+        with suppress(ParameterError, ValueError, KeyError):  # it has no value of its own, or none that is known here
+            before = pick(flatten(type(params[node])()), name) if before is None else before
+            if before == pick(flatten(params[node]), name):
+                continue
+        parts.append(key if before is None else f"{key} = {shown(before)}")
+    return ", ".join(parts)
 
 
 @cache

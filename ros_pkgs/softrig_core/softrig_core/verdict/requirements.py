@@ -6,10 +6,11 @@ A requirement is a figure whose value is its margin (robustness) and whose expec
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from functools import lru_cache, partial
+from types import MappingProxyType
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,19 @@ from numpy.typing import NDArray
 from ..block.schedule import Schedule
 from ..errors import ScenarioError
 from ..judge.arithmetic import Array, Tree
-from ..judge.formula import Condition, intervals, margin_unit, read, variables
-from ..judge.measures import SignalMap, newest
+from ..judge.expression import references
+from ..judge.formula import (
+    Condition,
+    bounded_by_numbers,
+    intervals,
+    margin_unit,
+    named,
+    read,
+    timing,
+    variables,
+    with_names,
+)
+from ..judge.measures import UNMEASURED, SignalMap, newest
 from ..judge.requirement_entry import Requirement
 from ..judge.robustness import Margin, Record, truth
 from ..rig.members import Members
@@ -30,11 +42,28 @@ from ..wire.signals import full_name
 Items = tuple[tuple[str, Any], ...]
 
 
+class Measured(Protocol):
+    """What is needed of a figure that a formula names."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of its value."""
+
+    @property
+    def reads(self) -> list[str]:
+        """Names of the signals that it reads, or patterns of them."""
+
+    def __call__(self, signals: SignalMap) -> float:
+        """Measure."""
+
+
 @dataclass(frozen=True)
 class Judge:
     """A requirement of a rig: its formula read, its names found, its margin's unit known.
 
     Called with signals it gives the margin, as a figure function does; `ticker` is a signal that goes to a run's end.
+    `figures` are those whose value the formula names, `timed` those that its times are counted from (`again` reads it
+    with them); `follows` says that no bound of it is a number of its own.
     """
 
     tree: Tree
@@ -44,6 +73,10 @@ class Judge:
     clock: Schedule
     ticker: str
     reads: tuple[str, ...] = ()
+    figures: Mapping[str, Measured] = MappingProxyType({})
+    timed: Mapping[str, Measured] = MappingProxyType({})
+    follows: bool = False
+    again: Callable[[Mapping[str, float]], Tree] | None = None
 
     def __call__(self, signals: SignalMap) -> float:
         """Measure the margin; a ValueError says why it cannot be judged."""
@@ -63,7 +96,13 @@ class Judge:
             raise ValueError(f"not judged: nothing was recorded of {self.ticker}")
         grid = _grid(self.clock, ticks[-1])
         held, truths, late = {}, {}, {}
-        for name in variables(self.tree):
+        tree = self.tree
+        if self.again is not None:
+            tree = self.again({name: _measured(name, figure, signals) for name, figure in self.timed.items()})
+        for name in variables(tree):
+            if name in self.figures:
+                held[name] = np.full(len(grid), _measured(name, self.figures[name], signals))
+                continue
             condition = self.conditions.get(name)
             times, values = found[condition.signal if condition else name]
             now, none = _newest(np.rint(times * SECOND), values, grid)
@@ -72,7 +111,18 @@ class Judge:
             else:
                 held[name], late[name] = now, none
         after = self.clock.next(int(grid[-1]))
-        return Record(grid, held, truths=truths, late=late, after=after).margin(self.tree)
+        return Record(grid, held, truths=truths, late=late, after=after).margin(tree)
+
+
+def _measured(name: str, figure: Measured, signals: SignalMap) -> float:
+    try:
+        value = figure(signals)
+    except UNMEASURED as error:
+        raise ValueError(f"not judged: the figure {name} of its formula: {error}") from None
+    if not math.isfinite(value):
+        never = "never happens" if value == math.inf else f"is {value}"
+        raise ValueError(f"not judged: the figure {name} of its formula {never}")
+    return value
 
 
 def _grid(clock: Schedule, end: float) -> Array:
@@ -111,7 +161,8 @@ def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]
     for name, requirement in rig.scenario.requirements.items():
         if not (requirement.live or requirement.ends):
             continue
-        judge = _judge(rig, requirement, {**numbers, **dict.fromkeys(signals)}, signals, units)
+        judge = _named(name, rig, requirement, numbers, signals, units, {})
+        constants = _of_nodes(rig, requirement) | numbers
         topics = {t: p for t, p in rig.topics.items() if any(s.startswith(f"{t}/") for s in judge.signals.values())}
         ports = ports_text([reader(p, f"input_{k}") for k, p in enumerate(topics.values())])
         nodes[f"requirement_{name}"] = {
@@ -119,12 +170,12 @@ def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]
             "executable": "requirement_monitor",
             "parameters": {
                 "period": rig.clock.params.period,
-                "formula": requirement.formula,
+                "formula": with_names(requirement.formula),
                 "ports": ports,
                 "names": list(judge.signals),
                 "signals": list(judge.signals.values()),
-                "constants": list(numbers),
-                "values": list(numbers.values()),
+                "constants": list(constants),
+                "values": list(constants.values()),
                 "scale_units": list(requirement.scale),
                 "scale_values": list(requirement.scale.values()),
                 "topic": f"requirement/{name}",
@@ -134,13 +185,15 @@ def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]
     return nodes
 
 
-def judges(rig: Members, units: Mapping[str, str]) -> dict[str, Judge]:
+def judges(rig: Members, units: Mapping[str, str], figures: Mapping[str, Measured]) -> dict[str, Judge]:
     """Read the requirements of a rig's scenario.
 
     Parameters
     ----------
     units : mapping
         Of each signal of the rig.
+    figures : mapping
+        Of the scenario, by name: a formula may name them.
 
     Raises
     ------
@@ -151,25 +204,53 @@ def judges(rig: Members, units: Mapping[str, str]) -> dict[str, Judge]:
     if not rig.scenario.requirements:
         return {}
     numbers, signals = names_of(rig, units)
-    known: dict[str, float | None] = {**numbers, **dict.fromkeys(signals)}
+    return {
+        name: _named(name, rig, requirement, numbers, signals, units, figures)
+        for name, requirement in rig.scenario.requirements.items()
+    }
+
+
+def _named(name: str, rig: Members, requirement: Requirement, *given: Any) -> Judge:
+    """Read a requirement; errors name it."""
+    try:
+        return _judge(rig, requirement, *given)
+    except ScenarioError as error:
+        at = rig.scenario.written("requirements", name)
+        raise ScenarioError(f"{rig.scenario.name}: requirement {name}: {error}{at}") from None
+
+
+def _of_nodes(rig: Members, requirement: Requirement) -> dict[str, float]:
+    """Return what the references of a formula stand for, by their names in it."""
     found = {}
-    for name, requirement in rig.scenario.requirements.items():
-        try:
-            found[name] = _judge(rig, requirement, known, signals, units)
-        except ScenarioError as error:
-            raise ScenarioError(f"{rig.scenario.name}: requirement {name}: {error}") from None
+    for reference in references(requirement.formula):
+        node, _, parameter = reference.partition(".")
+        if parameter:
+            value = rig.parameter(node, parameter)
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise ScenarioError(f"${reference} is {value!r}, expected a number")
+            found[named(reference)] = float(value)
     return found
 
 
 def _judge(
     rig: Members,
     requirement: Requirement,
-    known: Mapping[str, float | None],
+    numbers: Mapping[str, float],
     signals: Mapping[str, str],
     units: Mapping[str, str],
+    figures: Mapping[str, Measured],
 ) -> Judge:
-    tree, conditions = read(requirement.formula, known)
-    used, asked = _used(requirement.formula, tuple(known.items()))
+    formula = with_names(requirement.formula)
+    own = {name: figure for name, figure in figures.items() if name not in signals and name not in numbers}
+    known: dict[str, float | None] = {**dict.fromkeys(own), **_of_nodes(rig, requirement), **numbers}
+    known |= dict.fromkeys(signals)
+    timed = {name: own[name] for name in timing(formula) if name in own}
+    if strange := [name for name, figure in timed.items() if figure.unit != "s"]:
+        raise ScenarioError(f"{strange[0]} in an interval is in {own[strange[0]].unit!r}, expected s")
+    known |= dict.fromkeys(timed, 0.0)  # until it is measured
+    tree, conditions = read(formula, known)
+    items = tuple(known.items())
+    used, asked = _used(formula, items)
     period = rig.clock.params.period * SECOND
     for low, high in asked:
         if high is not None and math.floor(high / period + 1e-9) * period < low * (1.0 - 1e-12):
@@ -177,15 +258,40 @@ def _judge(
                 f"no tick of {rig.clock.name} (each {period / SECOND:g} s) is within "
                 f"[{low / SECOND:g}, {high / SECOND:g}] s"
             )
-    compared = {name: units[signals[name]] for name in used if name not in conditions}
-    scaled = tuple(known.items()), tuple(compared.items()), tuple(requirement.scale.items())
-    tree, unit = _scaled(requirement.formula, *scaled)
-    read_ = {n: signals[n] for n in {conditions[v].signal if v in conditions else v for v in used}}
+    measured = {name: own[name] for name in used if name in own and name not in timed}
+    if lost := [name for name, condition in conditions.items() if condition.signal in own and name in used]:
+        raise ScenarioError(f"{conditions[lost[0]].signal} is a figure, a number of the whole run: compare it")
+    compared = {
+        name: own[name].unit if name in own else units[signals[name]] for name in used if name not in conditions
+    }
+    scaled = tuple(compared.items()), tuple(requirement.scale.items())
+    tree, unit = _scaled(formula, items, *scaled)
+    read_ = {n: signals[n] for n in {conditions[v].signal if v in conditions else v for v in used} if n not in own}
     ticker = _ticker(rig)
-    return Judge(tree, read_, conditions, unit, rig.clock.schedule, ticker, (*read_.values(), ticker))
+    read_too = [signal for figure in (*measured.values(), *timed.values()) for signal in figure.reads]
+    follows = not bounded_by_numbers(formula, known, compared)
+    return Judge(
+        tree,
+        read_,
+        conditions,
+        unit,
+        rig.clock.schedule,
+        ticker,
+        (*read_.values(), *read_too, ticker),
+        measured,
+        timed,
+        follows,
+        partial(_at, formula, known, scaled) if timed else None,
+    )
 
 
 # what a formula says is found once for the variants of a rig
+
+
+def _at(
+    formula: str, known: Mapping[str, float | None], scaled: tuple[Items, Items], values: Mapping[str, float]
+) -> Tree:
+    return _scaled(formula, tuple({**known, **values}.items()), *scaled)[0]
 
 
 @lru_cache(maxsize=256)

@@ -16,11 +16,11 @@ from ..block.answer import Heard, Messages
 from ..block.block import Observer
 from ..block.params import BlockParams, param
 from ..block.port import Port, Sample
-from ..judge.measures import Function, newest_step
+from ..judge.measures import UNMEASURED, Function, newest_step
 from ..judge.units import compose
 from ..timebase import SECOND
 from ..wire.signals import Signal, topic_of
-from .figures import UNMEASURED, Figure
+from .figures import Figure
 
 
 class WatchParams(BlockParams):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from softrig_core import SignalMap, figure
 
@@ -28,7 +30,7 @@ def location_error_percent(signals: SignalMap, *, truth: float, length: float) -
     return 100.0 * abs(_last(signals, "location", LOCATION, "x_km") - truth) / length
 
 
-@figure("", reads=("verdict/0",))
+@figure("", reads=("verdict/0",), follows=True)
 def location_status(signals: SignalMap, *, status: str) -> float:
     """1 when the locator's last verdict is `status` (ok, no_fault, mode_not_excited, ...), else 0."""
     return float(_last(signals, "verdict", VERDICT, "status") == Status[status.upper()])
@@ -40,7 +42,8 @@ def locations(signals: SignalMap) -> float:
     return float(len(signals["location/0"][1]))
 
 
-@figure("A", reads=("line/fault_current/x",))
-def fault_peak(signals: SignalMap, *, phase: str) -> float:
-    """Largest sampled |fault current| of phase a, b or c."""
-    return float(np.abs(signals[f"line/fault_current/{'xyz'['abc'.index(phase)]}"][1]).max())
+@figure("A", reads=tuple(f"line/fault_current/{axis}" for axis in "xyz"))
+def fault_peak(signals: SignalMap, *, phase: Literal["a", "b", "c"] | None = None) -> float:
+    """Return the largest sampled |fault current| of a phase; of the one that has the largest when none is named."""
+    axes = "xyz" if phase is None else "xyz"["abc".index(phase)]
+    return max(float(np.abs(signals[f"line/fault_current/{axis}"][1]).max()) for axis in axes)

@@ -62,9 +62,11 @@ class _Run:
 
 
 @figure("W", READS, STRING, (0.0, math.inf))
-def gmpp(signals: SignalMap, *, at: float, module: Mapping[str, Any], first: tuple[float, ...]) -> float:
-    """Global maximum power in W at the time `at` in s, of the static characteristic."""
-    return float(_Run(signals, module, first, at, None).gmpp[0])
+def gmpp(
+    signals: SignalMap, *, module: Mapping[str, Any], first: tuple[float, ...], at: float | None = None
+) -> float:
+    """Return the global maximum power in W at the time `at` in s (the end), of the static characteristic."""
+    return float(_Run(signals, module, first, at, None).gmpp[-1 if at is None else 0])
 
 
 @figure("W", READS, STRING, (0.0, math.inf))
@@ -73,7 +75,7 @@ def local_maximum(signals: SignalMap, *, at: float, module: Mapping[str, Any], f
     return sorted(peak.p for peak in _Run(signals, module, first, at, None).source(0).peaks)[-2]
 
 
-@figure("%", READS, STRING, (0.0, 100.0))
+@figure("%", READS, STRING, (0.0, 100.0), follows=True)
 def efficiency(
     signals: SignalMap,
     *,
@@ -87,7 +89,7 @@ def efficiency(
     return 100.0 * mean_over(run.power, run.gaps) / mean_over(run.gmpp, run.gaps)
 
 
-@figure("", READS, STRING)
+@figure("", READS, STRING, follows=True)
 def in_global_basin(
     signals: SignalMap, *, module: Mapping[str, Any], first: tuple[float, ...], at: float | None = None
 ) -> float:

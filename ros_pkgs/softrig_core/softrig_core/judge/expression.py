@@ -1,0 +1,83 @@
+"""Numbers that a scenario writes as arithmetic over ``$name`` and ``$node.parameter``: of expectations and formulas."""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import re
+from collections.abc import Callable
+from typing import Any
+
+from ..errors import ScenarioError
+
+REFERENCE = re.compile(r"\$([A-Za-z_]\w*(?:\.\w+)*)")
+LONGEST = 500  # characters: deeper nesting would come near Python's own limit
+_OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+    ast.Pow: math.pow, ast.USub: operator.neg, ast.UAdd: operator.pos,
+}  # fmt: skip
+_CALLS: dict[str, Callable[..., Any]] = {"abs": abs, "min": min, "max": max, "sqrt": math.sqrt}
+_FORM = "expected numbers, $node.parameter, $name, + - * / ** ( ), abs, min, max and sqrt"
+
+
+def number(text: str, value: Callable[[str], Any]) -> float:
+    """Compute what a piece of arithmetic comes to.
+
+    Parameters
+    ----------
+    text : str
+        Such as ``0.96 * $dtc_controller.flux_ref``; ``^`` is a power, as in formulas.
+    value : callable
+        Gives what a reference stands for, without its dollar sign: ``dtc_controller.flux_ref``.
+
+    Returns
+    -------
+    float
+        Finite.
+
+    Raises
+    ------
+    ScenarioError
+        It is no arithmetic, a reference is no number, or the result is none; names the text.
+    """
+    known: dict[str, float] = {}
+
+    def named(found: re.Match[str]) -> str:
+        given = value(found[1])
+        if isinstance(given, bool) or not isinstance(given, int | float):
+            raise ScenarioError(f"${found[1]} is {given!r}, expected a number")
+        known[name := f"_{len(known)}"] = float(given)
+        return name
+
+    if len(text) > LONGEST:
+        raise ScenarioError(f"{text[:40]!r} ... has {len(text)} characters, expected at most {LONGEST}")
+    try:
+        tree = ast.parse(REFERENCE.sub(named, text).replace("^", "**").strip(), mode="eval")
+        found = float(_value(tree.body, known))
+    except ScenarioError:
+        raise
+    except (SyntaxError, LookupError, TypeError, ValueError, ArithmeticError, RecursionError, MemoryError):
+        raise ScenarioError(f"{text!r} is no number; {_FORM}") from None
+    if not math.isfinite(found):
+        raise ScenarioError(f"{text!r} is {found}, expected a finite number")
+    return found
+
+
+def references(text: str) -> list[str]:
+    """Return the references of a text, without their dollar signs."""
+    return REFERENCE.findall(text)
+
+
+def _value(tree: ast.AST, known: dict[str, float]) -> float:
+    if isinstance(tree, ast.Constant) and isinstance(tree.value, int | float) and not isinstance(tree.value, bool):
+        return float(tree.value)
+    if isinstance(tree, ast.Name) and tree.id in known:
+        return known[tree.id]
+    if isinstance(tree, ast.BinOp):
+        return _OPERATORS[type(tree.op)](_value(tree.left, known), _value(tree.right, known))  # type: ignore[no-any-return]
+    if isinstance(tree, ast.UnaryOp):
+        return _OPERATORS[type(tree.op)](_value(tree.operand, known))  # type: ignore[no-any-return]
+    if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) and not tree.keywords:
+        return float(_CALLS[tree.func.id](*(_value(part, known) for part in tree.args)))
+    raise ValueError(tree)

@@ -1,0 +1,179 @@
+"""What is asked of a machine follows it: no number of a node is repeated, and a changed machine is judged by its own."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Iterator
+from datetime import date
+
+import pytest
+from softrig_core import RunError, ScenarioError, list_scenarios, simulate
+from softrig_core.block.params import declarations, flatten
+from softrig_core.judge.units import powers
+from softrig_core.rig.members import Members, signal_units
+from softrig_core.run.expand import rig_of
+from softrig_core.scenario.scenario import read_draft
+from softrig_core.verdict.figures import figures_of
+
+NUMBER = re.compile(r"(?<![\w.$])(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
+TIMES = ("start", "end", "at", "stay", "window")  # arguments that are seconds
+LEVELS = ("final", "initial", "reference", "level")  # and in the signal's unit
+SMALL = {0.0, 1.0}
+
+# What has the size and the unit of a parameter and is another thing, and why.
+OTHERS = {
+    ("arrival_trapezoid", "trapezoid_profile.t_d"): "the time of arrival as measured",
+    ("arrival_trapezoid", "profile_generator.t_d"): "the time of arrival as measured",
+    ("distance", "mvim_planner.eps"): "how far the plan is from the exact one, as measured",
+    ("distance", "mvim_planner.eps_res"): "how far the plan is from the exact one, as measured",
+    ("distance", "ocp_evaluator.eps_res"): "how far the plan is from the exact one, as measured",
+    ("flux_error_end", "dtc_controller.flux_band"): "what a wrong resistance costs in 2 s, as measured",
+    ("late", "switched_delay_plant.mu"): "a third of the way back from the start: not settled",
+    ("late", "switched_delay_plant.x0"): "a third of the way back from the start: not settled",
+    ("q_0_1.end", "queue_reference.period"): "an instant of the table",
+    ("q_0_2.end", "tcp_fluid.tau_p"): "an instant of the table",
+    ("q_0_2.end", "aqm_controller.tau_p"): "an instant of the table",
+    ("state", "gpc_controller.Np"): "the number of a state of the law, 3: tripped",
+}
+
+
+def asked(rig: Members, raw: dict) -> Iterator[tuple[str, float, str]]:
+    """Give where a number stands in what is asked of a rig, the number, and its unit."""
+    units, figures = signal_units(rig), {f.name: f for f in figures_of(rig)}
+    for name, entry in (raw.get("expect") or {}).items():
+        for number in NUMBER.findall(str(entry).split("+-")[0]):
+            yield name, float(number), figures[name].unit
+    for name, entry in (raw.get("requirements") or {}).items():
+        formula = entry if isinstance(entry, str) else entry["formula"]
+        for interval in re.findall(r"\[[^\]]*\]", formula):
+            yield from ((name, float(number), "s") for number in NUMBER.findall(interval))
+        rest = re.sub(r"\[[^\]]*\]", "", formula)
+        yield from ((name, float(number), figures[name].unit) for number in NUMBER.findall(rest))
+    for name, figure in (raw.get("figures") or {}).items():
+        for argument, value in ((figure or {}).get("arguments") or {}).items():
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                unit = "s" if argument in TIMES else ""
+                if argument in LEVELS:
+                    unit = units.get(str(figures[name].arguments.get("signal")), "")
+                yield f"{name}.{argument}", float(value), unit
+
+
+def parameters(rig: Members) -> dict[float, list[tuple[str, str | None]]]:
+    """Give the sizes of all numbers of the nodes' parameters, with where they stand and their unit; None: not said."""
+    found: dict[float, list[tuple[str, str | None]]] = {}
+    for member in rig.members:
+        if (member.package, member.executable) == ("softrig_core", "figures"):
+            continue
+        units, values = {d.name: d.unit for d in declarations(type(member.params))}, flatten(member.params)
+        channels = values.get("units") or [None]  # of a source: each of its values in the unit of its channel
+        for name, value in values.items():
+            for k, number in enumerate(value if isinstance(value, list) else [value]):
+                if isinstance(number, int | float) and not isinstance(number, bool):
+                    unit = channels[k % len(channels)] if name == "values" else units.get(name, "")
+                    found.setdefault(abs(float(number)), []).append((f"{member.name}.{name}", unit))
+    return found
+
+
+def repeated(name: str) -> list[tuple[str, float, str]]:
+    draft = read_draft(name)
+    rig = rig_of(draft, live=False)
+    known = parameters(rig)
+    return [
+        (where, number, parameter)
+        for where, number, unit in asked(rig, draft.raw)
+        if abs(number) not in SMALL
+        for parameter, own in known.get(abs(number), ())
+        if (own is None or powers(own) == powers(unit)) and (where, parameter) not in OTHERS
+    ]
+
+
+DAY = random.Random(date.today().toordinal())
+
+
+@pytest.mark.parametrize("name", sorted(DAY.sample(sorted(list_scenarios()), 30)))
+def test_no_number_of_a_node_is_repeated_in_what_is_asked_of_it(name):
+    assert repeated(name) == []
+
+
+@pytest.mark.long
+def test_no_shipped_scenario_repeats_a_number_of_a_node():
+    assert {name: found for name in list_scenarios() if (found := repeated(name))} == {}
+
+
+
+
+def judged(name: str, overrides: dict) -> dict[str, bool | None]:
+    """Whether each figure and requirement of a changed run passes; None where it is not judged."""
+    run = simulate(name, overrides=overrides)
+    return {r.name: None if r.published_for else r.passed for r in run.results if r.limited}
+
+
+def test_a_tracker_that_cannot_reach_the_maximum_misses_it():
+    sun = [1000.0, 1000.0, 1000.0, 1000.0]
+    found = judged("pv_mppt", {"mppt_optimizer.d_max": 0.5, "irradiance": sun})
+    assert (found["finds"], found["tracking_efficiency"]) == (False, False)
+    assert found["power"] is None  # 169.8 W are above the 115.3 W of the paper's shade
+    assert judged("pv_mppt", {"mppt_optimizer.algorithm": "certified", "irradiance": sun})["finds"] is True
+
+
+def test_bounds_of_a_flux_follow_its_reference():
+    found = judged("induction_dtc_short", {"dtc_controller.flux_ref": 0.7})
+    assert found == {"flux_error_peak": None, "current_peak": True}
+    run = simulate("induction_dtc", duration=0.5, overrides={"dtc_controller.flux_ref": 0.7})
+    flux = next(r for r in run.results if r.name == "flux_band")
+    assert flux.judged
+    assert flux.passed
+    assert run.published_for == "duration = 2, dtc_controller.flux_ref = 0.9"
+
+
+def test_a_plan_ends_at_its_own_horizon():
+    found = judged("optimal_control_mvim", {"horizon": 60.0})
+    assert found["at_rest"] is True
+    assert found["J_plant"] is None
+
+
+def test_a_higher_supply_is_no_violation():
+    run = simulate("rehab_impedance", duration=4.0, overrides={"rehab_plant.v_max": 40.0, "voltage_controller.v_max": 40.0})
+    found = {r.name: r for r in run.results}
+    assert found["voltage"].judged
+    assert found["voltage"].passed
+    assert found["peak_voltage_hip"].value > 24.0
+
+
+@pytest.mark.parametrize(("kind", "least"), [("AG", 13000.0), ("BCG", 30000.0), ("BC", 20000.0), ("ABCG", 30000.0)])
+def test_the_peak_of_a_fault_is_that_of_its_phases(kind, least):
+    run = simulate("fault_location", overrides={"line_plant.fault.type": kind})
+    assert run.figures["fault_current_peak"] > least
+
+
+def test_a_scenario_as_it_is_written_is_judged_by_all_that_it_asks():
+    run = simulate("dc_motor_smc_b1")
+    assert run.published_for == ""
+    assert all(r.judged for r in run.results if r.limited)
+    same = simulate("dc_motor_smc_b1", overrides={"dc_motor_plant.R": 0.4, "dc_motor_smc.period": 0.01})
+    assert same.published_for == ""  # these are what it has
+    assert all(c.holds is None for c in simulate("dc_motor_smc_b1", overrides={"dc_motor_plant.R": 0.41}).claims)
+
+
+def tenths(name: str) -> Iterator[tuple[str, float]]:
+    """Give each number among the parameters of a scenario's nodes, a tenth more and a tenth less."""
+    rig = rig_of(name, live=False)
+    for member in rig.members:
+        if (member.package, member.executable) == ("softrig_core", "figures"):
+            continue
+        for key, value in flatten(member.params).items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not value:
+                continue
+            for factor in (1.1, 0.9):
+                other = value * factor if isinstance(value, float) else round(value * factor)
+                yield f"{member.name}.{key}", other if other != value else value + (1 if factor > 1.0 else -1)
+
+
+def lost(name: str, key: str, value: float) -> list[str] | None:
+    """Give what a scenario with one other parameter is judged by and misses; None where that is refused."""
+    try:
+        run = simulate(name, overrides={key: value})
+    except (ScenarioError, RunError):
+        return None
+    return [r.name for r in run.missed]
