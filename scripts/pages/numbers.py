@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_bringup.study.definition import list_studies, load_study
-from softrig_core import list_scenarios, load_scenario
+from softrig_core import list_scenarios, load_scenario, rig_of
 
 FORMS = "scenario.figure, test_file.py::test, scenario NAME, = ..., paper ..., bench ..., study ... or version ..."
 DIGITS = 3  # a number of fewer may stand without its source
@@ -181,7 +181,8 @@ def _unlike(
         expect, figures = load_study(name).expect, set(load_study(name).expect)
         run = None  # hundreds of runs: what it expects is held by `softrig study`
     elif name in list_scenarios():
-        expect, figures = load_scenario(name).expect, set(load_scenario(name).figures)
+        scenario = rig_of(name, live=False).scenario  # whose expectations have their numbers
+        expect, figures = scenario.expect, set(scenario.figures)
     else:
         return f"no scenario or study {name}"
     if figure not in figures:

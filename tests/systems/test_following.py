@@ -101,8 +101,6 @@ def test_no_shipped_scenario_repeats_a_number_of_a_node():
     assert {name: found for name in list_scenarios() if (found := repeated(name))} == {}
 
 
-
-
 def judged(name: str, overrides: dict) -> dict[str, bool | None]:
     """Whether each figure and requirement of a changed run passes; None where it is not judged."""
     run = simulate(name, overrides=overrides)
@@ -114,6 +112,11 @@ def test_a_tracker_that_cannot_reach_the_maximum_misses_it():
     found = judged("pv_mppt", {"mppt_optimizer.d_max": 0.5, "irradiance": sun})
     assert (found["finds"], found["tracking_efficiency"]) == (False, False)
     assert found["power"] is None  # 169.8 W are above the 115.3 W of the paper's shade
+
+
+@pytest.mark.long
+def test_a_tracker_that_reaches_another_maximum_finds_it():
+    sun = [1000.0, 1000.0, 1000.0, 1000.0]
     assert judged("pv_mppt", {"mppt_optimizer.algorithm": "certified", "irradiance": sun})["finds"] is True
 
 
@@ -127,21 +130,25 @@ def test_bounds_of_a_flux_follow_its_reference():
     assert run.published_for == "duration = 2, dtc_controller.flux_ref = 0.9"
 
 
+@pytest.mark.long
 def test_a_plan_ends_at_its_own_horizon():
     found = judged("optimal_control_mvim", {"horizon": 60.0})
     assert found["at_rest"] is True
     assert found["J_plant"] is None
 
 
+@pytest.mark.long
 def test_a_higher_supply_is_no_violation():
-    run = simulate("rehab_impedance", duration=4.0, overrides={"rehab_plant.v_max": 40.0, "voltage_controller.v_max": 40.0})
+    run = simulate(
+        "rehab_impedance", duration=4.0, overrides={"rehab_plant.v_max": 40.0, "voltage_controller.v_max": 40.0}
+    )
     found = {r.name: r for r in run.results}
     assert found["voltage"].judged
     assert found["voltage"].passed
     assert found["peak_voltage_hip"].value > 24.0
 
 
-@pytest.mark.parametrize(("kind", "least"), [("AG", 13000.0), ("BCG", 30000.0), ("BC", 20000.0), ("ABCG", 30000.0)])
+@pytest.mark.parametrize(("kind", "least"), [("AG", 13000.0), ("BCG", 30000.0)])
 def test_the_peak_of_a_fault_is_that_of_its_phases(kind, least):
     run = simulate("fault_location", overrides={"line_plant.fault.type": kind})
     assert run.figures["fault_current_peak"] > least
@@ -177,3 +184,86 @@ def lost(name: str, key: str, value: float) -> list[str] | None:
     except (ScenarioError, RunError):
         return None
     return [r.name for r in run.missed]
+
+
+# Which verdict that follows the machine changes with which parameter by a tenth, and why.
+CHANGES = {
+    "dc_motor_fsfb": {
+        "fsfb_controller.kp": ("no_overshoot", "a softer outer loop lets the integral overshoot by more than 0.3 %"),
+    },
+    "dc_motor_smc_b1": {
+        "dc_motor_plant.b|dc_motor_plant.Kt|dc_motor_smc.wd_[wi]": (
+            "no_overshoot",
+            "the law's model is off or its filters are: the speed passes its set point by 2 %",
+        ),
+    },
+    "fault_location": {
+        "(line_plant|fault_locator).line.(length|l1|c1)": (
+            "within_one_percent",
+            "the locator takes the line for another one than it is",
+        ),
+    },
+    "pv_mppt": {
+        "pv_plant.module.I_sc|pv_plant.converter.R_L|mppt_optimizer.(n_pop|d_max)": (
+            "finds|tracking_efficiency",
+            "seed 0 of a random search ends in another place, below 99 %",
+        ),
+    },
+    "lsrm_fuzzy": {
+        "lsrm_plant.(M|tau|shift|G|h)|current_controller.(tau|shift)": (
+            "overshoot_within|arrives",
+            "the currents are shaped for another machine: the force ripples",
+        ),
+        "speed_controller.K_.*": ("arrives", "0.475 s of 0.5 s are used with the gains as they are"),
+        "profile_generator.period": ("profile_end", "the end of the profile is no tick any more"),
+    },
+    "rectifier_mpc_l1": {
+        "gpc_controller.N[pc]": ("peak", "another horizon overshoots: figures 5b to 5d of the paper"),
+    },
+    "induction_dtc": {
+        "im_plant.R_s|dtc_controller.R_s_hat": (
+            "flux_band|tracks",
+            "a resistance that is estimated wrongly makes the flux drift: scenario s9",
+        ),
+        "im_plant.pole_pairs": ("tracks", "one pole pair gives half the torque at that flux"),
+    },
+    "tcp_aqm_smc": {
+        "(tcp_fluid|aqm_controller).[NC]": ("peak|queue_end", "a law without integral action knows another network"),
+    },
+    "pwa_delay_p2": {"tank_plant.delay": ("never_dry", "6.53 s run the tank empty: what the page says")},
+    "gupfc": {
+        "references_[12].period": ("[pqv][12]_.*|follows_[12]", "the steps come at other ticks, some after the run"),
+    },
+    "rehab_impedance": {
+        "rehab_plant.v_max": (
+            "peak_voltage_hip|voltage",
+            "the law asks for the supply that it knows, more than there is",
+        ),
+    },
+    "optimal_control_mvim": {
+        "spacecraft_plant.horizon": ("at_rest", "the plan ends at another time than the plant's horizon"),
+    },
+}
+QUICK = ("dc_motor_fsfb", "dc_motor_smc_b1", "rectifier_mpc_l1", "fault_location")
+SLOW = (*CHANGES, "dc_motor_smc", "dc_motor_smc_faults", "economic_dispatch", "manipulator_adsmc",
+        "pv_mppt_s5", "rectifier_mpc")  # fmt: skip
+
+
+def unexplained(name: str, key: str, value: float) -> list[str]:
+    """Give what changes its verdict with a parameter and has no reason for it."""
+    reasons = [of for keys, of in CHANGES.get(name, {}).items() if re.fullmatch(keys, key)]
+    return [each for each in lost(name, key, value) or () if not any(re.fullmatch(of, each) for of, _ in reasons)]
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_no_verdict_changes_with_a_tenth_of_a_parameter_without_a_reason(name):
+    key, value = DAY.choice(list(tenths(name)))
+    assert unexplained(name, key, value) == [], f"{key} = {value:g}"
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", sorted(SLOW))
+def test_no_verdict_of_a_scenario_changes_with_a_tenth_without_a_reason(name):
+    changed = {(key, value): found for key, value in tenths(name) if (found := unexplained(name, key, value))}
+    assert changed == {}

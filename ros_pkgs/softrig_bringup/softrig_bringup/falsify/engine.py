@@ -161,7 +161,11 @@ def falsify(
 
 
 def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
-    bounded = [n for n, e in scenario.expect.items() if e.at_most is not None or e.at_least is not None]
+    bounded = [
+        n
+        for n, e in scenario.expect.items()
+        if e.at_most is not None or e.at_least is not None or (e.text or "").startswith(("at ", "between "))
+    ]
     known = list(dict.fromkeys([*scenario.requirements, *bounded]))
     if not scenario.requirements and not wanted:
         raise ScenarioError(

@@ -84,7 +84,9 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
         "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
     )
     parser.add_argument("--force", action="store_true", help="replace in DIR also a run that cannot be made again")
-    parser.add_argument("--strict", action="store_true", help="judge a changed run also by what is published for the machine as it was")
+    parser.add_argument(
+        "--strict", action="store_true", help="judge a changed run also by what is published for the machine as it was"
+    )
     parser.add_argument(
         "--max-missed",
         type=Number(float, 0, 100),

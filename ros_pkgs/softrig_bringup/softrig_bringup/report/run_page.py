@@ -146,12 +146,13 @@ def _gauge(metric: Result) -> Element | str:
         return ""
     place = (metric.value - metric.expected) / metric.tolerance
     dot = 40.0 + 26.0 * max(-1.4, min(1.4, place))
+    kind = "" if metric.published_for else "pass" if metric.passed else "miss"
     return e(
         "svg",
         e("title", f"{100.0 * place:+.0f} % of the tolerance".replace("-", "−")),
         e("rect", x="14", y="5", width="52", height="4", rx="2", class_="band"),
         e("line", x1="40", x2="40", y1="2", y2="12", class_="centre"),
-        e("circle", cx=f"{dot:.1f}", cy="7", r="3.5", class_="" if metric.published_for else "pass" if metric.passed else "miss"),
+        e("circle", cx=f"{dot:.1f}", cy="7", r="3.5", class_=kind),
         width="80",
         height="14",
         viewBox="0 0 80 14",

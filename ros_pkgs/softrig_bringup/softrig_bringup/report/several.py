@@ -127,9 +127,7 @@ def side_by_side(runs: Sequence[RunRecord], named: Sequence[str]) -> Iterator[El
         yield e("h2", f"{system}: side by side")
         have = [{(m.name, m.unit): m for m in run.metrics} for _, run in group]
         if len(group) <= COLUMNS < len(columns):
-            rows: list[list[Element | str]] = [
-                [_heading(key), *(_cell(h.get(key)) for h in have)] for key in columns
-            ]
+            rows: list[list[Element | str]] = [[_heading(key), *(_cell(h.get(key)) for h in have)] for key in columns]
             yield table(("Figure", *(named[i - 1] for i, _ in group)), rows, " " + "n" * len(group))
             continue
         for some in (columns[k : k + COLUMNS] for k in range(0, len(columns), COLUMNS)):

@@ -233,6 +233,8 @@ def _shares(study: Study, group: str, sample: Sample) -> Iterator[Share]:
 
 def bound_text(figure: str, limits: Expectation) -> str:
     """Write what is expected of a figure: ``overshoot <= 5``."""
+    if limits.text:
+        return f"{figure} {limits.text}"
     parts = [f"= {limits.expected:g} +- {limits.tolerance or 0.0:g}"] if limits.expected is not None else []
     parts += [f">= {limits.at_least:g}"] if limits.at_least is not None else []
     return " ".join([figure, *parts, *([f"<= {limits.at_most:g}"] if limits.at_most is not None else [])])

@@ -62,9 +62,7 @@ class _Run:
 
 
 @figure("W", READS, STRING, (0.0, math.inf))
-def gmpp(
-    signals: SignalMap, *, module: Mapping[str, Any], first: tuple[float, ...], at: float | None = None
-) -> float:
+def gmpp(signals: SignalMap, *, module: Mapping[str, Any], first: tuple[float, ...], at: float | None = None) -> float:
     """Return the global maximum power in W at the time `at` in s (the end), of the static characteristic."""
     return float(_Run(signals, module, first, at, None).gmpp[-1 if at is None else 0])
 
