@@ -14,7 +14,6 @@ from softrig_core.judge.robustness import Record
 from softrig_core.verdict.requirements import _ticker
 from softrig_core.wire.signals import Signal
 
-
 NODES = {"plant": "plant", "source": "source", "gain": "gain"}
 
 

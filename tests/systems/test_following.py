@@ -1,4 +1,4 @@
-"""What is asked of a machine follows it: no number of a node is repeated, and a changed machine is judged by its own."""
+"""What is asked of a machine follows it: no number of a node is repeated, a changed one is judged by its own."""
 
 from __future__ import annotations
 

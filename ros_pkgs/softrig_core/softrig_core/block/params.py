@@ -57,7 +57,7 @@ def param(
 
 
 class derived(property):  # noqa: N801, a decorator
-    """A number that follows from the parameters of a class; scenarios reach it as ``$node.name``, as they do parameters.
+    """A number that follows from the parameters of a class; scenarios reach it as ``$node.name``.
 
     Examples
     --------

@@ -16,6 +16,7 @@ from ..block.schedule import Schedule
 from ..board.entry import require_own_ports
 from ..board.link import linked
 from ..errors import ScenarioError
+from ..judge.expectation import Expectation
 from ..judge.units import misfit
 from ..scenario.changes import script
 from ..scenario.node_parameters import NodeParameters
@@ -92,19 +93,8 @@ class Rig(Members):
         _check_units(scenario, new)
         plants = [m for m in members if m.is_plant]
         others = _sorted([m for m in members if not m.is_plant])
-        return replace(self, scenario=_whole_names(scenario, members), members=(*plants, *others))._resolved()
-
-    def _resolved(self) -> Rig:
-        """Give the rig with the numbers that its scenario's expectations take from its nodes."""
-        scenario = self.scenario
-        found = {}
-        for name, limits in scenario.expect.items():
-            try:
-                found[name] = limits.resolved(self.reference)
-            except ScenarioError as error:
-                at = scenario.written("expect", name)
-                raise ScenarioError(f"{scenario.name}: expect {name}: {error}{at}") from None
-        return replace(self, scenario=scenario.model_copy(update={"expect": found}))
+        rig = replace(self, scenario=_whole_names(scenario, members), members=(*plants, *others))
+        return replace(rig, scenario=rig.scenario.model_copy(update={"expect": _expected(rig)}))
 
     @classmethod
     def from_blocks(
@@ -261,6 +251,18 @@ def _link(scenario: Scenario, members: list[Member], new: list[Member]) -> None:
                 raise ScenarioError(
                     f"{scenario.name}: {port.topic} from {source.name} does not fit {member.name}: {error}"
                 ) from None
+
+
+def _expected(rig: Rig) -> dict[str, Expectation]:
+    """Return a scenario's expectations with the numbers that they take from the nodes."""
+    found = {}
+    for name, limits in rig.scenario.expect.items():
+        try:
+            found[name] = limits.resolved(rig.reference)
+        except ScenarioError as error:
+            at = rig.scenario.written("expect", name)
+            raise ScenarioError(f"{rig.scenario.name}: expect {name}: {error}{at}") from None
+    return found
 
 
 def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
