@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import pytest
 from softrig_core import Block, Rig
+from softrig_core.block.schedule import Schedule
 from softrig_core.kit.compiled import Compiled
 from softrig_core.kit.jit import jit
 from softrig_core.native import choice, compile as compile_, engine, twins
@@ -279,7 +280,7 @@ def test_a_run_without_an_end_is_pythons() -> None:
     blocks = {"wide": Wide()}
     steps = list(inprocess.wired(Rig.from_blocks(blocks, 0.1), blocks).values())
     for step in steps:
-        step.schedule.ticks = None
+        step.schedule = Schedule(0.1)
     choice.ticks_of(steps)
     assert steps[0].native == (0, "a run without an end")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 from softrig_core import History
@@ -15,6 +16,19 @@ class Commands(NamedTuple):
 
     line: History
     known: int
+
+
+@lru_cache(maxsize=64)  # runs of a study often share their plant
+def _powers(phi: Matrix, gamma: Matrix, capacity: int) -> tuple[list[float], list[list[float]]]:
+    """Return Phi^D, one after the other, and Phi^j Gamma, of each state a sequence over j."""
+    n = len(phi)
+    power: Matrix = tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
+    powers, impulse = [x for row in power for x in row], []
+    for _ in range(capacity):
+        impulse.append([row[0] for row in matmul(power, gamma)])
+        power = matmul(phi, power)
+        powers += [x for row in power for x in row]
+    return powers, [list(row) for row in zip(*impulse, strict=True)]
 
 
 class CommandReplay:
@@ -36,16 +50,8 @@ class CommandReplay:
     """
 
     def __init__(self, phi: Sequence[Sequence[float]], gamma: Sequence[Sequence[float]], capacity: int) -> None:
-        n = len(phi)
-        power: Matrix = tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
-        self._size = n
-        self._powers = [x for row in power for x in row]  # Phi^D, one after the other
-        impulse = []  # Phi^j Gamma
-        for _ in range(capacity):
-            impulse.append([row[0] for row in matmul(power, gamma)])
-            power = matmul(phi, power)
-            self._powers += [x for row in power for x in row]
-        self._impulse = [list(row) for row in zip(*impulse, strict=True)]  # one sequence over j a state
+        self._size = len(phi)
+        self._powers, self._impulse = _powers(tuple(map(tuple, phi)), tuple(map(tuple, gamma)), capacity)
         self._capacity = capacity
 
     def nothing(self) -> Commands:

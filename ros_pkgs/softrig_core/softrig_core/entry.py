@@ -6,6 +6,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidatorFunctionWrapHandler, field_validator
 
+_MAYBE = frozenset({bool, list, tuple})
+
 
 class Entry(BaseModel):
     """Base of all such models: frozen, no unknown names, no NaN or infinity, no switch in the place of a number."""
@@ -16,7 +18,7 @@ class Entry(BaseModel):
     @classmethod
     def _no_switch_as_number(cls, given: Any, validated: ValidatorFunctionWrapHandler) -> Any:
         value = validated(given)
-        if _switches(given) and not _switches(value):
+        if type(given) in _MAYBE and _switches(given) and not _switches(value):
             raise ValueError("expected a number, not true or false")
         return value
 

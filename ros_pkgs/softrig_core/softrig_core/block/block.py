@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cached_property
 from types import FrameType
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NoReturn, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NoReturn, Self, get_args
 
 from typing_extensions import TypeVar
 
@@ -31,6 +31,8 @@ P = TypeVar("P", bound=BlockParams, default=Any)
 
 # what makes or remakes a block's constants
 _OPEN = frozenset({"__init__", "setup", "change", "reset"})
+# attributes of whoever runs the block
+_RUNNERS = frozenset({"ages", "unanswered", "realtime", "_seed", "_first"})
 
 
 def _check_writer(block: Block, name: str, writer: FrameType) -> None:
@@ -111,6 +113,7 @@ class Block(Generic[P]):
     TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports: it has switched something off for good
     # attributes that a tick may change in place because no answer depends on them: caches, buffers, handles
     SCRATCH: ClassVar[frozenset[str]] = frozenset()
+    _seed = 0
     _open = True  # whether every attribute may be written: while the block is made
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
@@ -129,14 +132,14 @@ class Block(Generic[P]):
                 cls.Params = next((p for p in of if isinstance(p, type) and issubclass(p, BlockParams)), cls.Params)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not self._open:
+        if not self._open and name not in _RUNNERS:
             _check_writer(self, name, sys._getframe(1))
-        super().__setattr__(name, value)
+        object.__setattr__(self, name, value)
 
     def __delattr__(self, name: str) -> None:
         if not self._open:
             _check_writer(self, name, sys._getframe(1))
-        super().__delattr__(name)
+        object.__delattr__(self, name)
 
     def __init__(self, params: P | None = None, name: str = "", **values: Any) -> None:
         self.p: P = build(self.Params, values) if params is None else params  # type: ignore[assignment]
@@ -146,9 +149,9 @@ class Block(Generic[P]):
         self.events: list[tuple[Level | None, str, str, bool]] = []  # reported since who holds the block last looked
         try:
             self.setup()
-            self.reset(0)
-            self.first()
-            self.events.clear()  # who holds the block asks again
+            self.reset(self._seed)
+            self._first: tuple[Any, list[Any]] | None = self.first(), self.events[:]
+            self.events.clear()  # who holds the block gets them
             self._open = False
         except (ParameterError, ScenarioError, RunError):
             raise
@@ -156,6 +159,14 @@ class Block(Generic[P]):
             Exception
         ) as error:  # an overflow, a singular matrix, no memory: each value is in bounds, but not together
             raise ParameterError(f"set-up failed{differing(self.p)}: {type(error).__name__}: {error}") from error
+
+    @classmethod
+    def seeded(cls, params: P, name: str, seed: int) -> Self:
+        """Make a block with a seed, as by ``reset`` after it is made."""
+        block = cls.__new__(cls)
+        block.__dict__["_seed"] = seed
+        block.__init__(params, name)  # type: ignore[misc]
+        return block
 
     @classmethod
     def main(cls, args: Sequence[str] | None = None) -> NoReturn:
@@ -207,6 +218,15 @@ class Block(Generic[P]):
         """
         return ()
 
+    def take_first(self) -> Any:
+        """Return the state before the first tick, for who holds the block from now on: what `first` gives."""
+        found, self._first = self._first, None
+        if found is None:
+            self.events.clear()
+            return self.first()
+        self.events[:] = found[1]
+        return found[0]
+
     def params(self, x: Any) -> P:
         """Give the parameters as they stand; `p`, but for one that something in the run moves, as a button does."""
         return self.p
@@ -256,7 +276,7 @@ class Block(Generic[P]):
         params : BlockParams
             Those to go on with; `p` are still those of before.
         """
-        self.p = params
+        self.p, self._first = params, None
         self.setup()
 
     def warm_up(self) -> None:
@@ -264,7 +284,7 @@ class Block(Generic[P]):
 
     def reset(self, seed: int) -> None:
         """Take a seed, and forget what was reported; who holds the block then asks for its `first` state."""
-        self._seed = seed
+        self._seed, self._first = seed, None
         for name in ("standard_normal", "uniform"):
             self.__dict__.pop(name, None)
         self.events.clear()

@@ -14,8 +14,9 @@ from types import CodeType
 from typing import Any
 
 from .answer import sum_of_products
+from .fill import taking
 from .link import Link
-from .port import Sample
+from .port import Port, Sample
 
 Step = Any  # `softrig_core.block.step.Step`, which imports this
 
@@ -68,71 +69,84 @@ PLAIN = """
 
 def sayer(step: Step) -> Callable[[int], None]:
     """Make the function that answers a tick (ns) of a step as it is wired by now; see `Step.say`."""
-    known: dict[str, Any] = {"respond": step.respond}
-    rows = [f"row{k}" for k, _ in enumerate(step.outputs)]
+    fills = [*step.readers, *step.doubters]
+    known: dict[str, Any] = {"respond": step.respond, "bound": min([port.bound for port in step.outputs], default=0.0)}
+    for number, fill in enumerate(fills):
+        reader = fill.reader
+        known |= {f"values{number}": reader.values, f"reader{number}": reader, f"port{number}": fill.port}
+    if step.link is not None:
+        known |= {"send": step.link.send, "over": step.link.over}
+    wires = tuple([(f.output, f.port.name, taking(f"row{f.output}", f.pick, f.stamp)) for f in fills])
+    ends = not step.plant and _needs_over(step)
+    text = _say_text(step.plain, step.plant, step.outputs, step.asked_for, wires, step.link is not None, ends)
+    return _made("say", text, step, known)
+
+
+@lru_cache(maxsize=256)
+def _say_text(
+    plain: bool,
+    plant: bool,
+    outputs: tuple[Port, ...],
+    asked_for: tuple[str, ...],
+    wires: tuple[tuple[int, str, str], ...],
+    linked: bool,
+    ends: bool,
+) -> str:
+    rows = [f"row{k}" for k, _ in enumerate(outputs)]
     all_rows = "".join(f"{row}, " for row in rows)
-    said = f"{{{', '.join(f'{p.name!r}: {row}' for p, row in zip(step.outputs, rows, strict=True))}}}"
+    said = f"{{{', '.join(f'{p.name!r}: {row}' for p, row in zip(outputs, rows, strict=True))}}}"
     checked, handed = "        rows = numbers = ()", []
-    if step.outputs and step.plain:
-        sizes = [f"type({row}) is tuple and len({row}) == {p.size}" for row, p in zip(rows, step.outputs, strict=True)]
+    if outputs and plain:
+        sizes = [f"type({row}) is tuple and len({row}) == {p.size}" for row, p in zip(rows, outputs, strict=True)]
         checked = PLAIN.format(
             rows=all_rows,
-            found="".join(f"found[{port.name!r}], " for port in step.outputs),
+            found="".join(f"found[{port.name!r}], " for port in outputs),
             numbers=rows[0] if len(rows) == 1 else f"({', '.join(f'*{row}' for row in rows)})",
             sizes=" and ".join(sizes),
         )
-        known["bound"] = min(port.bound for port in step.outputs)
-    elif step.outputs:
+    elif outputs:
         checked = f"        {all_rows} = rows = step.checked(found)\n        numbers = ()"
-        if any(port.sporadic for port in step.outputs):
+        if any(port.sporadic for port in outputs):
             said = f"{{name: row for name, row in {said}.items() if row is not None}}"
-        spoke = [f"before[{k}] if row{k} is None else t" if p.sporadic else "t" for k, p in enumerate(step.outputs)]
+        spoke = [f"before[{k}] if row{k} is None else t" if p.sporadic else "t" for k, p in enumerate(outputs)]
         handed += ["    before = step.spoken", f"    step.spoken = [{', '.join(spoke)}]"]
-    for number, fill in enumerate([*step.readers, *step.doubters]):
-        row, port = rows[fill.output], fill.port
-        known |= {f"values{number}": fill.reader.values, f"reader{number}": fill.reader, f"port{number}": port}
-        silent = "" if step.plain else f"if {row} is not None: "
-        if step.outputs[fill.output].unchecked:
-            handed.append(f"    {silent}reader{number}.doubt(t, port{number}, {fill.text(row)})")
+    for number, (output, name, taken) in enumerate(wires):
+        silent = "" if plain else f"if {rows[output]} is not None: "
+        if outputs[output].unchecked:
+            handed.append(f"    {silent}reader{number}.doubt(t, port{number}, {taken})")
         else:
-            handed.append(f"    {silent}values{number}[{port.name!r}] = {fill.text(row)}")
-    if step.link is not None:
-        known["send"] = step.link.send
-        handed.append("    send(t, rows, numbers)")
-    if not step.plant:
-        handed += _over(step, known)
-    inputs = _inputs(step.asked_for)
-    answer, kept = ("found", "") if step.plant else ("x, found", "    step.x = x")
-    text = SAY.format(
-        asked="_, found" if step.plant else answer,
+            handed.append(f"    {silent}values{number}[{name!r}] = {taken}")
+    handed += ["    send(t, rows, numbers)"] * linked + ["    over(t)"] * ends
+    answer, kept = ("found", "") if plant else ("x, found", "    step.x = x")
+    return SAY.format(
+        asked="_, found" if plant else answer,
         answer=answer,
-        inputs=inputs,
+        inputs=_inputs(asked_for),
         checked=checked,
         said=said,
         failed=FAILED,
         kept=kept,
         handed="\n".join(handed),
     )
-    return _made("say", text, step, known)
 
 
 def mover(step: Step) -> Callable[..., None]:
     """Make the function that moves a plant on; see `Step.advance`."""
-    known = {"move": step.block.advance}
-    over = "\n".join(_over(step, known))
-    return _made("advance", ADVANCE.format(inputs=_inputs(step.values), failed=FAILED, over=over), step, known)
+    known = {"move": step.block.advance} | ({} if step.link is None else {"over": step.link.over})
+    return _made("advance", _move_text(tuple(step.values), _needs_over(step)), step, known)
 
 
-def _over(step: Step, known: dict[str, Any]) -> list[str]:
-    """Write what is to be done when a tick is over, where there is anything."""
-    links, link = [], step.link
-    while link is not None:
-        links.append(type(link).over)
+@lru_cache(maxsize=256)
+def _move_text(inputs: tuple[str, ...], ends: bool) -> str:
+    return ADVANCE.format(inputs=_inputs(inputs), failed=FAILED, over="    over(t)" * ends)
+
+
+def _needs_over(step: Step) -> bool:
+    """Whether any link of a step does something when a tick is over."""
+    link = step.link
+    while link is not None and type(link).over is Link.over:
         link = link.inner
-    if set(links) <= {Link.over}:
-        return []
-    known["over"] = step.link.over
-    return ["    over(t)"]
+    return link is not None
 
 
 def _inputs(names: Iterable[str]) -> str:

@@ -17,6 +17,18 @@ def picked(pick: Pick | None, values: tuple[float, ...]) -> tuple[float, ...]:
     return values if pick is None else tuple([values[p] if type(p) is int else p for p in pick])
 
 
+def taking(row: str, pick: Pick | None, stamp: Stamp) -> str:
+    """Return what `Fill.take` does with a row of that name, as Python text with `t` for the tick of the source."""
+    if pick is None and stamp != "tick":
+        return row
+    data = f"{row}.data" if stamp == "own" else row
+    if pick is not None:
+        data = f"({''.join(f'{data}[{p}], ' if type(p) is int else f'{p!r}, ' for p in pick)})"
+    if stamp == "none":
+        return data
+    return f"Sample({'t' if stamp == 'tick' else f'{row}.stamp'}, {data})"
+
+
 class Fill(NamedTuple):
     """An output that fills an input.
 
@@ -60,17 +72,6 @@ class Fill(NamedTuple):
             return row if self.pick is None else Sample(row.stamp, picked(self.pick, row.data))
         data = picked(self.pick, row)
         return Sample(self.source.t, data) if self.stamp == "tick" else data
-
-    def text(self, row: str) -> str:
-        """Return what `take` does with a row of that name, as Python text with `t` for the tick of the source."""
-        if self.pick is None and self.stamp != "tick":
-            return row
-        data = f"{row}.data" if self.stamp == "own" else row
-        if self.pick is not None:
-            data = f"({''.join(f'{data}[{p}], ' if type(p) is int else f'{p!r}, ' for p in self.pick)})"
-        if self.stamp == "none":
-            return data
-        return f"Sample({'t' if self.stamp == 'tick' else f'{row}.stamp'}, {data})"
 
     def bring(self, row: Row) -> None:
         """Put what the input gets of a row into the values of the reader."""

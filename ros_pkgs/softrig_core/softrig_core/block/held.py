@@ -50,8 +50,7 @@ class Held:
     def __init__(self, block: Block) -> None:
         self.reports: Reports = {}
         self.anew: set[str] = set()
-        block.events.clear()
-        self.block, self.x = block, block.first()
+        self.block, self.x = block, block.take_first()
         self.tell()
 
     @property
@@ -136,7 +135,7 @@ class ByHand(Held):
         self.block.reset(seed)
         self.reports.clear()
         self.anew.clear()
-        self.x = self.block.first()
+        self.x = self.block.take_first()
 
     def update(self, t: int, /, **inputs: Any) -> Any:
         """Answer a tick; give the values."""

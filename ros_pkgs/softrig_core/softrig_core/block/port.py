@@ -201,6 +201,9 @@ class Port:
         """Give the same port on another topic."""
         return self if topic == self.topic else replace(self, topic=topic)
 
+    def __hash__(self) -> int:
+        return hash((self.name, self.topic))  # of all fields it takes microseconds, and hardly two ports share these
+
 
 Units = str | Sequence[str]  # one of all channels, or one a channel; "1" for a pure number
 

@@ -187,10 +187,7 @@ class Schedule:
         return found if found <= t else self._time(k - 1)
 
 
-@lru_cache(maxsize=64)
-def _clock(period: Fraction) -> Schedule:
-    """Return the schedule of a clock without an end; a study asks for the same one in each of its runs."""
-    return Schedule(period)
+schedule_of = lru_cache(maxsize=256)(Schedule)  # runs of a study have the same ones
 
 
 class Plan:
@@ -214,7 +211,7 @@ class Plan:
     def __init__(self, schedules: Iterable[Schedule]) -> None:
         found = tuple(schedules)
         self.stride = math.gcd(*(s.every for s in found))
-        self.clock = _clock(found[0].clock * self.stride)
+        self.clock = schedule_of(found[0].clock * self.stride)
         self.ticks = None if found[0].ticks is None else found[0].ticks // self.stride
 
     def every(self, schedule: Schedule) -> int:

@@ -75,8 +75,8 @@ def trajectory(step: float, longest: float, past: Past, spare: int = 0) -> Traje
         return np.atleast_1d(np.asarray(past(t) if callable(past) else past, dtype=float))
 
     capacity = math.ceil(longest / step - 1e-9) + 3 + spare
-    begin = np.array([-k * step for k in range(capacity, 0, -1)])
-    x = np.array([value(t) for t in (*begin, 0.0)])
+    begin = np.arange(-capacity, 0, dtype=float) * step
+    x = np.array([value(t) for t in (*begin, 0.0)] if callable(past) else [value(0.0)] * (capacity + 1))
     dx = np.zeros_like(x)
     if callable(past):
         dx[:] = [_slope(value, t, 1e-3 * step) for t in (*begin, 0.0)]

@@ -1,13 +1,17 @@
-"""What is made anew when a value of a state has changed, and kept until then."""
+"""Answers that are kept: the newest ones of a value of a state, and those that many runs share."""
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Hashable
 from functools import lru_cache
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
+A = TypeVar("A")
+S = ParamSpec("S")
+KEPT = 256  # answers of a function: those of some runs of a study, each with values of its own
 
 
 class Newest(Generic[K, V]):
@@ -41,3 +45,42 @@ class Newest(Generic[K, V]):
             self.answer = self._function(key)
             self.key = key
         return self.answer  # type: ignore[no-any-return]
+
+
+def once(function: Callable[S, A]) -> Callable[S, A]:
+    """Keep the answers of a function by the identity of its arguments: comparing contents takes longer than it saves.
+
+    The answer must depend on nothing else; neither it nor the arguments may be changed. Errors are not kept.
+    """
+    kept: dict[tuple[int, ...], tuple[Any, A]] = {}
+
+    def known(*arguments: S.args, **keywords: S.kwargs) -> A:
+        key = tuple(map(id, arguments))
+        if key not in kept:
+            found = function(*arguments, **keywords)
+            if len(kept) >= KEPT:
+                kept.clear()
+            kept[key] = arguments, found  # an argument that is kept is the only one with its identity
+        return kept[key][1]
+
+    return known
+
+
+_made: dict[tuple[Any, bytes], Any] = {}
+
+
+def shared(function: Callable[[Any, Any], A], of: Any, values: Any) -> A:
+    """Return what a function makes of a class and plain data: the same object as for equal data before.
+
+    Types count: 1, 1.0 and True are three values.
+    """
+    try:
+        key = of, pickle.dumps(values)
+    except Exception:  # no plain data: the function will say so
+        return function(of, values)
+    if key not in _made:
+        found = function(of, values)
+        if len(_made) >= KEPT:
+            _made.clear()
+        _made[key] = found
+    return _made[key]  # type: ignore[no-any-return]

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from ..block.block import Block
 from ..errors import ScenarioError
+from ..kit.newest import once
 
 
 class Named(Protocol):
@@ -16,6 +17,12 @@ class Named(Protocol):
     name: str
     block_class: type[Block]
     params: Any
+
+
+@once
+def agreed(block: type[Block], params: Any) -> Mapping[str, Any]:
+    """Return what a block says by `Block.agreed`."""
+    return block.agreed(params)
 
 
 def require_agreement(where: str, members: Iterable[Named]) -> None:
@@ -36,7 +43,7 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
     members = list(members)
     said = spoken(members)
     for member in members:
-        for quantity, value in member.block_class.agreed(member.params).items():
+        for quantity, value in agreed(member.block_class, member.params).items():
             node, known = said[quantity]
             if not _same(known, value):
                 raise ScenarioError(
@@ -61,7 +68,7 @@ def spoken(members: Iterable[Named]) -> dict[str, tuple[str, Any]]:
     """Give what the nodes say by `Block.agreed`: quantity to the first node that says it, and its value."""
     said: dict[str, tuple[str, Any]] = {}
     for member in members:
-        for quantity, value in member.block_class.agreed(member.params).items():
+        for quantity, value in agreed(member.block_class, member.params).items():
             said.setdefault(quantity, (member.name, value))
     return said
 

@@ -50,8 +50,7 @@ class Member:
     def block(self, seed: int) -> Block:
         """Make the block at its initial state; a ScenarioError names a node that cannot be set up."""
         try:
-            block = self.block_class(self.params, self.name)
-            block.reset(seed)
+            block = self.block_class.seeded(self.params, self.name, seed)
         except ParameterError as error:
             raise ScenarioError(f"node {self.name}: {error}") from error
         return block

@@ -12,12 +12,13 @@ from ..block.block import Block
 from ..block.codec import selection
 from ..block.params import ParameterError, build, flatten
 from ..block.port import Port, Refused, require_distinct
-from ..block.schedule import Schedule
+from ..block.schedule import schedule_of
 from ..board.entry import require_own_ports
 from ..board.link import linked
 from ..errors import ScenarioError
 from ..judge.expectation import Expectation
 from ..judge.units import misfit
+from ..kit.newest import once
 from ..scenario.changes import script
 from ..scenario.node_parameters import NodeParameters
 from ..scenario.places import explain
@@ -75,7 +76,7 @@ class Rig(Members):
         clock = self.clock
         for m in new:
             try:
-                m.schedule = Schedule(
+                m.schedule = schedule_of(
                     m.params.period, clock.params.period, scenario.duration, m.block_class.speaks_at_end()
                 )
             except ValueError as error:
@@ -173,28 +174,40 @@ def members_of(
     return [_member(scenario, n, known[n], parameters) for n in (known if names is None else names)]
 
 
+@once
+def _ports(block: type[Block], params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    """Return the inputs and outputs of a block with these parameters, checked; a ValueError says what is wrong."""
+    inputs, outputs = block.ports(params)
+    require_distinct(inputs, outputs)
+    return inputs, outputs
+
+
+@once
+def _remapped(ports: tuple[Port, ...], remap: Mapping[str, str]) -> tuple[Port, ...]:
+    return tuple([p.renamed(remap.get(p.topic, p.topic)) for p in ports])
+
+
 def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeParameters) -> Member:
     entry = scenario.nodes[name]
     where = f"{scenario.name}: node {name}"
     params: Any = parameters(name)  # its errors name the node already
     try:
-        inputs, outputs = block.ports(params)
-        require_distinct(inputs, outputs)
+        inputs, outputs = _ports(block, params)
     except ValueError as error:
         raise ScenarioError(f"{where}: {error}") from None
     if entry.link is not None:
         if entry.external:
             raise ScenarioError(f"{where}: it is external and has a link; remove one of the two")
         block = linked(block, entry.link, params, where)
-    topics = [p.topic for p in (*inputs, *outputs)]
     for topic in entry.remap:
+        topics = [p.topic for p in (*inputs, *outputs)]
         if topic not in topics:
             raise ScenarioError(
                 f"{where}: remap of {topic!r}, but its topics are {', '.join(topics)}"
                 f"{scenario.written('nodes', name, 'remap', topic)}"
             )
-    inputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in inputs)
-    outputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in outputs)
+    if entry.remap:
+        inputs, outputs = _remapped(inputs, entry.remap), _remapped(outputs, entry.remap)
     return Member(
         name,
         entry.package,
@@ -206,7 +219,7 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
         entry.external,
         dict(entry.remap),
         {},
-        Schedule(params.period),
+        schedule_of(params.period),
     )
 
 
@@ -220,7 +233,7 @@ def _clock(scenario: Scenario, members: list[Member]) -> Member:
         params: Any = build(block.Params, {"period": period})
     except ParameterError as error:
         raise ScenarioError(f"{scenario.name}: clock: {error}") from None
-    schedule = Schedule(params.period)
+    schedule = schedule_of(params.period)
     return Member(CLOCK_NODE, "softrig_core", CLOCK_NODE, block, params, (), (), False, {}, {}, schedule)
 
 
@@ -267,7 +280,16 @@ def _expected(rig: Rig) -> dict[str, Expectation]:
 
 def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
     """Give the scenario with the signals of its figures and plots by their whole names."""
-    known = {f"{p.topic}/{label}" for m in members for p in (*m.outputs, *m.inputs) for label in p.labels}
+    ports = [p for m in members for p in (*m.outputs, *m.inputs)]
+    figures, plots = _named(scenario.figures, scenario.plots, *ports)
+    return scenario.model_copy(update={"figures": figures, "plots": plots})
+
+
+@once
+def _named(
+    figures: Mapping[str, FigureEntry], plots: tuple[PlotEntry, ...], *ports: Port
+) -> tuple[dict[str, FigureEntry], tuple[PlotEntry, ...]]:
+    known = {f"{p.topic}/{label}" for p in ports for label in p.labels}
 
     def whole(value: Any) -> Any:
         if isinstance(value, str) and "/" in value and "$" not in value and value not in known:
@@ -278,9 +300,10 @@ def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
         since = ", ".join(map(whole, f.since.split(", ")))
         return f.model_copy(update={"arguments": {k: whole(v) for k, v in f.arguments.items()}, "since": since})
 
-    figures = {name: entry(f) for name, f in scenario.figures.items()}
-    plots = tuple(p.model_copy(update={"signals": {whole(n): t for n, t in p.signals.items()}}) for p in scenario.plots)
-    return scenario.model_copy(update={"figures": figures, "plots": plots})
+    return (
+        {name: entry(f) for name, f in figures.items()},
+        tuple(p.model_copy(update={"signals": {whole(n): t for n, t in p.signals.items()}}) for p in plots),
+    )
 
 
 def _check_units(scenario: Scenario, members: list[Member]) -> None:

@@ -9,10 +9,24 @@ from typing import Any
 from ..block.block import Block
 from ..block.params import ParameterError, build
 from ..errors import ScenarioError
+from ..kit.newest import shared
 from .references import fill_parameters, parameter_of
 from .scenario import Scenario
 
 CHAIN = 50  # nodes whose parameters are those of the next one
+
+
+def parameters(block: type[Block], values: Mapping[str, Any]) -> Any:
+    """Build the parameters of a block class; those of a class without `Block.contents` depend on the values alone.
+
+    Raises
+    ------
+    ParameterError
+        See `build`.
+    """
+    if block.contents.__func__ is not Block.contents.__func__:  # type: ignore[attr-defined]
+        return build(block.Params, values)
+    return shared(build, block.Params, values)
 
 
 class NodeParameters:
@@ -40,7 +54,7 @@ class NodeParameters:
             values = fill_parameters(entry.parameters, self._of)
             self._open.pop()
             try:
-                self._known[name] = build(self._classes[name].Params, values)
+                self._known[name] = parameters(self._classes[name], values)
             except ParameterError as error:
                 wrong = [k for k in entry.parameters if re.search(rf"\bparameter {re.escape(k)}(?![\w.])", str(error))]
                 at = self._scenario.written("nodes", name, "parameters", *wrong[:1])

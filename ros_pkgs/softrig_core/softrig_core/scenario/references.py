@@ -12,6 +12,7 @@ from .scenario_file import SHARED, Over, merge
 from .yaml_file import NODES
 
 DEEPEST = 200  # values in each other, and references that lead to references
+_PLAIN = frozenset({float, int, bool, type(None)})  # what stands for itself
 _PARAMETER = re.compile(r"\$([A-Za-z_]\w*)\.([\w.]+)")
 
 
@@ -32,7 +33,7 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
     ScenarioError
         No such shared value, one that refers to itself, more than `NODES` values or deeper than `DEEPEST`.
     """
-    made = depth = 0
+    made, depth = 1, 0
 
     def known(name: str, path: tuple[str, ...]) -> Any:
         if name in path:
@@ -44,7 +45,9 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
 
     def copy(value: Any, path: tuple[str, ...]) -> Any:
         nonlocal made, depth
-        made += 1
+        if type(value) in _PLAIN or (type(value) is str and value[:1] != "$"):  # most of a file
+            return value
+        made += len(value) if isinstance(value, list | tuple) else 2 * len(value) if isinstance(value, Mapping) else 0
         depth += 1
         if made > NODES or depth > DEEPEST:
             what = f"{NODES} values" if made > NODES else f"{DEEPEST} values in each other"
@@ -58,8 +61,6 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
         if isinstance(value, str):
             found = SHARED.fullmatch(value) if value[:1] == "$" else None
             return known(found[1], path) if found else value
-        if isinstance(value, float | int | None):  # most of a file: asking whether they are mappings takes long
-            return value
         if isinstance(value, Over):
             below = copy(value.below, path)
             for change in value.changes:
@@ -102,6 +103,8 @@ def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
                     raise ScenarioError(f"{value}: its $ references make more than {NODES} values; expected fewer")
                 return given
             return value[1:] if value.startswith("$$") else value
+        if type(value) in _PLAIN:
+            return value
         if isinstance(value, Mapping):
             return {k: copy(v) for k, v in value.items()}
         return [copy(v) for v in value] if isinstance(value, list | tuple) else value

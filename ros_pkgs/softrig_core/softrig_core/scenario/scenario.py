@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
 
@@ -257,7 +259,8 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
     return read_draft(name).filled(overrides)
 
 
-class Draft(NamedTuple):
+@dataclass(frozen=True)
+class Draft:
     """A scenario as its files have it: inheritance and variant are applied, shared values not yet filled in.
 
     Parameters
@@ -272,20 +275,45 @@ class Draft(NamedTuple):
 
     def filled(self, overrides: Mapping[str, Any] | None = None) -> Scenario:
         """Make the scenario of it; see `load_scenario`."""
-        name, path, raw = self.name, self.path, dict(self.raw)
-        before = _before(raw, overrides or {})
-        for key, value in (overrides or {}).items():
+        if not overrides:
+            return self._published
+        raw = dict(self.raw)
+        before = _before(raw, overrides)
+        for key, value in overrides.items():
             _override(raw, key, value)
+        return (self._quickly(raw) or self._validated(raw, None)).changing(before)
+
+    @cached_property
+    def _published(self) -> Scenario:
+        return self._validated(self.raw, self.path)
+
+    def _quickly(self, raw: Mapping[str, Any]) -> Scenario | None:
+        """Return the scenario of changed values by checking the changed nodes alone; None where that is not enough."""
+        if any(raw[key] is not value for key, value in self.raw.items() if key != "nodes"):
+            return None
+        before, shared = self.raw["nodes"], self.raw.get("shared")
+        changed = {n: e for n, e in raw["nodes"].items() if e is not before[n]}
+        try:
+            known = self._published.nodes
+            new = {n: NodeEntry.model_validate(fill(e, shared or {})) for n, e in changed.items()}
+        except (ScenarioError, ValidationError):  # a message names the place in the whole scenario
+            return None
+        if not new.keys() <= known.keys():  # the name itself is a reference
+            return None
+        return self._published.model_copy(update={"nodes": {**known, **new}}).written_in(None)
+
+    def _validated(self, raw: Mapping[str, Any], written_in: Path | None) -> Scenario:
         try:
             shared = raw.get("shared") or {}
-            scenario = Scenario.model_validate({**fill(raw, shared if isinstance(shared, dict) else {}), "name": name})
+            filled = fill(raw, shared if isinstance(shared, dict) else {})
+            scenario = Scenario.model_validate({**filled, "name": self.name})
             check_lengths(scenario.duration, scenario.shared, scenario.requirements, scenario.figures)
-            return scenario.written_in(None if overrides else path).changing(before)
+            return scenario.written_in(written_in)
         except ValidationError as error:
-            at = place(name, path, error.errors()[0]["loc"])
+            at = place(self.name, self.path, error.errors()[0]["loc"])
             raise ScenarioError(f"{at}: {explain(error, Scenario)}") from None
         except ScenarioError as error:
-            raise ScenarioError(f"{path.name}: {error}") from None
+            raise ScenarioError(f"{self.path.name}: {error}") from None
 
 
 def read_draft(name: str) -> Draft:

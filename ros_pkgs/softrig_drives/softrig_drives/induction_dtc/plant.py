@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 from softrig_core import BlockParams, Compiled, Level, Plant, param
@@ -15,6 +16,11 @@ from .switching import VECTORS, voltage
 NUMBERS: dict[tuple[float, ...], int] = {v: n for n, v in enumerate(VECTORS)}
 SATURATED_SAMPLES = 10
 SWITCH_TOLERANCE = 1e-9
+
+
+@lru_cache(maxsize=16)
+def _step(substeps: int) -> Compiled:
+    return Compiled(step_function(substeps))
 
 
 class ImPlantParams(AdcParams, MachineConstants, BlockParams):
@@ -75,7 +81,7 @@ class ImPlant(Plant[ImPlantParams]):
     def setup(self) -> None:
         """Compile the equations, scale the voltages."""
         p = self.p
-        self._step = Compiled(step_function(p.substeps))
+        self._step = _step(p.substeps)
         self._constants = numbers(p, p.period / p.substeps)
         self._inv_L_sigma = 1.0 / p.L_sigma
         self._voltages = [(u.real, u.imag) for u in (voltage(v) * p.U_dc for v in VECTORS)]
