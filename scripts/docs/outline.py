@@ -22,7 +22,7 @@ KINDS = {
         "You know what you want to do; here is how.",
         ("set_up", "wheel", "upgrade", "view", "studies", "send", "strangers", "reports", "continuous_integration",
          "python", "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools",
-         "hardware", "boards", "node", "cpp_node", "classroom", "workspace", "two_machines", "distribution"),
+         "hardware", "boards", "node", "cpp_node", "c_law", "classroom", "workspace", "two_machines", "distribution"),
     ),
     "notebooks": (
         "Notebooks",
@@ -57,6 +57,7 @@ KEYWORDS = {
     "test_bench": "requirement, stl, fault, falsify, injection, hil",
     "set_up": "install, installation, pip, offline, windows, docker",
     "studies": "sweep, monte, carlo, grid, batch, parallel, statistics, confidence, sobol, slurm, dask",
+    "c_law": "c, c++, rust, fortran, static, shared library, drive, dll",
     "cpp_node": "c++, cmake, rclcpp, colcon, qos",
     "classroom": "course, students, teaching, lecturer, marks, grading, windows, wsl",
     "learning": "gym, gymnasium, reinforcement, agent, rl",

@@ -19,6 +19,8 @@ from softrig_core import ScenarioError
 from softrig_core.guard import naming
 from softrig_core.scenario.scenario_file import find
 
+from .new_native import new_native, told
+
 # template, and where it goes; $name below stands for the package's name
 FILES = {"package.xml": "package.xml", "setup.py": "setup.py", "setup.cfg": "setup.cfg", "README.md": "README.md"}
 EMPTY = ("$name/__init__.py", "resource/$name")
@@ -85,16 +87,7 @@ def new_package(name: str, parent: Path, kind: str = "both") -> Path:
     ScenarioError
         Not a name for a package, one that is taken by a package or a scenario, or a folder that is there already.
     """
-    if not re.fullmatch(r"[a-z]([a-z0-9_]*[a-z0-9])?", name) or "__" in name:
-        raise ScenarioError(f"package name {name!r}: expected lower-case letters, digits and single _, as in my_rig")
-    taken = name in sys.stdlib_module_names or keyword.iskeyword(name) or name == "test"
-    if taken or any(d.name.replace("-", "_").lower() == name for d in importlib.metadata.distributions()):
-        raise ScenarioError(f"package name {name!r}: taken by a Python package that is installed here")
-    if (there := find(name)) is not None:
-        raise ScenarioError(f"package name {name!r}: `run {name}` is a scenario already ({there.name}); choose another")
-    folder = parent / name
-    if folder.exists() or folder.is_symlink():
-        raise ScenarioError(f"{folder} is there already; choose another name or --into DIR")
+    folder = folder_of(name, parent)
     made = KINDS[kind]
     files_of = (
         FILES | made.files | {f"{kind}_scenario.yaml": "scenarios/$name.yaml", f"{kind}_test.py": "test/test_$name.py"}
@@ -131,6 +124,27 @@ def new_package(name: str, parent: Path, kind: str = "both") -> Path:
     return folder
 
 
+def folder_of(name: str, parent: Path) -> Path:
+    """Check that a name is free and that its folder is not there yet; give that folder.
+
+    Raises
+    ------
+    ScenarioError
+        Not a name for a package, one that is taken by a package or a scenario, or a folder that is there already.
+    """
+    if not re.fullmatch(r"[a-z]([a-z0-9_]*[a-z0-9])?", name) or "__" in name:
+        raise ScenarioError(f"package name {name!r}: expected lower-case letters, digits and single _, as in my_rig")
+    taken = name in sys.stdlib_module_names or keyword.iskeyword(name) or name == "test"
+    if taken or any(d.name.replace("-", "_").lower() == name for d in importlib.metadata.distributions()):
+        raise ScenarioError(f"package name {name!r}: taken by a Python package that is installed here")
+    if (there := find(name)) is not None:
+        raise ScenarioError(f"package name {name!r}: `run {name}` is a scenario already ({there.name}); choose another")
+    folder = parent / name
+    if folder.exists() or folder.is_symlink():
+        raise ScenarioError(f"{folder} is there already; choose another name or --into DIR")
+    return folder
+
+
 def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path):
@@ -138,7 +152,13 @@ def _write(path: Path, text: str) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Write a package and say what to do with it."""
+    """Write a package, or a law in another language, and say what to do with it."""
+    if options.language:
+        if options.only == "plant":
+            raise ScenarioError("--only plant: `--language` writes a law; c_plant runs a plant in C")
+        scenario = new_native(options.name, folder_of(options.name, options.into), options.language, command())
+        print(told(scenario, options.language, command()))
+        return 0
     folder = new_package(options.name, options.into, options.only or "both")
     shown = shlex.quote(os.path.relpath(folder))
     others = "; `--only law` or `--only plant` writes that alone" if not options.only else ""

@@ -598,6 +598,11 @@ class _Files:
                 "name": port.name,
                 "topic": port.topic,
                 "type": port.msgtype,
+                "channels": port.channels,
+                "fields": port.fields,
+                "frame_id": port.frame_id,
+                "dims": port.dims,
+                **{name: True for name in ("held", "sporadic", "delayed", "partial") if getattr(port, name)},
                 "values": [
                     {"label": label, "unit": unit, "limit": limit, "safe": safe}
                     for label, unit, limit, safe in zip(port.labels, port.units, port.limits, port.safe, strict=True)

@@ -146,6 +146,8 @@ def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
     def whole(value: Any) -> Any:
         if isinstance(value, Mapping):
             return {k: whole(v) for k, v in value.items()}
+        if isinstance(value, list):
+            return [whole(v) for v in value]
         if not isinstance(value, str) or not _FILE.fullmatch(value) or isfile(value):
             return value
         return str(there.absolute()) if isfile(there := path.parent / value) else value

@@ -1,0 +1,42 @@
+"""All that a library was told since its begin: the state of one that hides its own."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+Row = tuple[float, ...]
+
+
+class Told(NamedTuple):
+    """A call, and the numbers of the struct after it."""
+
+    method: str
+    values: Row
+    state: Row
+
+
+class History:
+    """Calls in their order; a value: `after` gives a longer one, which shares what they have in common."""
+
+    __slots__ = ("length", "shared")
+
+    def __init__(self, rows: list[Told] | None = None, length: int = 0) -> None:
+        self.shared: list[Told] = [] if rows is None else rows
+        self.length = length
+
+    def after(self, told: Told) -> History:
+        """Return the history with one call more."""
+        rows = self.shared if self.length == len(self.shared) else self.shared[: self.length]
+        rows.append(told)
+        return History(rows, self.length + 1)
+
+    def rows(self) -> list[Told]:
+        """Return the calls."""
+        return self.shared[: self.length]
+
+    def is_same(self, other: History | None) -> bool:
+        """Whether another one is this one, or a copy of the same list."""
+        return other is not None and other.shared is self.shared and other.length == self.length
+
+    def __reduce__(self) -> tuple[type[History], tuple[list[Told], int]]:
+        return History, (self.rows(), self.length)

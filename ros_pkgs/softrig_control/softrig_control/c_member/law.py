@@ -1,0 +1,207 @@
+"""A user's functions, called with numbers alone: in this process, or in one that a run has for itself."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import select
+import signal
+import struct
+import subprocess
+import weakref
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from softrig_core import RunError
+from softrig_core.kit.compiled import Compiled
+
+from .build import Built
+
+SIGNAL, RANGE, CONSTANT = 1e6, 2e6, 3e6  # as in shim.c
+LEAVE = 1.0  # s: after which a process that does not end is killed
+Row = tuple[float, ...]
+
+
+class Counts(NamedTuple):
+    """How many numbers a function takes and gives, in front of them place and time, and the status."""
+
+    takes: int
+    gives: int
+
+
+def counts(built: Built, method: str) -> Counts:
+    """Return the counts of a function."""
+    states, ins, outs = (len(built.structs[role].leaves) for role in ("state", "in", "out"))
+    return Counts(
+        2 + states + ins * (method in ("step", "advance")),
+        1 + states * (method in ("step", "advance")) + outs * (method in ("step", "outputs")),
+    )
+
+
+@lru_cache(maxsize=64)
+def _loaded(shim: str, library: str) -> ctypes.CDLL:
+    """Load a shim and the user's library, once a process.
+
+    Raises
+    ------
+    ValueError
+        The library cannot be loaded, with the reason of the loader.
+    """
+    found = ctypes.CDLL(shim)
+    found.sr_load.restype = ctypes.c_char_p
+    found.sr_init.restype = ctypes.c_double
+    found.sr_size.restype = ctypes.c_long
+    if (wrong := found.sr_load(library.encode(), 1)) is not None:
+        raise ValueError(f"cannot be loaded: {wrong.decode(errors='replace')}")
+    return found
+
+
+class Called(Compiled):
+    """One of a user's functions, in this process; native code calls it by its address."""
+
+    def __init__(self, built: Built, method: str) -> None:
+        self._found = getattr(_loaded(str(built.shim), str(built.library)), f"sr_{method}")
+        self.native = True
+        self.n_in, self.n_out = counts(built, method)
+        self.symbol = f"{built.shim.stem.replace('-', '_')}_{method}"
+        self._arguments, self._results = bytearray(8 * self.n_in), bytearray(8 * self.n_out)
+        # addresses alone: the arrays live as long as the buffers, which they keep
+        self._arrays = [(ctypes.c_char * len(b)).from_buffer(b) for b in (self._arguments, self._results)]
+        self._tables = tuple((ctypes.c_void_p * 1)(ctypes.addressof(of)) for of in self._arrays)
+        self._pack, self._unpack = struct.Struct(f"{self.n_in}d").pack_into, struct.Struct(f"{self.n_out}d").unpack
+
+    def __call__(self, values: Sequence[float]) -> Row:
+        """Call it: place of the constants, time in ns, state, inputs; status, state, outputs."""
+        self._pack(self._arguments, 0, *values)
+        self._found(*self._tables, None, None, ctypes.c_longlong(0))
+        return self._unpack(self._results)
+
+    @property
+    def address(self) -> int:
+        """Where it is."""
+        return ctypes.cast(self._found, ctypes.c_void_p).value or 0
+
+    @property
+    def places(self) -> tuple[int, int, int, int]:
+        """See `Compiled.places`."""
+        arguments = self.n_in + self.n_out
+        return arguments, arguments + 1, arguments + 2, arguments + 2
+
+    def scratch(self) -> Any:
+        """See `Compiled.scratch`."""
+        import numpy as np
+
+        memory = np.zeros(self.places[3] + 1)
+        words, base = memory.view(np.int64), memory.ctypes.data
+        words[self.places[0]], words[self.places[1]] = base, base + 8 * self.n_in
+        return memory
+
+
+class Here:
+    """A node's state as its NODE_init has left it, in this process.
+
+    Attributes
+    ----------
+    place : int
+        Its address.
+    first : tuple of float
+        The numbers of its state.
+    status : float
+        What NODE_init answered.
+    """
+
+    def __init__(self, built: Built, params: Row) -> None:
+        library = _loaded(str(built.shim), str(built.library))
+        states = len(built.structs["state"].leaves)
+        self._memory = ctypes.create_string_buffer(library.sr_size())
+        numbers = (ctypes.c_double * max(1, states))()
+        self.status = library.sr_init(self._memory, (ctypes.c_double * max(1, len(params)))(*params), numbers)
+        self.place, self.first = ctypes.addressof(self._memory), tuple(numbers[:states])
+
+
+class Apart:
+    """A user's library in a process of its own, at its begin.
+
+    Parameters
+    ----------
+    seconds : float
+        Wall-clock time after which a call is given up and the process killed.
+
+    Raises
+    ------
+    RunError
+        By every method: the library crashed or did not answer in time.
+    """
+
+    def __init__(self, built: Built, methods: Sequence[str], params: Row, seconds: float) -> None:
+        self._seconds, self._methods = seconds, tuple(methods)
+        self._counts = [counts(built, m) for m in methods]
+        reading, theirs = os.pipe()
+        ours, writing = os.pipe()
+        command = [str(built.program), str(built.library), str(ours), str(theirs)]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=2, stderr=subprocess.PIPE, pass_fds=[ours, theirs]
+        )
+        os.close(ours)
+        os.close(theirs)
+        self._reading, self._writing = reading, writing
+        self.end = weakref.finalize(self, _ended, self._process, reading, writing)
+        found = self._ask(-1, params, 1 + len(built.structs["state"].leaves))
+        self.status, self.first = found[0], found[1:]
+
+    def call(self, method: str, values: Row) -> Row:
+        """As `Called`, without the place of the constants, which it has."""
+        which = self._methods.index(method)
+        return self._ask(which, (0.0, *values), self._counts[which].gives)
+
+    def _ask(self, which: int, values: Row, count: int) -> Row:
+        try:
+            os.write(self._writing, struct.pack(f"=i{len(values)}d", which, *values))
+            found = b""
+            while len(found) < 8 * count:
+                if not select.select([self._reading], [], [], self._seconds)[0]:
+                    self.end()
+                    raise RunError(f"gave no answer within {self._seconds:g} s")
+                more = os.read(self._reading, 8 * count - len(found))
+                if not more:
+                    raise BrokenPipeError
+                found += more
+        except OSError:
+            self._process.wait(LEAVE)
+            said = b"" if self._process.stderr is None else self._process.stderr.read()
+            code = self._process.returncode
+            self.end()
+            raise RunError(_how(code, said.decode(errors="replace").strip())) from None
+        return struct.unpack(f"{count}d", found)
+
+
+def _how(code: int | None, said: str) -> str:
+    if code is not None and code < 0:
+        return f"crashed ({signal.Signals(-code).name})"
+    if code == 2 and said:
+        return f"cannot be loaded: {said.splitlines()[-1]}"
+    return f"ended its process with status {code}"
+
+
+def _ended(process: subprocess.Popen[bytes], *descriptors: int) -> None:
+    for descriptor in descriptors:
+        os.close(descriptor)
+    if process.poll() is None:
+        process.kill()
+        process.wait()
+    if process.stderr is not None:
+        process.stderr.close()
+
+
+def wrong(status: float, method: str, names: Sequence[str]) -> str:
+    """Say what the status of a call means; empty where the user's function has answered by itself."""
+    if SIGNAL <= status < RANGE:
+        return f"crashed ({signal.Signals(int(status - SIGNAL)).name}) in {method}"
+    if RANGE <= status < CONSTANT:
+        return f"{method}: {names[int(status - RANGE)]} is beyond what its type, or a double, holds exactly"
+    if status == CONSTANT:
+        return (
+            f"{method} changes a member that holds constants; only NODE_init may write k, constants and the parameters"
+        )
+    return ""

@@ -1,0 +1,199 @@
+"""What the structs of a header hold, as the compiler lays them out: read from its debug information."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from elftools.dwarf.die import DIE
+from elftools.elf.elffile import ELFFile
+
+LARGEST = 4096  # numbers of one struct
+WORD = 4  # bytes of a union that are carried as one whole number
+CONSTANTS = ("k", "constants")  # members of the state that NODE_init alone writes, beside one of the type NODE_params
+_REAL, _BOOL, _WHOLE = {4}, {2}, {5: True, 6: True, 7: False, 8: False, 16: False}  # DW_ATE_*: whether signed
+
+Kind = Literal["real", "bool", "signed", "unsigned", "word"]
+
+
+class LayoutError(ValueError):
+    """A header holds something that a member cannot."""
+
+
+class Leaf(NamedTuple):
+    """One number of a struct."""
+
+    access: str
+    """How C reaches it in its struct, as ``pid.integral`` or ``table[2]``."""
+
+    kind: Kind
+    """A word is part of a union of several members."""
+
+    bytes: int
+
+    @property
+    def name(self) -> str:
+        """Its name in a state."""
+        return self.access.replace("[", "_").replace("]", "").replace(".", "_")
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is a whole number."""
+        return self.kind != "real"
+
+
+class Struct(NamedTuple):
+    """A struct and its numbers, without those that are constants."""
+
+    leaves: tuple[Leaf, ...]
+    constants: tuple[str, ...]
+    """Members that hold constants."""
+
+
+def structs(compiled: Path, prefix: str) -> dict[str, Struct]:
+    """Read the structs of a node.
+
+    Parameters
+    ----------
+    compiled : Path
+        Object file with debug information of a source that includes the header.
+    prefix : str
+        Name of the node.
+
+    Returns
+    -------
+    dict of str to Struct
+        By role: ``state``, ``in``, ``out`` and ``params``; those that the header has.
+
+    Raises
+    ------
+    LayoutError
+        A struct holds what is no number, or too many of them; names the member.
+    """
+    names = {prefix: "state", f"{prefix}_in": "in", f"{prefix}_out": "out", f"{prefix}_params": "params"}
+    found: dict[str, DIE] = {}
+    with compiled.open("rb") as file:
+        for unit in ELFFile(file).get_dwarf_info().iter_CUs():
+            for die in unit.get_top_DIE().iter_children():
+                name = _name(die)
+                typed = die.tag == "DW_TAG_typedef" or (
+                    die.tag in ("DW_TAG_structure_type", "DW_TAG_class_type") and "DW_AT_byte_size" in die.attributes
+                )
+                if name in names and typed:
+                    found.setdefault(names[name], die)
+        return {role: _struct(die, f"{prefix}_params") for role, die in found.items()}
+
+
+def _struct(die: DIE, params: str) -> Struct:
+    whole = _stripped(die)
+    if whole.tag not in ("DW_TAG_structure_type", "DW_TAG_class_type"):
+        raise LayoutError(f"{_name(die)} is no struct")
+    leaves: list[Leaf] = []
+    constants: list[str] = []
+    for member in _members(whole):
+        name = _name(member)
+        if name in CONSTANTS or _name(_type(member)) == params:
+            constants.append(name)
+        else:
+            leaves += _leaves(member, f"{_name(die)}.", name)
+    if len(leaves) > LARGEST:
+        raise LayoutError(f"{_name(die)} holds {len(leaves)} numbers, expected at most {LARGEST}")
+    return Struct(tuple(leaves), tuple(constants))
+
+
+def _leaves(member: DIE, where: str, access: str) -> Iterator[Leaf]:
+    if "DW_AT_bit_size" in member.attributes or "DW_AT_data_bit_offset" in member.attributes:
+        raise LayoutError(f"{where}{access} is a bit-field; expected a whole type such as uint8_t")
+    yield from _of(_type(member), where, access)
+
+
+def _of(die: DIE, where: str, access: str) -> Iterator[Leaf]:
+    die = _stripped(die)
+    size = die.attributes["DW_AT_byte_size"].value if "DW_AT_byte_size" in die.attributes else 0
+    if die.tag == "DW_TAG_base_type":
+        yield Leaf(access, _kind(die, size, f"{where}{access}"), size)
+    elif die.tag == "DW_TAG_enumeration_type":
+        yield Leaf(access, "signed", size)
+    elif die.tag in ("DW_TAG_structure_type", "DW_TAG_class_type"):
+        for member in _members(die):
+            name = _name(member)
+            yield from _leaves(member, where, f"{access}.{name}" if name else access)
+    elif die.tag == "DW_TAG_union_type":
+        members = _members(die)
+        if len(members) == 1:
+            yield from _leaves(members[0], where, f"{access}.{_name(members[0])}")
+        else:
+            yield from (Leaf(f"{access}[{k}]", "word", WORD) for k in range(-(-size // WORD)))
+    elif die.tag == "DW_TAG_array_type":
+        yield from _array(die, where, access)
+    else:
+        what = (
+            "a pointer" if die.tag == "DW_TAG_pointer_type" else str(die.tag).removeprefix("DW_TAG_").replace("_", " ")
+        )
+        raise LayoutError(
+            f"{where}{access} is {what}; a state, an input or an output holds numbers only (constants that NODE_init "
+            f"makes may be pointers in a member {CONSTANTS[0]!r})"
+        )
+
+
+def _array(die: DIE, where: str, access: str) -> Iterator[Leaf]:
+    counts = []
+    for rank in die.iter_children():
+        at = rank.attributes
+        if "DW_AT_count" in at:
+            counts.append(at["DW_AT_count"].value)
+        elif "DW_AT_upper_bound" in at and isinstance(at["DW_AT_upper_bound"].value, int):
+            counts.append(at["DW_AT_upper_bound"].value + 1)
+        else:
+            raise LayoutError(f"{where}{access} is an array without a fixed length")
+    if _product(counts) > LARGEST:
+        raise LayoutError(f"{where}{access} holds {_product(counts)} numbers, expected at most {LARGEST}")
+    places = [""]
+    for count in counts:
+        places = [f"{place}[{k}]" for place in places for k in range(count)]
+    for place in places:
+        yield from _of(_type(die), where, f"{access}{place}")
+
+
+def _product(counts: list[int]) -> int:
+    found = 1
+    for count in counts:
+        found *= count
+    return found
+
+
+def _kind(die: DIE, size: int, where: str) -> Kind:
+    encoding = die.attributes["DW_AT_encoding"].value
+    if encoding in _REAL and size in (4, 8):
+        return "real"
+    if encoding in _BOOL:
+        return "bool"
+    if encoding in _WHOLE and size <= 8:
+        return "signed" if _WHOLE[encoding] else "unsigned"
+    raise LayoutError(f"{where} is {_name(die)}; expected float, double, bool or a whole number of at most 64 bits")
+
+
+def _members(die: DIE) -> list[DIE]:
+    """Return the members that have a place in an object; C++ lists static ones, too, which are declarations."""
+    return [
+        child
+        for child in die.iter_children()
+        if child.tag == "DW_TAG_member" and "DW_AT_external" not in child.attributes
+    ]
+
+
+def _stripped(die: DIE) -> DIE:
+    while die.tag in ("DW_TAG_typedef", "DW_TAG_const_type", "DW_TAG_volatile_type", "DW_TAG_atomic_type"):
+        die = _type(die)
+    return die
+
+
+def _type(die: DIE) -> DIE:
+    if "DW_AT_type" not in die.attributes:
+        raise LayoutError(f"{_name(die)} has no type")
+    return die.get_DIE_from_attribute("DW_AT_type")
+
+
+def _name(die: Any) -> str:
+    return die.attributes["DW_AT_name"].value.decode() if "DW_AT_name" in die.attributes else ""

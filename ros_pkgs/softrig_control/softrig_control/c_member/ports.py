@@ -1,0 +1,255 @@
+"""Which channel of which topic is which member of a user's structs: from NODE.json, or from a table in the scenario."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from softrig_core import Port, joint_state, reference, vector3
+from softrig_core.block.port import XYZ
+from softrig_core.errors import closest
+from softrig_core.wire.types import TYPES
+
+from .layout import Leaf
+
+FIELDS = ("position", "velocity", "acceleration", "effort", "vector")
+HAS = "has_"  # before the name of a port: whether it has a value
+ENTRY = re.compile(
+    r"(?P<topic>\S+)/(?P<channel>[^\s/\[]+)/(?P<field>[a-z]+)\s*\[(?P<unit>[^\]]*)\]\s*=\s*(?P<name>\S+)"
+)
+VALUE = re.compile(
+    r"(?P<name>[A-Za-z_][\w.\[\]]*)\s*(\[(?P<unit>[^\]]*)\])?\s*(\((?P<low>\S+)\s*\.\.\s*(?P<high>[^\s)]+)\))?"
+    r"\s*=\s*(?P<value>\S+)"
+)
+
+
+class Side(NamedTuple):
+    """The ports of one side; of each member of the struct, the port and the place in it, -1: whether it has a value."""
+
+    ports: tuple[Port, ...]
+    places: tuple[tuple[int, int], ...]
+
+
+class Described(NamedTuple):
+    """What a NODE.json says."""
+
+    node: str
+    period: float
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    parameters: Mapping[str, Any]
+
+
+def described(file: Path) -> Described:
+    """Read the description that `softrig export c` writes, or one written by hand in its form.
+
+    Raises
+    ------
+    ValueError
+        It is no JSON, or lacks something; names it.
+    """
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        numerator, denominator = found["period_s"]
+        sides: dict[str, list[Port]] = {"in": [], "out": []}
+        for each in found["ports"]:
+            sides[each["direction"]].append(_described_port(each))
+        return Described(
+            found["node"],
+            numerator / denominator,
+            tuple(sides["in"]),
+            tuple(sides["out"]),
+            {name: found["parameters"][name] for name in found["settable"]},
+        )
+    except (KeyError, TypeError, ValueError, ZeroDivisionError, AttributeError, UnicodeDecodeError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"{file.name} describes no node: {what}; expected what `softrig export c` writes") from None
+
+
+def _described_port(found: Mapping[str, Any]) -> Port:
+    kind = TYPES[found["type"]]
+    values = found["values"]
+    labels = [v["label"].rpartition("/") for v in values]
+    fields = tuple(dict.fromkeys(label for _, _, label in labels)) if kind.named else tuple(kind.sizes)[:1]
+    channels = tuple(dict.fromkeys(channel for channel, _, _ in labels)) if kind.named else ()
+    if found.get("fields"):
+        fields, channels = tuple(found["fields"]), tuple(found["channels"])
+    return Port(
+        found["name"],
+        found["topic"],
+        found["type"],
+        channels,
+        fields,
+        tuple(v["unit"] for v in values),
+        found.get("frame_id", ""),
+        held=found.get("held", False),
+        sporadic=found.get("sporadic", False),
+        delayed=found.get("delayed", False),
+        partial=found.get("partial", False),
+        dims=tuple((str(label), int(size)) for label, size in found.get("dims", ())),
+        safe=tuple(v["safe"] for v in values),
+        limits=tuple(v["limit"] for v in values),
+    )
+
+
+def fitted(ports: Sequence[Port], leaves: Sequence[Leaf], struct: str) -> Side:
+    """Find the place of each member of a struct in ports that a description names.
+
+    Raises
+    ------
+    ValueError
+        A member belongs to no port, or a value of a port has no member.
+    """
+    known: dict[str, tuple[int, int]] = {}
+    for k, port in enumerate(ports):
+        if port.delayed:
+            raise ValueError(f"{port.topic} is delayed; a C member cannot have such a port")
+        name = re.sub(r"\W", "_", port.name)
+        known |= {f"{name}[{i}]": (k, i) for i in range(port.size)}
+        if port.held or port.sporadic:
+            known[f"{HAS}{name}"] = (k, -1)
+    optional = {name for name in known if name.startswith(HAS)}
+    names = [leaf.access for leaf in leaves]
+    if strange := [name for name in names if name not in known]:
+        raise ValueError(f"{struct}.{strange[0]} belongs to no port of the description")
+    if missing := [name for name in known if name not in names and name not in optional]:
+        raise ValueError(f"{struct} has no member {missing[0]}, which the description names")
+    return Side(tuple(ports), tuple(known[name] for name in names))
+
+
+def table(
+    entries: Sequence[str],
+    leaves: Sequence[Leaf],
+    struct: str,
+    outward: bool,
+    trajectories: Sequence[str],
+    frames: Mapping[str, str],
+    held: Sequence[str],
+) -> Side:
+    """Make the ports of one side from entries ``TOPIC/CHANNEL/FIELD [UNIT] = MEMBER``.
+
+    Raises
+    ------
+    ValueError
+        An entry cannot be read or names what is not there, or a member of the struct has no entry.
+    """
+    names = {leaf.access: k for k, leaf in enumerate(leaves)}
+    topics: dict[str, dict[tuple[str, str], tuple[str, str]]] = {}
+    used: set[str] = set()
+    for entry in entries:
+        found = ENTRY.fullmatch(entry.strip())
+        if found is None or found["field"] not in FIELDS:
+            raise ValueError(
+                f"{entry!r}: expected TOPIC/CHANNEL/FIELD [UNIT] = MEMBER with field one of {', '.join(FIELDS)}, "
+                "such as motor/state/shaft/velocity [rad/s] = speed"
+            )
+        name = found["name"]
+        if name not in names:
+            raise ValueError(f"{entry!r}: {struct} has no member {name!r}{closest(name, names)}; it has {_list(names)}")
+        if name in used:
+            raise ValueError(f"{entry!r}: {struct}.{name} has a channel already")
+        used.add(name)
+        cells = topics.setdefault(found["topic"], {})
+        if (found["channel"], found["field"]) in cells:
+            raise ValueError(f"{entry!r}: this place has a member already")
+        cells[found["channel"], found["field"]] = (found["unit"] or "1", name)
+    flags = {name for name in names if name.startswith(HAS)}
+    if left := [name for name in names if name not in used | flags]:
+        raise ValueError(
+            f"{struct}.{left[0]} has no channel; add TOPIC/CHANNEL/FIELD [UNIT] = {left[0]} to "
+            f"{'outputs' if outward else 'inputs'}"
+        )
+    for topic in (*trajectories, *frames, *held):
+        if not outward and topic in held and topic not in topics:
+            raise ValueError(f"held: {topic!r} is no topic of inputs; they are {_list(topics)}")
+    ports, places = [], dict[str, tuple[int, int]]()
+    for k, (topic, cells) in enumerate(topics.items()):
+        port = _port(topic, cells, outward, topic in trajectories, frames.get(topic), topic in held and not outward)
+        for (channel, field), (_, name) in cells.items():
+            places[name] = (k, port.fields.index(field) * len(port.channels) + port.channels.index(channel))
+        if (flag := HAS + re.sub(r"\W", "_", topic)) in names:
+            places[flag] = (k, -1)
+        ports.append(port)
+    if strange := flags - places.keys():
+        raise ValueError(f"{struct}.{min(strange)} belongs to no topic; expected has_ and a topic with _ for /")
+    return Side(tuple(ports), tuple(places[name] for name in names))
+
+
+def _port(
+    topic: str,
+    cells: Mapping[tuple[str, str], tuple[str, str]],
+    outward: bool,
+    trajectory: bool,
+    frame: str | None,
+    held: bool,
+) -> Port:
+    name = "to_" * outward + re.sub(r"\W", "_", topic)
+    fields = [f for f in FIELDS if any(f == field for _, field in cells)]
+    channels = list(dict.fromkeys(channel for channel, _ in cells))
+    allowed = ("vector",) if frame is not None else FIELDS[:3] if trajectory else ("position", "velocity", "effort")
+    if wrong := [f for f in fields if f not in allowed]:
+        raise ValueError(
+            f"{topic}: no field {wrong[0]} in its messages, expected {', '.join(allowed)}; topics of "
+            "JointTrajectory are named in trajectories, those of Vector3Stamped in vectors"
+        )
+    if frame is not None:
+        if set(channels) - set(XYZ):
+            raise ValueError(f"{topic}: channels {', '.join(channels)}, expected x, y and z")
+        channels = list(XYZ)
+    missing = [f"{topic}/{c}/{f}" for f in fields for c in channels if (c, f) not in cells]
+    if missing and outward and frame is None:
+        raise ValueError(f"{topic}: the message carries {', '.join(missing)} as well; name a member for each")
+    units = {f: [cells[c, f][0] if (c, f) in cells else "" for c in channels] for f in fields}
+    if frame is not None:
+        return vector3(name, topic, frame, units["vector"], held=held)
+    if trajectory:
+        return reference(name, topic, channels, **units, held=held)  # type: ignore[arg-type]
+    return joint_state(name, topic, channels, **units, held=held)  # type: ignore[arg-type]
+
+
+def values_of(
+    entries: Sequence[str], leaves: Sequence[Leaf], struct: str, defaults: Mapping[str, Any]
+) -> dict[str, float]:
+    """Read ``MEMBER [UNIT] (LOW..HIGH) = VALUE``: the parameters, in the order of the struct.
+
+    Raises
+    ------
+    ValueError
+        An entry cannot be read, names what is not there, or its value is none of its range or type; or one is missing.
+    """
+    names, found = {leaf.access: leaf for leaf in leaves}, dict[str, float]()
+    for entry in entries:
+        parts = VALUE.fullmatch(entry.strip())
+        if parts is None:
+            raise ValueError(
+                f"{entry!r}: expected MEMBER [UNIT] (LOW..HIGH) = VALUE, such as kp [V s/rad] (0..10) = 2.5"
+            )
+        name = parts["name"]
+        if name not in names:
+            raise ValueError(f"{entry!r}: {struct} has no member {name!r}{closest(name, names)}; it has {_list(names)}")
+        if name in found:
+            raise ValueError(f"{entry!r}: {name} is set twice")
+        try:
+            value = float(parts["value"])
+            low, high = float(parts["low"] or "-inf"), float(parts["high"] or "inf")
+        except ValueError as error:
+            raise ValueError(f"{entry!r}: {error}") from None
+        unit = parts["unit"] or "1"
+        if not (abs(value) < float("inf") and low <= value <= high):
+            raise ValueError(f"{entry!r}: {value:g} {unit} is beyond {low:g} to {high:g}, or no finite number")
+        if names[name].whole and value != int(value):
+            raise ValueError(f"{entry!r}: {name} is a whole number in C, expected one")
+        found[name] = value
+    for name in names:
+        if name not in found and name in defaults:
+            found[name] = float(defaults[name])
+    if missing := [name for name in names if name not in found]:
+        raise ValueError(f"values: {struct}.{missing[0]} has none; add {missing[0]} [UNIT] = VALUE")
+    return {name: found[name] for name in names}
+
+
+def _list(names: Any) -> str:
+    return ", ".join(names) or "none"

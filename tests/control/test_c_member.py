@@ -1,0 +1,310 @@
+"""A law and a plant in C as members: the struct is the state, and what is wrong with a library ends by its name."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import pickle
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from softrig_bringup.verbs.new_native import new_native
+from softrig_control.c_member.nodes import CController, CParams
+from softrig_core import (
+    ByHand,
+    ParameterError,
+    Rig,
+    RunError,
+    Scenario,
+    Session,
+    linear_view,
+    load_scenario,
+    rig_of,
+    simulate,
+)
+from softrig_core.export.command import export_c
+from softrig_core.native import engine
+from softrig_core.native.compile import plain
+from test_linear_view import T, sampled_motor
+from test_native import the_same
+
+if shutil.which("cc") is None:
+    pytest.skip("needs a C compiler: apt-get install gcc", allow_module_level=True)
+
+HERE = Path(__file__).parent / "c_laws"
+PI: dict[str, Any] = {
+    "period": 0.01,
+    "sources": [str(HERE / "pi.c")],
+    "header": str(HERE / "pi.h"),
+    "trajectories": ["motor/reference"],
+    "inputs": ["motor/reference/shaft/velocity [rad/s] = reference", "motor/state/shaft/velocity [rad/s] = speed"],
+    "outputs": ["motor/command/armature/effort [V] = voltage"],
+    "values": ["kp [V s/rad] (0..10) = 0.5", "ki [V/rad] = 2.0", "limit [V] = 12", "period [s] = 0.01"],
+}
+SPEED = "motor/state/shaft/velocity"
+
+
+EXPORTED = {"dc_motor_pid": ("dc_motor_smc_b4", 0.5), "dc_motor_plant": ("dc_motor_smc", 0.05)}
+
+
+@functools.cache
+def contents_of(scenario: str) -> dict[str, Any]:
+    return load_scenario(scenario).model_dump(exclude={"name"})
+
+
+def rig_with(
+    parameters: dict[str, Any],
+    node: str = "dc_motor_pid",
+    executable: str = "c_controller",
+    scenario: str = "dc_motor_smc_b4",
+    duration: float = 0.5,
+    plant: dict[str, Any] | None = None,
+) -> Rig:
+    """Make the rig of a scenario, one node of it in C; as it is without parameters."""
+    found = copy.deepcopy(contents_of(scenario))
+    if parameters:
+        found["nodes"][node] = {"package": "softrig_control", "executable": executable, "parameters": parameters}
+    if plant:
+        found["nodes"]["dc_motor_plant"]["parameters"] = plant
+    del found["nodes"]["dc_motor_metrics"]
+    found |= {"figures": {}, "expect": {}, "plots": [], "claims": {}, "requirements": {}, "duration": duration}
+    return rig_of(Scenario(name="c_test", **found))
+
+
+def faulty(fault: str, **more: Any) -> dict[str, Any]:
+    return PI | {"flags": [f"-DFAULT={fault}"]} | more
+
+
+def f32(x: float) -> float:
+    return float(np.float32(x))
+
+
+def test_the_law_is_what_its_text_says_in_single_precision() -> None:
+    """Against numpy's float32, operation by operation."""
+    law = ByHand(CController(CParams(**PI), "pi"))
+    one = np.float32
+    integral, kp, step, limit = one(0.0), one(0.5), one(2.0) * one(0.01), one(12.0)
+    for k, (reference, speed) in enumerate([(10.0, 0.0), (10.0, 3.3), (40.0, 3.4), (10.0, 9.9), (-50.0, 2.0)]):
+        found = law.update(k * 10**7, motor_reference=(reference,), motor_state=(speed,))
+        e = one(reference) - one(speed)
+        u = kp * e + integral
+        if abs(u) <= limit:
+            integral += step * e
+        assert found == {"to_motor_command": (float(np.clip(u, -limit, limit)),)}
+        assert law.x == (float(integral), k + 1, int(abs(u) > limit))
+        assert type(law.x.ticks) is int
+    assert law.x._fields == ("integral", "ticks", "saturated")
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("exported")
+    for node, (scenario, duration) in EXPORTED.items():
+        export_c(rig_of(scenario, duration=duration), node, folder, drawn=20)
+    return folder
+
+
+@pytest.mark.parametrize(("node", "executable"), [("dc_motor_pid", "c_controller"), ("dc_motor_plant", "c_plant")])
+def test_what_export_writes_comes_back_with_the_same_bits(exported: Path, node: str, executable: str) -> None:
+    scenario, duration = EXPORTED[node]
+    parameters = {
+        "period": float(next(m.schedule.period for m in rig_of(scenario).members if m.name == node)),
+        "sources": [str(exported / f"{node}.c")],
+        "header": str(exported / f"{node}.h"),
+        "description": str(exported / f"{node}.json"),
+    }
+    wanted = simulate(rig_with({}, scenario=scenario, duration=duration)).recording
+    found = simulate(rig_with(parameters, node, executable, scenario, duration))
+    assert found.recording.topics == wanted.topics
+    assert len(found.blocks[node].block._names) > 2
+
+
+@pytest.mark.parametrize("make", [plain, pytest.param(engine.compiled, marks=pytest.mark.long)])
+def test_native_code_calls_it_by_its_address(monkeypatch: pytest.MonkeyPatch, make: Any) -> None:
+    """Its text in Python, and by numba; where the library answers by a status, Python takes the tick."""
+    native = the_same(lambda: rig_with(PI), monkeypatch, make)
+    assert native.ticks >= 48
+    engine._counts.clear()  # it is another library
+    broken = the_same(lambda: rig_with(faulty("CRASH")), monkeypatch, make)
+    assert broken.given_up == 1
+
+
+def test_it_goes_back_branches_and_takes_live_changes() -> None:
+    for parameters in (PI, faulty("STATIC")):
+        plain, back = Session(rig_with(parameters)), Session(rig_with(parameters))
+        plain.go(0.5)
+        back.go(0.4)
+        back.rewind(0.2)
+        other = back.branch()
+        other.set({"dc_motor_pid.values": [*PI["values"][:1], "ki [V/rad] = 9.0", *PI["values"][2:]]})
+        other.go(0.5)
+        back.go(0.5)
+        assert back.recording.topics == plain.recording.topics
+        assert other.recording.topics != plain.recording.topics
+
+
+def test_hidden_state_gives_the_run_of_one_that_hides_none_and_says_so() -> None:
+    pure, hiding = simulate(rig_with(PI)), [simulate(rig_with(faulty("STATIC"))) for _ in range(2)]
+    for run in hiding:  # a run leaves nothing to the next
+        assert run.recording.topics == pure.recording.topics
+        level, text, _ = run.blocks["dc_motor_pid"].reports["hidden_state"]
+        assert (level, "pi.c keeps state outside of pi: integral; " in text) == (1, True)
+    assert "hidden_state" not in pure.blocks["dc_motor_pid"].reports
+
+
+def test_state_that_no_file_shows_is_found_by_ticks_that_come_again() -> None:
+    runs = [simulate(rig_with(faulty("RANDOM"))) for _ in range(2)]
+    assert runs[0].recording.topics == runs[1].recording.topics
+    assert "has other answers when it comes again" in runs[0].blocks["dc_motor_pid"].reports["hidden_state"][1]
+
+
+def test_its_state_is_what_an_fmu_or_a_node_that_comes_back_keeps() -> None:
+    for parameters in (PI, faulty("STATIC")):
+        one, other = (ByHand(CController(CParams(**parameters), "pi")) for _ in range(2))
+        for k in range(5):
+            one.update(k * 10**7, motor_reference=(10.0,), motor_state=(float(k),))
+        other.load(pickle.loads(pickle.dumps(one.save())))
+        ask = {"motor_reference": (3.0,), "motor_state": (1.0,)}
+        assert other.update(5 * 10**7, **ask) == one.update(5 * 10**7, **ask)
+        assert other.block.save(other.x) is not None
+
+
+def test_in_a_process_of_its_own_the_numbers_are_the_same() -> None:
+    law, apart = (ByHand(CController(CParams(**PI, isolated=isolated), "pi")) for isolated in (False, True))
+    for k in range(5):
+        ask = {"motor_reference": (10.0 * k,), "motor_state": (float(k),)}
+        assert apart.update(k * 10**7, **ask) == law.update(k * 10**7, **ask)
+        assert apart.x == law.x
+
+
+def test_the_linear_view_sees_through_it() -> None:
+    """Its integral is a state, and the poles of the loop are those of python-control."""
+    values = [*PI["values"][:2], "limit [V] = 1e5", *PI["values"][3:]]
+    rig = rig_with(PI | {"flags": ["-DREAL=double"], "values": values}, plant={"vmax": 1e5})
+    view = linear_view(rig, at=0.4, link="motor/command/armature/effort")
+    assert "dc_motor_pid.integral" in view.states
+    law = 0.5 + 2.0 * T / control.tf([1, -1], [1], T)
+    motor = sampled_motor()
+    loop = control.ss(control.ss(motor.A, motor.B, [[1, 0]], [[0]], T) * control.ss(law))
+    exact = np.linalg.eigvals(loop.A - loop.B @ loop.C)
+    found = sorted(abs(p) for p in view.loop_poles if abs(p) > 1e-3)
+    assert found == pytest.approx(sorted(map(abs, exact)), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("CRASH", "pi.c at t = 0.2 s: crashed (SIGSEGV) in pi_step"),
+        ("ABORT", "pi.c at t = 0.2 s: crashed (SIGABRT) in pi_step"),
+        ("RECURSE", "pi.c at t = 0.2 s: crashed (SIGSEGV) in pi_step"),
+        ("CONSTANT", "pi.c at t = 0.2 s: pi_step changes a member that holds constants"),
+        ("NOT_A_NUMBER", "armature/effort became nan at t = 0.2 s"),
+    ],
+)
+@pytest.mark.parametrize("isolated", [False, True])
+def test_what_breaks_ends_the_run_by_name(fault: str, message: str, isolated: bool) -> None:
+    if isolated and fault != "CRASH":
+        return
+    message = message.replace(" in pi_step", "") if isolated else message
+    with pytest.raises(RunError, match="dc_motor_pid: ") as found:
+        simulate(rig_with(faulty(fault, isolated=isolated)))
+    assert message in str(found.value)
+
+
+def test_one_that_hangs_is_given_up_when_it_is_isolated() -> None:
+    with pytest.raises(RunError, match=r"pi.c at t = 0.2 s: gave no answer within 0.2 s"):
+        simulate(rig_with(faulty("HANG", isolated=True, timeout=0.2)))
+
+
+def test_giving_up_publishes_its_outputs_keeps_its_state_and_is_counted() -> None:
+    run = simulate(rig_with(faulty("GIVES_UP")))
+    step = run.blocks["dc_motor_pid"]
+    assert step.reports["gave_up"][1:] == (
+        "pi_step answers 1 (gave up): its outputs are published, its state stays",
+        30,
+    )
+    assert step.x.ticks == 20
+    assert run.signals["motor/command/armature/effort"][1][-1] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"header": "nowhere.h"}, "no header 'nowhere.h'"),
+        ({"sources": [], "library": "/bin/true"}, "pi_init"),
+        ({"sources": [], "library": str(HERE / "pi.c")}, "is no shared library"),
+        ({"sources": []}, "expected either library, which is built, or sources"),
+        ({"prefix": "pid"}, "has no function pid_init; it offers pi_init, pi_step"),
+        ({"inputs": PI["inputs"][:1]}, "pi_in.speed has no channel; add TOPIC/CHANNEL/FIELD [UNIT] = speed to inputs"),
+        ({"inputs": [*PI["inputs"], "a/b/position [1] = sped"]}, "pi_in has no member 'sped' (did you mean 'speed'?)"),
+        ({"inputs": ["speed"]}, "expected TOPIC/CHANNEL/FIELD [UNIT] = MEMBER"),
+        ({"values": PI["values"][1:]}, "pi_params.kp has none; add kp [UNIT] = VALUE"),
+        ({"values": ["kp [V s/rad] (0..10) = 11", *PI["values"][1:]]}, "11 V s/rad is beyond 0 to 10"),
+        ({"values": ["kp = nan", *PI["values"][1:]]}, "no finite number"),
+        ({"flags": ["-DFAULT=("]}, "pi.c does not compile: "),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_a_run(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises((ParameterError, ValueError)) as found:
+        CController(CParams(**(PI | changes)), "pi")
+    assert message in str(found.value)
+
+
+def test_a_library_of_another_machine_is_refused(tmp_path: Path) -> None:
+    library = tmp_path / "libpi.so"
+    subprocess.run(["cc", "-shared", "-fPIC", str(HERE / "pi.c"), "-o", str(library)], check=True)
+    changed = bytearray(library.read_bytes())
+    struct.pack_into("<H", changed, 18, 40)  # e_machine: ARM
+    library.write_bytes(changed)
+    with pytest.raises(ValueError, match="is built for ARM, this machine is "):
+        CParams(**(PI | {"sources": [], "library": str(library)}))
+
+
+def test_a_library_that_is_built_again_waits_for_the_next_run(tmp_path: Path) -> None:
+    library = tmp_path / "libpi.so"
+
+    def build(*flags: str) -> None:
+        subprocess.run(["cc", "-shared", "-fPIC", *flags, str(HERE / "pi.c"), "-o", str(library)], check=True)
+
+    build()
+    parameters = PI | {"sources": [], "library": str(library)}
+    plain, session = Session(rig_with(parameters)), Session(rig_with(parameters))
+    plain.go(0.5)
+    session.go(0.2)
+    build("-DFAULT=GIVES_UP")
+    session.set({"dc_motor_pid.values": PI["values"]})
+    session.go(0.5)
+    assert all(session.recording.topics[name] == topic for name, topic in plain.recording.topics.items())
+    assert "this run goes on with the build of its start" in session.steps["dc_motor_pid"].reports["rebuilt"][1]
+    assert simulate(rig_with(parameters)).recording.topics != plain.recording.topics
+
+
+@pytest.mark.parametrize(("language", "tool"), [("c", "cc"), ("c++", "g++"), ("rust", "cargo")])
+def test_what_new_writes_runs_as_its_scenario_expects(language: str, tool: str, tmp_path: Path) -> None:
+    if shutil.which(tool) is None:
+        pytest.skip(f"needs {tool}: apt-get install {'g++' if tool == 'g++' else tool}")
+    scenario = new_native("my_pi", tmp_path / "my_pi", language, "softrig")
+    if language == "rust":
+        command = ["cargo", "build", "--release", "--offline", "--quiet"]
+        subprocess.run(command, cwd=scenario.parent, check=True)
+    run = simulate(str(scenario))
+    assert not run.missed, run.figures
+    assert not run.blocks["my_pi"].reports  # no state is hidden, Rust's own library left aside
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("language", ["c", "c++", "rust"])
+def test_its_own_build_and_test_pass(language: str, tmp_path: Path) -> None:
+    folder = new_native("my_pi", tmp_path / "my_pi", language, "softrig").parent
+    cmake = (["cmake", "-B", "build"], ["cmake", "--build", "build"], ["ctest", "--test-dir", "build"])
+    for command in [["cargo", "test", "--offline"]] if language == "rust" else cmake:
+        if shutil.which(command[0]) is None:
+            pytest.skip(f"needs {command[0]}: apt-get install {command[0]}")
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
