@@ -7,7 +7,7 @@ import subprocess
 import pytest
 from softrig_core import ScenarioError, rig_of
 from softrig_core.export.check import BOARDS, FLAGS, TOOLS, replayed
-from softrig_core.export.command import export_c, main
+from softrig_core.export.command import export_c, export_rig, main
 from softrig_core.export.drawn import Raised, drawn_calls
 from softrig_core.export.golden import golden_calls, member_of
 
@@ -31,13 +31,71 @@ NODES = {
 }
 
 
-@pytest.mark.parametrize(("scenario", "node"), NODES.values(), ids=NODES.keys())
+DAILY = {"a controller with reports", "what is None until the first message", "random numbers"}
+PARAMETERS = [
+    pytest.param(*words, id=what, marks=() if what in DAILY else pytest.mark.long) for what, words in NODES.items()
+]
+
+
+@pytest.mark.parametrize(("scenario", "node"), PARAMETERS)
 def test_c_has_the_bits_of_python(scenario, node, tmp_path):
     done = export_c(rig_of(scenario), node, tmp_path, rows=400, drawn=300)
     found = replayed(tmp_path, done.name)
     assert found.rows >= 600
     assert (found.differing, found.wrong_status) == (0, 0)
     assert found.same
+
+
+RIGS = [
+    ("dc_motor_smc_faults", {"dc_motor_metrics"}),  # random numbers, a fault, members of other periods
+    *(
+        pytest.param(*rig, marks=pytest.mark.long)
+        for rig in (("dc_motor_fsfb", {"axis_metrics"}), ("induction_dtc", {"flux_monitor"}), ("pwa_delay_p3", set()))
+    ),
+]
+
+
+@pytest.mark.parametrize(("scenario", "left"), RIGS)
+def test_a_rig_in_c_publishes_the_bits_of_the_run(scenario, left, tmp_path):
+    done, without = export_rig(rig_of(scenario), tmp_path, rows=200)
+    found = replayed(tmp_path, done.name)
+    assert found.rows == 200
+    assert found.same
+    assert without.keys() >= left
+    assert max(scale for _, scale in found.errors) > 0.0
+    source = (tmp_path / f"{done.name}.c").read_text()
+    assert "= s->" in source
+    wrong = source.replace("k * INT64_C(", "(k + 1) * INT64_C(", 1)
+    (tmp_path / f"{done.name}.c").write_text(wrong)
+    assert not replayed(tmp_path, done.name).same
+
+
+def test_a_rig_whose_plant_has_no_c_is_refused(tmp_path):
+    with pytest.raises(ScenarioError, match="fleet.*cannot be exported as C"):
+        export_rig(rig_of("economic_dispatch_wood"), tmp_path, rows=3)
+    assert not list(tmp_path.iterdir())
+
+
+CHANGES = """
+extends: dc_motor_smc_b2
+changes:
+  - at: 0.5
+    set: {dc_motor_smc.delta: 0.5}
+  - at: 1.0
+    set: {dc_motor_smc.delta: 0.9, dc_motor_smc.k_per_ref: 1.1}
+"""
+
+
+def test_live_changes_are_replayed_by_parameters_that_are_set(tmp_path):
+    file = tmp_path / "dc_motor_changes.yaml"
+    file.write_text(CHANGES)
+    done = export_c(rig_of(str(file)), "dc_motor_smc", tmp_path, rows=200, drawn=50)
+    rows = tmp_path / f"{done.name}_rows.txt"
+    lines = rows.read_text().splitlines()
+    assert [k for k, line in enumerate(lines) if line.startswith("set")] == [51, 102]
+    assert replayed(tmp_path, done.name).same
+    rows.write_text("\n".join(line for line in lines if not line.startswith("set")) + "\n")
+    assert replayed(tmp_path, done.name).differing > 50
 
 
 @pytest.fixture(scope="module")

@@ -30,8 +30,8 @@ class {node}(Node, Fmi2Slave):
 '''
 
 
-def export(rig: Rig, node: str, folder: Path) -> Path:
-    """Write a node of a rig as an FMU for co-simulation (FMI 2.0).
+def export(rig: Rig, node: str, folder: Path, native: int = 0) -> Path:
+    """Write a node of a rig as an FMU for co-simulation.
 
     Parameters
     ----------
@@ -39,11 +39,13 @@ def export(rig: Rig, node: str, folder: Path) -> Path:
         Its name.
     folder : Path
         The file ``NODE.fmu`` goes here.
+    native : int
+        2 or 3: the node's C, by that version of the FMI, which runs without Python. 0: its Python, by FMI 2.0.
 
     Returns
     -------
     Path
-        Of the FMU. It runs where softrig is installed: it holds the node's parameters, not its code.
+        Of the FMU. That with Python runs where softrig is installed: it holds the node's parameters, not its code.
 
     Raises
     ------
@@ -57,10 +59,15 @@ def export(rig: Rig, node: str, folder: Path) -> Path:
         )
     member = members[node]
     _check(member)
+    start = _first(rig, member)
+    if native:
+        need("fmpy", "an export as an FMU")
+        from .native import export_native
+
+        return export_native(rig, node, folder, start, native)
     need("pythonfmu", "an export as an FMU")
     from .slave import content
 
-    start = _first(rig, member)
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="softrig_fmu_") as place:
         script = Path(place, f"softrig_{node}.py")
@@ -112,12 +119,16 @@ def _check(member: Member) -> None:
 def main(arguments: Sequence[str]) -> int:
     """Be the verb."""
     parser = Parser(prog="softrig export", description="Nodes of a scenario for other tools.")
-    parser.add_argument("kind", choices=["fmu"], help="a Functional Mock-up Unit, FMI 2.0, co-simulation")
+    parser.add_argument("kind", choices=["fmu"], help="a Functional Mock-up Unit for co-simulation")
     parser.add_argument("scenario", help="name or YAML file")
     parser.add_argument("nodes", nargs="+", metavar="NODE", help="of the scenario, with its parameters there")
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="NODE.fmu goes here (.)")
+    parser.add_argument("--native", action="store_true", help="the node's C, with sources, which runs without Python")
+    parser.add_argument("--fmi", type=int, choices=[2, 3], help="version of the FMI (2); 3 with --native")
     options = parser.parse_args(arguments)
+    if options.fmi == 3 and not options.native:
+        parser.error("--fmi 3 is of FMUs without Python: add --native")
     rig = rig_of(options.scenario)
     for node in options.nodes:
-        print(export(rig, node, options.out))
+        print(export(rig, node, options.out, (options.fmi or 2) if options.native else 0))
     return 0

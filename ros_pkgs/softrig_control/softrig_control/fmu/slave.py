@@ -6,7 +6,7 @@ import base64
 import json
 import math
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 from xml.etree.ElementTree import Element, SubElement
@@ -31,6 +31,17 @@ LARGEST = (1 << 31) - 1  # of an Integer of FMI 2.0
 def variable(topic: str, label: str) -> str:
     """Name the variable of a signal: ``motor.state.shaft.velocity``."""
     return f"{topic}/{label}".strip("/").replace("/", ".")
+
+
+def unit_definitions(units: Iterable[str]) -> list[Element]:
+    """Return the element that says what units are; none where there are no units."""
+    found = Element("UnitDefinitions")
+    for unit in sorted(units):
+        factor, parts = base(unit)
+        one = SubElement(found, "Unit", name=unit)
+        if set(parts) <= {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}:
+            SubElement(one, "BaseUnit", {k: str(v) for k, v in parts.items()} | {"factor": repr(factor)})
+    return [found] if len(found) else []
 
 
 class _Shown(Link):
@@ -138,14 +149,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
     def to_xml(self, model_options: Any = None) -> Element:
         """Give the model description, with the units and bounds that PythonFMU does not know of."""
         root = super().to_xml(model_options or {})
-        units = sorted({e["unit"] for e in self._extra.values() if "unit" in e})
-        found = Element("UnitDefinitions")
-        for unit in units:
-            factor, parts = base(unit)
-            one = SubElement(found, "Unit", name=unit)
-            if set(parts) <= {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}:
-                SubElement(one, "BaseUnit", {k: str(v) for k, v in parts.items()} | {"factor": repr(factor)})
-        if units:
+        for found in unit_definitions({e["unit"] for e in self._extra.values() if "unit" in e}):
             root.insert(1, found)
         outputs = [v.attrib for v in root.iter("Unknown")]
         if outputs:

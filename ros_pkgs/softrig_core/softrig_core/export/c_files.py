@@ -539,28 +539,15 @@ class _Files:
                 raised = isinstance(call, Raised)
                 row = [f"{number} {int(raised)} {call.t}"]
                 if call.method != "outputs":
-                    row += self._numbers(self.inputs, call.inputs, "held")
+                    row += numbers_of(self.inputs, call.inputs, "held")
                 if call.method != "advance":
                     safe = {
                         p.name: None if p.sporadic else Sample(call.t, p.safe) if p.delayed else p.safe
                         for p in self.outputs
                     }
-                    row += self._numbers(self.outputs, safe if isinstance(call, Raised) else call.outputs, "sporadic")
+                    row += numbers_of(self.outputs, safe if isinstance(call, Raised) else call.outputs, "sporadic")
                 lines.append(" ".join(row))
         return "\n".join(lines) + "\n"
-
-    @staticmethod
-    def _numbers(ports: Sequence[Port], values: Mapping[str, Any], flag: str) -> list[str]:
-        row = []
-        for port in ports:
-            given = values.get(port.name)
-            if getattr(port, flag):
-                row.append(str(int(given is not None)))
-            if port.delayed:
-                row.append(str(0 if given is None else given.stamp))
-                given = None if given is None else given.data
-            row += [float(v).hex() for v in (given if given is not None else (0.0,) * port.size)]
-        return row
 
     def replay(self) -> str:
         """Return the program that replays the rows and compares."""
@@ -573,12 +560,12 @@ class _Files:
                 "outputs": f"{n}_outputs(&node, &out, t)",
                 "advance": f"{n}_advance(&node, &in, t)",
             }[method]
-            compared = [f"    {line}" for line in _compare(self.outputs)] if method != "advance" else []
+            checks = [f"    {line}" for line in compared(self.outputs)] if method != "advance" else []
             cases += [
                 f"        case {number}:",
                 *(f"        {line}" for line in reads),
                 f"            status = {call};",
-                *(f"        {line}" for line in compared),
+                *(f"        {line}" for line in checks),
                 "            break;",
             ]
         sets = []
@@ -587,7 +574,8 @@ class _Files:
             scanned = "number(&at)" if kind == "real_t" else f"({kind})strtoll(at, &at, 10)"
             sets.append(f"            params.{own} = {scanned};")
         channels = sum(p.size for p in self.outputs)
-        return _REPLAY.format(n=n, upper=n.upper(), sets="\n".join(sets), cases="\n".join(cases), channels=channels)
+        words = {"n": n, "upper": n.upper(), "channels": channels}
+        return _REPLAY.format(sets="\n".join(sets), cases="\n".join(cases), **words)
 
     def description(self, digest: str) -> str:
         """Return the JSON description."""
@@ -631,6 +619,7 @@ class _Files:
                 {"code": k, "level": r.level.name, "key": r.key} for k, r in enumerate(self.law.reports.places)
             ],
             "library_functions": sorted(self.unit.libm),
+            "sources": [f"{name}.c" for name in self.unit.sources],
             "golden_rows": len(self.golden),
             "drawn_rows": sum(map(len, self.drawn)),
         }
@@ -741,6 +730,20 @@ int main(int argc, char **argv)
 """
 
 
+def numbers_of(ports: Sequence[Port], values: Mapping[str, Any], flag: str) -> list[str]:
+    """Return how a row of golden rows has the values of ports; those with that flag may be absent."""
+    row = []
+    for port in ports:
+        given = values.get(port.name)
+        if getattr(port, flag):
+            row.append(str(int(given is not None)))
+        if port.delayed:
+            row.append(str(0 if given is None else given.stamp))
+            given = None if given is None else given.data
+        row += [float(v).hex() for v in (given if given is not None else (0.0,) * port.size)]
+    return row
+
+
 def _read(struct: str, ports: Sequence[Port], flag: str) -> list[str]:
     lines = []
     for port in ports:
@@ -754,23 +757,28 @@ def _read(struct: str, ports: Sequence[Port], flag: str) -> list[str]:
     return lines
 
 
-def _compare(ports: Sequence[Port]) -> list[str]:
+def compared(ports: Sequence[Port], out: str = "out", channel: int = 0) -> list[str]:
+    """Return what compares outputs with the numbers of a row, counted from a channel on."""
     lines: list[str] = []
-    channel = 0
     for port in ports:
         name = identifier(port.name)
         if port.sporadic:
             lines += [
-                f"if ((strtol(at, &at, 10) != 0) != out.has_{name}) {{",
+                f"if ((strtol(at, &at, 10) != 0) != {out}.has_{name}) {{",
                 "    differing++;",
                 "}",
             ]
         if port.delayed:
-            lines += [f"if ((int64_t)strtoll(at, &at, 10) != out.{name}_stamp_ns) {{", "    differing++;", "}"]
+            lines += [f"if ((int64_t)strtoll(at, &at, 10) != {out}.{name}_stamp_ns) {{", "    differing++;", "}"]
         if port.size:
-            test = f"out.has_{name}" if port.sporadic else "true"
+            test = f"{out}.has_{name}" if port.sporadic else "true"
             lines += [f"for (int i = 0; i < {port.size}; i++) {{", "    const real_t expected = number(&at);"]
-            lines += [f"    if ({test}) {{", f"        compare({channel} + i, out.{name}[i], expected);", "    }", "}"]
+            lines += [
+                f"    if ({test}) {{",
+                f"        compare({channel} + i, {out}.{name}[i], expected);",
+                "    }",
+                "}",
+            ]
         channel += port.size
     return lines
 

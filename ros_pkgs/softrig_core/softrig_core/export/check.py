@@ -74,7 +74,8 @@ def replayed(folder: Path, name: str, board: str = "") -> Replayed:
         A tool is missing, the compiler refuses the code, or the program does not end by itself.
     """
     program = folder / f"{name}_replay.elf"
-    files = [f"{name}_replay.c", f"{name}.c", *sorted(p.name for p in folder.glob(f"{name}_casadi*.c"))]
+    about = json.loads((folder / f"{name}.json").read_text())
+    files = [f"{name}_replay.c", f"{name}.c", *about["sources"]]
     flash = 0
     try:
         if board:

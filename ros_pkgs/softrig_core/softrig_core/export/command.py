@@ -16,6 +16,7 @@ from .c_files import Exported, c_files
 from .check import BOARDS, TOOLS, Replayed, replayed
 from .drawn import drawn_calls
 from .golden import golden_calls, member_of
+from .rig_c import rig_files
 
 ROWS, DRAWN = 5000, 2000  # calls of the run, and of drawn inputs
 NOTED = 1e-3  # of a channel's scale: a difference of single precision that is named
@@ -46,6 +47,13 @@ def export_c(
     ScenarioError
         There is no such node, or what it does has no C: names the line.
     """
+    done = c_of(rig, node, rows=rows, drawn=drawn, single=single)
+    _written(done, folder)
+    return done
+
+
+def c_of(rig: Rig, node: str, *, rows: int = ROWS, drawn: int = DRAWN, single: bool = False) -> Exported:
+    """Return a node of a rig as C99; see `export_c`."""
     seed = rig.scenario.seed
     member = member_of(rig, node)
     if issubclass(member.block_class, Solver):
@@ -62,11 +70,42 @@ def export_c(
             refusal = ScenarioError(f"{node} cannot be exported as C: {reason}")
     else:
         raise refusal
+    return done
+
+
+def export_rig(rig: Rig, folder: Path, *, rows: int = ROWS, single: bool = False) -> tuple[Exported, dict[str, str]]:
+    """Write all nodes of a rig as C99: one struct, one step a tick, with golden rows of all outputs.
+
+    Parameters
+    ----------
+    folder : Path
+        The files go here.
+    rows : int
+        Most ticks of the scenario's run that become golden rows.
+    single : bool
+        ``real_t`` is float.
+
+    Returns
+    -------
+    Exported
+    dict of str to str
+        Nodes that were left out, since nobody reads them and they have no C, and why.
+
+    Raises
+    ------
+    ScenarioError
+        A node that others read has no C.
+    """
+    done, left = rig_files(rig, rows, single=single)
+    _written(done, folder)
+    return done, left
+
+
+def _written(done: Exported, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in done.files.items():
         with naming(folder / name):
             (folder / name).write_text(text, encoding="utf-8")
-    return done
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -76,7 +115,9 @@ def main(arguments: Sequence[str]) -> int:
         description="Nodes of a scenario as C99, with golden rows and a program that replays them.",
     )
     parser.add_argument("scenario", help="name or YAML file")
-    parser.add_argument("nodes", nargs="+", metavar="NODE", help="of the scenario, with its parameters there")
+    parser.add_argument(
+        "nodes", nargs="*", metavar="NODE", help="of the scenario, with its parameters there; none: the whole rig"
+    )
     parser.add_argument("--real", choices=["double", "float"], default="double", help="number type (double)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="the files go to DIR (./NODE)")
     parser.add_argument(
@@ -87,9 +128,14 @@ def main(arguments: Sequence[str]) -> int:
     rig = rig_of(options.scenario)
     single = options.real == "float"
     status = 0
-    for node in options.nodes:
+    for node in options.nodes or [rig.scenario.name]:
         folder = options.out or Path(node)
-        done = export_c(rig, node, folder, single=single)
+        if options.nodes:
+            done = export_c(rig, node, folder, single=single)
+        else:
+            done, left = export_rig(rig, folder, single=single)
+            for name, reason in left.items():
+                print(f"{node}: without {name}, which nobody reads: {reason}")
         print(f"{folder}: {', '.join(done.files)}")
         if done.libm:
             print(f"{node}: bits depend on the C library's {', '.join(done.libm)}")

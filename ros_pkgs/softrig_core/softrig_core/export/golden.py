@@ -98,15 +98,23 @@ def golden_calls(rig: Rig, node: str, seed: int, most: int) -> list[Call | Chang
     """
     member_of(rig, node)
     blocks = {m.name: m.block(seed) for m in rig.members}
-    block, calls = blocks[node], list[Call | Changed]()
-    for name in methods(block):
-        _watch(block, name, calls)
+    calls: list[Call | Changed] = []
     steps = wired(rig, blocks)
-    _watch_changes(steps[node], calls)
+    watched(steps[node], calls)
     for _ in Loop(list(steps.values())).run():
         if len(calls) >= most:
             break
     return calls[:most]
+
+
+def watched(step: Step, calls: list[Call | Changed]) -> None:
+    """Have a list take the calls of a step's block, and the changes of its parameters; before its first tick."""
+    for name in methods(step.block):
+        _watch(step.block, name, calls)
+    own = getattr(type(step.block), methods(step.block)[0])
+    if getattr(step.respond, "__func__", None) is own:  # a step has taken the method by then
+        step.respond = getattr(step.block, methods(step.block)[0])
+    _watch_changes(step, calls)
 
 
 def answer_of(method: str, x: Any, found: Any) -> tuple[Any, Mapping[str, Any]]:

@@ -1,0 +1,402 @@
+"""A whole rig as C: all its plants and controllers in one struct, wired as in the rig, one `step` a tick."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+from ..block.loop import Loop
+from ..block.port import Sample
+from ..block.schedule import Plan
+from ..block.step import Step
+from ..errors import ScenarioError
+from ..native.value import NotNative
+from ..rig.members import Link, Member
+from ..rig.rig import Rig
+from ..run.inprocess import check_here, wired
+from ..solver.solver import Solver
+from .c_files import SUPPORT, Exported, c_files, compared, numbers_of
+from .drawn import drawn_calls
+from .golden import Call, Changed, watched
+from .kinds import identifier
+from .unit import literal
+
+DRAWN = 200  # calls with drawn inputs: they find ways that the run never takes
+
+
+@dataclass(frozen=True)
+class Ticks:
+    """What the members of a rig published in a run, tick by tick: time, ns, and by member the outputs of one due."""
+
+    rows: list[tuple[int, dict[str, Mapping[str, Any]]]]
+    calls: dict[str, list[Call | Changed]]
+
+
+def rig_files(rig: Rig, most: int, *, single: bool = False) -> tuple[Exported, dict[str, str]]:
+    """Write a rig as C.
+
+    Parameters
+    ----------
+    rig : Rig
+    most : int
+        Ticks of its run that become golden rows.
+    single : bool
+        Numbers are float.
+
+    Returns
+    -------
+    Exported
+    dict of str to str
+        Members that were left out, which nobody reads: why they have no C.
+
+    Raises
+    ------
+    ScenarioError
+        A member that others read has no C.
+    """
+    check_here(rig)
+    ticks = _run(rig, most)
+    exported: dict[str, Exported] = {}
+    left: dict[str, str] = {}
+    for member in rig.members:
+        try:
+            exported[member.name] = _member(rig, member, ticks.calls[member.name], single)
+        except NotNative as reason:
+            left[member.name] = str(reason)
+    for member in rig.members:
+        for link in member.links.values():
+            if member.name in exported and link.source.name in left:
+                why = left[link.source.name]
+                raise ScenarioError(f"{link.source.name}, which {member.name} reads, cannot be exported as C: {why}")
+        if member.is_plant and member.name in left:
+            raise ScenarioError(f"the plant {member.name} cannot be exported as C: {left[member.name]}")
+    members = [m for m in rig.members if m.name in exported]
+    if not members:
+        raise ScenarioError(f"no node of {rig.scenario.name} can be exported as C: {next(iter(left.values()))}")
+    return _RigFiles(rig, members, exported, ticks, left).exported(), left
+
+
+def _run(rig: Rig, most: int) -> Ticks:
+    blocks = {m.name: m.block(rig.scenario.seed) for m in rig.members}
+    calls: dict[str, list[Call | Changed]] = {name: [] for name in blocks}
+    steps: dict[str, Step] = wired(rig, blocks)
+    for name, step in steps.items():
+        watched(step, calls[name])
+    rows: list[tuple[int, dict[str, Mapping[str, Any]]]] = []
+    for t in Loop(list(steps.values())).run():
+        if t is None or t == rig.end or len(rows) >= most:  # at the end not all of them answer
+            break
+        rows.append((t, {m.name: dict(steps[m.name].said) for m in rig.members if m.schedule.due(t)}))
+    return Ticks(rows, calls)
+
+
+def _member(rig: Rig, member: Member, calls: Sequence[Call | Changed], single: bool) -> Exported:
+    if issubclass(member.block_class, Solver):
+        raise NotNative("it is a solver, whose work runs in a process of its own")
+    if member.changes:
+        raise NotNative("its parameters change while it runs")
+    if not calls:
+        raise NotNative("it has no tick in the run")
+    seed = rig.scenario.seed
+    for absent in (True, False):
+        drawn = drawn_calls(member, member.block(seed), calls, DRAWN, seed, absent=absent)
+        try:
+            return c_files(member, member.block(seed), calls, drawn, single=single)
+        except NotNative:
+            if not absent:
+                raise
+    raise AssertionError
+
+
+class _RigFiles:
+    def __init__(
+        self,
+        rig: Rig,
+        members: Sequence[Member],
+        exported: Mapping[str, Exported],
+        ticks: Ticks,
+        left: Mapping[str, str],
+    ) -> None:
+        self.rig, self.members, self.files_of, self.left = rig, members, exported, left
+        self.name = f"{identifier(rig.scenario.name)}_rig"
+        self.plan = Plan(m.schedule for m in members)
+        due = {m.name for m in members}
+        self.rows = [(t, {n: v for n, v in row.items() if n in due}) for t, row in ticks.rows]
+        self.rows = [(t, row) for t, row in self.rows if self.plan.clock.due(t)]
+
+    def exported(self) -> Exported:
+        """Return all files: those of its members without their rows, and its own."""
+        files: dict[str, str] = {}
+        for one in self.files_of.values():
+            files |= {n: t for n, t in one.files.items() if n.endswith((".h", ".c")) and not n.endswith(_OWN)}
+        n = self.name
+        files |= {
+            f"{n}.h": self.header(),
+            f"{n}.c": self.source(),
+            f"{n}_rows.txt": self.text_of_rows(),
+            f"{n}_replay.c": self.replay(),
+            f"{n}_main.c": _MAIN.format(n=n, upper=n.upper()),
+            SUPPORT: (resources.files(__package__) / SUPPORT).read_text(),
+            f"{n}.json": self.description(),
+        }
+        libm = sorted({f for one in self.files_of.values() for f in one.libm})
+        channels = tuple(f"{m.name}: {p.topic}/{label}" for m in self.members for p in m.outputs for label in p.labels)
+        discards = tuple(f"{m}: {r}" for m, one in self.files_of.items() for r in one.discards)
+        return Exported(n, files, tuple(libm), (), channels, discards, "")
+
+    def header(self) -> str:
+        """Return the header."""
+        n, upper, period = self.name, self.name.upper(), self.plan.clock.period
+        lines = [
+            f"/** @file {n}.h",
+            f" * All nodes of the scenario {self.rig.scenario.name}: one struct, one step a tick.",
+            " *",
+            " * Written by `softrig export c`. Plants first, then the others in the order in which they answer.",
+            " */",
+            f"#ifndef {upper}_H",
+            f"#define {upper}_H",
+            "",
+            *(f'#include "{one.name}.h"' for one in self.files_of.values()),
+            "",
+            f"#define {upper}_TICKS {self.plan.ticks or 0} /**< of the scenario; 0: endless */",
+            f"#define {upper}_PERIOD_NUMERATOR {period.numerator} /**< of a tick, s, as a fraction */",
+            f"#define {upper}_PERIOD_DENOMINATOR {period.denominator}",
+            "",
+            "/** The rig: each node, what it reads, what it published last. */",
+            f"typedef struct {n} {{",
+            "    int64_t k; /**< number of the tick that comes next */",
+            "    int64_t t_ns; /**< time of the newest tick */",
+        ]
+        for one in self.files_of.values():
+            lines += [f"    {one.name} {one.name};", f"    {one.name}_in {one.name}_in;"]
+            lines += [f"    {one.name}_out {one.name}_out;"]
+        lines += [
+            f"}} {n};",
+            "",
+            "#ifdef __cplusplus",
+            'extern "C" {',
+            "#endif",
+            "",
+            "/** Go to the state before the first tick. */",
+            f"void {n}_init({n} *s);",
+            "",
+            "/** Answer one tick, then move the plants on.",
+            " * @return SR_DONE, or SR_GAVE_UP where the run in Python ends by an error or refuses a message */",
+            f"int {n}_step({n} *s);",
+            "",
+            "#ifdef __cplusplus",
+            "}",
+            "#endif",
+            "",
+            "#endif",
+            "",
+        ]
+        return "\n".join(lines)
+
+    def source(self) -> str:
+        """Return the source: `init`, and `step` with the wiring."""
+        n, (num, den) = self.name, (self.plan.clock.period * 10**9).as_integer_ratio()
+        time = f"k * INT64_C({num})"
+        if den != 1:
+            time = f"((2 * k * INT64_C({num})) + INT64_C({den})) / INT64_C({2 * den})"
+        plants = [m for m in self.members if m.is_plant]
+        others = [m for m in self.members if not m.is_plant]
+        lines = [
+            f"/* {n}.c: see {n}.h. Written by `softrig export c`. */",
+            f'#include "{n}.h"',
+            "",
+            "#include <stddef.h>",
+            "#include <string.h>",
+            "",
+            f"void {n}_init({n} *s)",
+            "{",
+            "    memset(s, 0, sizeof *s);",
+            *(f"    {line}" for m in self.members for line in self._begin(m)),
+            "}",
+            "",
+            f"int {n}_step({n} *s)",
+            "{",
+            "    const int64_t k = s->k;",
+            f"    const int64_t t = {time};",
+            "    int status = SR_DONE;",
+            "    s->t_ns = t;",
+            *(f"    {line}" for m in plants for line in self._turn(m, "outputs")),
+            *(f"    {line}" for m in others for line in self._turn(m, "step")),
+            *(f"    {line}" for m in plants for line in self._turn(m, "advance")),
+            "    s->k = k + 1;",
+            "    return status;",
+            "}",
+            "",
+        ]
+        return "\n".join(lines)
+
+    def _c(self, member: Member) -> str:
+        return self.files_of[member.name].name
+
+    def _begin(self, member: Member) -> list[str]:
+        own = self._c(member)
+        lines = [f"{own}_init(&s->{own}, NULL);"]
+        for port in member.inputs:
+            value = port.initial
+            data = value.data if isinstance(value, Sample) else value or ()
+            lines += [f"s->{own}_in.{identifier(port.name)}[{i}] = {literal(v)};" for i, v in enumerate(data) if v]
+        return lines
+
+    def _turn(self, member: Member, what: str) -> list[str]:
+        """Write one act of a node, where it is due, then what it fills."""
+        own, every = self._c(member), self.plan.every(member.schedule)
+        given = {
+            "outputs": f"&s->{own}_out",
+            "step": f"&s->{own}_in, &s->{own}_out",
+            "advance": f"&s->{own}_in",
+        }[what]
+        lines = [f"if ({own}_{what}(&s->{own}, {given}, t) != SR_DONE) {{", "    status = SR_GAVE_UP;", "}"]
+        if what != "advance":
+            for reader in self.members:
+                for name, link in reader.links.items():
+                    if link.source is member:
+                        lines += self._filled(reader, name, link)
+        return lines if every == 1 else [f"if ((k % {every}) == 0) {{", *(f"    {line}" for line in lines), "}"]
+
+    def _filled(self, reader: Member, name: str, link: Link) -> list[str]:
+        """Write how an output fills an input."""
+        port, source = link.port, f"s->{self._c(link.source)}_out"
+        target = f"s->{self._c(reader)}_in"
+        own = next(p for p in reader.inputs if p.name == name)
+        here, there = identifier(name), identifier(port.name)
+        places = range(port.size) if link.pick is None else link.pick
+        lines = [
+            f"{target}.{here}[{i}] = {f'{source}.{there}[{p}]' if type(p) is int else literal(p)};"
+            for i, p in enumerate(places)
+        ]
+        if own.delayed:
+            lines.append(f"{target}.{here}_stamp_ns = {f'{source}.{there}_stamp_ns' if port.delayed else 't'};")
+        if own.held:
+            lines.append(f"{target}.has_{here} = true;")
+        if port.unchecked:  # a fault may publish what its reader refuses
+            tests = [f"SR_MATH(fabs)({target}.{here}[{i}]) <= {literal(limit)}" for i, limit in enumerate(own.limits)]
+            lines += [f"if (!({' && '.join(f'({t})' for t in tests)})) {{", "    status = SR_GAVE_UP;", "}"]
+        if port.sporadic:
+            lines = [f"if ({source}.has_{there}) {{", *(f"    {line}" for line in lines), "}"]
+        return lines
+
+    def text_of_rows(self) -> str:
+        """Return the golden rows, one tick a line: of each node that is due 1 and its outputs, else 0."""
+        lines = []
+        for t, row in self.rows:
+            words = [str(t)]
+            for member in self.members:
+                words.append(str(int(member.name in row)))
+                if member.name in row:
+                    words += numbers_of(member.outputs, row[member.name], "sporadic")
+            lines.append(" ".join(words))
+        return "\n".join(lines) + "\n"
+
+    def replay(self) -> str:
+        """Return the program that runs the rig and compares its outputs, tick by tick."""
+        cases: list[str] = []
+        channel = 0
+        for member in self.members:
+            lines = compared(member.outputs, f"rig.{self._c(member)}_out", channel)
+            channel += sum(p.size for p in member.outputs)
+            cases += ["if (strtol(at, &at, 10) != 0) {", *(f"    {line}" for line in lines), "}"]
+        return _REPLAY.format(n=self.name, channels=channel, cases="\n".join(f"        {line}" for line in cases))
+
+    def sources(self) -> list[str]:
+        """Return the names of the C files of its members."""
+        return [n for one in self.files_of.values() for n in one.files if n.endswith(".c") and not n.endswith(_OWN)]
+
+    def description(self) -> str:
+        """Return the JSON description."""
+        found = {
+            "scenario": self.rig.scenario.name,
+            "period_s": list(self.plan.clock.period.as_integer_ratio()),
+            "nodes": [{"node": m.name, "files": self._c(m), "plant": m.is_plant} for m in self.members],
+            "left_out": dict(self.left),
+            "sources": self.sources(),
+            "golden_rows": len(self.rows),
+        }
+        return json.dumps(found, indent=1) + "\n"
+
+
+_OWN = ("_replay.c", "_main.c")  # of a node alone
+
+_MAIN = """/* Example: runs the rig and prints how far it came. Written by `softrig export c`. */
+#include "{n}.h"
+
+#include <stdio.h>
+
+static {n} rig;
+
+int main(void)
+{{
+    long ticks = 0;
+    {n}_init(&rig);
+    while ((ticks < {upper}_TICKS) && ({n}_step(&rig) == SR_DONE)) {{
+        ticks++;
+    }}
+    printf("%ld of %d ticks, the last one at %.9f s\\n", ticks, {upper}_TICKS, (double)rig.t_ns * 1e-9);
+    return (ticks == {upper}_TICKS) ? 0 : 1;
+}}
+"""
+
+_REPLAY = """/* Runs the rig and compares each output with {n}_rows.txt. Written by `softrig export c`. */
+#include "{n}.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define CHANNELS {channels}
+
+static unsigned long rows, differing, gave_up;
+static double error[CHANNELS + 1]; /* by channel, and the largest number there */
+static double scale[CHANNELS + 1];
+static {n} rig;
+
+static void compare(int channel, real_t got, real_t wanted)
+{{
+    scale[channel] = fmax(scale[channel], fabs((double)wanted));
+    error[channel] = fmax(error[channel], fabs((double)got - (double)wanted));
+    if (!((got == wanted && (signbit(got) != 0) == (signbit(wanted) != 0)) || (got != got && wanted != wanted))) {{
+        differing++;
+    }}
+}}
+
+static real_t number(char **at)
+{{
+    return (real_t)strtod(*at, at);
+}}
+
+int main(int argc, char **argv)
+{{
+    static char line[1 << 18];
+    FILE *file = fopen(argc > 1 ? argv[1] : "{n}_rows.txt", "r");
+    if (file == NULL) {{
+        fprintf(stderr, "cannot read the rows\\n");
+        return 2;
+    }}
+    (void)number;
+    (void)compare;
+    {n}_init(&rig);
+    while (fgets(line, sizeof line, file) != NULL) {{
+        char *at = line;
+        const int64_t t = (int64_t)strtoll(at, &at, 10);
+        rows++;
+        gave_up += ({n}_step(&rig) != SR_DONE) ? 1u : 0u;
+        differing += (t != rig.t_ns) ? 1u : 0u;
+{cases}
+    }}
+    fclose(file);
+    printf("{{\\"rows\\": %lu, \\"differing\\": %lu, ", rows, differing);
+    printf("\\"gave_up\\": %lu, \\"wrong_status\\": %lu, \\"errors\\": [", gave_up, gave_up);
+    for (int i = 0; i < CHANNELS; i++) {{
+        printf("%s[%.3g, %.3g]", (i > 0) ? ", " : "", error[i], scale[i]);
+    }}
+    printf("]}}\\n");
+    return (differing != 0 || gave_up != 0) ? 1 : 0;
+}}
+"""
