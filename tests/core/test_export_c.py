@@ -71,7 +71,7 @@ def test_a_rig_in_c_publishes_the_bits_of_the_run(scenario, left, tmp_path):
 
 
 def test_a_rig_whose_plant_has_no_c_is_refused(tmp_path):
-    with pytest.raises(ScenarioError, match="fleet.*cannot be exported as C"):
+    with pytest.raises(ScenarioError, match=r"fleet.*cannot be exported as C"):
         export_rig(rig_of("economic_dispatch_wood"), tmp_path, rows=3)
     assert not list(tmp_path.iterdir())
 
