@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 from rich.table import Table
-from softrig_bags.bag import BagWriter
-from softrig_bags.topics import BagTopic, qos
+from softrig_bags.content.topics import BagTopic, qos
+from softrig_bags.files.bag import BagWriter
 from softrig_core.wire.cdr import Layout
 
 from .console import console

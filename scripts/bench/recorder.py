@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from rich.table import Table
-from softrig_bags.stamps import stamp
+from softrig_bags.content.stamps import stamp
 from softrig_core import SECOND
 from softrig_core.wire.cdr import Layout
 from softrig_nodes.processes.domain import free_domain
@@ -103,7 +103,7 @@ def _bare(folder: Path, variables: dict[str, str]) -> tuple[subprocess.Popen[str
 def _record(
     options: Sequence[str], folder: Path, variables: dict[str, str]
 ) -> tuple[subprocess.Popen[str], Callable[[str], Counter[int]]]:
-    from softrig_bags.reader import BagReader
+    from softrig_bags.files.reader import BagReader
 
     bag = folder / "bag"
     command = [
@@ -128,7 +128,7 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
     """Publish a stage at each rate; stamps carry the stage in their seconds. Prints (messages, rate reached)."""
     from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
-    from softrig_bags.ros import Session
+    from softrig_bags.live.ros import Session
     from softrig_nodes.ros.messages import message_class
 
     session = Session("bench_publisher", [])
@@ -156,7 +156,7 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
 def _listen() -> None:
     """Count messages by stage until SIGINT."""
     from rclpy.qos import QoSProfile
-    from softrig_bags.ros import Session, subscription_profile
+    from softrig_bags.live.ros import Session, subscription_profile
     from softrig_nodes.ros.messages import message_class
 
     session = Session("bench_listener", [])

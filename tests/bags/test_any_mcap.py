@@ -11,10 +11,10 @@ from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType, Writer
 from softrig_bags.cli import main_bag, main_compare
 from softrig_bags.errors import BagError
-from softrig_bags.mcap_source import McapSource, message_run
+from softrig_bags.files.mcap_source import McapSource, message_run
+from softrig_bags.files.reader import BagReader
+from softrig_bags.files.source import Damaged
 from softrig_bags.read import read_bag, signals
-from softrig_bags.reader import BagReader
-from softrig_bags.source import Damaged
 
 FLOAT, TEXT = "std_msgs/msg/Float64", "std_msgs/msg/String"
 PARTS = ("use_statistics", "repeat_channels", "repeat_schemas", "use_summary_offsets")

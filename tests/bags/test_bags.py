@@ -25,15 +25,15 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
-from softrig_bags.bag import STORAGES, BagWriter
 from softrig_bags.cli import main_bag
 from softrig_bags.compare import Tolerance, compare
+from softrig_bags.content.stamps import is_stamped
+from softrig_bags.content.topics import BagTopic, qos
 from softrig_bags.errors import BagError
 from softrig_bags.export import export
+from softrig_bags.files.bag import STORAGES, BagWriter
 from softrig_bags.read import read_bag, signals
 from softrig_bags.repair import repair
-from softrig_bags.stamps import is_stamped
-from softrig_bags.topics import BagTopic, qos
 from softrig_bags.write import write_bag
 from softrig_core import Recording, RunError, Signals
 from softrig_core.wire.cdr import Layout
@@ -926,7 +926,7 @@ def test_a_disk_full_at_a_split_leaves_the_files_before(tmp_path, monkeypatch, f
             if moment == "open" and "_1." in path.name:
                 raise OSError(errno.ENOSPC, "full")
 
-    monkeypatch.setattr("softrig_bags.bag.STORAGES", {storage: NoSecond})
+    monkeypatch.setattr("softrig_bags.files.bag.STORAGES", {storage: NoSecond})
     writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=100)
     number = writer.add_topic(BagTopic.known("/x", STATE))
     for k in range(100):
@@ -981,9 +981,9 @@ def test_a_file_is_full_when_it_has_just_so_much(tmp_path, storage, each):
 def test_metadata_may_be_just_as_long_as_the_limit(tmp_path, monkeypatch):
     write_bag(tmp_path / "bag", recording())
     size = (tmp_path / "bag/metadata.yaml").stat().st_size
-    monkeypatch.setattr("softrig_bags.metadata.LIMIT", size)
+    monkeypatch.setattr("softrig_bags.files.metadata.LIMIT", size)
     assert read_bag(tmp_path / "bag").topics
-    monkeypatch.setattr("softrig_bags.metadata.LIMIT", size - 1)
+    monkeypatch.setattr("softrig_bags.files.metadata.LIMIT", size - 1)
     with pytest.raises(BagError, match=f"metadata.yaml is longer than {size - 1} bytes"):
         read_bag(tmp_path / "bag")
 
@@ -995,7 +995,7 @@ def test_a_file_that_cannot_be_made_says_why(tmp_path, monkeypatch, storage):
     def full(*_):
         raise OSError(errno.ENOSPC, "full")
 
-    monkeypatch.setattr("softrig_bags.bag.STORAGES", {storage: full})
+    monkeypatch.setattr("softrig_bags.files.bag.STORAGES", {storage: full})
     full.SUFFIX = STORAGES[storage].SUFFIX
     with pytest.raises(OSError, match="full"):
         BagWriter(tmp_path / "bag", storage=storage, reserve=10)
@@ -1029,7 +1029,7 @@ def test_what_is_whole_inside_a_cut_chunk_is_recovered(tmp_path, compression):
 
 
 def test_a_chunk_that_would_fill_the_memory_is_left_out(tmp_path, monkeypatch):
-    for module in ("mcap_recover", "compressed"):
+    for module in ("files.mcap_recover", "files.compressed"):
         monkeypatch.setattr(f"softrig_bags.{module}.LIMIT", LIMIT)
     write_bag(tmp_path / "bag", recording())
     file = tmp_path / "bag/bag_0.mcap"

@@ -10,10 +10,10 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 from softrig_bags.cli import main_bag
-from softrig_bags.compressed import inflate
 from softrig_bags.errors import BagError
+from softrig_bags.files.compressed import inflate
+from softrig_bags.files.reader import BagReader
 from softrig_bags.read import read_bag
-from softrig_bags.reader import BagReader
 from softrig_bags.repair import repair
 from softrig_core import Recording
 from softrig_core.wire.cdr import Layout

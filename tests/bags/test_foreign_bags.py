@@ -12,17 +12,17 @@ from rclpy.serialization import serialize_message
 from ruamel.yaml import YAML
 from sensor_msgs.msg import JointState
 from softrig_bags.align import align
-from softrig_bags.bag import BagWriter
 from softrig_bags.cli import main_bag, main_compare
 from softrig_bags.compare import Tolerance, compare
-from softrig_bags.definitions import UnknownType, complete, types_of
+from softrig_bags.content.definitions import UnknownType, complete, types_of
+from softrig_bags.content.layouts import LONGEST, LONGEST_OCTETS, Undecodable, template
+from softrig_bags.content.topics import BagTopic, typestore
 from softrig_bags.errors import BagError
-from softrig_bags.layouts import LONGEST, LONGEST_OCTETS, Undecodable, template
-from softrig_bags.metadata import profiles
-from softrig_bags.player import span
+from softrig_bags.files.bag import BagWriter
+from softrig_bags.files.metadata import profiles
+from softrig_bags.files.reader import BagReader
+from softrig_bags.live.player import span
 from softrig_bags.read import read_bag, signals
-from softrig_bags.reader import BagReader
-from softrig_bags.topics import BagTopic, typestore
 from softrig_core.wire.cdr import Layout
 from softrig_nodes.ros.messages import message_class
 from std_msgs.msg import Byte, ByteMultiArray, Char, String
@@ -727,7 +727,7 @@ def test_partners_that_come_late_are_found_and_what_waits_long_waits_in_a_file(t
     """Half of a topic's messages come at the end in one of the bags; more wait than memory is to hold."""
     monkeypatch.setattr("softrig_bags.pairing.ROWS", 50)
     monkeypatch.setattr("softrig_bags.pairing.SPILL", 2_000)
-    monkeypatch.setattr("softrig_bags.reader.BATCH", 1_000)
+    monkeypatch.setattr("softrig_bags.files.reader.BATCH", 1_000)
     rows = [("/j", STATE, START + k * 10**6, joints(["j"], [float(k)], k * 10**6 + 1)) for k in range(600)]
     one = mcap(tmp_path / "a.mcap", rows, chunk_size=2_000)
     late = [(a, b, t + (10**10 if k % 2 else 0), d) for k, (a, b, t, d) in enumerate(rows)]

@@ -5,9 +5,9 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
-from softrig_bags.join import Join, missed
-from softrig_bags.reader import BagReader
-from softrig_bags.topics import BagTopic
+from softrig_bags.content.topics import BagTopic
+from softrig_bags.files.reader import BagReader
+from softrig_bags.live.join import Join, missed
 from softrig_core.block.schedule import Schedule
 from softrig_core.wire.cdr import Layout
 from softrig_nodes.seam.tick import acknowledged

@@ -263,7 +263,7 @@ def test_a_database_that_changes_while_it_is_copied_is_read_under_its_locks(tmp_
         recorder.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 9, x'0001000000')")
         return copied(source, target)
 
-    monkeypatch.setattr("softrig_bags.sqlite_recover.shutil.copyfile", changed)
+    monkeypatch.setattr("softrig_bags.files.sqlite_recover.shutil.copyfile", changed)
     told = repair(tmp_path / "bag", tmp_path / "new")
     assert told.files[0].kept == recorder.execute("SELECT count(*) FROM messages").fetchone()[0] > 500
     recorder.close()

@@ -4,10 +4,10 @@ import random
 
 import numpy as np
 import pytest
-from softrig_bags.bag import BagWriter
+from softrig_bags.content.topics import BagTopic, absolute
 from softrig_bags.errors import BagError
-from softrig_bags.mcap_file import McapFile
-from softrig_bags.topics import BagTopic, absolute
+from softrig_bags.files.bag import BagWriter
+from softrig_bags.files.mcap_file import McapFile
 from softrig_bags.write import write_bag
 from softrig_core import Recording
 from softrig_core.wire.cdr import Layout
@@ -61,7 +61,7 @@ def written(folder, recording, by_blocks, **options):
 @pytest.mark.parametrize("options", [{}, {"compression": "zstd"}, {"storage": "sqlite3"}])
 def test_blocks_and_messages_give_the_same_bytes(tmp_path, monkeypatch, seed, chunk, options):
     monkeypatch.setattr(McapFile, "CHUNK_BYTES", chunk)
-    monkeypatch.setattr("softrig_bags.mcap_rows._BATCH", 251)  # several parts
+    monkeypatch.setattr("softrig_bags.files.mcap_rows._BATCH", 251)  # several parts
     assert written(tmp_path / "a", mixed(seed), True, **options) == written(
         tmp_path / "b", mixed(seed), False, **options
     )

@@ -4,8 +4,8 @@ import json
 from string import printable
 
 from hypothesis import example, given, strategies as st
-from softrig_bags.topics import qos
-from softrig_bags.yaml_text import _by_ruamel, qos_dicts, to_yaml
+from softrig_bags.content.topics import qos
+from softrig_bags.files.yaml_text import _by_ruamel, qos_dicts, to_yaml
 
 WORDS = st.one_of(
     st.text(max_size=9),
@@ -35,5 +35,5 @@ def test_metadata_is_what_ruamel_writes(name, value):
 
 
 def test_most_of_it_needs_no_ruamel(monkeypatch):
-    monkeypatch.setattr("softrig_bags.yaml_text._by_ruamel", None)
+    monkeypatch.setattr("softrig_bags.files.yaml_text._by_ruamel", None)
     assert to_yaml({"a": "on", "b": "", "c": '{"k": 1}', "d": qos_dicts([qos()])}).startswith("a: on\nb: ''\n")

@@ -5,12 +5,12 @@ import re
 
 import pytest
 from conftest import differences
-from softrig_bags.bag import BagWriter
 from softrig_bags.cli import main_bag
+from softrig_bags.content.topics import BagTopic
 from softrig_bags.errors import BagError
+from softrig_bags.files.bag import BagWriter
+from softrig_bags.live.selection import Selection
 from softrig_bags.read import read_bag, signals
-from softrig_bags.selection import Selection
-from softrig_bags.topics import BagTopic
 from softrig_bags.write import write_bag
 from softrig_bringup.cli import main
 from test_bags import recording

@@ -9,11 +9,11 @@ import pytest
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
 from rclpy.node import NodeNameNonExistentError
-from softrig_bags import player
+from softrig_bags.content.stamps import stamp
+from softrig_bags.content.topics import BagTopic
 from softrig_bags.errors import BagError
-from softrig_bags.player import Answers, LockstepPlayer, Player, Publishers, Span, span
-from softrig_bags.stamps import stamp
-from softrig_bags.topics import BagTopic
+from softrig_bags.live import player
+from softrig_bags.live.player import Answers, LockstepPlayer, Player, Publishers, Span, span
 from softrig_core import RunError
 from softrig_core.wire import parameter_event
 from softrig_core.wire.cdr import Layout

@@ -25,18 +25,18 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from softrig_bags.bag import BagWriter
 from softrig_bags.cli import main_bag, main_compare, main_play, main_record
 from softrig_bags.compare import compare
-from softrig_bags.holds import Holds, patience
-from softrig_bags.player import LockstepPlayer, Publishers, span
+from softrig_bags.content.topics import BagTopic
+from softrig_bags.files.bag import BagWriter
+from softrig_bags.files.reader import BagReader
+from softrig_bags.live.holds import Holds, patience
+from softrig_bags.live.player import LockstepPlayer, Publishers, span
+from softrig_bags.live.recorder import Recorder
+from softrig_bags.live.ros import publisher_profile
+from softrig_bags.live.selection import Selection
 from softrig_bags.read import read_bag, signals
-from softrig_bags.reader import BagReader
-from softrig_bags.recorder import Recorder
 from softrig_bags.repair import repair
-from softrig_bags.ros import publisher_profile
-from softrig_bags.selection import Selection
-from softrig_bags.topics import BagTopic
 from softrig_bags.write import write_bag
 from softrig_core import Recording, RunError
 from softrig_core.wire.cdr import Layout, parse

@@ -8,15 +8,15 @@ from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionEventType as Event
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
-from softrig_bags import recorder as recorder_module, ros
-from softrig_bags.bag import BagWriter
+from softrig_bags.content.topics import BagTopic, qos
 from softrig_bags.errors import BagError
-from softrig_bags.holds import Holds
+from softrig_bags.files.bag import BagWriter
+from softrig_bags.files.reader import BagReader
+from softrig_bags.live import recorder as recorder_module, ros
+from softrig_bags.live.holds import Holds
+from softrig_bags.live.recorder import Recorder
+from softrig_bags.live.selection import Selection
 from softrig_bags.read import read_bag
-from softrig_bags.reader import BagReader
-from softrig_bags.recorder import Recorder
-from softrig_bags.selection import Selection
-from softrig_bags.topics import BagTopic, qos
 from softrig_core import RunError
 from softrig_core.block.params import Declaration
 from softrig_core.wire.cdr import Layout, parse

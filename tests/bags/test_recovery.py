@@ -9,14 +9,14 @@ import pytest
 from mcap.records import Message
 from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import QosDurability
-from softrig_bags.bag import BagWriter
-from softrig_bags.compressed import LIMIT, decompressed, inflate
+from softrig_bags.content.topics import BagTopic, qos
+from softrig_bags.files.bag import BagWriter
+from softrig_bags.files.compressed import LIMIT, decompressed, inflate
+from softrig_bags.files.mcap_file import McapFile
+from softrig_bags.files.mcap_recover import Recovery, whole_records
+from softrig_bags.files.source import Damaged
 from softrig_bags.info import describe
-from softrig_bags.mcap_file import McapFile
-from softrig_bags.mcap_recover import Recovery, whole_records
 from softrig_bags.repair import FileReport, Repair
-from softrig_bags.source import Damaged
-from softrig_bags.topics import BagTopic, qos
 from softrig_bags.write import write_bag
 from softrig_core import Recording
 from softrig_core.wire.cdr import Layout

@@ -5,12 +5,12 @@ import random
 
 import pytest
 from softrig_bags import tape
-from softrig_bags.holds import Holds, _seconds
-from softrig_bags.join import INTERVALS, SIMULATED, Join, missed
-from softrig_bags.selection import Selection
-from softrig_bags.stamps import is_stamped, stamp
+from softrig_bags.content.stamps import is_stamped, stamp
+from softrig_bags.content.topics import BagTopic
+from softrig_bags.live.holds import Holds, _seconds
+from softrig_bags.live.join import INTERVALS, SIMULATED, Join, missed
+from softrig_bags.live.selection import Selection
 from softrig_bags.tape import Tape, port_of, written
-from softrig_bags.topics import BagTopic
 from softrig_bags.write import write_bag
 from softrig_core import ByHand, Recording, Sample
 from softrig_core.block.port import Port, button, scalars

@@ -14,8 +14,8 @@ from bokeh.document import Document
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from softrig_bags.bag import BagWriter
-from softrig_bags.topics import BagTopic
+from softrig_bags.content.topics import BagTopic
+from softrig_bags.files.bag import BagWriter
 from softrig_bringup.cli import main
 from softrig_bringup.view import serve
 from softrig_bringup.view.control import Control
@@ -196,7 +196,7 @@ def table():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_verb_takes_any_bag_or_refuses_it_in_a_line(run, tmp_path, capsys, monkeypatch, kind):
-    monkeypatch.setattr("softrig_bags.ros.Session", Player)
+    monkeypatch.setattr("softrig_bags.live.ros.Session", Player)
     monkeypatch.setattr(serve, "serve", shown)
     monkeypatch.setattr("softrig_bags.cli._leaving", lambda tool: tool)
     bag = KINDS[kind](run, tmp_path)

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 import pytest
 from conftest import PATIENCE
-from softrig_bags.reader import BagReader
+from softrig_bags.files.reader import BagReader
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.options.run_options import folder_name, repeat
 from softrig_bringup.plots.pictures import plot_run

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from docs.gallery import sentences
 from docs.outline import pages
-from softrig_bags.topics import typestore
+from softrig_bags.content.topics import typestore
 from softrig_bringup.cli import main
 from softrig_bringup.verbs.layouts import files
 from softrig_core import ScenarioError, load_scenario, rig_of, simulate

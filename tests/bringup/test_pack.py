@@ -8,8 +8,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from softrig_bags.files.reader import BagReader
 from softrig_bags.read import signals
-from softrig_bags.reader import BagReader
 from softrig_bringup.cli import main
 from softrig_bringup.options import packed
 from softrig_bringup.options.like import first_version

@@ -7,9 +7,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from rosbags.interfaces import QosDurability
+from softrig_bags.content.topics import typestore
+from softrig_bags.files.reader import BagReader
 from softrig_bags.read import read_bag, signals
-from softrig_bags.reader import BagReader
-from softrig_bags.topics import typestore
 from softrig_bringup.cli import main
 from softrig_core import rig_of
 

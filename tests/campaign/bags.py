@@ -11,7 +11,7 @@ from tempfile import mkdtemp
 
 import yaml
 from softrig_bags.cli import main_bag, main_compare
-from softrig_bags.reader import BagReader
+from softrig_bags.files.reader import BagReader
 from softrig_bags.write import write_bag
 from softrig_core import Recording
 from softrig_core.wire.cdr import Layout

@@ -9,8 +9,8 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from hypothesis import given, settings, strategies as st
 from simulated import SimulatedRig, World
+from softrig_bags.content.topics import typestore
 from softrig_bags.read import read_bag
-from softrig_bags.topics import typestore
 from softrig_bringup.cli import main
 from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.options.like import Recalled, compared

@@ -121,10 +121,10 @@ def main_record(argv: list[str]) -> int:
     own, ros = _ros_arguments(argv)
     options = parser.parse_args(own)
 
-    from .bag import BagWriter
-    from .recorder import RESERVE, Recorder
-    from .ros import Session
-    from .selection import Selection
+    from .files.bag import BagWriter
+    from .live.recorder import RESERVE, Recorder
+    from .live.ros import Session
+    from .live.selection import Selection
 
     selection = Selection.of(options.topics, options.regex, options.exclude, options.namespace)
     directory = (options.output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S"))).absolute()
@@ -191,7 +191,7 @@ def main_play(argv: list[str]) -> int:
     if options.answers and options.answers.exists():
         raise BagError(f"{options.answers} exists already; a bag is never overwritten")
 
-    from .play import play
+    from .live.play import play
 
     return play(options, ros, _parameters(parser, options))
 

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from softrig_core import SECOND, Signals
 
-from .block import Block, distinct
-from .definitions import UnknownType
+from .content.block import Block, distinct
+from .content.definitions import UnknownType
+from .content.fields import bytes_that_differ, groups_of, visit_pairs
+from .content.layouts import Decoder
 from .errors import BagError
-from .fields import bytes_that_differ, groups_of, visit_pairs
-from .layouts import Decoder
 from .messages import Described, Messages, described, opened
 from .pairing import Pairing, equal_rows, keys_of
 

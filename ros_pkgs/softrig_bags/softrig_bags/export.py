@@ -13,8 +13,8 @@ from softrig_core.extras import need
 from softrig_core.guard import naming
 
 from .errors import BagError
+from .files.reader import BagReader
 from .read import epoch_of, say_left_out
-from .reader import BagReader
 from .tables import Columns, Piece, stacked
 
 ROWS = 1 << 14  # that are written at a time

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from softrig_core import SECOND
 
-from .definitions import UnknownType
+from .content.definitions import UnknownType
+from .files.reader import BagReader
 from .read import WALL_CLOCK
-from .reader import BagReader
 
 
 def describe(path: Path | str) -> str:

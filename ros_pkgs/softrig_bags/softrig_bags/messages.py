@@ -11,10 +11,10 @@ import numpy as np
 from softrig_core import Recording, Signals
 from softrig_core.wire.recording import CHUNK, Topic, relative
 
-from .block import EMPTY, Block, packed
-from .definitions import Types, complete
+from .content.block import EMPTY, Block, packed
+from .content.definitions import Types, complete
+from .files.reader import BagReader
 from .read import BagSignals
-from .reader import BagReader
 
 
 class Described(NamedTuple):

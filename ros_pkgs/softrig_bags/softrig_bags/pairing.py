@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Block, Bytes, Ints, distinct, joined, rows_of
-from .layouts import stamps_of
+from .content.block import Block, Bytes, Ints, distinct, joined, rows_of
+from .content.layouts import stamps_of
 
 ROWS = 1 << 13  # that come before partners are looked for
 SPILL = 1 << 26  # bytes of messages without a partner that are kept in memory; more wait in a file

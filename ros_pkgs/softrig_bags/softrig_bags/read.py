@@ -12,7 +12,7 @@ from softrig_core.guard import incomplete, say
 from softrig_core.wire.signals import Table
 
 from .errors import BagError
-from .reader import BagReader
+from .files.reader import BagReader
 from .tables import Columns, Growing
 
 EPOCH = "epoch"  # under which a run in real time leaves, in a bag's metadata, the ns that its stamps count from

@@ -14,15 +14,15 @@ from mcap.records import Attachment, Channel, Footer, Message, Metadata, Schema
 from softrig_core import Recording
 from softrig_core.wire.recording import shard_topics
 
-from .bag import BagWriter
-from .compressed import expanded, expanded_message, plain
+from .content.topics import BagTopic
 from .errors import BagError
-from .mcap_recover import Recovery
-from .metadata import custom_data, profiles
-from .reader import BagReader
-from .remains import METADATA, Remains, remains
-from .sqlite_recover import Declared, SqliteRecovery, journals
-from .topics import BagTopic
+from .files.bag import BagWriter
+from .files.compressed import expanded, expanded_message, plain
+from .files.mcap_recover import Recovery
+from .files.metadata import custom_data, profiles
+from .files.reader import BagReader
+from .files.remains import METADATA, Remains, remains
+from .files.sqlite_recover import Declared, SqliteRecovery, journals
 from .write import write_bag
 
 _UNFINISHED = re.compile(r"^\.(.+)\.\d+\.part$")  # as `write_bag` calls a bag that it has not finished

@@ -11,7 +11,7 @@ from typing import Any
 from softrig_core import SECOND, Pose, Recording, Scene, Signals
 from softrig_core.block.scene import Point, at_origin
 
-from .topics import typestore
+from .content.topics import typestore
 
 PERIOD = SECOND // 50  # ns between two sets of frames: a viewer's pictures
 PATH = 500  # points of the path

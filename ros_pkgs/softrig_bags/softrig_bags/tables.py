@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Block, Ints, distinct
-from .definitions import UnknownType
-from .layouts import Decoder, Template, Undecodable
-from .reader import BagReader
+from .content.block import Block, Ints, distinct
+from .content.definitions import UnknownType
+from .content.layouts import Decoder, Template, Undecodable
+from .files.reader import BagReader
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from softrig_core import Block, BlockParams, Port, Recording, Sample, param, to_
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
 
+from .files.reader import BagReader
 from .read import read_bag
-from .reader import BagReader
 
 
 def written(port: Port) -> str:

@@ -10,9 +10,9 @@ from pathlib import Path
 from rosbags.interfaces import QosDurability
 from softrig_core import Recording, RunError
 
-from .bag import BagWriter
+from .content.topics import BagTopic, absolute, qos
 from .errors import BagError
-from .topics import BagTopic, absolute, qos
+from .files.bag import BagWriter
 
 
 def write_bag(

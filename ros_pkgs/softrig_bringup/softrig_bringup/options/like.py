@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from softrig_bags.errors import BagError
+from softrig_bags.files.reader import BagReader
 from softrig_bags.read import read_bag
-from softrig_bags.reader import BagReader
 from softrig_bags.tape import written
 from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.block.codec import Decoder

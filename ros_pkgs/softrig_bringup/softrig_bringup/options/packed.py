@@ -19,7 +19,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from softrig_bags.errors import BagError
-from softrig_bags.reader import BagReader
+from softrig_bags.files.reader import BagReader
 from softrig_core import ScenarioError
 from softrig_core.kit.compiled import cache_folder
 

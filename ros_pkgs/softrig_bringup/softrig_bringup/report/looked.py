@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from softrig_bags.errors import BagError
+from softrig_bags.files.reader import BagReader
 from softrig_bags.read import BagSignals, read_bag, signals
-from softrig_bags.reader import BagReader
 from softrig_bags.tape import written
 from softrig_core import Port, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.block.port import CLOCK, XYZ

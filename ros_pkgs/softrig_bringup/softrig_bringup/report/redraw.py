@@ -11,8 +11,8 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from softrig_bags.files.reader import BagReader
 from softrig_bags.read import BagSignals, signals
-from softrig_bags.reader import BagReader
 from softrig_core import Rig, ScenarioError, rig_of
 from softrig_core.command_line import Parser
 from softrig_core.guard import say

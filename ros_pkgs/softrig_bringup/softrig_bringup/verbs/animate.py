@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from softrig_bags.compressed import SUFFIXES, plain
+from softrig_bags.files.compressed import SUFFIXES, plain
 from softrig_core import Rig, ScenarioError, rig_of, simulate
 from softrig_core.drawing import Drawing, drawing_for
 

@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from softrig_bags.compressed import SUFFIXES, plain
+from softrig_bags.files.compressed import SUFFIXES, plain
 from softrig_core.extras import need
 from softrig_nodes.processes.stopping import stoppable
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
-from .topics import BagTopic
+from ..content.topics import BagTopic
 from .yaml_text import qos_dicts, to_yaml
 
 

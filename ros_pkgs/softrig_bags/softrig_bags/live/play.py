@@ -10,13 +10,13 @@ from softrig_core.block.params import Declaration
 from softrig_core.guard import incomplete, say
 from softrig_nodes.ros.messages import message_class
 
-from .errors import BagError
+from ..content.topics import BagTopic, absolute
+from ..errors import BagError
+from ..files.reader import BagReader
+from ..write import write_bag
 from .player import CHANGES, CLOCK, LockstepPlayer, Player, Publishers, span
-from .reader import BagReader
 from .ros import Session, is_topic_name
 from .selection import Selection
-from .topics import BagTopic, absolute
-from .write import write_bag
 
 
 def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequence[tuple[Declaration, Any]]) -> int:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from .block import Block
+from ..content.block import Block
 
 
 class Damaged(Exception):

@@ -18,6 +18,7 @@ from struct import Struct, pack
 import numpy as np
 from numpy.typing import NDArray
 
+from ..content.topics import BagTopic
 from .mcap_format import (
     CHANNEL,
     CHUNK,
@@ -34,7 +35,6 @@ from .mcap_format import (
     STATISTICS,
     SUMMARY_OFFSET,
 )
-from .topics import BagTopic
 from .yaml_text import qos_dicts, to_yaml
 
 _MESSAGE_HEAD = Struct("<BQHIQQ")

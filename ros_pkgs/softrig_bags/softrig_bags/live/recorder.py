@@ -16,13 +16,13 @@ from softrig_nodes.ros.messages import message_class
 from softrig_nodes.seam.awaited import RECORDER, left_out
 from softrig_nodes.seam.tick import TICK
 
-from .bag import BagWriter
+from ..content.stamps import is_stamped, stamp
+from ..content.topics import BagTopic
+from ..files.bag import BagWriter
 from .holds import Holds, patience
 from .join import Join, missed
 from .ros import EventPoll, Session, offered, subscription_profile
 from .selection import Selection
-from .stamps import is_stamped, stamp
-from .topics import BagTopic
 
 FLUSH_PERIOD = 0.5  # s: with the 0.5 MB of a chunk, the most that a kill -9 can cost
 DISCOVERY_PERIOD = 0.1  # s

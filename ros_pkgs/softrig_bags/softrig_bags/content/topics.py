@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 from softrig_core.kit.resource import prefixes
 
-from .errors import BagError
+from ..errors import BagError
 
 FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
 

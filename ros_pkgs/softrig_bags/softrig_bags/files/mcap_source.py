@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .block import Block, Bytes, Ints, numbers_at
+from ..content.block import Block, Bytes, Ints, numbers_at
 from .compressed import decompressed
 from .mcap_format import (
     ATTACHMENT,

@@ -10,11 +10,11 @@ from typing import Any, Protocol
 from softrig_core import Recording
 from softrig_core.guard import naming
 
-from .errors import BagError
+from ..content.topics import BagTopic
+from ..errors import BagError
 from .mcap_file import McapFile
 from .mcap_rows import write_recording
 from .sqlite_file import Sqlite3File
-from .topics import BagTopic
 from .yaml_text import qos_dicts, to_yaml
 
 NEVER = 2**63 - 1

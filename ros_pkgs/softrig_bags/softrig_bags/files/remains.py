@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ..errors import BagError
 from .compressed import SUFFIXES, plain
-from .errors import BagError
 from .metadata import Metadata, read_metadata
 from .source import Damaged
 from .sqlite_recover import JOURNALS, journals

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from .block import Block, numbers_at, packed
+from ..content.block import Block, numbers_at, packed
 from .source import Damaged
 
 if sys.version_info >= (3, 14):

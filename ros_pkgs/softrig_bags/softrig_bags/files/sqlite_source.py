@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .block import Block
+from ..content.block import Block
 from .source import Damaged, SourceTopic
 from .sqlite_recover import journals
 

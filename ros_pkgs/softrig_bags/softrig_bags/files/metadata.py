@@ -10,8 +10,8 @@ from typing import Any
 import yaml
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
+from ..content.topics import FOREVER
 from .source import Damaged
-from .topics import FOREVER
 
 LIMIT = 1 << 24
 _DEFAULTS: dict[str, Any] = {

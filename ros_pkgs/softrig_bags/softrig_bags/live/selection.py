@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from .errors import BagError
-from .topics import absolute, checked_namespace
+from ..content.topics import absolute, checked_namespace
+from ..errors import BagError
 
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 

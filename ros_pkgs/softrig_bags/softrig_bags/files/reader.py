@@ -18,17 +18,17 @@ import numpy as np
 from softrig_core.guard import incomplete
 from softrig_core.wire.recording import relative
 
-from .block import Block, distinct, joined
+from ..content.block import Block, distinct, joined
+from ..content.definitions import Types, UnknownType, complete, distribution_of, full_type, types_of
+from ..content.layouts import Decoder
+from ..content.topics import BagTopic, checked_namespace
+from ..errors import BagError
 from .compressed import SUFFIXES, Expanded, plain, plain_messages
-from .definitions import Types, UnknownType, complete, distribution_of, full_type, types_of
-from .errors import BagError
-from .layouts import Decoder
 from .mcap_format import MAGIC
 from .mcap_source import McapSource
 from .metadata import Metadata, embedded, profiles, read_metadata
 from .source import Damaged, Source, SourceTopic
 from .sqlite_source import SqliteSource
-from .topics import BagTopic, checked_namespace
 
 BATCH = 1 << 22  # bytes of messages that are given at a time, about
 _SQLITE = b"SQLite format 3\0"

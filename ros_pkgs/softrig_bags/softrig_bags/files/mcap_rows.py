@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from softrig_core import Recording
 from softrig_core.wire.recording import Topic
 
-from .errors import BagError
+from ..errors import BagError
 from .mcap_file import McapFile
 from .mcap_format import MESSAGE
 

@@ -28,11 +28,11 @@ from softrig_core.wire.recording import relative
 from softrig_nodes.ros.messages import message_class
 from std_srvs.srv import Trigger
 
-from .errors import BagError
-from .reader import LATEST, BagReader
+from ..content.stamps import is_stamped, stamp
+from ..content.topics import BagTopic
+from ..errors import BagError
+from ..files.reader import LATEST, BagReader
 from .ros import Session, publisher_profile
-from .stamps import is_stamped, stamp
-from .topics import BagTopic
 
 CLOCK = "/clock"
 CHANGES = f"/{parameter_event.TOPIC}"

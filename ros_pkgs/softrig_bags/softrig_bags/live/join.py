@@ -10,8 +10,8 @@ from softrig_core.wire.cdr import parse
 from softrig_core.wire.stream import CdrError
 from softrig_core.wire.types import ARRAY
 
-from .stamps import is_stamped, stamp
-from .topics import BagTopic
+from ..content.stamps import is_stamped, stamp
+from ..content.topics import BagTopic
 
 INTERVALS = 8  # that must agree before a topic is taken for one that speaks at each tick
 SIMULATED = 10**8 * SECOND  # stamps of wall clocks are larger

@@ -27,8 +27,8 @@ from softrig_core.block.params import Declaration
 from softrig_nodes.ros.messages import range_descriptor
 from softrig_nodes.ros.profile import joining, look_after_ports
 
-from .errors import BagError
-from .topics import BagTopic
+from ..content.topics import BagTopic
+from ..errors import BagError
 
 WaitSet = rclpy_implementation.WaitSet
 _OF_ROS = ("use_sim_time", "start_type_description_service")

@@ -1,0 +1,1 @@
+"""What stands in a bag: blocks of messages, their types, and their numbers as columns."""

@@ -1,0 +1,1 @@
+"""Bags of a running system: recorder and player."""
