@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from softrig_core import Scenario, ScenarioError, load_scenario
 from softrig_core.errors import closest
 from softrig_core.extras import need
+from softrig_core.run.purity import check_pure
 
 from ..folder import replace
 from ..run.run import checked
@@ -95,7 +96,9 @@ def prepare(task: Falsification) -> Prepared:
     names = _requirements(scenario, task.requirements)
     space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
     free = {"name", "title", "expect", "budget", "first"}
-    content = task.model_dump(mode="json", exclude=free) | made_of({task.scenario: scenario}, [checked(scenario)])
+    rig = checked(scenario)
+    content = task.model_dump(mode="json", exclude=free) | made_of({task.scenario: scenario}, [rig])
+    check_pure(rig)
     if package := needs(task.sampler, space.size):
         need(package, "falsify")
     nominal = repeating(trial(scenario, {}, names, runs=task.budget))

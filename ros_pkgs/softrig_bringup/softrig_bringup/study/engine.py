@@ -15,6 +15,7 @@ from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.judge.expectation import Expectation
 from softrig_core.rig.code import fingerprints
+from softrig_core.run.purity import check_pure
 from softrig_core.scenario.scenario import Draft
 from softrig_core.wire.signals import full_name
 
@@ -53,10 +54,13 @@ def run_study(
     """
     folder = ResultsFolder(out, STUDY)
     drafts = drafts_of(study)  # an edit while it runs does not change it
-    given = content_of(study, drafts, check_study(study, drafts))
+    rigs = check_study(study, drafts)
+    given = content_of(study, drafts, rigs)
     same(given, out / "study.json", "study")
     if distinct and not (out / "study.json").exists():
         check_seeds(study, drafts)
+    for rig in rigs:  # a row must not depend on those that its worker has run before
+        check_pure(rig)
     if study.search:
         repeating(_work(study, next(_first(study, study.search, drafts)), drafts))
     with folder.alone():

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from softrig_core import Run, RunError, Scenario, ScenarioError, figures_of, load_scenario, rig_of, simulate
 from softrig_core.guard import say
+from softrig_core.run.purity import HIDDEN
 from softrig_core.scenario.scenario_file import find, locate
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
@@ -49,6 +50,8 @@ def main(options: argparse.Namespace) -> int:
         print(f"{suite.name}: {verdict}")
         for case in suite.failures:
             print(f"  {case.name}: {case.failure}")
+        for note in outcome["notes"]:
+            print(f"  {note}")
         if outcome["differs"]:
             print(f"  differs from {options.against}: {', '.join(outcome['differs'])}")
     write_reports(options.junit, suites, options.json, outcomes)
@@ -73,14 +76,16 @@ def load_name(word: str) -> str:
 def judge(work: Judged) -> dict[str, Any]:
     """Run one scenario in this process and give what is to be said of it, as plain data; bad input is said there."""
     started = time.perf_counter()
-    about: dict[str, Any] = {"scenario": work.name, "metrics": [], "claims": [], "kind": "", "differs": []}
+    about: dict[str, Any] = {"scenario": work.name, "metrics": [], "claims": [], "kind": "", "differs": [], "notes": []}
     try:
         scenario = load_scenario(work.scenario)
         if work.against:
             reference = load_scenario(work.against)
             about["differs"] = differing(scenario, reference)
             scenario = scenario.having(**{key: getattr(reference, key) for key in KEPT})
-        about |= outcome_of(simulate(scenario, thorough=True), time.perf_counter() - started)
+        run = simulate(scenario, thorough=True)
+        about |= outcome_of(run, time.perf_counter() - started)
+        about["notes"] = [f"{name}: {b.reports[HIDDEN][1]}" for name, b in run.blocks.items() if HIDDEN in b.reports]
     except RunError as error:
         about |= {"error": str(error), "kind": "broke"}
     except ScenarioError as error:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Self
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, ParameterError, Plant, Port, RunError, param, resource, state_type
 from softrig_core.kit.confined import STRANGE
+from softrig_core.run.purity import HIDDEN
 
 from .build import PLANT, STEP, Built, built, compiled
 from .history import History, Row, Told
@@ -197,10 +198,10 @@ class _C(Block[CParams]):
         self._params = tuple(p.constants.values())
         self._process = Process()
         if self._apart:
-            self._first = self._begun().first
+            self._begin: Row = self._begun().first
         else:
             self._here = Here(self._built, self._params)
-            self._first, self._place = self._here.first, self._here.place
+            self._begin, self._place = self._here.first, self._here.place
 
     def _load(self, p: CParams) -> None:
         """Find out what stays as it is for the whole run, whatever is built in the meantime."""
@@ -224,9 +225,9 @@ class _C(Block[CParams]):
     def first(self) -> Any:
         """Give the state that NODE_init makes; report what of it hides state."""
         if self._hidden:
-            self.report(Level.WARN, "hidden_state", self._hint())
+            self.report(Level.WARN, HIDDEN, self._hint())
             return Secret(History())
-        return self._made(self._first)
+        return self._made(self._begin)
 
     def go_on(self, x: Any, before: CParams) -> Any:
         """Go on with the same state and other constants; a library that hides state is told all again."""
@@ -273,7 +274,7 @@ class _C(Block[CParams]):
                 for told in x.told.rows():
                     process.apart.call(told.method, told.values)
         try:
-            state = (x.told.rows()[-1].state if x.told.length else self._first) if self._hidden else tuple(x)
+            state = (x.told.rows()[-1].state if x.told.length else self._begin) if self._hidden else tuple(x)
             row = (float(t), *state, *values)
             found = process.apart.call(method, row)
         except RunError as error:

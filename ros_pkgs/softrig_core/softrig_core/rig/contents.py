@@ -7,7 +7,7 @@ import itertools
 import math
 import types
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any
 
@@ -25,7 +25,8 @@ def contents(block: Block) -> dict[str, str]:
     """Return a digest of each attribute of a block, with all that it leads to.
 
     It sees what is changed in place, too: in lists, dicts, arrays, helper objects, random generators, variables that a
-    function holds, and attributes of the block's classes. Left out are what a class names in ``SCRATCH``, cached
+    function holds, attributes of the block's classes, and variables of a module or function that its methods name
+    (constants, in capitals, aside). Left out are what a class names in ``SCRATCH``, cached
     properties, and what libraries keep outside of Python.
     """
     skipped = _RUNNERS | _scratch(type(block))
@@ -37,7 +38,20 @@ def contents(block: Block) -> dict[str, str]:
                 for name, value in vars(of).items()
                 if isinstance(value, _CHANGEABLE) and not name.startswith("__") and name not in skipped
             }
+            for value in vars(of).values():
+                if isinstance(value, types.FunctionType):
+                    found |= {name: digest(one) for name, one in _outside(value) if name not in skipped}
     return found
+
+
+def _outside(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
+    """Give what a method names outside of itself and can change: variables of its module and of functions around it."""
+    for name in function.__code__.co_names:
+        if isinstance(value := function.__globals__.get(name), _CHANGEABLE) and not name.isupper():
+            yield name, value
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        if _is_filled(cell) and isinstance(cell.cell_contents, _CHANGEABLE):
+            yield name, cell.cell_contents
 
 
 class Look:

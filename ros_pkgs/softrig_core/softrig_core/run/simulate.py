@@ -28,6 +28,7 @@ from ..wire.signals import Signals, full_name, topic_of
 from .branch import branched, parted
 from .expand import rig_of
 from .inprocess import run_inprocess
+from .purity import check_pure
 
 
 def _view(name: str) -> Callable[..., Any]:
@@ -295,8 +296,9 @@ def simulate(
     signals : collection of str, optional
         Record nodes that say one of these, or what a figure or requirement reads, and no others; all when absent.
     thorough : bool
-        Compare also after the run what each block holds beside its state x, which no tick may change. By default this
-        is done after the first ticks of each block class in this process.
+        Compute the first ticks twice from the same states, and compare also after the run what each block holds beside
+        its state x, which no tick may change. By default only that is compared, after the first ticks of each block
+        class in this process.
 
     Raises
     ------
@@ -317,6 +319,8 @@ def simulate(
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     wanted = figures_of(rig)  # what does not fit is found before the run, not after it
     topics = None if signals is None else _topics(rig, wanted, signals)
+    if thorough:
+        check_pure(rig, number)
     run = Run(rig, number, recording, wanted=wanted)
     started = time.perf_counter()
     bar = _view("progress")(rig.scenario.name, rig.scenario.duration) if progress is True else nullcontext(progress)

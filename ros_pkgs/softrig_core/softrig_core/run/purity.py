@@ -1,0 +1,136 @@
+"""Whether the ticks of a rig's blocks follow from x, t and inputs alone: each of the first ones is computed twice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..block.block import Block, Observer, Plant
+from ..block.loop import Loop
+from ..block.port import Port, Sample
+from ..errors import RunError
+from ..kit.floats import others, read
+from ..rig.members import Member
+from ..rig.rig import Rig
+from ..solver.solver import Solver
+from .inprocess import check_here, wired
+
+TICKS = 20  # of the rig's clock that are tried
+HIDDEN = "hidden_state"  # key of the report of a block whose library keeps state outside of x
+_pure: set[Any] = set()
+
+
+class Impure(RunError):
+    """A tick does not follow from x, t and inputs alone."""
+
+
+def check_pure(rig: Rig, seed: int | None = None) -> None:
+    """Run the first ticks of a rig, and compute each answer twice from the same state and inputs.
+
+    What a block keeps outside of x shows there: a module's variable, one of a closure, a list, a static variable of a
+    library. A class, with the files that decide what it does, is looked at once a process. Rigs with a solver, whose
+    ticks are work of another process, are left out.
+
+    Parameters
+    ----------
+    seed : int, optional
+        Of the rig; the scenario's when absent.
+
+    Raises
+    ------
+    Impure
+        Two answers differ; names node, output, time and both values.
+    ScenarioError
+        A node of the rig is external.
+    """
+    check_here(rig)
+    new = {m.name: _key(m) for m in rig.members if _key(m) not in _pure}
+    if not new or any(issubclass(m.block_class, Solver) for m in rig.members):
+        return
+    blocks = {m.name: m.block(rig.scenario.seed if seed is None else seed) for m in rig.members}
+    watched = [name for m in rig.members if m.name in new for name in _watched(m, blocks[m.name])]
+    try:
+        ticks = Loop(list(wired(rig, blocks).values())).run()
+        for _, _ in zip(range(TICKS), ticks, strict=False):
+            pass
+    except Impure:
+        raise
+    except RunError:  # what else is wrong the run says by itself
+        return
+    finally:
+        for block, method in watched:
+            vars(block).pop(method, None)
+    _pure.update(new.values())
+
+
+def _key(member: Member) -> Any:
+    of = member.block_class
+    return of, tuple(sorted(of.contents(member.params).items()))
+
+
+def _watched(member: Member, block: Block) -> list[tuple[Block, str]]:
+    """Have the methods of a block compute each answer twice."""
+    methods = ("outputs", "advance") if isinstance(block, Plant) else ("update",)
+    if isinstance(block, Observer) and not member.outputs:
+        return []
+    for method in methods:
+        _watch(member, block, method)
+    return [(block, method) for method in methods]
+
+
+def _watch(member: Member, block: Block, method: str) -> None:
+    once = getattr(block, method)
+    is_value = type(block).save is Block.save
+
+    def twice(x: Any, t: int, **inputs: Any) -> Any:
+        kept = None if is_value else block.save(x)
+        first = once(x, t, **inputs)
+        events = list(block.events)
+        one = _parts(method, first)
+        after = None if is_value or method == "outputs" else block.save(one[0])
+        second = once(x if is_value else block.load(kept), t, **inputs)
+        block.events[:] = events
+        if difference := _differing(member.outputs, one, _parts(method, second), is_value):
+            error = Impure(
+                f"{member.name}: the tick at t = {t / 1e9:.9g} s, computed twice from the same state and inputs, gives "
+                f"{difference}; what it remembers must be in x, not in a variable of a module, a closure, a list or a "
+                "library, and random numbers come from self.uniform(k)"
+            )
+            error.node = member.name
+            raise error
+        if is_value:
+            return first
+        block.load(kept if method == "outputs" else after)
+        return first
+
+    setattr(block, method, twice)
+
+
+def _parts(method: str, found: Any) -> tuple[Any, Mapping[str, Any]]:
+    """Return the state after a call, None where it stays, and what was published."""
+    return (None, found) if method == "outputs" else (found, {}) if method == "advance" else found
+
+
+def _differing(ports: Sequence[Port], one: tuple[Any, Any], other: tuple[Any, Any], is_value: bool) -> str:
+    """Name the first output, else the first number of the state, that differs; with both values."""
+    for port in ports:
+        rows = [_row(found[1], port.name) for found in (one, other)]
+        if repr(rows[0]) != repr(rows[1]):
+            for label, a, b in zip(port.labels, *(row or [None] * port.size for row in rows), strict=False):
+                if repr(a) != repr(b):
+                    return f"{port.topic}/{label} = {a} and then {b}"
+            return f"{port.topic} = {rows[0]} and then {rows[1]}"
+    if is_value:  # objects in a state are compared by their numbers: the second call may have copied a buffer
+        for (name, a), (_, b) in zip(_known(one[0]), _known(other[0]), strict=False):
+            if a != b:
+                return f"its state {name} = {a} and then {b}"
+    return ""
+
+
+def _known(x: Any) -> list[tuple[str, str]]:
+    return [(name, repr(row.tolist())) for name, row in read(x)] + [(name, repr(value)) for name, value in others(x)]
+
+
+def _row(found: Mapping[str, Any], name: str) -> Any:
+    row = found.get(name)
+    return row.data if isinstance(row, Sample) else row

@@ -1,0 +1,205 @@
+"""What a block keeps outside of x is named, whatever keeps it, and no verb's result depends on order or workers."""
+
+from __future__ import annotations
+
+import random
+import re
+import shutil
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from softrig_bringup.falsify.definition import Falsification
+from softrig_bringup.falsify.engine import prepare
+from softrig_bringup.study.definition import Study
+from softrig_bringup.study.engine import run_study
+from softrig_bringup.verbs.check import Judged, judge
+from softrig_core import Block, BlockParams, Rig, RunError, param, scalars, simulate
+from softrig_core.run import purity
+from softrig_core.run.purity import check_pure
+
+HERE = Path(__file__).parents[1] / "control" / "c_laws"
+total = 0.0
+seen: list[int] = []
+
+
+@pytest.fixture(autouse=True)
+def _nobody_has_passed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(purity, "_pure", set())
+
+
+class Params(BlockParams):
+    period: float = param(0.1, "period", "s", gt=0.0)
+
+
+class State(NamedTuple):
+    n: float
+
+
+def by_global(law: Any, x: Any) -> float:
+    global total
+    total += 1.0
+    return total
+
+
+def by_list(law: Any, x: Any) -> float:
+    seen.append(1)
+    return float(len(seen))
+
+
+def by_random(law: Any, x: Any) -> float:
+    return random.random()
+
+
+def by_attribute(law: Any, x: Any) -> float:
+    law.helper[0] += 1.0
+    return float(law.helper[0])
+
+
+def closure() -> Any:
+    count = 0.0
+
+    def by_closure(law: Any, x: Any) -> float:
+        nonlocal count
+        count += 1.0
+        return count
+
+    return by_closure
+
+
+def pure(law: Any, x: Any) -> float:
+    return x.n + law.uniform(int(x.n))
+
+
+def law_of(habit: Any, as_state: bool = False) -> type[Block[Any]]:
+    class Law(Block[Params]):
+        OUTPUTS = (scalars("u", "u", {"x": "1"}),)
+
+        def setup(self) -> None:
+            self.helper = [0.0]
+
+        def first(self) -> State:
+            return State(0.0)
+
+        def update(self, x: State, t: int) -> Any:
+            found = habit(self, x)
+            return (State(found), {"u": (0.0,)}) if as_state else (State(x.n + 1.0), {"u": (found,)})
+
+    return Law
+
+
+@pytest.mark.parametrize("habit", [by_global, by_list, by_random, by_attribute, closure()], ids=lambda h: h.__name__)
+@pytest.mark.parametrize("as_state", [False, True])
+def test_an_impure_law_is_named_with_member_output_and_time(habit: Any, as_state: bool) -> None:
+    what = r"its state n = \[[\d.]+\] and then \[[\d.]+\]" if as_state else r"u/x/position = [\d.]+ and then [\d.]+"
+    rig = Rig.from_blocks({"bad": law_of(habit, as_state)()}, 1.0)
+    with pytest.raises(RunError, match=rf"bad: the tick at t = 0 s, computed twice .* gives {what}; ") as found:
+        check_pure(rig)
+    assert found.value.node == "bad"
+    with pytest.raises(RunError, match=r"computed twice|in place"):  # `check` and the tests of a new package
+        simulate(rig, thorough=True)
+
+
+def test_a_pure_law_passes_and_is_looked_at_once() -> None:
+    made = law_of(pure)
+    check_pure(Rig.from_blocks({"good": made()}, 1.0))
+    assert made in {key[0] for key in purity._pure}
+    assert simulate(Rig.from_blocks({"good": made()}, 1.0), thorough=True).error == ""
+
+
+def test_what_begins_late_in_a_variable_of_a_module_is_seen_after_the_run() -> None:
+    def late(law: Any, x: Any) -> float:
+        global total
+        if x.n > 5.0:
+            total += 1.0
+        return 0.0
+
+    class Late(law_of(late)):  # type: ignore[misc]
+        def update(self, x: State, t: int) -> Any:
+            global total
+            total += float(t > 500_000_000 and x.n > purity.TICKS)
+            return State(x.n + 1.0), {"u": (0.0,)}
+
+    with pytest.raises(RunError, match=r"law: its ticks change total in place"):
+        simulate(Rig.from_blocks({"law": Late()}, 5.0), thorough=True)
+
+
+SCENARIO = """
+title: a law in C
+system: dc_motor
+source: a test
+extends: dc_motor_smc_b4
+duration: 0.3
+nodes:
+  dc_motor_pid:
+    package: softrig_control
+    executable: c_controller
+    parameters:
+      period: 0.01
+      sources: [{here}/pi.c]
+      header: {here}/pi.h
+      flags: [-DFAULT=STATIC]
+      trajectories: [motor/reference]
+      inputs:
+        - motor/reference/shaft/velocity [rad/s] = reference
+        - motor/state/shaft/velocity [rad/s] = speed
+      outputs:
+        - motor/command/armature/effort [V] = voltage
+      values:
+        - kp [V s/rad] = 0.5
+        - ki [V/rad] = 2.0
+        - limit [V] = 12
+        - period [s] = 0.01
+figures:
+  peak_current: {{arguments: {{signal: motor/sensors/current_a/position}}}}
+"""
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt-get install gcc")
+def test_rows_of_a_law_with_static_variables_do_not_depend_on_order_or_workers(tmp_path: Path) -> None:
+    scenario = tmp_path / "static.yaml"
+    scenario.write_text(SCENARIO.format(here=HERE))
+    values = [0.3, 0.5, 0.4]
+    rows = []
+    for k, (order, workers) in enumerate([(values, 1), (values[::-1], 1), (values, 2)]):
+        given = {
+            "name": "s",
+            "title": "",
+            "scenario": str(scenario),
+            "grid": {"dc_motor_plant.R": order},
+            "figures": ["peak_current"],
+        }
+        log = run_study(Study.model_validate(given), tmp_path / f"s{k}", workers=workers)
+        rows.append({row["overrides"]["dc_motor_plant.R"]: row["figures"] for row in log.rows()})
+        assert not any(row["error"] for row in log.rows())
+    assert rows[0] == rows[1] == rows[2]
+    assert len({repr(row) for row in rows[0].values()}) == len(values)
+    told = judge(Judged("static", str(scenario), ""))
+    assert re.search("keeps state outside of pi: integral", "".join(told["notes"]))
+
+
+def test_check_study_and_falsify_refuse_an_impure_law_before_any_row(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from softrig_drives.dc_motor.pid import DcMotorPid
+
+    once = DcMotorPid.update
+
+    def update(self: Any, x: Any, t: int, **inputs: Any) -> Any:
+        x, found = once(self, x, t, **inputs)
+        return x, {"command": (found["command"][0] + by_global(self, x) * 1e-9,)}
+
+    monkeypatch.setattr(DcMotorPid, "update", update)
+    message = r"dc_motor_pid: the tick at t = 0 s, computed twice .* gives motor/command/armature/effort = "
+    for workers in (1, 2):
+        study = Study(name="s", title="", scenario="dc_motor_smc_b4", grid={"dc_motor_plant.R": [0.3, 0.4]})
+        with pytest.raises(RunError, match=message):
+            run_study(study, tmp_path / f"s{workers}", workers=workers)
+    assert not (tmp_path / "s1" / "rows.jsonl").exists()
+    assert re.search(message, judge(Judged("dc_motor_smc_b4", "dc_motor_smc_b4", ""))["error"])
+    bound = tmp_path / "bound.yaml"
+    bound.write_text("extends: dc_motor_smc_b4\nexpect: {overshoot: at most 50}\n")
+    over = {"dc_motor_plant.R": "0.3..0.5"}
+    with pytest.raises(RunError, match=message):
+        prepare(Falsification(name="f", scenario=str(bound), requirements=("overshoot",), over=over))
