@@ -26,7 +26,8 @@ from softrig_core.firmware.link_files import SUPPORT
 from softrig_core.scenario.scenario import merge, read_draft
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
-FRAMES, MANY = 10_000, 300_000  # over a wire that damages them; the second number long
+FRAMES = 10_000  # over a wire that damages them
+MANY = 300_000  # long
 SCENARIO, NODE = "dc_motor_smc_b2", "dc_motor_smc"
 
 

@@ -37,6 +37,12 @@ FOREIGN = {
         "main",
         "nodes of a scenario as C99 that is held against Python bit for bit",
     ),
+    "export arduino": ("softrig_core.firmware.command", "arduino", "a node as an Arduino sketch that joins a rig"),
+    "export cortex-m": (
+        "softrig_core.firmware.command",
+        "cortex_m",
+        "a node as firmware of a Cortex-M that joins a rig",
+    ),
     "export": ("softrig_control.fmu.export", "main", "nodes of a scenario as FMUs or C, for other tools"),
     "locate": (
         "softrig_power.fault_location.locate_tool",

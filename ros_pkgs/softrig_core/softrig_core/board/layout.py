@@ -11,7 +11,7 @@ from typing import Any
 from ..block.port import Port, Sample
 
 # answer to a hello: status, digest, period in s as a fraction, bytes of a number, of values of a step, an answer and
-# parameters; longest step since the last reset, in ticks of the board's clock
+# parameters; longest step so far, in ticks of the board's clock
 HELLO = struct.Struct("<B16sqqBHHHI")
 Settable = Mapping[str, type]  # parameters that a board takes: name to int or float
 

@@ -84,6 +84,8 @@ class Line:
     Attributes
     ----------
     counts : Counts
+    wire : Wire or None
+        None while the port is not open.
     joined : bool
         Whether the board has taken the reset of this session: steps may be sent.
     served : (int, bytes, bytes)
@@ -105,7 +107,7 @@ class Line:
     ) -> None:
         self.port, self.build, self.timeout = port, build, timeout
         self._opened, self._clock, self._sleep = opened, clock, sleep
-        self._wire: Wire | None = None
+        self.wire: Wire | None = None
         self._splitter = Splitter()
         self._inbox: list[Frame] = []
         self._number = int.from_bytes(os.urandom(2), "little")
@@ -132,9 +134,9 @@ class Line:
 
     def close(self) -> None:
         """Let the port go."""
-        if self._wire is not None:
-            self._wire.close()
-            self._wire = None
+        if self.wire is not None:
+            self.wire.close()
+            self.wire = None
         self.joined = False
 
     # lockstep -----------------------------------------------------------------------------------------------------
@@ -180,7 +182,7 @@ class Line:
             self._join(self._clock() + self.timeout)
 
     def _absent(self, before: int) -> str:
-        if self._wire is None:
+        if self.wire is None:
             return f"the port {self.port} cannot be opened: {self._why}"
         if self._doubled:
             return f"two boards answer at {self.port}; connect one board to a port"
@@ -316,7 +318,7 @@ class Line:
         return self._number
 
     def _there(self) -> bool:
-        return self._wire is not None
+        return self.wire is not None
 
     def _open(self) -> bool:
         """Try to open the port; seldom enough to cost nothing."""
@@ -324,7 +326,7 @@ class Line:
             return False
         self._tried = self._clock()
         try:
-            self._wire = self._opened()
+            self.wire = self._opened()
         except OSError as error:
             self._why = error.strerror or str(error)
             return False
@@ -338,19 +340,19 @@ class Line:
         self._sleep(REOPEN / 4)
 
     def _send(self, number: int, kind: Kind, values: bytes) -> None:
-        if self._wire is None:
+        if self.wire is None:
             return
         self.counts.sent += 1
         try:
-            self._wire.write(written(number, kind, values, 0 if kind is Kind.HELLO else self._session))
+            self.wire.write(written(number, kind, values, 0 if kind is Kind.HELLO else self._session))
         except OSError:
             self._gone()
 
     def _gone(self) -> None:
         """Close a wire whose board is not there: the session goes on if the board kept its power."""
-        if self._wire is not None:
-            self._wire.close()
-            self._wire = None
+        if self.wire is not None:
+            self.wire.close()
+            self.wire = None
             self._tried = self._clock()
 
     def _await(self, number: int, end: float) -> Frame | None:
@@ -372,10 +374,10 @@ class Line:
 
     def _pump(self, end: float) -> None:
         """Take what comes until a time, or the first bytes."""
-        if self._wire is None:
+        if self.wire is None:
             return
         try:
-            data = self._wire.read(end - self._clock())
+            data = self.wire.read(end - self._clock())
         except OSError:
             self._gone()
             return

@@ -17,6 +17,8 @@
 #include <simavr/sim_elf.h>
 
 #define GPIOR0 0x3E
+#define UCSR0B 0xC1 /* of an ATmega328P, with RXEN0 */
+#define RXEN0 0x10
 #define SLICE 400        /* cycles between two looks at the input */
 #define AFTER 4000       /* cycles after the end of an answer: then the firmware can only wait */
 #define SILENCE 4000000  /* cycles without a byte in either direction, likewise */
@@ -99,6 +101,7 @@ int main(int argc, char **argv)
         fprintf(stderr, "simavr does not know %s\n", firmware.mmcu);
         return 2;
     }
+    const bool uno = strncmp(firmware.mmcu, "atmega328", 9) == 0;
     avr_init(avr);
     avr->log = LOG_NONE;
     avr_load_firmware(avr, &firmware);
@@ -123,7 +126,9 @@ int main(int argc, char **argv)
             const uint32_t sp = avr->data[R_SPL] | ((uint32_t)avr->data[R_SPH] << 8);
             lowest = (sp != 0u && sp < lowest) ? sp : lowest;
         }
-        while (may_send && in_at < in_end) {
+        /* what comes before the firmware has set up its port is lost on a board; here it waits */
+        const bool hears = !uno || (avr->data[UCSR0B] & RXEN0) != 0;
+        while (hears && may_send && in_at < in_end) {
             avr_raise_irq(input, in[in_at++]);
             last = avr->cycle;
         }

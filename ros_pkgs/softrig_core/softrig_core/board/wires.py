@@ -8,6 +8,7 @@ import select
 import shutil
 import socket
 import subprocess
+import tempfile
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,6 +18,7 @@ from .entry import SIMULATORS
 from .simavr import simavr_program
 
 CHUNK = 4096
+END = 2.0  # s: a simulator ends when its input does
 QEMU = "apt-get install qemu-system-arm"
 
 
@@ -83,14 +85,26 @@ class Simulated(FileWire):
         here, there = socket.socketpair()
         with there:
             end = there.fileno()
-            self._process = subprocess.Popen(command, stdin=end, stdout=end, stderr=subprocess.DEVNULL)
+            self._said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the port
+            self._process = subprocess.Popen(command, stdin=end, stdout=end, stderr=self._said)
         super().__init__(here, here.fileno())
 
+    def told(self) -> dict[str, int]:
+        """End the simulator and return what it counted; empty of one that counts nothing."""
+        self._port.shutdown(socket.SHUT_WR)
+        try:
+            self._process.wait(END)
+            self._said.seek(0)
+            return dict(json.loads(self._said.read()))
+        except (ValueError, subprocess.TimeoutExpired):
+            return {}
+
     def close(self) -> None:
-        """End the simulator, which ends by itself when its input does."""
+        """End the simulator."""
         super().close()
         self._process.terminate()
         self._process.wait()
+        self._said.close()
 
 
 def opened(port: str, baud: int) -> Wire:

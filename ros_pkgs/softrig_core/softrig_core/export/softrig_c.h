@@ -24,8 +24,12 @@ typedef double real_t;
 #define SR_DONE 0    /* the tick is answered */
 #define SR_GAVE_UP 1 /* an error in Python: the state is as before the call, the outputs are the safe values */
 
-#ifndef SR_TABLE /* constant tables; avr-gcc keeps `const` data in RAM unless it is told otherwise */
+#ifndef SR_TABLE /* constant tables; avr-gcc keeps `const` data in RAM unless it is told otherwise, in GNU C only */
+#if defined(__AVR__) && !defined(__cplusplus) && !defined(__STRICT_ANSI__)
+#define SR_TABLE const __flash
+#else
 #define SR_TABLE const
+#endif
 #endif
 
 static inline bool sr_isfinite(real_t x) { return (x - x) == SR_REAL(0); }

@@ -63,10 +63,10 @@ def export_firmware(
     files = link_files(done.name, layout)
     if board in MAINS:
         main = f"{folder.resolve().name}.ino" if board == "arduino" else "main.c"
-        files[main] = _filled(MAINS[board], done.name, baud)
+        files[main] = filled(MAINS[board], done.name, baud)
     else:
-        files["main.c"] = _filled("board_cortex_m.c", done.name, baud)
-        files["board.ld"] = _filled("board.ld", done.name, baud)
+        files["main.c"] = filled("board_cortex_m.c", done.name, baud)
+        files["board.ld"] = filled("board.ld", done.name, baud)
         known |= {"core": board, "machine": BOARDS[board][0]}
     described.write_text(json.dumps(known | {"baud": baud}, indent=1) + "\n")
     for name, text in files.items():
@@ -75,6 +75,7 @@ def export_firmware(
     return done.name, layout
 
 
-def _filled(file: str, name: str, baud: int) -> str:
+def filled(file: str, name: str, baud: int) -> str:
+    """Return a file of this package for a node."""
     text = (resources.files(__package__) / file).read_text()
     return text.replace("@NODE@", name).replace("@BAUD@", str(baud))

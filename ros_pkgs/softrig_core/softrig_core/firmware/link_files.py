@@ -32,7 +32,7 @@ typedef struct {n}_link {{
     {n}_out out;
     {n}_params params;
     uint32_t (*now)(void); /**< a clock that measures steps; NULL: none */
-    uint32_t longest;      /**< step since the last reset, in its ticks */
+    uint32_t longest;      /**< step so far, in its ticks */
 }} {n}_link;
 
 #ifdef __cplusplus
@@ -133,7 +133,6 @@ void {n}_link_take({n}_link *l, uint8_t byte)
         static const {n}_params params = {N}_PARAMS;
         l->params = params;
         {n}_init(&l->node, NULL);
-        l->longest = 0;
         l->wire.reset = true;
         break;
     }}
