@@ -14,6 +14,8 @@ import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_hex
 from matplotlib.ticker import FixedLocator
+from softrig_bringup.plots.axes import fold_exponents
+from softrig_bringup.plots.printed import printed
 from softrig_core.drawing import as_dict
 
 FEW = 6  # lines without a name that are told one by one
@@ -83,6 +85,13 @@ def _collection(part):
     points = np.vstack([p.vertices for p in part.get_paths()] or [np.empty((0, 2))])
     places = np.ma.filled(np.ma.asarray(part.get_offsets(), float), np.nan)
     return f"{look}: {_curve(*points.T)}" + (f" at {_curve(*places.T)}" if len(places) > 1 else "")
+
+
+def on_paper(figure):
+    """A picture as matplotlib draws it for print."""
+    drawn = printed(figure)
+    fold_exponents(drawn)
+    return drawn
 
 
 def figure_lines(figure):

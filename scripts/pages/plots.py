@@ -35,8 +35,9 @@ def draw(scenario: str, number: int, directory: Path) -> None:
     title = _entry(scenario, number).title
     run = simulate(scenario)
     with TemporaryDirectory() as drawn:
-        plot_run(run.signals, run.rig, Path(drawn))
-        shutil.copyfile(Path(drawn) / plot_name(number, title), directory / _file(scenario, number))
+        plot_run(run.signals, run.rig, Path(drawn), "png")
+        picture = Path(drawn, plot_name(number, title)).with_suffix(".png")
+        shutil.copyfile(picture, directory / _file(scenario, number))
 
 
 def animation(scenario: str) -> str:

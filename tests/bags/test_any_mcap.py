@@ -10,6 +10,8 @@ import pytest
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType, Writer
 from softrig_bags.cli import main_bag, main_compare
+from softrig_bags.content import known
+from softrig_bags.content.topics import BagTopic, typestore
 from softrig_bags.errors import BagError
 from softrig_bags.files.mcap_source import McapSource, message_run
 from softrig_bags.files.reader import BagReader
@@ -229,3 +231,14 @@ def test_any_damage_gives_messages_or_a_plain_refusal(tmp_path, chunks):
         except BagError:
             refused += 1
     assert 20 < refused < 140
+
+
+def test_the_types_of_our_own_topics_are_as_the_library_of_all_types_has_them():
+    """Definition and hash, which are at hand without it."""
+    for msgtype in known._HASHES:
+        written, _ = typestore().generate_msgdef(msgtype, ros_version=2)
+        assert known.definition_of(msgtype) == (written, typestore().hash_rihs01(msgtype)), msgtype
+    assert known.definition_of("std_msgs/msg/ColorRGBA") is None  # only within others, or not at all
+    topic = BagTopic.known("/x", "sensor_msgs/msg/JointState")
+    assert (topic.definition, topic.digest) == known.definition_of("sensor_msgs/msg/JointState")
+

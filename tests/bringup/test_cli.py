@@ -87,7 +87,7 @@ def test_a_run_leaves_bag_metrics_plots_and_report(folder, capsys):
     command = f"run {folder / 'lag.yaml'} --mode inprocess --set gain.k=1.5 --seed 4"
     assert content["command"].partition(" ")[2] == command  # also from another folder
     assert (out / "bag" / "metadata.yaml").is_file()
-    assert list(out.glob("plot_*.png"))
+    assert list(out.glob("plot_*.svg"))
     assert "<html" in (out / "report.html").read_text()
     printed = capsys.readouterr().out
     assert "last" in printed
@@ -177,7 +177,7 @@ def test_a_metric_that_cannot_be_computed_is_a_miss_with_its_reason(folder, monk
     assert "no such thing" in metric["error"]
 
 
-def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch, undrawn):
+def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch):
     decoded = []
     joined = signals.Signals._joined
 
@@ -228,7 +228,7 @@ def test_a_broken_run_through_processes_leaves_a_readable_bag(folder):
     assert len(recording.topics["lag/state"].times) == 51
 
 
-def test_a_second_run_replaces_the_first(folder, undrawn):
+def test_a_second_run_replaces_the_first(folder):
     assert run("lag", "--mode", "inprocess", "--out", "x") == 0
     (folder / "x" / "mine.txt").write_text("keep")
     assert run("lag", "--mode", "inprocess", "--out", "x", "--no-plots") == 0
@@ -287,7 +287,7 @@ def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):
         pytest.param("container", "softrig_nodes.processes.processes.gathered", marks=pytest.mark.processes),
     ],
 )
-def test_a_signal_after_the_last_tick_loses_nothing(mode, where, tmp_path, monkeypatch, undrawn):
+def test_a_signal_after_the_last_tick_loses_nothing(mode, where, tmp_path, monkeypatch):
     module, _, name = where.rpartition(".")
     real = getattr(importlib.import_module(module), name)
 
@@ -304,7 +304,7 @@ def test_a_signal_after_the_last_tick_loses_nothing(mode, where, tmp_path, monke
     assert (out / "metrics.json").exists()
 
 
-def test_a_run_that_is_stopped_says_what_it_did_and_judges_nothing(folder, monkeypatch, capsys, undrawn):
+def test_a_run_that_is_stopped_says_what_it_did_and_judges_nothing(folder, monkeypatch, capsys):
     def stopping(rig, seed, recording, progress):
         run_inprocess(rig, seed, recording, lambda t: os.kill(os.getpid(), signal.SIGTERM) if t >= 5e8 else None)
 
@@ -360,7 +360,7 @@ def test_work_that_was_late_against_the_wall_clock_is_named_first(folder, monkey
     assert capsys.readouterr().err.startswith(f"softrig: {said}the figures are of a slower loop\n")
 
 
-def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys, undrawn):
+def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys):
     x = {"signal": "lag/state/x/position"}
     settings = {
         "late": {"function": "final_value", "arguments": {**x, "start": 0.9}},
@@ -380,7 +380,7 @@ def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(
     assert page.count("differs") == 1
 
 
-def test_an_outside_law_leaves_no_parameters_title_or_pictures_of_ours(folder, undrawn):
+def test_an_outside_law_leaves_no_parameters_title_or_pictures_of_ours(folder):
     outside = load_scenario("lag", {}).model_copy(
         update={"plots": (PlotEntry(title="Law", signals={"lag/command/u/effort": "u"}),)}
     )
@@ -393,7 +393,7 @@ def test_an_outside_law_leaves_no_parameters_title_or_pictures_of_ours(folder, u
     source = simulate(rig_of(outside)).recording
     source.topics["lag/command"].times.clear()
     source.topics["lag/command"].data.clear()
-    assert [p.name for p in plot_run(signals.Signals(source), rig, folder)] == ["overview.png"]
+    assert [p.name for p in plot_run(signals.Signals(source), rig, folder)] == ["overview.svg"]
 
 
 def test_a_gap_is_found(folder):
@@ -628,7 +628,7 @@ def test_no_home_and_no_place_for_temporary_files(folder, tmp_path):
     assert found.returncode == 0, found.stderr
 
 
-def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monkeypatch, capsys, undrawn):
+def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monkeypatch, capsys):
     from softrig_bags.write import write_bag
 
     def struck(*arguments, **options):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from matplotlib import rc_context
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from softrig_bringup.plots import marks as marks_module, pictures, style as look
 from softrig_bringup.plots.axes import draw, draw_marks, fold_exponents, is_logic, legend, styles
@@ -20,7 +20,7 @@ from softrig_core.judge.expectation import Expectation
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.verdict.figures import Figure as Measured
 from softrig_core.verdict.requirements import Judge
-from told import check_told, figure_lines
+from told import check_told, figure_lines, on_paper
 
 X = "lag/state/x/position"
 COLUMNS = 7
@@ -182,8 +182,8 @@ def test_only_what_two_runs_show_in_a_plot_of_the_same_signals_is_overlaid():
 
 @pytest.mark.parametrize(
     ("number", "title", "name"),
-    [(1, "Speed, and more: x_1 (V)", "plot_01_speed_and_more_x_1_v.png"), (12, "__a__", "plot_12_a.png"),
-     (3, "x" * 70, f"plot_03_{'x' * 60}.png"), (123, "Ωä", "plot_123_.png")],
+    [(1, "Speed, and more: x_1 (V)", "plot_01_speed_and_more_x_1_v.svg"), (12, "__a__", "plot_12_a.svg"),
+     (3, "x" * 70, f"plot_03_{'x' * 60}.svg"), (123, "Ωä", "plot_123_.svg")],
 )  # fmt: skip
 def test_a_picture_is_named_by_its_number_and_title(number, title, name):
     assert plot_name(number, title) == name
@@ -391,9 +391,9 @@ def test_curves_are_told_apart_by_colour_then_by_dashes_and_many_by_shade():
     assert [(s["color"], s["linestyle"]) for s in alone] == [("#0072b2", (0, (5, 3))), ("#d55e00", (0, (1.5, 1.5)))]
     many = styles([plain] * 9)
     assert {s["linewidth"] for s in many} == {0.8}
-    lightness = [sum(s["color"][:3]) for s in many]
+    lightness = [sum(to_rgb(s["color"])) for s in many]
     assert lightness == sorted(lightness)  # dark to light
-    assert [to_hex(many[k]["color"]) for k in (0, 8)] == ["#00224e", "#f3db42"]
+    assert [many[k]["color"] for k in (0, 8)] == ["#00224e", "#f3db42"]
 
 
 def boxed(names, width, title="", marks=()):
@@ -453,7 +453,7 @@ def test_a_scale_factor_stands_before_the_unit(largest, title, unit, found):
 def test_an_overview_has_one_column_up_to_three_panels(monkeypatch, count, columns, rows):
     panels = [(f"t{k}", "V", [curve([0.0, 1.0, 3.0], label="x")]) for k in range(count)]
     monkeypatch.setattr(pictures, "_panels", lambda source: panels)
-    figure = pictures._overview(SimpleNamespace(silent=["q", "r"] if count else []))
+    figure = on_paper(pictures._overview(SimpleNamespace(silent=["q", "r"] if count else [])))
     assert figure.get_size_inches().tolist() == pytest.approx([10.0, 0.9 + 1.55 * rows])
     assert {ax.get_subplotspec().get_gridspec().get_geometry() for ax in figure.axes} <= {(rows, columns)}
     assert [ax.get_title("left") for ax in figure.axes] == [f"t{k}/x" for k in range(count)]
@@ -491,13 +491,13 @@ def test_each_plot_of_a_run_is_drawn_but_of_what_never_came_from_outside(monkeyp
         "save_figure": lambda figure, path, title, run, also: saved.append((figure, path.name, title, run, also)),
     }.items():  # fmt: skip
         monkeypatch.setattr(pictures, name, what)
-    paths = pictures.plot_run(None, rig, tmp_path, "svg", most)
+    paths = pictures.plot_run(None, rig, tmp_path, "pdf", most)
     assert [figure for figure, *_ in saved] == drawn
     assert [path.name for path in paths] == [name for _, name, *_ in saved]
     numbers = {"Own": 1, "Outside": 2, "Less": 3, "Both": 4}
     assert saved == [
-        (t, plot_name(numbers[t], t), t, "run", "svg") if t in numbers
-        else ("overview", "overview.png", "Every recorded signal", "run", "svg")
+        (t, plot_name(numbers[t], t), t, "run", "pdf") if t in numbers
+        else ("overview", "overview.svg", "Every recorded signal", "run", "pdf")
         for t in drawn
     ]  # fmt: skip
 
@@ -510,7 +510,7 @@ def test_panels_say_what_they_show_once(monkeypatch):
         [curve([0, 2], label="x"), curve([1, 3], label="y")],
     ]
     monkeypatch.setattr(pictures, "_panels", lambda source: [("t", "V", row) for row in rows])
-    switches, same, other, bare = pictures._overview(SimpleNamespace(silent=[])).axes
+    switches, same, other, bare = on_paper(pictures._overview(SimpleNamespace(silent=[]))).axes
     assert switches.get_title("left") == "t/*/position"
     assert [t.get_text() for t in switches.get_yticklabels()] == ["a", "b"]
     told = [(ax.get_legend().get_title().get_text(), [t.get_text() for t in ax.get_legend().get_texts()])

@@ -5,7 +5,6 @@ import random
 import re
 import shutil
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from softrig_bringup.run.run import checked
 from softrig_bringup.study.work import run, trial
 from softrig_core import Scenario, ScenarioError, load_scenario, rig_of, simulate
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
-from told import check_told, figure_lines
+from told import check_told, figure_lines, on_paper
 
 PIECES, PERIOD, LOAD = 15, 0.01, 1e-3
 
@@ -266,7 +265,7 @@ def outcome(folder):
     return json.loads((folder / "outcome.json").read_text())
 
 
-def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(undrawn, file, tmp_path, capsys):
+def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, tmp_path, capsys):
     given = ["falsify", str(file), "--over", "dc_motor_plant.R=0.5..2.5", "--budget", "12", "--workers", "1",
              "--over", "dc_motor_smc.delta=log 0.5..20", "--no-plots"]  # fmt: skip
     assert main([*given, "--out", str(tmp_path / "a")]) == 1
@@ -365,7 +364,7 @@ def test_what_its_runs_do_not_ask_for_is_judged_before_the_first_one(wrong, file
     assert not (tmp_path / "a").exists()
 
 
-def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(undrawn, tmp_path):
+def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(tmp_path):
     assert main(["falsify", "dc_motor_smc_faults", "--over", "dc_motor_plant.R=0.9..1.3", "--over",
                  "dc_motor_smc.delta=1..20", "--budget", "8", "--workers", "1", "--no-plots", "--out",
                  str(tmp_path / "a")]) == 1  # fmt: skip
@@ -378,11 +377,16 @@ def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(undra
     assert simulate(small).figures["settles"] == outcome(tmp_path / "a")["small"]["settles"] < 0.0
 
 
-def test_the_picture_of_the_worst_run_is_as_told(monkeypatch):
+def test_the_picture_of_the_worst_run_is_as_told(monkeypatch, tmp_path):
     """Of a requirement over two signals, one of them the same in both runs; of one over a command; of a figure."""
     drawn = []
-    writer = "softrig_bringup.plots.pictures.write_figure"
-    monkeypatch.setattr(writer, lambda figure, path, **_: drawn.append((str(path), figure)))
+    saved = picture.save_figure
+
+    def save(figure, path, *about):
+        saved(figure, path, *about)
+        drawn.append((path.name, on_paper(figure)))
+
+    monkeypatch.setattr(picture, "save_figure", save)
     scenario = load_scenario("dc_motor_smc_b2").changed(duration=0.4)
     about = {
         "speed": "motor/state/shaft/velocity",
@@ -393,7 +397,7 @@ def test_the_picture_of_the_worst_run_is_as_told(monkeypatch):
     nominal = scenario.having(shared=about, requirements=follows)
     runs = {"as it is": simulate(nominal), "worst": simulate(nominal.changed(overrides={"dc_motor_plant.J": 0.03}))}
     for name in ("follows", "strong", "overshoot"):
-        picture.draw_worst(runs, name, Path(name), f"Worst of {name}")
+        picture.draw_worst(runs, name, tmp_path / name, f"Worst of {name}")
     check_told("pictures/worst", (line for path, f in drawn for line in (path, *figure_lines(f))))
 
 

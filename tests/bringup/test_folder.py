@@ -19,7 +19,7 @@ def names(path):
     return sorted(str(p.relative_to(path)) for p in path.rglob("*") if p.is_file())
 
 
-def test_a_run_replaces_the_one_before_and_says_so(tmp_path, capsys, undrawn):
+def test_a_run_replaces_the_one_before_and_says_so(tmp_path, capsys):
     out = tmp_path / "out"
     assert main([*RUN, "--duration", "0.1", "--out", str(out)]) == 0
     first = names(out)

@@ -50,7 +50,7 @@ def test_another_ending_is_refused(tmp_path):
         write_paper_table(tmp_path / "a.xls", "case", [], [])
 
 
-def test_runs_and_studies_write_their_figures_for_a_paper(tmp_path, monkeypatch, undrawn):
+def test_runs_and_studies_write_their_figures_for_a_paper(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for delta in (1, 2):
         words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.2", "--no-plots"]

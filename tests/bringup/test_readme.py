@@ -19,7 +19,7 @@ README = (ROOT / "README.md").read_text()
 
 
 @pytest.mark.processes
-def test_the_controller_of_the_tutorial_takes_the_place_of_ours(tmp_path, monkeypatch, capsys, undrawn):
+def test_the_controller_of_the_tutorial_takes_the_place_of_ours(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "ros_pkgs/softrig_bringup/doc/own_controller.md").read_text()
     code = re.search(r"```python\n(.*?)```", page, re.S)

@@ -31,7 +31,7 @@ variants:
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch, undrawn):
+def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
     monkeypatch.setenv("AMENT_PREFIX_PATH", "")
     monkeypatch.chdir(tmp_path)
@@ -84,7 +84,7 @@ def test_runs_are_kept_until_their_code_or_scenario_changes(folder, capsys, monk
     for link in re.findall(r'href="(runs/[^"]*)"', page):
         assert (folder / "runs" / "results" / link).is_file()
     assert 'href="runs/lag/report.html"' in page
-    assert 'href="runs/lag/overview.png"' in page
+    assert 'href="runs/lag/overview.svg"' in page
     assert "are kept" not in capsys.readouterr().out
     assert main(["results", "--workers", "1"]) == 0
     assert "2 of 2 runs are kept" in capsys.readouterr().out
@@ -147,7 +147,7 @@ def test_pages_of_results_are_as_told(folder, monkeypatch):
     for name in ("lag", "lag_slow"):
         (out / "runs" / name).mkdir(parents=True)
         (out / "runs" / name / "report.html").touch()
-    (out / "runs" / "lag" / "plot_01_position.png").touch()
+    (out / "runs" / "lag" / "plot_01_position.svg").touch()
     marked, whole = (
         make(claiming(), rows, "3 more are of studies", *to) for make, to in ((markdown, ()), (html, (out,)))
     )

@@ -20,12 +20,11 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from conftest import PATIENCE, until
-from matplotlib import rc_context
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import STUDY, ResultsFolder
 from softrig_bringup.options.grammar import values
 from softrig_bringup.page.html import page as make_page
-from softrig_bringup.plots.style import style
+from softrig_bringup.plots.pictures import plot_name
 from softrig_bringup.study import page, pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
@@ -37,7 +36,7 @@ from softrig_bringup.study.statistics import statistics
 from softrig_bringup.study.table import claims, results, summarise, without_signals
 from softrig_bringup.study.work import absent
 from softrig_core import ScenarioError
-from told import check_told, figure_lines, page_lines
+from told import check_told, figure_lines, on_paper, page_lines
 
 LAG = """
 title: First-order lag
@@ -194,7 +193,7 @@ def test_what_no_run_could_do_is_said_before_the_first(folder, keys, message):
 # rows -------------------------------------------------------------------------------------------------------------
 
 
-def test_a_row_tells_how_to_repeat_its_run(folder, undrawn):
+def test_a_row_tells_how_to_repeat_its_run(folder):
     assert main(["study", "lag", "--grid", "gain.k=1,2.5", "--seeds", "2", "--force", "--duration", "0.25",
                  "--workers", "1", "--out", "out"]) == 0  # fmt: skip
     table = pyarrow.parquet.read_table(folder / "out" / "table.parquet").to_pylist()
@@ -231,7 +230,7 @@ def test_each_study_reads_its_scenario_anew(folder):
     assert (changed[0]["seed"], changed[0]["figures"]) == (5, {"end": first[0]["figures"]["last"], "never": None})
 
 
-def test_a_run_that_breaks_is_a_row_with_its_reason(folder, capsys, undrawn):
+def test_a_run_that_breaks_is_a_row_with_its_reason(folder, capsys):
     assert main(["study", "lag_breaks", "--grid", "plant.gain=1,2", "--workers", "1", "--out", "out"]) == 3
     rows = [json.loads(line) for line in (folder / "out" / "rows.jsonl").read_text().splitlines()]
     assert len(rows) == 2
@@ -361,13 +360,13 @@ def test_two_studies_do_not_write_into_one_folder(folder):
     assert len(rows_of(demo, out)) == 2
 
 
-@pytest.mark.parametrize("name", ["rows.jsonl", "report.html", "table.csv", "study.json", "plot_01_figures_over_k.png"])
+@pytest.mark.parametrize("name", ["rows.jsonl", "report.html", "table.csv", "study.json", "plot_01_figures_over_k.svg"])
 def test_a_study_writes_over_nothing_that_is_not_its_own(name, folder, capsys):
     command = ["study", "lag", "--grid", "gain.k=1,2", "--workers", "1", "--out", "out"]
     (folder / "out").mkdir()
     (folder / "out" / name).write_text("theirs")
-    if name.endswith(".png"):
-        name = "plot_01_figures_over_gain_k.png"
+    if name.endswith(".svg"):
+        name = "plot_01_figures_over_gain_k.svg"
         (folder / "out" / name).write_text("theirs")
     assert main(command) == 2
     said = capsys.readouterr().err
@@ -375,7 +374,7 @@ def test_a_study_writes_over_nothing_that_is_not_its_own(name, folder, capsys):
     assert (folder / "out" / name).read_text() == "theirs"
 
 
-def test_a_study_follows_no_link_that_was_put_into_its_folder(folder, undrawn):
+def test_a_study_follows_no_link_that_was_put_into_its_folder(folder):
     command = ["study", "lag", "--grid", "gain.k=1,2", "--workers", "1", "--out", "out"]
     assert main(command) == 0
     first = {p.name for p in (folder / "out").iterdir()}
@@ -511,7 +510,7 @@ def a_row(number, k, value, seed=0, never=()):
 def test_runs_without_a_value_are_marked_counted_and_make_the_median_no_better():
     rows = [a_row(0, 1.0, 0.5), a_row(1, 1.0, 0.6), a_row(2, 1.0, 0.7)]
     rows += [a_row(3, 2.0, 0.4), a_row(4, 2.0, None, never=["settling"]), a_row(5, 2.0, None, never=["settling"])]
-    figure = pictures._over(rows, "gain.k", ["settling"], {}, banded=True)
+    figure = on_paper(pictures._over(rows, "gain.k", ["settling"], {}, banded=True))
     (ax,) = figure.axes
     assert list(ax.lines[0].get_ydata()) == pytest.approx([0.6, math.nan], nan_ok=True)  # 2 of 3 never get there
     assert [t.get_text() for t in ax.texts] == ["2 of 3 never"]
@@ -524,16 +523,16 @@ def test_runs_without_a_value_are_marked_counted_and_make_the_median_no_better()
 @pytest.mark.parametrize("number", [pictures.TICKS, pictures.TICKS + 1])
 def test_so_many_values_get_a_tick_each_and_no_more(number):
     few, values = number == pictures.TICKS, [0.1 + k for k in range(number)]
-    (ax,) = pictures._over([a_row(0, k, 0.5) for k in values], "gain.k", ["settling"], {}, banded=True).axes
+    (ax,) = on_paper(pictures._over([a_row(0, k, 0.5) for k in values], "gain.k", ["settling"], {}, banded=True)).axes
     assert (list(ax.get_xticks()) == values) == few
     rows = [a_row(0, k, k * g) for k in values for g in (1.0, 2.0)]
     for row, g in zip(rows, [1.0, 2.0] * number, strict=True):
         row["overrides"]["plant.gain"] = g
-    ax = pictures._map(rows, ["gain.k", "plant.gain"], "settling", {}).axes[0]
+    ax = on_paper(pictures._map(rows, ["gain.k", "plant.gain"], "settling", {})).axes[0]
     assert (list(ax.get_xticks()) == values) == few
 
 
-def test_a_study_says_never_where_a_figure_never_comes(folder, capsys, undrawn):
+def test_a_study_says_never_where_a_figure_never_comes(folder, capsys):
     assert (
         main(["study", "lag", "--grid", "gain.k=1:3", "--grid", "plant.gain=1,2", "--out", "out", "--workers", "1"])
         == 0
@@ -569,7 +568,7 @@ def test_ranges_of_nothing_or_without_end_are_refused(text):
         values("gain.k", text)
 
 
-def test_a_search_keeps_to_its_limits_and_its_best_is_no_lucky_seed(folder, capsys, undrawn):
+def test_a_search_keeps_to_its_limits_and_its_best_is_no_lucky_seed(folder, capsys):
     options = ["study", "lag", "--search", "last", "--draws", "8", "--maximise", "--draw", "gain.k=0.5..5", "--workers",
                "1"]  # fmt: skip
     assert main([*options, "--subject-to", "last <= 0.2", "--out", "some"]) == 0
@@ -625,17 +624,15 @@ def test_a_search_finds_the_best_gain_whatever_the_workers_and_goes_on(folder):
         ),
     ],
 )
-def test_pictures_follow_from_the_form(folder, request, keys, pictures):
-    if len(pictures) != 2:  # one of seeds and one of a search are drawn, of the others the files count
-        request.getfixturevalue("undrawn")
+def test_pictures_follow_from_the_form(folder, keys, pictures):
     (folder / "studies" / "demo.yaml").write_text(json.dumps({"title": "Demo", "scenario": "lag"} | keys))
     assert main(["study", "demo", "--workers", "1", "--force", "--out", "out"]) == 0
-    drawn = [p.name for p in sorted((folder / "out").glob("*.png"))]
+    drawn = [p.name for p in sorted((folder / "out").glob("*.svg"))]
     for name in pictures:
         assert any(name in d for d in drawn), drawn
     page = (folder / "out" / "report.html").read_text()
-    assert page.count("data:image/png") == len(drawn)
-    assert re.findall(r'alt="(plot [^"_]*)"', page) == [Path(name).stem.replace("_", " ") for name in drawn]
+    titles = re.findall(r'<title id="[^"]*">([^<]*)</title>', page)
+    assert [plot_name(k, title) for k, title in enumerate(titles, 1)] == drawn
 
 
 UNITS = {"settling": "s", "power": "W", "gain.k": "N/m", "plant.gain": "1/s", "lag/state/x/position": "m"}
@@ -683,8 +680,7 @@ SCATTERED = {"count": 9, "parameters": {"gain.k": {"uniform": [1, 3]}, "plant.ga
 )  # fmt: skip
 def test_pictures_of_studies_are_as_told(name, keys, rows):
     demo = study(**keys)
-    with rc_context(style()):
-        drawn = [*pictures._figures(demo, rows, keeping(rows), UNITS)]
+    drawn = [(title, on_paper(f)) for title, f in pictures._figures(demo, rows, keeping(rows), UNITS)]
     check_told(f"studies/{name}", (line for title, f in drawn for line in (title, *figure_lines(f))))
 
 
@@ -692,7 +688,7 @@ def test_the_history_of_a_search_holds_the_best_so_far():
     search = {"figure": "settling", "count": 3, "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}
     rows = [a_row(0, 1.0, 0.5), a_row(1, 2.0, 0.7), a_row(2, 3.0, 0.3)]
     for aim, found in (("minimise", [0.5, 0.5, 0.3]), ("maximise", [0.5, 0.7, 0.7])):
-        (ax,) = pictures._history(study(search=search | {"aim": aim}).search, rows, {}).axes
+        (ax,) = on_paper(pictures._history(study(search=search | {"aim": aim}).search, rows, {})).axes
         assert [line.get_xydata().tolist() for line in ax.lines] == [
             [[0.0, 0.5], [1.0, 0.7], [2.0, 0.3]],
             [[float(number), value] for number, value in enumerate(found)],

@@ -13,7 +13,7 @@ WORDS = ["study", "mine.yaml", "--against", "dc_motor_smc_b4", "--draw", "dc_mot
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch, undrawn):
+def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.yaml").write_text("title: mine\nextends: dc_motor_smc_b2\n")
     assert main([*WORDS, "--out", "s"]) == 0

@@ -18,7 +18,7 @@ from softrig_bringup.study.draw import Case, _values, cases, count, draw, size
 from softrig_bringup.study.statistics import Statistics
 from softrig_core import RunError, ScenarioError
 from softrig_core.judge.expectation import Expectation
-from told import page_lines
+from told import on_paper, page_lines
 
 X = "lag/state/x/position"
 
@@ -476,7 +476,7 @@ def test_a_median_counts_what_never_comes_as_the_largest(values, middle):
 @pytest.mark.parametrize(("share", "grid"), [(4, True), (5, False)])
 def test_a_map_is_a_grid_where_a_quarter_of_its_cells_is_known(share, grid):
     rows = [row(k, figures={"f": 1.0 * k}, overrides={"x": 1.0 * k, "y": 1.0 * k}) for k in range(share)]
-    ax = pictures._map(rows, ["x", "y"], "f", {}).axes[0]
+    ax = on_paper(pictures._map(rows, ["x", "y"], "f", {})).axes[0]
     assert (type(ax.collections[0]).__name__ == "QuadMesh") == grid
 
 
@@ -484,7 +484,7 @@ def test_a_map_is_a_grid_where_a_quarter_of_its_cells_is_known(share, grid):
 def test_a_band_over_a_parameter_is_explained_where_there_is_one(seeds):
     rows = [row(figures={"f": 1.0 * k}, overrides={"x": 1.0 * (k % 2)}, seed=k) for k in range(2 * seeds)]
     for banded in (True, False):
-        figure = pictures._over(rows, "x", ["f"], {}, banded=banded)
+        figure = on_paper(pictures._over(rows, "x", ["f"], {}, banded=banded))
         said = "" if figure._supxlabel is None else figure._supxlabel.get_text()
         assert said.endswith(f"band: least to greatest of up to {seeds} runs" if banded and seeds > 1 else "")
         assert bool(said) == (banded and seeds > 1)
@@ -495,7 +495,7 @@ def test_in_parallel_coordinates_the_best_is_drawn_last():
     rows = [row(k, figures={"f": f}, overrides={"x": x}) for k, (f, x) in
             enumerate([(3.0, 0.0), (1.0, 0.5), (2.0, 1.0), (1.0, 0.25), (None, 0.75)])]  # fmt: skip
     for aim, last in (("minimise", [0.5, 0.0]), ("maximise", [0.0, 1.0])):
-        (ax,) = pictures._parallel(study(search=given | {"aim": aim}).search, rows).axes
+        (ax,) = on_paper(pictures._parallel(study(search=given | {"aim": aim}).search, rows)).axes
         assert len(ax.lines) == 4
         assert ax.lines[-1].get_ydata() == pytest.approx(last)  # of equals the first
         assert [line.get_alpha() for line in ax.lines] == pytest.approx([0.2, 0.4, 0.6, 0.8])
@@ -511,6 +511,7 @@ def test_bands_are_of_six_groups_at_most_each_of_runs_that_went_as_far(seeds):
     rows += [row(case="a") | {"signals": {"s": kept}} for kept in ({"end": 0.0, "x": []}, {"end": 1.0, "x": [1.0]})]
     rows.append(row(case="b"))
     ((title, figure),) = pictures._bands(given, rows, {"s": "V"})
+    figure = on_paper(figure)
     (ax,) = figure.axes
     more = ": median of 3, 10 % to 90 %" if seeds > 1 else ""
     assert title == "Signal s"

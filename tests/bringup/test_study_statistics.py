@@ -279,7 +279,7 @@ def test_an_estimate_is_written_as_finely_as_its_interval_allows(found, text):
 # the command ------------------------------------------------------------------------------------------------------
 
 
-def test_a_study_of_two_laws_says_all_this_unasked(folder, capsys, undrawn):  # noqa: F811
+def test_a_study_of_two_laws_says_all_this_unasked(folder, capsys):  # noqa: F811
     words = ["study", "lag", "--against", "plant.gain=2.0", "--draw", "gain.k=1..2", "--draws", "6", "--subject-to",
              "last <= 0.1", "--width", "last=0.001", "--duration", "0.1", "--workers", "1", "--out", "out"]  # fmt: skip
     assert main(words) == 0
@@ -300,7 +300,7 @@ def test_a_study_of_two_laws_says_all_this_unasked(folder, capsys, undrawn):  # 
     assert "--width lost: nothing of that name is estimated" in capsys.readouterr().err
 
 
-def test_seeds_of_a_rig_without_random_numbers_are_refused_unless_forced(folder, capsys, undrawn):  # noqa: F811
+def test_seeds_of_a_rig_without_random_numbers_are_refused_unless_forced(folder, capsys):  # noqa: F811
     words = ["study", "lag", "--seeds", "3", "--duration", "0.05", "--workers", "1", "--out", "out"]
     assert main(words) == 2
     assert "lag: 3 seeds are one run, as no node draws a random number" in capsys.readouterr().err

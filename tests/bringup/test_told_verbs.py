@@ -1277,7 +1277,7 @@ def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch
             told.append(f"  {sorted(p.name for p in (lag / name).iterdir())}")
 
     go("a", "--mode", "inprocess")
-    go("b", "--set", "gain.k=2", "--label", "soft", "--junit", "unit.xml", "--no-record", "--format", "svg")
+    go("b", "--set", "gain.k=2", "--label", "soft", "--junit", "unit.xml", "--no-record", "--format", "pdf")
     told += [f"    {line.strip()}" for line in (lag / "unit.xml").read_text().splitlines() if "suite" in line]
     go("c", "--external", "gain", "--no-plots")
     go(None, "--seed", "3")

@@ -375,7 +375,7 @@ def test_flux_error_is_drawn_as_a_difference(monkeypatch, tmp_path):
     monkeypatch.setattr(plots, "save_figure", lambda figure, *_: figures.append(figure))
     plots.plot_run(signals, rig, tmp_path)
     (axes,) = figures[0].axes
-    assert axes.get_ylabel() == "Flux error, Wb"
+    assert axes.titles["y"] == "Flux error, Wb"
     for line, axis in zip(axes.lines, "xy", strict=True):
         expected = signals[f"flux_estimate/{axis}"].x - signals[f"flux_true/{axis}"].x[:-1]
         np.testing.assert_array_equal(line.get_ydata(), expected)

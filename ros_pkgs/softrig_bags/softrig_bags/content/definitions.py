@@ -8,7 +8,6 @@ from functools import cache
 from typing import Any
 
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
 
 from .idl import IdlError, IdlReader
 from .topics import is_known, typestore
@@ -154,6 +153,8 @@ def _known(name: str, distribution: str) -> Any:
 
 @cache
 def _old_types(distribution: str) -> Mapping[str, Any]:
+    from rosbags.typesys import Stores, get_typestore
+
     return get_typestore(Stores[f"ROS2_{distribution.upper()}"]).fielddefs
 
 
@@ -167,6 +168,11 @@ def distribution_of(name: str, version: int) -> str:
     version : int
         Of the bag's metadata; 0 where nothing says it.
     """
-    if f"ROS2_{name.upper()}" in Stores.__members__:
-        return "" if name == "jazzy" else name
+    if name == "jazzy":
+        return ""
+    if name:
+        from rosbags.typesys import Stores
+
+        if f"ROS2_{name.upper()}" in Stores.__members__:
+            return name
     return _OLD.get(version, "")

@@ -6,14 +6,16 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 from softrig_core.kit.resource import prefixes
 
 from ..errors import BagError
+from .known import definition_of
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
 
@@ -78,12 +80,17 @@ def checked_namespace(text: str) -> str:
 
 @cache
 def typestore() -> Typestore:
-    """Give the store of the Jazzy message types; `_definition` adds installed types that it lacks."""
+    """Return the store of the Jazzy message types; `_definition` adds installed types that it lacks."""
+    # here: the stores of seven distributions are loaded with it, which takes a tenth of a second
+    from rosbags.typesys import Stores, get_typestore
+
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def is_known(msgtype: str) -> bool:
     """Return whether a type is defined here: in the library of the Jazzy types, or installed."""
+    from rosbags.typesys import TypesysError
+
     try:
         return _register(msgtype)
     except (TypesysError, OSError, ValueError):  # an installed text that the library does not read
@@ -92,6 +99,8 @@ def is_known(msgtype: str) -> bool:
 
 @cache
 def _definition(msgtype: str) -> tuple[str, str]:
+    if (own := definition_of(msgtype)) is not None:
+        return own
     if not is_known(msgtype):
         return "", ""
     return typestore().generate_msgdef(msgtype, ros_version=2)[0], typestore().hash_rihs01(msgtype)
@@ -105,6 +114,8 @@ def _register(msgtype: str) -> bool:
     for prefix in prefixes():
         path = prefix / "share" / package / "msg" / f"{name}.msg"
         if path.is_file():
+            from rosbags.typesys import get_types_from_msg
+
             types = get_types_from_msg(path.read_text(), msgtype)
             typestore().register(types)
             return all(_register(t) for t in _nested(types[msgtype][1]))

@@ -28,7 +28,7 @@ from .picture import draw_worst
 from .shrink import Case
 from .words import number, shown
 
-PICTURE = "worst.png"
+PICTURE = "worst.svg"
 
 
 def main(options: argparse.Namespace) -> int:

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from softrig_core.judge.units import pretty_unit
 
 from ..page.html import NONE, e, mark, picture, table
 from ..plots import style as look
+from ..plots.canvas import Figure
 from ..plots.style import axis_title
+from ..plots.svg import svg
 from ..study.statistics import bound_text
 from .definition import Falsification
 from .engine import Outcome
 from .words import number, shown
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 MEANING = (
     "The margin of a requirement says how far the run is from violating it, in the unit of its signals: below 0 it is "
@@ -72,7 +70,7 @@ def lead(task: Falsification, outcome: Outcome, units: Mapping[str, str], files:
     if outcome.found.trace:
         body += [
             e("h2", "History of the search"),
-            e("figure", picture(_png(history(outcome)), "history of the search")),
+            e("figure", picture(svg(history(outcome)), "history of the search")),
         ]
     return body
 
@@ -98,28 +96,18 @@ def _and(words: Sequence[str]) -> str:
 
 def history(outcome: Outcome) -> Figure:
     """Draw the least margin so far over the runs of a search, and where a violation begins."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure as New
-    from matplotlib.ticker import MaxNLocator
-
     trace: list[Any] = outcome.found.trace
     runs = range(1, len(trace) + 1)
-    with rc_context(look.style()):
-        figure = New(figsize=(look.WIDTH, 3.0), dpi=look.DPI, layout="constrained")
-        ax = figure.subplots()
-        ax.step(runs, trace, where="post")
-        ax.axhline(0.0, color=look.VIOLATED, linewidth=1.0)
-        place: dict[str, Any] = {"xycoords": ax.get_yaxis_transform(), "textcoords": "offset points", "fontsize": 8}
-        ax.annotate("violated below", (1.0, 0.0), (-4, -4), ha="right", va="top", color=look.VIOLATED, **place)
-        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-        ax.margins(x=0.02, y=0.1)
-        ax.set_xlabel("Run")
-        several = len(outcome.names) > 1
-        ax.set_ylabel(axis_title("Least margin so far" + (" by its nominal size" if several else ""), ""))
+    figure = Figure(figsize=(look.WIDTH, 3.0), dpi=look.DPI)
+    figure.title = "History of the search"
+    ax = figure.subplots()
+    ax.plot(runs, trace, drawstyle="steps-post")
+    ax.axhline(0.0, color=look.VIOLATED, linewidth=1.0)
+    place: dict[str, Any] = {"xycoords": ax.get_yaxis_transform(), "textcoords": "offset points", "fontsize": 8}
+    ax.annotate("violated below", (1.0, 0.0), (-4, -4), ha="right", va="top", color=look.VIOLATED, **place)
+    ax.whole_numbers()
+    ax.margins(x=0.02, y=0.1)
+    ax.set_xlabel("Run")
+    several = len(outcome.names) > 1
+    ax.set_ylabel(axis_title("Least margin so far" + (" by its nominal size" if several else ""), ""))
     return figure
-
-
-def _png(figure: Figure) -> bytes:
-    file = io.BytesIO()
-    figure.savefig(file, format="png")
-    return file.getvalue()

@@ -13,6 +13,7 @@ from softrig_core.verdict.requirements import Judge
 
 from ..plots import style as look
 from ..plots.axes import draw, draw_marks, legend
+from ..plots.canvas import Figure
 from ..plots.curves import Curve
 from ..plots.marks import marks_of
 from ..plots.pictures import save_figure, time_scale
@@ -27,13 +28,10 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
     runs : mapping of str to Run
         By label; what the last one violates is shaded.
     path : Path
-        The PNG.
+        The SVG.
     also : str
-        svg or pdf: a file of this kind beside it.
+        pdf or png: a file of this kind beside it, by matplotlib.
     """
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
     *_, last = runs.values()
     figure_of = next(f for f in figures_of(last.rig) if f.name == requirement)
     judge = figure_of.function
@@ -58,17 +56,16 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
     rows = different or rows  # a reference that is the same in all says nothing
     first = next(iter(signals.values()), "")  # a requirement is marked on each of its signals
     marks = [m for m in marks_of(last.rig, last.signals).get(first, ()) if m.name == requirement]
-    with rc_context(look.style()):
-        figure = Figure(figsize=(look.WIDTH, 1.3 + 2.3 * len(rows)), dpi=look.DPI, layout="constrained")
-        axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
-        scale, time = time_scale(rows.values())
-        for k, (ax, (name, curves)) in enumerate(zip(axes, rows.items(), strict=True)):
-            draw(ax, curves, scale)
-            entries = draw_marks(ax, marks, scale)
-            if k == 0:
-                legend(ax, curves, "", 110, entries)
-            unit = units[signals[name]]
-            ax.set_ylabel(axis_title((quantity(unit) if len(rows) == 1 else "") or name, unit))
-        axes[-1].set_xlabel(axis_title("Time", time))
-        figure.align_ylabels()
-        save_figure(figure, path, title, last.rig.scenario.name, also)
+    figure = Figure(figsize=(look.WIDTH, 1.3 + 2.3 * len(rows)), dpi=look.DPI)
+    axes = figure.column(len(rows))
+    scale, time = time_scale(rows.values())
+    for k, (ax, (name, curves)) in enumerate(zip(axes, rows.items(), strict=True)):
+        draw(ax, curves, scale)
+        entries = draw_marks(ax, marks, scale)
+        if k == 0:
+            legend(ax, curves, "", 110, entries)
+        unit = units[signals[name]]
+        ax.set_ylabel(axis_title((quantity(unit) if len(rows) == 1 else "") or name, unit))
+    axes[-1].set_xlabel(axis_title("Time", time))
+    figure.align_ylabels()
+    save_figure(figure, path, title, last.rig.scenario.name, also)

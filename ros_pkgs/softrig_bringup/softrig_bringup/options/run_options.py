@@ -101,7 +101,7 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
         action="store_true",
         help="the bag has robot_description, diagnostics and figures of observers, too",
     )
-    parser.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
+    parser.add_argument("--format", choices=("pdf", "png"), default="", help="pictures of this kind beside the SVG")
     parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
     parser.add_argument("--connect", action="store_true", help="print how nodes of your own see the rig")

@@ -6,7 +6,7 @@ import base64
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from xml.etree.ElementTree import Element, tostring
+from xml.etree.ElementTree import Element, fromstring, tostring
 
 from ..folder import replace
 
@@ -65,8 +65,21 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Element | str]], number
     return e("div", e("table", e("thead", head), e("tbody", *body)), class_="scroll")
 
 
-def picture(png: bytes, title: str) -> Element:
-    """Make an image that stands in the page itself, with its size, so that nothing moves while the page is read."""
+def picture(content: bytes | str, title: str) -> Element:
+    """Make an image that stands in the page itself, with its size, so that nothing moves while the page is read.
+
+    Parameters
+    ----------
+    content : bytes or str
+        A picture of `softrig_bringup.plots.svg`, which becomes a part of the page with its description; or a PNG.
+    title : str
+        Of a PNG, which has none of its own.
+    """
+    png = content if isinstance(content, bytes) else content.encode()
+    if png.startswith(b"<svg"):
+        drawn = fromstring(png.replace(b' xmlns="http://www.w3.org/2000/svg"', b"", 1))
+        drawn[:] = [part for part in drawn if part.tag != "style"]  # the page has its own
+        return drawn
     width, height = struct.unpack(">II", png[16:24])
     source = f"data:image/png;base64,{base64.b64encode(png).decode()}"
     return e("img", src=source, alt=title, width=str(width), height=str(height))
@@ -83,7 +96,7 @@ _STYLE = """
 @media (prefers-color-scheme: dark) {
   :root { --ink: #e4e8ec; --soft: #9aa5b1; --line: #3a424b; --panel: #242628; --paper: #1a1a1a; --link: #7db7f0;
     --good: #5fcf93; --bad: #ff8a80; }
-  img { filter: invert(0.9) /* white to #1a1a1a */ hue-rotate(180deg); }
+  img, .plot { filter: invert(0.9) /* white to #1a1a1a */ hue-rotate(180deg); }
 }
 body { margin: 0; background: var(--paper); color: var(--ink); font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans",
   sans-serif; }
@@ -140,7 +153,7 @@ th:last-child, td:last-child { padding-right: 0; }
 .diagram .wire:hover path { stroke: var(--link); stroke-width: 2.4; }
 .diagram .wire:hover text, .diagram .wire:hover .head, .diagram .wire:hover .dot { fill: var(--link); }
 figure { margin: 0 0 1.4rem; break-inside: avoid; }
-img { display: block; max-width: 100%; height: auto; }
+img, .plot { display: block; max-width: 100%; height: auto; }
 details { border-top: 1px solid var(--line); padding: .35rem 0; }
 summary { cursor: pointer; }
 details.run > summary { font-size: 1.15rem; font-weight: 600; padding: .4rem 0; }
@@ -150,7 +163,7 @@ details .pairs { padding: .3rem 0 .6rem 1.1rem; }
   figure, .wide { overflow-x: auto; }
   figure::before, .wide::before { content: "\\2194  moves sideways"; position: sticky; left: 0; color: var(--soft);
     font-size: .82rem; }
-  figure img { max-width: none; width: 680px; }
+  figure img, figure .plot { max-width: none; width: 680px; }
   figcaption { position: sticky; left: 0; overflow-wrap: anywhere; }
   thead { display: none; }
   table, tbody, tr, td { display: block; }
@@ -176,7 +189,7 @@ details .pairs { padding: .3rem 0 .6rem 1.1rem; }
   @page { margin: 15mm; }
   body { font-size: 9.5pt; }
   main { max-width: none; padding: 0; }
-  img { filter: none; max-height: 235mm; width: auto; }
+  img, .plot { filter: none; max-height: 235mm; width: auto; }
   h2, h3 { break-after: avoid; }
   tr { break-inside: avoid; }
   * + section.run { break-before: page; }

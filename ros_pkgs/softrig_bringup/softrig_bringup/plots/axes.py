@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import style as look
+from .canvas import Artist, Axes
 from .curves import Array, Curve, envelope
 from .marks import NAMED, Mark
+from .shades import shades
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Printed
 
 
 UNIT = "unit"  # id of an axis title that is a unit alone
@@ -176,10 +176,7 @@ def _open_limits(ax: Axes) -> None:
 def styles(curves: Sequence[Curve]) -> list[dict[str, Any]]:
     """Line style of each curve: references dark and dashed, the others by colour, then by dashes."""
     if len(curves) > look.MANY:
-        from matplotlib import colormaps
-
-        shades = colormaps["cividis"](np.linspace(0.0, 0.95, len(curves)))
-        return [{"color": shade, "linewidth": 0.8} for shade in shades]
+        return [{"color": shade, "linewidth": 0.8} for shade in shades("cividis", np.linspace(0.0, 0.95, len(curves)))]
     dashes = iter(look.DASHED * len(curves))
     own = iter([{"color": c, "linestyle": line} for line in ("-", look.DASHED[0]) for c in look.COLOURS])
     if all(curve.reference for curve in curves):
@@ -232,8 +229,8 @@ def legend(
     )
 
 
-def fold_exponents(figure: Figure) -> None:
-    """Move the scale factors of all axes into their titles, where nothing can lie over them: "Cost, 10⁴ $"."""
+def fold_exponents(figure: Printed) -> None:
+    """Move the scale factors of all axes of matplotlib's picture into their titles, where nothing can lie over them."""
     from matplotlib.ticker import ScalarFormatter
 
     for ax in figure.axes:

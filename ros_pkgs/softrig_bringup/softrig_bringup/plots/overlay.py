@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -13,13 +12,14 @@ from softrig_core.scenario.scenario import PlotEntry
 
 from . import style as look
 from .axes import draw, legend
+from .canvas import Axes, Figure
 from .curves import Array, Curve, Shown, inside
-from .pictures import fit, lettered, time_scale
+from .pictures import fitted, letters, time_scale
 from .style import axis_title, quantity
+from .svg import svg
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Printed
 
 BAND = (0.1, 0.9)  # quantiles between which a band lies
 LEAST = 3  # runs that a band needs; fewer are drawn one by one
@@ -50,12 +50,11 @@ class Overlay:
 Drawn = Sequence[tuple[Overlay, Curve]]  # of one signal
 
 
-def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str, bytes]]:
-    """Draw each plot over time that at least two runs share: title and PNG; see `overlay_figures`."""
-    for entry, figure in overlay_figures(runs, note):
-        file = io.BytesIO()
-        figure.savefig(file, format="png")
-        yield entry.title + note, file.getvalue()
+def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str, str]]:
+    """Draw each plot over time that at least two runs share: title and SVG; see `overlay_figures`."""
+    for entry, figure in _figures(runs, 110):
+        figure.suptitle(entry.title + note)
+        yield figure.title, svg(figure)
 
 
 def overlay_figures(
@@ -66,8 +65,8 @@ def overlay_figures(
     font: float | None = None,
     inches: float | None = None,
     serif: bool = False,
-) -> Iterator[tuple[PlotEntry, Figure]]:
-    """Draw each plot over time that at least two runs share.
+) -> Iterator[tuple[PlotEntry, Printed]]:
+    """Draw by matplotlib each plot over time that at least two runs share.
 
     Each signal has its own axes, each run or group of draws its own colour. A group of `LEAST` or more runs is its
     median and the band between the quantiles `BAND`. A reference that is the same in all runs is drawn once.
@@ -79,16 +78,17 @@ def overlay_figures(
     title, font, inches, serif
         See `softrig_bringup.plots.pictures.plot_entry`.
     """
-    letters = int(110 * (inches or look.WIDTH) / look.WIDTH * 9.0 / (font or 9.0))
+    for entry, figure in _figures(runs, letters(font, inches)):
+        yield entry, fitted(figure, entry.title + note if title else "", font, inches, serif)
+
+
+def _figures(runs: Sequence[Overlay], width: int) -> Iterator[tuple[PlotEntry, Figure]]:
     for entry in _shared(runs):
         having = [run for run in runs if set(entry.signals) <= set(run.shown)]
         curves = {n: [(run, c) for run in having if len((c := _curve(run, n, entry.window)).x)] for n in entry.signals}
         if max(map(len, curves.values())) < 2:
             continue
-        with lettered(font, serif):
-            figure = _figure(having[0].shown, entry, curves, letters)
-            fit(figure, entry.title + note if title else "", font, inches)
-        yield entry, figure
+        yield entry, _figure(having[0].shown, entry, curves, width)
 
 
 def _shared(runs: Sequence[Overlay]) -> list[PlotEntry]:
@@ -100,14 +100,12 @@ def _shared(runs: Sequence[Overlay]) -> list[PlotEntry]:
     return [found[0] for found in same.values() if len(found) > 1]
 
 
-def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, Drawn], letters: int) -> Figure:
-    from matplotlib.figure import Figure as New
-
+def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, Drawn], width: int) -> Figure:
     there = [n for n in entry.signals if curves[n]]
     names = [n for n in there if not about[n].reference] or there
     references = [n for n in there if n not in names]
-    figure = New(figsize=(look.WIDTH, 1.3 + 2.3 * len(names)), dpi=look.DPI, layout="constrained")
-    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    figure = Figure(figsize=(look.WIDTH, 1.3 + 2.3 * len(names)), dpi=look.DPI)
+    axes = figure.column(len(names))
     scale, time = time_scale([[c for _, c in found] for found in curves.values()])
     said: list[str] = []
     for ax, name in zip(axes, names, strict=True):
@@ -115,7 +113,7 @@ def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, D
         lines = [r for n in same if (r := _common([c for _, c in curves[n]], entry.signals[n]))]
         drawn = _overlaid(ax, curves[name], lines, scale)
         if [c.label for c in drawn] != said:  # once, if it is the same below
-            legend(ax, drawn, "", letters, what="runs")
+            legend(ax, drawn, "", width, what="runs")
             said = [c.label for c in drawn]
         label = entry.signals[name] or name
         unit = about[name].unit

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import replace as changed
 from io import BytesIO
 from pathlib import Path
@@ -17,22 +16,23 @@ from softrig_core.scenario.scenario import PlotEntry
 from ..folder import replace
 from . import style as look
 from .axes import UNIT, draw, draw_logic, draw_marks, fold_exponents, is_logic, legend, styles
+from .canvas import Axes, Figure, Place
 from .curves import Curve, Source, by_unit, check_plots
 from .marks import Mark, marks_of
+from .printed import printed
 from .style import axis_title, quantity
+from .svg import svg
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.gridspec import SubplotSpec
+    from matplotlib.figure import Figure as Printed
 
-OVERVIEW = "overview.png"
+OVERVIEW = "overview.svg"
 UNDATED: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs give equal files
 
 
 def plot_name(number: int, title: str) -> str:
     """File name of a scenario's plot entry, counted from 1."""
-    return f"plot_{number:02d}_{re.sub(r'[^a-z0-9]+', '_', title.lower()).strip('_')[:60]}.png"
+    return f"plot_{number:02d}_{re.sub(r'[^a-z0-9]+', '_', title.lower()).strip('_')[:60]}.svg"
 
 
 def plot_entry(
@@ -44,8 +44,8 @@ def plot_entry(
     font: float | None = None,
     inches: float | None = None,
     serif: bool = False,
-) -> Figure:
-    """Draw one plot of a run.
+) -> Printed:
+    """Draw one plot of a run by matplotlib.
 
     Parameters
     ----------
@@ -59,26 +59,20 @@ def plot_entry(
         Letters like Times.
     """
     source = Source(signals, rig)
-    with lettered(font, serif):
-        letters = int(110 * (inches or look.WIDTH) / look.WIDTH * 9.0 / (font or 9.0))
-        marks = marks_of(rig, signals)
-        figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks, letters)
-        fit(figure, entry.title if title else "", font, inches)
-    return figure
+    marks = marks_of(rig, signals)
+    figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks, letters(font, inches))
+    return fitted(figure, entry.title if title else "", font, inches, serif)
 
 
-@contextmanager
-def lettered(font: float | None, serif: bool) -> Iterator[None]:
-    """Draw with letters of a size, in points, and kind."""
-    from matplotlib import rc_context
+def letters(font: float | None, inches: float | None) -> int:
+    """Return how many letters of a legend a picture of a width has room for."""
+    return int(110 * (inches or look.WIDTH) / look.WIDTH * 9.0 / (font or 9.0))
 
+
+def fitted(drawn: Figure, title: str, font: float | None, inches: float | None, serif: bool) -> Printed:
+    """Draw a picture by matplotlib, with a width, a size and kind of letters, and a title."""
     own = {"font.size": font, "legend.fontsize": font, "axes.titlesize": font} if font else {}
-    with rc_context(look.style() | own | (look.SERIF if serif else {})):
-        yield
-
-
-def fit(figure: Figure, title: str, font: float | None, inches: float | None) -> None:
-    """Give a figure its width, the size of its letters and its title."""
+    figure = printed(drawn, own | (look.SERIF if serif else {}))
     if inches:
         wide, high = figure.get_size_inches()
         figure.set_size_inches(inches, high * max(inches / wide, 0.7))
@@ -88,9 +82,10 @@ def fit(figure: Figure, title: str, font: float | None, inches: float | None) ->
     if title:
         figure.suptitle(title, x=0.008, ha="left", fontsize=font or 12, fontweight="bold")
     fold_exponents(figure)
+    return figure
 
 
-def write_figure(figure: Figure, path: Path, **how: Any) -> None:
+def write_figure(figure: Printed, path: Path, **how: Any) -> None:
     """Write a picture, whole or not at all, its letters as letters in every format, equal figures as equal files."""
     from matplotlib import rc_context
 
@@ -113,14 +108,14 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: 
     directory : Path
         An existing directory.
     also : str
-        svg or pdf: a file of this kind beside each PNG; empty: none.
+        pdf or png: a file of this kind beside each SVG, by matplotlib; empty: none.
     most : int, optional
         Only the first plots, and the overview if there are fewer.
 
     Returns
     -------
     list of Path
-        `plot_name` of each entry in its order, then ``overview.png``. An entry about nothing but what an outside node
+        `plot_name` of each entry in its order, then ``overview.svg``. An entry about nothing but what an outside node
         would publish, and did not, has no picture.
 
     Raises
@@ -128,26 +123,22 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: 
     ScenarioError
         A plot names a signal that the rig does not have.
     """
-    from matplotlib import rc_context
-
     check_plots(rig)
     source = Source(signals, rig)
     marks = marks_of(rig, signals)
     paths = []
-    with rc_context(look.style()):
-        outside = {p.topic for m in rig.members if m.external for p in m.outputs} & set(source.silent)
-        for number, entry in enumerate(rig.scenario.plots[:most], 1):
-            parts = [part for name in entry.signals for part in name.split(" - ", 1)]
-            if outside and all(source.topic(part) in outside for part in parts):
-                continue
-            figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks)
-            paths.append(directory / plot_name(number, entry.title))
-            save_figure(figure, paths[-1], entry.title, rig.scenario.name, also)
+    outside = {p.topic for m in rig.members if m.external for p in m.outputs} & set(source.silent)
+    for number, entry in enumerate(rig.scenario.plots[:most], 1):
+        parts = [part for name in entry.signals for part in name.split(" - ", 1)]
+        if outside and all(source.topic(part) in outside for part in parts):
+            continue
+        figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks)
+        paths.append(directory / plot_name(number, entry.title))
+        save_figure(figure, paths[-1], entry.title, rig.scenario.name, also)
     if most is not None and len(paths) >= most:
         return paths
-    with rc_context(look.style() | {"lines.linewidth": 1.0}):
-        paths.append(directory / OVERVIEW)
-        save_figure(_overview(source), paths[-1], "Every recorded signal", rig.scenario.name, also)
+    paths.append(directory / OVERVIEW)
+    save_figure(_overview(source), paths[-1], "Every recorded signal", rig.scenario.name, also)
     return paths
 
 
@@ -157,26 +148,25 @@ def save_figure(figure: Figure, path: Path, title: str, run: str, also: str = ""
     Parameters
     ----------
     path : Path
-        The PNG.
+        The SVG.
     also : str
-        svg, pdf, or empty.
+        pdf, png, or empty: a file of this kind beside it, by matplotlib.
     """
     figure.suptitle(title, x=0.008, ha="left", fontsize=12, fontweight="bold")
     figure.text(0.992, 0.992, run, ha="right", va="top", fontsize=8, color=look.SOFT)
-    fold_exponents(figure)
-    write_figure(figure, path)
+    replace(path, svg(figure))
     if also:
-        write_figure(figure, path.with_suffix(f".{also}"))
+        drawn = printed(figure)
+        fold_exponents(drawn)
+        write_figure(drawn, path.with_suffix(f".{also}"))
 
 
-def _time_figure(source: Source, entry: PlotEntry, marks: Mapping[str, Sequence[Mark]], letters: int = 110) -> Figure:
+def _time_figure(source: Source, entry: PlotEntry, marks: Mapping[str, Sequence[Mark]], width: int = 110) -> Figure:
     """Signals over time: one row a unit, without those that were never published."""
-    from matplotlib.figure import Figure
-
     curves = [source.shown(entry, name) for name in entry.signals]
     rows = by_unit([c for c in curves if len(c.x)])
-    figure = Figure(figsize=(look.WIDTH, 1.6 + 2.3 * max(1, len(rows))), dpi=look.DPI, layout="constrained")
-    axes = figure.subplots(max(1, len(rows)), 1, sharex=True, squeeze=False)[:, 0]
+    figure = Figure(figsize=(look.WIDTH, 1.6 + 2.3 * max(1, len(rows))), dpi=look.DPI)
+    axes = figure.column(max(1, len(rows)))
     scale, time = time_scale(rows.values())
     for ax, (unit, row) in zip(axes, rows.items(), strict=False):
         if is_logic(row):
@@ -187,7 +177,7 @@ def _time_figure(source: Source, entry: PlotEntry, marks: Mapping[str, Sequence[
         entries = draw_marks(ax, [m for c in row for m in marks.get(c.signal, ())], scale)
         ax.set_ylabel(_value_title(row, unit, entry.quantity))
         if len(row) > 1 or entries:
-            legend(ax, row, "", letters, entries)
+            legend(ax, row, "", width, entries)
     _limit_time(axes[-1], entry, scale)
     if not rows:
         axes[0].set_axis_off()
@@ -217,9 +207,7 @@ def note(figure: Figure, text: str) -> None:
 
 def _xy_figure(source: Source, entry: PlotEntry) -> Figure:
     """Signals against another signal of their topic; a true shape where both axes have the same unit."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(0.7 * look.WIDTH, 0.64 * look.WIDTH), dpi=look.DPI, layout="constrained")
+    figure = Figure(figsize=(0.7 * look.WIDTH, 0.64 * look.WIDTH), dpi=look.DPI)
     ax = figure.subplots()
     found = [source.against(entry, name) for name in entry.signals]
     curves = [curve for _, curve in found]
@@ -238,12 +226,10 @@ def _xy_figure(source: Source, entry: PlotEntry) -> Figure:
 
 def _overview(source: Source) -> Figure:
     """Every signal over time, one small axes for each unit of each topic, topics down the columns."""
-    from matplotlib.figure import Figure
-
     panels = list(_panels(source))
     columns = 1 if len(panels) < 4 else 2
     rows = max(1, -(-len(panels) // columns))
-    figure = Figure(figsize=(look.WIDTH, 0.9 + 1.55 * rows), dpi=look.DPI, layout="constrained")
+    figure = Figure(figsize=(look.WIDTH, 0.9 + 1.55 * rows), dpi=look.DPI, line=1.0)
     scale, time = time_scale([row for _, _, row in panels])
     axes: list[Axes] = []
     for place, (topic, unit, row) in zip(places(figure, len(panels), columns), panels, strict=True):
@@ -270,7 +256,7 @@ def _overview(source: Source) -> Figure:
     return figure
 
 
-def places(figure: Figure, count: int, columns: int) -> list[SubplotSpec]:
+def places(figure: Figure, count: int, columns: int) -> list[Place]:
     """Divide a figure into columns, none of them with a hole: of an odd number the first takes the whole width.
 
     Parameters

@@ -164,7 +164,12 @@ def _gauge(metric: Result) -> Element | str:
 def _pictures(directory: Path, run: RunRecord) -> Iterator[Element]:
     wanted = [(plot_name(i, p.title), p.title, ", ".join(p.signals)) for i, p in enumerate(run.plots, 1)]
     wanted.append((OVERVIEW, "Every recorded signal", ""))
-    found = [(directory / name, title, text) for name, title, text in wanted if (directory / name).is_file()]
+    files = [
+        (path, title, text)
+        for name, title, text in wanted
+        for path in (directory / name, (directory / name).with_suffix(".png"))  # which an older run has
+    ]
+    found = [entry for entry in files if entry[0].is_file()]
     if not found and (directory / "bag").is_dir():
         with TemporaryDirectory() as folder, suppress(ScenarioError, BagError):  # its scenario or bag may be gone
             for path in draw_missing(directory, Path(folder)):

@@ -160,7 +160,7 @@ def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> It
     for system in dict.fromkeys(run.system for run in records):
         mine = [k for k, run in enumerate(records) if run.system == system]
         found = {k: opened for k in mine if (opened := _signals(runs[k][0] / "bag")) is not None}
-        drawn: list[tuple[str, bytes]] = []
+        drawn: list[tuple[str, str]] = []
         alone: list[str] = []
         for part in _lengths({k: records[k].simulated_s for k in found}):
             ends = max(records[k].simulated_s for k in part)

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..plots.canvas import Axes, Cells, Figure
 from ..plots.overlay import BAND
 from ..plots.pictures import note, places, plot_name, save_figure
-from ..plots.style import COLOURS, DPI, WIDTH, axis_title, quantity, style
+from ..plots.shades import shades
+from ..plots.style import COLOURS, DPI, WIDTH, axis_title, quantity
 from .definition import Search, Study
 from .table import label
 from .work import absent, value_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Row = Mapping[str, Any]
 Array = NDArray[np.float64]
@@ -42,20 +40,17 @@ def draw_study(
     units : mapping
         Unit of each figure, parameter (``node.name``) and signal.
     also : str
-        svg or pdf: a file of this kind beside each PNG.
+        pdf or png: a file of this kind beside each SVG, by matplotlib.
 
     Returns
     -------
     list of Path
         Of the pictures, in their order.
     """
-    from matplotlib import rc_context
-
     paths = []
-    with rc_context(style()):
-        for number, (title, figure) in enumerate(_figures(study, rows, signals, units), 1):
-            paths.append(folder / plot_name(number, title))
-            save_figure(figure, paths[-1], title, study.name, also)
+    for number, (title, figure) in enumerate(_figures(study, rows, signals, units), 1):
+        paths.append(folder / plot_name(number, title))
+        save_figure(figure, paths[-1], title, study.name, also)
     return paths
 
 
@@ -101,10 +96,8 @@ def numeric(rows: Sequence[Row]) -> list[str]:
 
 
 def _axes(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:
-    from matplotlib.figure import Figure as New
-
     columns = min(2, count)
-    figure = New(figsize=(WIDTH, height * -(-count // columns) + 0.6), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(WIDTH, height * -(-count // columns) + 0.6), dpi=DPI)
     return figure, [figure.add_subplot(place) for place in places(figure, count, columns)]
 
 
@@ -151,7 +144,6 @@ def _over(
                         _lost(ax, [v], f"{case}: {lost}" if case else lost)
                 if len(at) <= TICKS:
                     ax.set_xticks(at)
-                    ax.minorticks_off()
             else:
                 ax.plot(x[sure], y[sure], ".", markersize=3, alpha=0.6, label=named)
                 _lost(ax, x[~sure], "")
@@ -224,7 +216,7 @@ def _map(rows: Sequence[Row], varied: Sequence[str], name: str, units: Mapping[s
     return figure
 
 
-def _map_of(ax: Axes, rows: Sequence[Row], varied: Sequence[str], name: str, scale: Mapping[str, Any]) -> Any:
+def _map_of(ax: Axes, rows: Sequence[Row], varied: Sequence[str], name: str, scale: Mapping[str, Any]) -> Cells:
     """Draw the map of one case, what has no value as crosses; give what a bar of colours is made of."""
     placed = [row for row in rows if all(p in row["overrides"] for p in varied)]
     sure = [row["figures"].get(name) is not None for row in placed]
@@ -237,10 +229,10 @@ def _map_of(ax: Axes, rows: Sequence[Row], varied: Sequence[str], name: str, sca
             for j, u in enumerate(at_x):
                 here = z[(x == u) & (y == v) & sure]
                 mean[i, j] = here.mean() if here.size else np.nan
-        drawn: Any = ax.pcolormesh(at_x, at_y, mean, shading="nearest", **scale)
-        for axis, at in ((ax.xaxis, at_x), (ax.yaxis, at_y)):
+        drawn = ax.pcolormesh(at_x, at_y, mean, shading="nearest", **scale)
+        for set_ticks, at in ((ax.set_xticks, at_x), (ax.set_yticks, at_y)):
             if len(at) <= TICKS:
-                axis.set_ticks(at)
+                set_ticks(at)
     else:
         drawn = ax.scatter(x[sure], y[sure], c=z[sure], s=8, **scale)
     if not all(sure):
@@ -296,7 +288,7 @@ def _history(search: Search, rows: Sequence[Row], units: Mapping[str, str]) -> F
     if not kept.all():
         ax.plot(n[sure & ~kept], y[sure & ~kept], "x", markersize=4, alpha=0.5, color=LOST, label="beyond the limits")
     better = np.minimum if search.aim == "minimise" else np.maximum
-    ax.step(n[kept], better.accumulate(y[kept]), where="post", label="best so far")
+    ax.plot(n[kept], better.accumulate(y[kept]), drawstyle="steps-post", label="best so far")
     if said := absent(value_of(row, search.figure) for row in rows):
         ax.set_title(said, loc="right", fontsize=9, color=LOST)
     ax.set_xlabel("Run")
@@ -307,8 +299,6 @@ def _history(search: Search, rows: Sequence[Row], units: Mapping[str, str]) -> F
 
 
 def _parallel(search: Search, rows: Sequence[Row]) -> Figure:
-    from matplotlib import colormaps
-
     figure, (ax,) = _axes(1, 4.0)
     names = [n for n in numeric(rows) if n in search.parameters]
     sure = [row for row in rows if row["figures"].get(search.figure) is not None]
@@ -319,11 +309,12 @@ def _parallel(search: Search, rows: Sequence[Row]) -> Figure:
     columns.append(np.array([r["figures"][search.figure] for r in sure], float))
     spans = [(c.min(), np.ptp(c) or 1.0) for c in columns]
     shares = np.linspace(0.0, 1.0, max(2, len(sure)))
+    colours = shades("viridis", shares)
     for k in range(len(sure)):
         ax.plot(
             range(len(columns)),
             [(c[k] - lo) / span for c, (lo, span) in zip(columns, spans, strict=True)],
-            color=colormaps["viridis"](shares[k]),
+            color=colours[k],
             alpha=0.2 + 0.6 * shares[k],
             linewidth=0.8,
         )

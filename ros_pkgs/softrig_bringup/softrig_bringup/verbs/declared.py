@@ -228,7 +228,7 @@ def _vary(verb: Verb) -> None:
     study.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
     study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")
-    study.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
+    study.add_argument("--format", choices=("pdf", "png"), default="", help="pictures of this kind beside the SVG")
     study.add_argument("--out", type=Path, metavar="DIR", help="results go here (runs/study_NAME and what is varied)")
     _workers(study)
     falsify = verb(
@@ -249,7 +249,7 @@ def _vary(verb: Verb) -> None:
     falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after the corners (cmaes)")
     falsify.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     falsify.add_argument("--first", action="store_true", default=None, help="end at the first violation")
-    falsify.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
+    falsify.add_argument("--format", choices=("pdf", "png"), default="", help="pictures of this kind beside the SVG")
     falsify.add_argument("--no-plots", action="store_true", help="scenario files and bags only")
     falsify.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/falsify_NAME)")
     _workers(falsify)

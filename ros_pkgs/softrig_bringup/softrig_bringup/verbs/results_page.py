@@ -157,7 +157,7 @@ def _run(row: Finding, out: Path | None) -> Element:
     place = Path("runs", name)
     if out is None or not (out / place / "report.html").is_file():
         return e("code", name)
-    first = next(iter(sorted((out / place).glob("plot_01_*.png"))), out / place / OVERVIEW)
+    first = next(iter(sorted((out / place).glob("plot_01_*.svg"))), out / place / OVERVIEW)
     return e(
         "div",
         e("a", e("code", name), href=f"{place}/report.html"),

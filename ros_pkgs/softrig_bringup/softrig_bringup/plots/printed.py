@@ -1,0 +1,56 @@
+"""A picture drawn by matplotlib: for a paper, a page of the documentation, a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import style as look
+from .canvas import Across, Axes, Figure, Place
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Printed
+
+
+def printed(figure: Figure, own: Mapping[str, Any] | None = None) -> Printed:
+    """Draw a picture anew by matplotlib.
+
+    Parameters
+    ----------
+    own : mapping
+        Settings of matplotlib beside those of `softrig_bringup.plots.style`.
+    """
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure as New
+
+    with rc_context(look.style() | {"lines.linewidth": figure.line} | dict(own or {})):
+        made = New(figsize=figure.size, dpi=figure.dpi, layout="constrained")
+        known: dict[int, Any] = {id(figure): made}
+        for call in figure.calls:
+            target = known[id(call.target)]
+            if call.name == "whole_numbers":
+                from matplotlib.ticker import MaxNLocator
+
+                target.xaxis.set_major_locator(MaxNLocator(integer=True))
+                continue
+            args = [_there(value, known) for value in call.args]
+            kwargs = {name: _there(value, known, target) for name, value in call.kwargs.items()}
+            result = getattr(target, call.name)(*args, **kwargs)
+            if isinstance(call.result, np.ndarray | list):
+                known |= {id(own): there for own, there in zip(np.ravel(call.result), np.ravel(result), strict=True)}
+            elif call.result is not None:
+                known[id(call.result)] = result
+    return made
+
+
+def _there(value: Any, known: Mapping[int, Any], target: Any = None) -> Any:
+    """Return what stands in matplotlib's picture for something of ours; a number or a text for itself."""
+    if isinstance(value, Across):
+        return target.get_xaxis_transform() if value.data == "x" else target.get_yaxis_transform()
+    if isinstance(value, Place):
+        return known[id(value.grid)][value.key]
+    if isinstance(value, list) and any(id(item) in known for item in value):
+        return [_there(item, known) for item in value]
+    return known.get(id(value), value) if isinstance(value, Axes) or not isinstance(value, (int, float, str)) else value
