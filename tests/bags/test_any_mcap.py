@@ -241,4 +241,3 @@ def test_the_types_of_our_own_topics_are_as_the_library_of_all_types_has_them():
     assert known.definition_of("std_msgs/msg/ColorRGBA") is None  # only within others, or not at all
     topic = BagTopic.known("/x", "sensor_msgs/msg/JointState")
     assert (topic.definition, topic.digest) == known.definition_of("sensor_msgs/msg/JointState")
-

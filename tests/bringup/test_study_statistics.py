@@ -18,6 +18,7 @@ from softrig_bringup.study.statistics import statistics
 from softrig_bringup.study.table import results
 from softrig_core import ScenarioError
 from test_study import folder  # noqa: F401  (a scenario `lag` in a folder of its own)
+from told import on_paper
 
 UNIFORM = {"uniform": [0.0, 1.0]}
 
@@ -253,7 +254,7 @@ def test_a_map_of_each_case():
         for j in range(3)
         for row in rows_of(study(), lambda *of: 0.0)
     ]
-    figure = pictures._map(rows, ["n.x", "n.y"], "f", {"f": "s"})
+    figure = on_paper(pictures._map(rows, ["n.x", "n.y"], "f", {"f": "s"}))
     maps = [ax.collections[0] for ax in figure.axes[:2]]
     assert [ax.get_title(loc="left") for ax in figure.axes[:2]] == ["a, 9 runs", "b, 9 runs"]
     assert [m.get_array().max() for m in maps] == [2.0, 12.0]

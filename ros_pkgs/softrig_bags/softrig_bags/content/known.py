@@ -176,7 +176,7 @@ _BETWEEN = "=" * 80
 
 @cache
 def definition_of(msgtype: str) -> tuple[str, str] | None:
-    """Return the definition of a type with all types in it, as a bag has it, and its hash; None for a type of others."""
+    """Return the definition of a type, with all types in it, and its hash; None for a type that is not in the list."""
     if msgtype not in _HASHES:
         return None
     names = list(dict.fromkeys(_within(msgtype)))

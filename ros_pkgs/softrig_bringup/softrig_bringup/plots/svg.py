@@ -22,7 +22,7 @@ LONG = 20_000  # points of a curve in a plane from which on a piece that is draw
 # advance of DejaVu Sans, hundredths of the size: the widest of the usual letters, so that nothing lies over another
 _WIDTHS = {
     28: "'ijl", 32: "IJ ,.f", 36: "/:;\\|-", 40: "()[]t!", 42: "r", 54: "*_`szc?\"", 59: "vxyFkLP", 62: "Tabdeghnopqu",
-    64: "0123456789E$", 69: "ABCKRSVXZ", 76: "DGHNUO", 79: "Q&", 84: "#+<=>~w", 88: "Mm", 100: "W%@",
+    64: "0123456789E$", 69: "ABCKRSVXZ", 77: "DGHNU", 79: "OQ&", 84: "#+<=>~w", 88: "Mm", 100: "W%@",
 }  # fmt: skip
 Whole = NDArray[np.int64]
 _WIDTH = {letter: width / 100 for width, letters in _WIDTHS.items() for letter in letters}
