@@ -21,8 +21,8 @@ FINE = 10  # parts of a pixel that coordinates of curves are rounded to
 LONG = 20_000  # points of a curve in a plane from which on a piece that is drawn twice is left out
 # advance of DejaVu Sans, hundredths of the size: the widest of the usual letters, so that nothing lies over another
 _WIDTHS = {
-    28: "'ijl", 32: "IJ ,.f", 36: "/:;\\|-", 40: "()[]t!", 42: "r", 54: "*_`szc?\"", 59: "vxyFkLP", 62: "Tabdeghnopqu",
-    64: "0123456789E$", 69: "ABCKRSVXZ", 77: "DGHNU", 79: "OQ&", 84: "#+<=>~w", 88: "Mm", 100: "W%@",
+    30: "'IJijl", 36: " ,-./:;\\f|", 41: "!()[]rt", 46: '"', 54: "*?_`sz", 60: "FLPckvxy",
+    64: "$0123456789ESTYabdeghnopqu{}", 70: "ABCKRVXZ", 78: "&DGHNOQU", 84: "#+<=>^w~", 88: "M", 100: "%@Wm",
 }  # fmt: skip
 Whole = NDArray[np.int64]
 _WIDTH = {letter: width / 100 for width, letters in _WIDTHS.items() for letter in letters}
