@@ -18,8 +18,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from softrig_core.wire.cdr import Layout
-from softrig_nodes.ros.arrival import RMW, Arrival, library
-from softrig_nodes.ros.leave import leave
+from softrig_nodes.below.arrival import RMW, Arrival, library
+from softrig_nodes.below.leave import leave
 
 STATE = Layout("sensor_msgs/msg/JointState", "", ("shaft",), {"position": 1, "velocity": 1, "effort": 1})
 SENSORS = Layout("sensor_msgs/msg/JointState", "", ("encoder_count", "current_a"), {"position": 2})

@@ -18,9 +18,9 @@ from rich.table import Table
 from softrig_bags.content.stamps import stamp
 from softrig_core import SECOND
 from softrig_core.wire.cdr import Layout
+from softrig_nodes.below.leave import leave
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import environment
-from softrig_nodes.ros.leave import leave
 
 from .console import console
 

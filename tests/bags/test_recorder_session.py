@@ -410,7 +410,7 @@ def session(monkeypatch):
     stop_at = [0]
     executor = SimpleNamespace(add_node=lambda node: None, spin_until_future_complete=spin)
     monkeypatch.setattr(ros.signal, "signal", signals.__setitem__)
-    monkeypatch.setattr(ros, "EventsExecutor", lambda: executor)
+    monkeypatch.setattr(ros.uses, "executor", lambda: executor)
     monkeypatch.setattr(ros, "Node", Given)
     monkeypatch.setattr(ros, "look_after_ports", after.append)
     monkeypatch.setattr(ros.rclpy, "init", lambda **_: None)

@@ -45,7 +45,7 @@ LIMITS = {
     "softrig_nodes.ros.garbage": {"CLEAN": 100, "UNCLEAN": 10},
     "softrig_nodes.ros.processor": {"SHORT": 200_000, "ENOUGH": 100, "LONG": 200 * MS},
     # the end of a process, and who asks from outside, s
-    "softrig_nodes.ros.leave": {"PATIENCE": 2},
+    "softrig_nodes.below.leave": {"PATIENCE": 2},
     "softrig_nodes.ros.remote": {"PATIENCE": 10.0},
     "softrig_nodes.processes.supervision": {"GRACE": 1.5},
     "softrig_nodes.processes.children": {
@@ -84,8 +84,8 @@ LIMITS = {
     "softrig_nodes.processes.fork_server ": {"PR_SET_PDEATHSIG": 1, "PR_SET_NAME": 15},
     "softrig_nodes.processes.domain ": {"SIOCGIFFLAGS": 0x8913, "IFF_UP": 1},
     "softrig_nodes.seam.health": {"AT_FDCWD": -100, "RENAME_EXCHANGE": 2},
-    "softrig_nodes.ros.arrival": {"TAKE_FAILED": 401, "SIZE": 4096},
-    "softrig_nodes.ros.tf_message": {"MESSAGE": 18, "MESSAGES": 145},
+    "softrig_nodes.below.arrival": {"TAKE_FAILED": 401, "SIZE": 4096},
+    "softrig_nodes.below.tf_message": {"MESSAGE": 18, "MESSAGES": 145},
     # records and messages: digits, names, messages, bytes
     "softrig_core.wire.cdr": {"DIGITS": 12, "SINGLY": 32},
     "softrig_core.wire.recording": {"CHUNK": 4096},

@@ -21,11 +21,12 @@ from softrig_core.block.scene import Pose
 from softrig_core.rig.options import Links, RunOptions
 from softrig_nodes import container as containers
 from softrig_nodes.adapter.adapter import Adapter
+from softrig_nodes.below import arrival, tf_message, uses
 from softrig_nodes.container import Container
 from softrig_nodes.face import frames
 from softrig_nodes.face.faces import Faces
 from softrig_nodes.face.tuning import Tuning
-from softrig_nodes.ros import arrival, contained, remote, ros, tf_message
+from softrig_nodes.ros import contained, remote, ros
 from softrig_nodes.ros.contained import ContainedMiddleware
 from softrig_nodes.ros.garbage import Garbage
 from softrig_nodes.ros.messages import diagnostic_array, marker_array, message_class, range_descriptor
@@ -672,23 +673,19 @@ def test_the_graph_is_told_by_endpoints_and_who_asks_for_more_is_named(monkeypat
         end("b", depth=1, reliability=best),
         end("c", "x", depth=1, reliability=reliable),
     ]
-    monkeypatch.setattr(
-        ros,
-        "_rclpy",
-        SimpleNamespace(
-            rclpy_get_publishers_info_by_topic=lambda handle, topic, mangled: (
-                writers if (topic, mangled) == ("/t", False) else []
-            ),
-            rclpy_get_subscriptions_info_by_topic=lambda handle, topic, mangled: readers if topic == "/t" else [],
+    found = SimpleNamespace(
+        rclpy_get_publishers_info_by_topic=lambda handle, topic, mangled: (
+            writers if (topic, mangled) == ("/t", False) else []
         ),
+        rclpy_get_subscriptions_info_by_topic=lambda handle, topic, mangled: readers if topic == "/t" else [],
     )
+    monkeypatch.setattr(uses, "_c", lambda: found)
     node = Rcl()
     node.handle = nullcontext()
     middleware = RosMiddleware(node)
     assert middleware.publishers("/t") == [Peer("law", "/rig", "a/msg/B"), Peer("other", "/rig", "a/msg/B")]
     node.handle = nullcontext()
     assert [p.name for p in middleware.subscribers("/t")] == ["a", "b", "c"]
-    monkeypatch.setattr(middleware, "_endpoints", lambda ask, topic: ask(None, topic, False))
     ((name, why),) = middleware.unfit("/t", "a/msg/B")
     assert (name, "reliab" in why.lower(), "ERROR" in why, why[-1] != ";") == ("a", True, False, True)
     assert middleware.unfit("/u", "a/msg/B") == []

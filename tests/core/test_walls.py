@@ -17,7 +17,7 @@ ROOMS = {
         "errors bits timebase entry guard interrupt needs extras command_line runners kit wire judge block former "
         "board native solver scenario rig verdict run drawing analysis export firmware"
     ),
-    "softrig_nodes": "processes seam ros adapter lockstep realtime face group rehearsal main container preloaded",
+    "softrig_nodes": "below processes seam ros adapter lockstep realtime face group rehearsal main container preloaded",
     "softrig_bags": (
         "errors content files tables read messages pairing compare align scenery health info export write repair tape "
         "live cli"

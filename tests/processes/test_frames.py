@@ -8,11 +8,11 @@ import pytest
 from conftest import PATIENCE
 from rosbags.typesys import Stores, get_typestore
 from softrig_core.block.scene import Pose
+from softrig_nodes.below.tf_message import ELEMENT, HASH, SOURCE, TF
 from softrig_nodes.face.frames import encode
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import environment, find_executable
 from softrig_nodes.processes.fork_server import start_node
-from softrig_nodes.ros.tf_message import ELEMENT, HASH, SOURCE, TF
 from softrig_robots.manipulator.plant import ManipulatorPlant
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -8,7 +8,7 @@ from conftest import PATIENCE
 
 STUCK = """
 import ctypes
-from softrig_nodes.ros.leave import leave
+from softrig_nodes.below.leave import leave
 
 class Node:
     executor = None

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from softrig_core.command_line import Number, Parser
 from softrig_core.guard import guarded, plain
 from softrig_core.wire.recording import relative
-from softrig_nodes.ros.leave import leave
+from softrig_nodes.below.leave import leave
 
 from .errors import BagError
 

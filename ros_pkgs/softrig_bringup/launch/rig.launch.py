@@ -16,6 +16,7 @@ from launch.substitutions import LaunchConfiguration
 from launch.utilities.signal_management import AsyncSafeSignalManager
 from launch_ros.actions import Node
 from softrig_bringup.verbs.launched import ARGUMENTS, begin, strange
+from softrig_nodes.below.uses import signal_manager
 
 
 def generate_launch_description():
@@ -35,7 +36,7 @@ def _ended(launched, event, context):
 
 def _end_in_order(context, launched):
     """SIGTERM kills launch itself (3.4), and its own handler for it would leave the processes and cancel the rest."""
-    manager = getattr(AsyncSafeSignalManager, "_AsyncSafeSignalManager__current", None)
+    manager = signal_manager(AsyncSafeSignalManager)
     if manager is not None:
         ending = Ending(reason="SIGTERM", due_to_sigint=False)
 

@@ -26,11 +26,12 @@ from softrig_core.timebase import SECOND
 
 from .adapter.adapter import Adapter
 from .adapter.spin import conclude, failure
+from .below import uses
+from .below.leave import leave
 from .group import Group
 from .main import make_adapter
 from .ros.contained import ContainedMiddleware
 from .ros.garbage import Garbage
-from .ros.leave import leave
 from .ros.profile import joining
 from .ros.ros import ServingNode
 from .seam.exchange import Exchange
@@ -65,9 +66,7 @@ class Container:
 
     def run(self) -> int:
         """Run until all nodes have finished, one has failed, or the process is stopped; gives the exit status."""
-        from rclpy.experimental.events_executor import EventsExecutor
-
-        executor = EventsExecutor()
+        executor = uses.executor()
         for node in self.nodes:
             executor.add_node(node)
         stopped = False

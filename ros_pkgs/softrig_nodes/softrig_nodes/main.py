@@ -23,12 +23,13 @@ from softrig_core.rig.options import RunOptions
 
 from .adapter.adapter import Adapter
 from .adapter.spin import spin
+from .below.leave import leave
+from .below.uses import make_empty, overrides
 from .face.faces import Faces
 from .face.tuning import Tuning
 from .group import Group
 from .processes.executables import LOOPBACK, given_profile
 from .rehearsal import rehearse
-from .ros.leave import leave
 from .ros.messages import range_descriptor
 from .ros.profile import joining
 from .ros.ros import RosMiddleware, ServingNode
@@ -140,9 +141,7 @@ def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
     """Declare all parameters with descriptions and ranges, and validate the values given."""
     # an empty list in a file has no type for rclpy, so that nothing may be declared from what is given as it is
     absent = {d.name for d in declarations(block_class.Params) if d.default is None}  # those that may have no value
-    given = {
-        name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in node._parameter_overrides.items()
-    }
+    given = {name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in overrides(node).items()}
     given = {name: value for name, value in given.items() if not (name in absent and value in ([], "null"))}
     for name in ("use_sim_time", "start_type_description_service"):
         given.pop(name, None)
@@ -165,5 +164,4 @@ def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -
         if value is not None or declaration.live:
             node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)
         if value == []:  # rclpy takes it for bytes
-            node._parameters[declaration.name] = Parameter(declaration.name, ARRAYS[declaration.type], [])
-            node.describe_parameter(declaration.name).type = ARRAYS[declaration.type].value
+            make_empty(node, declaration.name, ARRAYS[declaration.type])

@@ -12,7 +12,6 @@ from itertools import chain, groupby, islice
 from operator import itemgetter
 from typing import Any
 
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import NodeNameNonExistentError
@@ -25,6 +24,7 @@ from softrig_core.wire import parameter_event
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.parameter_event import decode
 from softrig_core.wire.recording import relative
+from softrig_nodes.below.uses import RCLError
 from softrig_nodes.ros.messages import message_class
 from std_srvs.srv import Trigger
 

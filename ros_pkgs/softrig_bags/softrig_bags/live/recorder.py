@@ -12,6 +12,7 @@ from rclpy.event_handler import QoSSubscriptionEventType as Event, SubscriptionE
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from softrig_core import RunError
+from softrig_nodes.below.uses import taken
 from softrig_nodes.ros.messages import message_class
 from softrig_nodes.seam.awaited import RECORDER, left_out
 from softrig_nodes.seam.tick import TICK
@@ -273,9 +274,8 @@ class Recorder:
             self._take(subscription)
 
     def _take(self, subscription: Subscription) -> None:
-        with subscription.handle:
-            while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-                subscription.callback(taken[0])
+        for data in taken(subscription):
+            subscription.callback(data)
 
 
 def _listed(counts: dict[str, int]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from types import FrameType
 from typing import Any, ClassVar
 
@@ -13,8 +12,6 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.event_handler import EventHandler, QoSSubscriptionEventType as Event
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -24,13 +21,13 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from softrig_core import SECOND
 from softrig_core.block.params import Declaration
+from softrig_nodes.below import uses
 from softrig_nodes.ros.messages import range_descriptor
 from softrig_nodes.ros.profile import joining, look_after_ports
 
 from ..content.topics import BagTopic
 from ..errors import BagError
 
-WaitSet = rclpy_implementation.WaitSet
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 SLICE = 0.1  # s: longest wait before a signal is noticed
 _ADAPTED = 10  # depth of `rmw_qos_profile_default`
@@ -57,7 +54,7 @@ class Session:
     Attributes
     ----------
     opened : Session or None
-        The session of this process; the two end together (`softrig_nodes.ros.leave`).
+        The session of this process; the two end together (`softrig_nodes.below.leave`).
     """
 
     opened: ClassVar[Session | None] = None
@@ -89,7 +86,7 @@ class Session:
         for declaration, value in parameters:
             self.node.declare_parameter(declaration.name, value, range_descriptor(declaration))
         look_after_ports(self.node)
-        self._executor: Any = EventsExecutor()
+        self._executor: Any = uses.executor()
         self._executor.add_node(self.node)
 
     def _signalled(self, number: int, frame: FrameType | None) -> None:
@@ -110,7 +107,8 @@ class Session:
 
     def settle(self) -> None:
         """Handle what had arrived when `spin` was stopped."""
-        self._executor.spin_until_future_complete(Future(), 0.0)
+        for _ in range(1 if uses.works("take_message") else _QUEUE):  # a turn takes a message where we cannot
+            self._executor.spin_until_future_complete(Future(), 0.0)
 
 
 class EventPoll:
@@ -134,29 +132,23 @@ class EventPoll:
             )
             for kind, callback in callbacks.items()
         ]
+        if not uses.works("wait_set"):
+            for handler in self._handlers[subscription]:
+                self._node.add_waitable(handler)
 
     def remove(self, subscription: Subscription) -> None:
         """Forget a subscription."""
         for handler in self._handlers.pop(subscription):
+            if not uses.works("wait_set"):
+                self._node.remove_waitable(handler)
             handler.destroy()
 
     def poll(self) -> None:
         """Call back for every status that changed since the last call."""
         handlers = [h for group in self._handlers.values() for h in group]
-        if not handlers:
-            return
-        with ExitStack() as stack:
-            stack.enter_context(self._node.context.handle)
-            for handler in handlers:
-                stack.enter_context(handler)
-            wait_set = WaitSet(0, 0, 0, 0, 0, len(handlers), self._node.context.handle)
-            wait_set.clear_entities()
-            for handler in handlers:
-                handler.add_to_wait_set(wait_set)
-            wait_set.wait(0)
-            news = [(h.callback, h.take_data()) for h in handlers if h.is_ready(wait_set)]
-        for callback, status in news:
-            callback(status)
+        if handlers and uses.works("wait_set"):
+            for callback, status in uses.news(self._node, handlers):
+                callback(status)
 
 
 def offered(profile: QoSProfile) -> Qos:

@@ -12,18 +12,17 @@ from softrig_core.errors import RunError, describe
 from softrig_core.guard import tell
 from softrig_core.timebase import SECOND
 
+from ..below import uses
 from .adapter import Adapter
 
 
 def spin(node: Node, adapter: Adapter) -> int:
     """Spin; gives the exit status."""
-    from rclpy.experimental.events_executor import EventsExecutor
-
     finished: Future[None] = Future()
     adapter.on_finished = lambda: None if finished.done() else finished.set_result(None)
     stopped = False
     try:
-        executor = EventsExecutor()
+        executor = uses.executor()
         executor.add_node(node)
         gc.collect()
         gc.freeze()

@@ -11,9 +11,10 @@ from softrig_core.timebase import SECOND
 from softrig_core.wire.stream import Writer
 
 from ..adapter.adapter import Adapter
+from ..below.tf_message import TF
+from ..below.uses import sending
 from ..ros.messages import message_class
 from ..ros.ros import QOS
-from ..ros.tf_message import TF
 
 PERIOD = SECOND // 30  # ns of the wall between two sets of moving frames: a viewer's pictures
 
@@ -33,7 +34,7 @@ class Frames:
         still = standing(adapter.step.markers(), scene, adapter.step.outputs)
         if still:
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            node.create_publisher(message_class(TF), "/tf_static", latched).handle.publish_raw(encode(0, still))
+            sending(node.create_publisher(message_class(TF), "/tf_static", latched))(encode(0, still))
         if scene is None:
             return
         self._tf = node.create_publisher(message_class(TF), "/tf", QOS)
@@ -50,7 +51,7 @@ class Frames:
         said = adapter.step.said.get(scene.port)
         if said:
             self._stamp = stamp
-            self._tf.handle.publish_raw(encode(stamp, scene.moving([said[k] for k in self._positions])))
+            sending(self._tf)(encode(stamp, scene.moving([said[k] for k in self._positions])))
 
 
 def encode(stamp: int, poses: Iterable[Pose]) -> bytes:

@@ -14,7 +14,7 @@ from softrig_core.block.port import WORLD
 from softrig_core.kit.resource import prefixes
 from softrig_core.timebase import SECOND
 
-from .tf_message import TF, tf_class
+from ..below.tf_message import TF, tf_class
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from ast import literal_eval
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from functools import wraps
@@ -15,25 +15,38 @@ from typing import Any, ParamSpec
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter, get_parameter_value
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from softrig_core.block.block import Level
 from softrig_core.errors import RunError, closest
 from softrig_core.wire.cdr import Layout
 from yaml import YAMLError
 
+from ..below.arrival import Arrival, library
+from ..below.uses import (
+    RCLError,
+    answer_by,
+    descriptors,
+    endpoints,
+    keep_overrides,
+    leave_to_executor,
+    leave_to_us,
+    log,
+    options as made_with,
+    overrides,
+    parameters,
+    sending,
+)
 from ..processes.shared_memory import Ears, domain_id
 from ..seam.middleware import Matched, Middleware, Numbered, Peer, Place, Receive, Send
 from ..seam.monitor import Monitor
-from .arrival import Arrival, library
 from .garbage import Garbage
 from .messages import message_class
 from .processor import Processor
@@ -180,7 +193,8 @@ class ServingNode(Node):  # type: ignore[misc]
 
     def __init__(self, *names: Any, **options: Any) -> None:
         self.monitor = Monitor(self._wake)
-        super().__init__(*names, **options)
+        super().__init__(*names, **options | made_with())
+        keep_overrides(self)
 
     def _wake(self) -> None:
         if (executor := self.executor) is not None:
@@ -214,8 +228,9 @@ class ServingNode(Node):  # type: ignore[misc]
 
         service = super().create_service(srv_type, srv_name, answer, **options)
         # the executor asks the service for it at each answer (rclpy 7.1 to 10)
-        service.send_response = Answers(
-            service.send_response, lambda: self.count_clients(service.srv_name), self._credit, self._soon
+        answer_by(
+            service,
+            lambda send: Answers(send, lambda: self.count_clients(service.srv_name), self._credit, self._soon),
         )
         return service
 
@@ -240,26 +255,28 @@ class ServingNode(Node):  # type: ignore[misc]
             text = f"more is set than fits between the ticks, expected a pause of {wait:.1f} s"
             self.overdrawn(text)
             return SetParametersResult(successful=False, reason=text)
-        now = {p.name: self._parameters[p.name] for p in wanted if p.name in self._parameters}
-        strange = next((p.name for p in wanted if p.name not in self._descriptors), None)
+        known, described = parameters(self), descriptors(self)
+        now = {p.name: known[p.name] for p in wanted if p.name in known}
+        strange = next((p.name for p in wanted if p.name not in described), None)
         if strange is not None:  # rclpy would not name it
-            reason = f"{strange} is no parameter of {self.get_name()}{closest(strange, self._descriptors)}"
+            reason = f"{strange} is no parameter of {self.get_name()}{closest(strange, described)}"
             return SetParametersResult(successful=False, reason=reason)
         new = [p for p in wanted if p.name not in now or now[p.name].type_ != p.type_ or plain(now[p.name]) != plain(p)]
         if reason := next(filter(None, map(self._misfit, new)), ""):
             return SetParametersResult(successful=False, reason=reason)
         self.remark = ""
-        kinds = {p.name: self._descriptors[p.name].type for p in new}
+        kinds = {p.name: described[p.name].type for p in new}
         result = self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
         if not result.successful:  # rclpy describes by then what it has refused
             for name, kind in kinds.items():
-                self._descriptors[name].type = kind
+                described[name].type = kind
         result.reason = result.reason or self.remark
         return result
 
     def _misfit(self, wanted: Parameter) -> str:
         """Say why a value cannot take the place of the one there is: rclpy takes any kind, and none for a removal."""
-        kind = self._parameters[wanted.name].type_ if wanted.name in self._parameters else Parameter.Type.NOT_SET
+        known = parameters(self)
+        kind = known[wanted.name].type_ if wanted.name in known else Parameter.Type.NOT_SET
         if kind in (Parameter.Type.NOT_SET, wanted.type_):
             return ""
         if wanted.type_ == Parameter.Type.NOT_SET:
@@ -269,11 +286,12 @@ class ServingNode(Node):  # type: ignore[misc]
     def _meant(self, message: Any) -> Parameter:
         """Give what is to be set: numbers as real ones where these are expected, whatever they were taken for."""
         given = Parameter.from_parameter_msg(message)
-        known = self._parameters.get(given.name, given)
-        if given.name in self._parameters and message.value == guessed(plain(known)):
+        there = parameters(self)
+        known = there.get(given.name, given)
+        if given.name in there and message.value == guessed(plain(known)):
             return known
         real = known.type_ == Parameter.Type.DOUBLE or (
-            known.type_ == Parameter.Type.NOT_SET and self._descriptors[given.name].floating_point_range
+            known.type_ == Parameter.Type.NOT_SET and descriptors(self)[given.name].floating_point_range
         )
         with suppress(ValueError, TypeError, SyntaxError):
             if real and given.type_ in NUMBERS:
@@ -308,8 +326,8 @@ def guessed(value: Any) -> Any:
     return None
 
 
-def _peer(endpoint: Mapping[str, Any]) -> Peer:
-    return Peer(endpoint["node_name"], endpoint["node_namespace"], endpoint["topic_type"])
+def _peer(endpoint: TopicEndpointInfo) -> Peer:
+    return Peer(endpoint.node_name, endpoint.node_namespace, endpoint.topic_type)
 
 
 Arguments = ParamSpec("Arguments")
@@ -379,9 +397,9 @@ class RosMiddleware(Middleware):
     def __init__(self, node: ServingNode) -> None:
         self.node = node
         # else a late reader may be owed what was published before
-        self.mute = not any(name.startswith("qos_overrides.") for name in node._parameter_overrides)
+        self.mute = not any(name.startswith("qos_overrides.") for name in overrides(node))
         self.monitor = node.monitor
-        mode = node._parameter_overrides.get("run.mode")
+        mode = overrides(node).get("run.mode")
         self._written = WRITTEN if mode is not None and mode.value == "lockstep" else QOS
         self._read: list[tuple[Any, Receive, Matched]] = []  # subscriptions
         self._arrivals: list[Arrival] = []
@@ -413,9 +431,7 @@ class RosMiddleware(Middleware):
                 event_callbacks=events,
                 qos_overriding_options=self._overrides(topic),
             )
-        # what publish(bytes) ends in, without its type checks: worth 5 % of a lockstep loop
-        publish: Callable[[bytes], None] = made.handle.publish_raw
-        return publish
+        return sending(made)
 
     def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
         """Offer a topic; its messages become bytes only while somebody in another process reads it."""
@@ -480,7 +496,7 @@ class RosMiddleware(Middleware):
         for subscription, receive, matched in self._read:
             if subscription.topic_name in own:
                 continue
-            self.node._subscriptions.remove(subscription)  # the executor would ask for its messages and events, too
+            leave_to_us(self.node, subscription)  # the executor would ask for its messages and events, too
             for handler in subscription.event_handlers:
                 self.node.remove_waitable(handler)
             self._arrivals.append(Arrival(rcl, subscription, receive, matched, self.monitor.arrive))
@@ -516,7 +532,7 @@ class RosMiddleware(Middleware):
         while self._arrivals:
             arrival = self._arrivals.pop()
             arrival.end()
-            self.node._subscriptions.append(arrival.subscription)
+            leave_to_executor(self.node, arrival.subscription)
             for handler in arrival.subscription.event_handlers:
                 self.node.add_waitable(handler)
         self.monitor.serve()
@@ -527,7 +543,7 @@ class RosMiddleware(Middleware):
         Without anything given there are no six parameters for each.
         """
         prefix = f"qos_overrides.{self.resolve(topic)}."
-        given = any(name.startswith(prefix) for name in self.node._parameter_overrides)
+        given = any(name.startswith(prefix) for name in overrides(self.node))
         return QoSOverridingOptions(POLICIES) if given else None
 
     def post(self, call: Callable[[], object]) -> None:
@@ -559,27 +575,22 @@ class RosMiddleware(Middleware):
 
     def publishers(self, topic: str) -> list[Peer]:
         """Writers of a topic, as the graph shows them."""
-        return [_peer(i) for i in self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)]
+        return [_peer(i) for i in endpoints(self.node, topic, writers=True)]
 
     def subscribers(self, topic: str) -> list[Peer]:
         """Readers of a topic, as the graph shows them."""
-        return [_peer(i) for i in self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic)]
+        return [_peer(i) for i in endpoints(self.node, topic, writers=False)]
 
     def unfit(self, topic: str, msgtype: str) -> list[tuple[str, str]]:
         """Name the readers of a topic of ours that ask for more than it offers."""
-        writers = self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)
-        offered = [QoSProfile(**i["qos_profile"]) for i in writers if _peer(i).full_name == self.full_name]
+        writers = endpoints(self.node, topic, writers=True)
+        offered = [i.qos_profile for i in writers if _peer(i).full_name == self.full_name]
         found = []
-        for reader in self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic) if offered else ():
-            fits, why = qos_check_compatible(offered[0], QoSProfile(**reader["qos_profile"]))
-            if fits == QoSCompatibility.ERROR and reader["topic_type"] == msgtype:
+        for reader in endpoints(self.node, topic, writers=False) if offered else ():
+            fits, why = qos_check_compatible(offered[0], reader.qos_profile)
+            if fits == QoSCompatibility.ERROR and reader.topic_type == msgtype:
                 found.append((_peer(reader).name, str(why).replace("ERROR: ", "").strip("; ")))
         return found
-
-    def _endpoints(self, ask: Callable[..., list[dict[str, Any]]], topic: str) -> list[dict[str, Any]]:
-        # rclpy's own method would apply this node's remaps to a name that is one already
-        with self.node.handle:
-            return ask(self.node.handle, topic, False)
 
     def subscriptions_of(self, peer: Peer) -> list[str]:
         """Topics that a node reads."""
@@ -600,9 +611,9 @@ class RosMiddleware(Middleware):
         """Log by the node's logger: terminal, log file and /rosout."""
         logger, severity = self.node.get_logger(), SEVERITY[level]
         if logger.is_enabled_for(severity):
-            # what logger.error(text) ends in; on the way there rclpy reads source files to name the caller: 13 to 30 ms
-            # at the first text, 0.25 ms at each other one, and a node says something when it is late already
-            _rclpy.rclpy_logging_rcutils_log(severity, logger.name, text, "", "", 0)
+            # by itself rclpy reads source files to name the caller: 13 to 30 ms at the first text, 0.25 ms at each
+            # other one, and a node says something when it is late already
+            log(logger, severity, text)
 
     def drain(self) -> None:
         """Wait until every reader has the last messages, but not for ever: one may be held."""

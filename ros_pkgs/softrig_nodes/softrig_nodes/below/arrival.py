@@ -9,13 +9,14 @@ lock; rclpy does all of that so.
 from __future__ import annotations
 
 import ctypes
+import importlib
 import threading
 from collections.abc import Callable
 from typing import Any
 
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+
+from .uses import RCLError, works
 
 RMW = "rmw_fastrtps_cpp"  # whose locks are known: what may be called while it tells of a message
 NAMES = (
@@ -50,13 +51,15 @@ _Heard = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
 
 def library() -> Any:
     """Give what `Arrival` calls, or None where it is not known to be safe or not there."""
-    if rclpy.get_rmw_implementation_identifier() != RMW:
+    if rclpy.get_rmw_implementation_identifier() != RMW or not works("subscriptions"):
         return None
     try:
-        found = ctypes.CDLL(_rclpy.__file__)  # with it, all that it is linked with: no second rcl
+        found = ctypes.CDLL(
+            importlib.import_module("rclpy._rclpy_pybind11").__file__
+        )  # with it, all that it is linked with: no second rcl
         for name in NAMES:
             getattr(found, name)
-    except (OSError, AttributeError):
+    except (ImportError, OSError, AttributeError):
         return None
     found.rcutils_get_default_allocator.restype = _Allocator
     return found

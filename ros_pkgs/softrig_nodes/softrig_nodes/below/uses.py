@@ -1,0 +1,274 @@
+"""What is used of rclpy below its public interface: with which version it was seen, a test of it, and the public way.
+
+Each use is tested once a process, before it is first made; where the test fails, or `SOFTRIG_PUBLIC` names the use
+(several parted by commas, or `all`), the public way is taken. It gives the same numbers; it takes longer or tells less.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, suppress
+from functools import cache
+from typing import Any, NamedTuple
+
+from rclpy.logging import LoggingSeverity
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+VARIABLE = "SOFTRIG_PUBLIC"
+OF_ROS = ("use_sim_time", "start_type_description_service")  # which every node declares itself
+
+
+class Use(NamedTuple):
+    """One thing below the public interface.
+
+    Parameters
+    ----------
+    seen : str
+        Versions with which it was seen to be so.
+    instead : str
+        The public way, and what it costs.
+    test : callable
+        Raises, or returns something false, where it is otherwise.
+    """
+
+    seen: str
+    instead: str
+    test: Callable[[], object]
+
+
+def _c() -> Any:
+    return importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation
+
+
+def _takes(function: Any, *names: str) -> bool:
+    """Return whether a function has these parameters; one of C says so in its first line of help."""
+    try:
+        known = set(inspect.signature(function).parameters)
+    except ValueError:
+        return all(f"{name}:" in (function.__doc__ or "") for name in names)
+    return set(names) <= known
+
+
+def _assigns(kind: type, *names: str) -> bool:
+    return set(names) <= set(kind.__init__.__code__.co_names)  # type: ignore[misc]
+
+
+def _service() -> bool:
+    service = importlib.import_module("rclpy.service").Service
+    return callable(service.send_response) and not hasattr(service, "__slots__")
+
+
+USES = {
+    "error": Use("rclpy 7.1 to 10", "RuntimeError, of which it is one", lambda: issubclass(_rcl_error(), RuntimeError)),
+    "publish_raw": Use(
+        "rclpy 7.1 to 10", "Publisher.publish: 5 % of a lockstep loop", lambda: _takes(_c().Publisher.publish_raw)
+    ),
+    "log": Use(
+        "rclpy 7.1 to 10",
+        "the logger's methods, which read source files to name the caller: 13 to 30 ms at the first text",
+        lambda: callable(_c().rclpy_logging_rcutils_log),
+    ),
+    "endpoints": Use(
+        "rclpy 7.1 to 10",
+        "Node.get_publishers_info_by_topic, which applies the node's remaps to a name that is one already",
+        lambda: (
+            callable(_c().rclpy_get_publishers_info_by_topic) and callable(_c().rclpy_get_subscriptions_info_by_topic)
+        ),
+    ),
+    "overrides": Use(
+        "rclpy 7.1 to 10",
+        "the node declares what it is given, which is undeclared again",
+        lambda: _assigns(Node, "_parameter_overrides"),
+    ),
+    "parameters": Use(
+        "rclpy 7.1 to 10",
+        "Node.get_parameter and describe_parameter; empty lists have the type of bytes",
+        lambda: _assigns(Node, "_parameters", "_descriptors"),
+    ),
+    "subscriptions": Use(
+        "rclpy 7.1 to 10",
+        "the executor takes all messages: a third of a lockstep loop's rate",
+        lambda: _assigns(Node, "_subscriptions"),
+    ),
+    "send_response": Use(
+        "rclpy 7.1 to 10", "an answer to a client that has gone takes 0.1 s of a tick's time", _service
+    ),
+    "events_executor": Use(
+        "rclpy 7.1 to 10",
+        "SingleThreadedExecutor: six times the processor time of a message",
+        lambda: callable(importlib.import_module("rclpy.experimental.events_executor").EventsExecutor),
+    ),
+    "wait_set": Use(
+        "rclpy 7.1 to 10",
+        "events by the executor, which may stop for ever under heavy loss",
+        lambda: all(callable(getattr(_c().WaitSet, n)) for n in ("clear_entities", "wait")),
+    ),
+    "take_message": Use(
+        "rclpy 7.1 to 10",
+        "the executor's turns: of a queue at the end it takes one message a turn",
+        lambda: callable(_c().Subscription.take_message),
+    ),
+}
+
+
+def _rcl_error() -> type[Exception]:
+    return importlib.import_module("rclpy._rclpy_pybind11").RCLError  # type: ignore[no-any-return]
+
+
+@cache
+def works(name: str) -> bool:
+    """Return whether a use of `USES` is as it was seen, and nobody wants the public way."""
+    asked = os.environ.get(VARIABLE, "").split(",")
+    if name in asked or "all" in asked:
+        return False
+    try:
+        return bool(USES[name].test())
+    except (ImportError, AttributeError, TypeError):
+        return False
+
+
+RCLError: type[Exception] = _rcl_error() if works("error") else RuntimeError
+
+
+def sending(publisher: Any) -> Callable[[bytes], None]:
+    """Return what publishes the bytes of a message."""
+    return publisher.handle.publish_raw if works("publish_raw") else publisher.publish  # type: ignore[no-any-return]
+
+
+def log(logger: Any, severity: LoggingSeverity, text: str) -> None:
+    """Log a text."""
+    if works("log"):
+        _c().rclpy_logging_rcutils_log(severity, logger.name, text, "", "", 0)
+        return
+    # each its own line: rclpy refuses another severity at a place that has logged before
+    if severity == LoggingSeverity.ERROR:
+        logger.error(text)
+    elif severity == LoggingSeverity.WARN:
+        logger.warning(text)
+    else:
+        logger.info(text)
+
+
+def endpoints(node: Node, topic: str, *, writers: bool) -> list[TopicEndpointInfo]:
+    """Return the writers or readers of a topic, which is named in full."""
+    if not works("endpoints"):
+        return list((node.get_publishers_info_by_topic if writers else node.get_subscriptions_info_by_topic)(topic))
+    ask = _c().rclpy_get_publishers_info_by_topic if writers else _c().rclpy_get_subscriptions_info_by_topic
+    with node.handle:
+        return [TopicEndpointInfo(**found) for found in ask(node.handle, topic, False)]
+
+
+def options() -> dict[str, bool]:
+    """Return what a node is made with, so that `keep_overrides` finds what it is given."""
+    return {} if works("overrides") else {"automatically_declare_parameters_from_overrides": True}
+
+
+def keep_overrides(node: Node) -> None:
+    """Note what a new node, made with `options`, is given, and leave it to be declared."""
+    if works("overrides"):
+        return
+    node.softrig_overrides = {n: p for n, p in node.get_parameters_by_prefix("").items() if n not in OF_ROS}
+    for name in node.softrig_overrides:
+        node.undeclare_parameter(name)
+
+
+def overrides(node: Node) -> Mapping[str, Parameter]:
+    """Return the parameters that a node is given by arguments and files, declared or not."""
+    return node._parameter_overrides if works("overrides") else node.softrig_overrides  # type: ignore[no-any-return]
+
+
+class _Known(Mapping[str, Any]):
+    """What a node has of each of its parameters, asked for by public methods."""
+
+    def __init__(self, node: Node, ask: Callable[[str], Any], missing: Callable[[str], Any]) -> None:
+        self._node, self._ask, self._missing = node, ask, missing
+
+    def __getitem__(self, name: str) -> Any:
+        if not self._node.has_parameter(name):
+            raise KeyError(name)
+        with suppress(Exception):  # of one without a value, ParameterUninitializedException
+            return self._ask(name)
+        return self._missing(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._node.get_parameters_by_prefix(""))
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+
+def parameters(node: Node) -> Mapping[str, Parameter]:
+    """Return the parameters of a node by name; one without a value is not set."""
+    if works("parameters"):
+        return node._parameters  # type: ignore[no-any-return]
+    return _Known(node, node.get_parameter, lambda name: Parameter(name, Parameter.Type.NOT_SET))
+
+
+def descriptors(node: Node) -> Mapping[str, Any]:
+    """Return the descriptors of a node's parameters by name."""
+    if works("parameters"):
+        return node._descriptors  # type: ignore[no-any-return]
+    return _Known(node, node.describe_parameter, node.describe_parameter)
+
+
+def make_empty(node: Node, name: str, kind: Parameter.Type) -> None:
+    """Give a parameter that is an empty list its type: rclpy takes it for bytes."""
+    if works("parameters"):
+        node._parameters[name] = Parameter(name, kind, [])
+        node.describe_parameter(name).type = kind.value
+
+
+def leave_to_us(node: Node, subscription: Any) -> None:
+    """Take a subscription from what the executor asks for; see `works("subscriptions")` first."""
+    node._subscriptions.remove(subscription)
+
+
+def leave_to_executor(node: Node, subscription: Any) -> None:
+    """Have the executor ask for a subscription again."""
+    node._subscriptions.append(subscription)
+
+
+def executor() -> Any:
+    """Return what calls the node's callbacks."""
+    if works("events_executor"):
+        return importlib.import_module("rclpy.experimental.events_executor").EventsExecutor()
+    return importlib.import_module("rclpy.executors").SingleThreadedExecutor()
+
+
+def answer_by(service: Any, wrap: Callable[[Any], Any]) -> None:
+    """Have a service send its answers by what `wrap` makes of its own way to send."""
+    if works("send_response"):
+        service.send_response = wrap(service.send_response)
+
+
+def news(node: Node, handlers: Iterable[Any]) -> list[tuple[Callable[[Any], None], Any]]:
+    """Return the callbacks of those event handlers that have a new status, with it."""
+    handlers = list(handlers)
+    with ExitStack() as stack:
+        for held in (node.context.handle, *handlers):
+            stack.enter_context(held)
+        wait_set = _c().WaitSet(0, 0, 0, 0, 0, len(handlers), node.context.handle)
+        wait_set.clear_entities()
+        for handler in handlers:
+            handler.add_to_wait_set(wait_set)
+        wait_set.wait(0)
+        return [(h.callback, h.take_data()) for h in handlers if h.is_ready(wait_set)]
+
+
+def taken(subscription: Any) -> Iterator[bytes]:
+    """Return the messages that have arrived and that no executor has taken; none where rclpy does not give them."""
+    if not works("take_message"):
+        return
+    with subscription.handle:
+        while (found := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+            yield found[0]
+
+
+def signal_manager(kind: type) -> Any:
+    """Return launch's handler of signals (3.4 to 3.7); None in another launch, which then ends at SIGTERM by itself."""
+    return getattr(kind, "_AsyncSafeSignalManager__current", None)

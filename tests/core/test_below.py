@@ -1,0 +1,130 @@
+"""What is used below rclpy's public interface: each self-test can fail, and the public way then gives the same."""
+
+import ast
+from pathlib import Path
+
+import pytest
+import rclpy
+from conftest import differences, in_process, make_scenario
+from rclpy.context import Context
+from rclpy.logging import LoggingSeverity
+from rclpy.parameter import Parameter
+from softrig_core import rig_of
+from softrig_nodes import run_processes
+from softrig_nodes.below import arrival, uses
+from softrig_nodes.processes.placement import Placement
+from softrig_nodes.ros.ros import ServingNode
+from std_msgs.msg import Float64
+
+PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
+BELOW = ("rclpy._rclpy_pybind11", "rclpy.impl", "rclpy.experimental")
+C = {"softrig_nodes/seam/health.py", "softrig_nodes/processes/fork_server.py"}  # of the C library, nothing of ROS
+
+
+@pytest.fixture
+def public(monkeypatch):
+    """Take the public way of a use, or of all."""
+
+    def choose(name):
+        monkeypatch.setenv(uses.VARIABLE, name)
+        uses.works.cache_clear()
+
+    yield choose
+    monkeypatch.undo()
+    uses.works.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def node():
+    context = Context()
+    words = ["--ros-args", "-p", "k:=2.5", "-p", "qos_overrides./x:=1", "-r", "/a:=/b"]
+    rclpy.init(context=context, args=words, domain_id=97)
+    made = ServingNode("below", namespace="/rig", context=context)
+    made.declare_parameter("k", 1.0)
+    yield made
+    made.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+@pytest.mark.parametrize("name", uses.USES)
+def test_a_use_works_here_and_one_that_is_otherwise_falls_back(name, monkeypatch):
+    uses.works.cache_clear()
+    assert uses.works(name)
+    use = uses.USES[name]
+    assert use.seen
+    assert use.instead
+
+    def gone(name):
+        raise ImportError(name)  # another rclpy
+
+    with monkeypatch.context() as other:
+        other.setattr(uses.importlib, "import_module", gone)
+        other.setattr(uses, "Node", type("Node", (), {"__init__": lambda self: None}))
+        uses.works.cache_clear()
+        assert not uses.works(name)
+    uses.works.cache_clear()
+
+
+def test_nothing_else_in_the_packages_goes_below():
+    """By imports, and ctypes; private attributes are ruff's (SLF001), which exempts this room alone."""
+    found = []
+    for file in PACKAGES.glob("softrig_*/softrig_*/**/*.py"):
+        if "below" in file.parts or not {"softrig_nodes", "softrig_bags"} & set(file.parts):
+            continue
+        for one in ast.walk(ast.parse(file.read_text())):
+            names = [a.name for a in one.names] if isinstance(one, ast.Import) else []
+            names += (
+                [f"{one.module}.{a.name}" for a in one.names] if isinstance(one, ast.ImportFrom) and one.module else []
+            )
+            place = "/".join(file.parts[-3:])
+            found += [(place, n) for n in names if n.startswith(BELOW) or (n == "ctypes" and place not in C)]
+    assert found == [("softrig_nodes/softrig_nodes/preloaded.py", "rclpy.experimental.events_executor")]
+
+
+def test_the_public_way_gives_the_same(node, public):
+    ways = []
+    publisher, received = node.create_publisher(Float64, "/b", 10), []
+    reader = node.create_subscription(Float64, "/b", received.append, 10)
+    for way in ("", "all"):
+        public(way)
+        with_way = ServingNode(f"way_{len(ways)}", context=node.context)
+        ways.append(
+            (
+                {n: p.value for n, p in uses.overrides(with_way).items()},
+                {n: p.value for n, p in uses.parameters(node).items() if n != "use_sim_time"},
+                {n: d.type for n, d in uses.descriptors(node).items() if n == "k"},
+                [(e.node_name, e.node_namespace, e.topic_type) for e in uses.endpoints(node, "/b", writers=True)],
+                [e.node_name for e in uses.endpoints(node, "/b", writers=False)],
+                uses.parameters(node).get("nothing"),
+            )
+        )
+        for level in (LoggingSeverity.INFO, LoggingSeverity.WARN, LoggingSeverity.ERROR):
+            uses.log(node.get_logger(), level, "a text")
+        uses.sending(publisher)(b"\0\1\0\0" + bytes(8))
+        with_way.destroy_node()
+        assert (arrival.library() is None) == (way == "all")
+    assert ways[0] == ways[1]
+    assert ways[0][0] == {"k": 2.5, "qos_overrides./x": 1}
+    assert len(ways[0][1]) >= 1
+    assert len(ways[0][3]) == 1
+    node.destroy_subscription(reader)
+
+
+def test_an_empty_list_has_a_type_where_rclpy_lets_it(node, public):
+    public("")
+    node.declare_parameter("empty", [])
+    uses.make_empty(node, "empty", Parameter.Type.DOUBLE_ARRAY)
+    assert node.get_parameter("empty").type_ == Parameter.Type.DOUBLE_ARRAY
+    public("parameters")
+    uses.make_empty(node, "empty", Parameter.Type.STRING_ARRAY)  # it stays what it is
+    assert uses.parameters(node)["empty"].type_ == Parameter.Type.DOUBLE_ARRAY
+
+
+@pytest.mark.processes
+def test_a_rig_that_goes_the_public_way_has_the_same_bits(public, tmp_path):
+    public("all")
+    rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.1))
+    outcome = run_processes(rig, 0, tmp_path, Placement())
+    assert outcome.error == ""
+    assert differences(in_process(rig), outcome.recording) == []
+    assert not any(status.get("prompt") for status in outcome.status.values())
