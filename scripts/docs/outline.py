@@ -39,6 +39,11 @@ KINDS = {
         "Everything by name; most of it is made from the code.",
         ("scenario_file", "file_formats", "model_kit", "licences"),
     ),
+    "lab": (
+        "Laboratory",
+        "Measurements of single days: speed, starts, the strength of the tests. The other pages explain; these have the figures.",
+        ("placements_measured", "tests"),
+    ),
 }  # fmt: skip
 
 
@@ -109,7 +114,7 @@ GALLERY = SYSTEMS | MACHINES
 @cache
 def pages() -> dict[str, Path]:
     """Find the pages and notebooks of the packages by file name."""
-    return {page.stem: page for page in sorted(ROOT.glob("ros_pkgs/*/doc/*.*")) if page.suffix in (".md", ".ipynb")}
+    return {page.stem: page for page in sorted(ROOT.glob("ros_pkgs/*/doc/**/*.*")) if page.suffix in (".md", ".ipynb")}
 
 
 @cache

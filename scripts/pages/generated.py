@@ -253,7 +253,7 @@ def untrue(page: str, path: Path, runs: bool = False) -> list[str]:
     """Say which numbers of the text of a page at `path` have no source or are not as it says."""
     tests = next((f / "tests" for f in path.resolve().parents if (f / "tests").is_dir()), path.parent)
     run = (lambda name: {r.name: r.number for r in results(name)}) if runs else None
-    others = (p.read_text(encoding="utf-8") for p in sorted(tests.parent.glob("ros_pkgs/*/doc/*.md")))
+    others = (p.read_text(encoding="utf-8") for p in sorted(tests.parent.glob("ros_pkgs/*/doc/**/*.md")))
     return list(numbers.faults(page, tests, run, "".join(others)))
 
 

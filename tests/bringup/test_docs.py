@@ -239,7 +239,7 @@ def test_an_index_stands_beside_what_has_a_dot():
 
 def test_every_formula_of_the_pages_can_be_set():
     """What ends the build of the site is seen daily."""
-    pages = "".join(page.read_text() for page in collect.ROOT.glob("ros_pkgs/*/doc/*.md"))
+    pages = "".join(page.read_text() for page in collect.ROOT.glob("ros_pkgs/*/doc/**/*.md"))
     fences = re.findall(r"```math\n(.*?)```", pages, re.S)
     assert len(fences) >= 14  # each system has one at least
     for formula in fences:

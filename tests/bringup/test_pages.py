@@ -17,7 +17,7 @@ from softrig_core import ScenarioError, figures_of, list_scenarios, load_scenari
 from softrig_nodes.processes.executables import find_executable
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted(p.relative_to(ROOT) for p in (*ROOT.glob("ros_pkgs/*/doc/*.md"),))
+PAGES = sorted(p.relative_to(ROOT) for p in (*ROOT.glob("ros_pkgs/*/doc/**/*.md"),))
 SYSTEMS = {
     "dc_motor_smc", "dc_motor_fsfb", "economic_dispatch", "fault_location", "gupfc", "induction_dtc", "lsrm_fuzzy",
     "manipulator_adsmc", "optimal_control_mvim", "pv_mppt", "pwa_delay", "rectifier_mpc", "rehab_impedance", "tcp_aqm",
