@@ -41,7 +41,7 @@ KINDS = {
     ),
     "lab": (
         "Laboratory",
-        "Measurements of single days: speed, starts, the strength of the tests. The other pages explain; these have the figures.",
+        "Measurements of single days: speed, starts, the strength of the tests.",
         ("placements_measured", "tests"),
     ),
 }  # fmt: skip
