@@ -231,6 +231,8 @@ def view(n=2, **more):
         "error": 1e-9,
         "worst": "a",
         "variation": 0.5,
+        "heard": {"y": 2e-6},
+        "left_out": {"z": "turns"},
         "stable": True,
         "values": {"u": 1.5},
         "units": {"u": "V"},
@@ -1271,7 +1273,8 @@ def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch
             folder.clear()
         kept = run_verb._keep(options, done, folder)
         content = kept.content
-        told.append(f"{' '.join(words) or 'plain'}: changed {kept.changed}, same {kept.same}, told {list(kept.told)}")
+        said = f"changed {list(content['changed'])}, same {kept.same}, told {list(kept.told)}"
+        told.append(f"{' '.join(words) or 'plain'}: {said}")
         told.append(f"  {content['title']}, label {content['label']!r}, {content['command']}")
         if folder:
             told.append(f"  {sorted(p.name for p in (lag / name).iterdir())}")

@@ -23,7 +23,12 @@ if TYPE_CHECKING:
     from .analysis.environment import RigEnv as RigEnv
     from .analysis.environments import RigVectorEnv as RigVectorEnv
     from .analysis.linear import Sampled as Sampled, equilibrium as equilibrium, linearise as linearise
-    from .analysis.linear_view import LinearView as LinearView, linear_view as linear_view
+    from .analysis.linear_view import (
+        LinearAlong as LinearAlong,
+        LinearView as LinearView,
+        linear_along as linear_along,
+        linear_view as linear_view,
+    )
     from .analysis.steady import (
         NoOperatingPoint as NoOperatingPoint,
         OperatingPoint as OperatingPoint,
@@ -105,7 +110,7 @@ else:
         "verdict.figures": "Figure evaluate figures_of",
         "run.expand": "rig_of",
         "run.inprocess": "run_inprocess",
-        "analysis.linear_view": "LinearView linear_view",
+        "analysis.linear_view": "LinearAlong LinearView linear_along linear_view",
         "judge.measures": "SignalMap figure window",
         "run.replay": "feed",
         "rig.rig": "Rig",

@@ -307,6 +307,12 @@ def _analyse(verb: Verb) -> None:
         "--input", action="append", metavar="SIGNAL", help="input of the state space (what sources say)"
     )
     linear.add_argument("--out", type=Path, metavar="DIR", help="numbers and pictures go here")
+    linear.add_argument(
+        "--along",
+        type=Number(int, 1, 10_000),
+        metavar="N",
+        help="matrices at each of N periods from --at on: a rig in motion, outputs that turn",
+    )
     rest = verb("steady", "verbs.linear:print_steady", "the operating point of a scenario; status 1 when there is none")
     for sub in (linear, rest):
         sub.add_argument("scenario", help="name or YAML file")

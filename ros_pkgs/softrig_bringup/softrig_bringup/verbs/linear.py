@@ -8,7 +8,7 @@ import math
 import sys
 from typing import Any
 
-from softrig_core import LinearView, NoOperatingPoint, linear_view, steady
+from softrig_core import LinearAlong, LinearView, NoOperatingPoint, ScenarioError, linear_along, linear_view, steady
 
 from ..folder import replace
 from ..options.grammar import settings
@@ -16,6 +16,7 @@ from ..terminal.listing import console
 
 DEGREES = 180.0 / math.pi
 SHOWN = 8  # modes
+NOTABLE = 1e-6  # of what an output does, how far it may be off without being named
 ANOTHER = 0.5  # variation above which poles and margins are of something else
 
 
@@ -23,7 +24,8 @@ def numbers(view: LinearView) -> dict[str, Any]:
     """Give a linear view as plain data; None where a margin is infinite."""
     found: dict[str, Any] = {
         "scenario": view.rig, "at_s": view.at, "period_s": view.period, "error": view.error, "worst": view.worst,
-        "variation": view.variation, "stable": view.stable, "values": dict(view.values), "units": dict(view.units),
+        "variation": view.variation, "heard": dict(view.heard),
+        "left_out": dict(view.left_out), "stable": view.stable, "values": dict(view.values), "units": dict(view.units),
         "closed": {"states": list(view.states), "inputs": list(view.inputs), "outputs": list(view.outputs),
                    "A": view.A.tolist(), "B": view.B.tolist(), "C": view.C.tolist(), "D": view.D.tolist()},
         "modes": [{"pole": [m.pole.real, m.pole.imag], "rate": [m.rate.real, m.rate.imag], "states": m.shares}
@@ -47,8 +49,42 @@ def numbers(view: LinearView) -> dict[str, Any]:
     return found
 
 
+def along_numbers(view: LinearAlong) -> dict[str, Any]:
+    """Return a view along a run as plain data: a matrix of each kind for each period."""
+    about = {"scenario": view.rig, "at_s": view.at, "period_s": view.period, "variation": view.variation}
+    names = {"states": list(view.states), "inputs": list(view.inputs), "outputs": list(view.outputs)}
+    matrices = {name: getattr(view, name).tolist() for name in "ABCD"}
+    return about | {"heard": view.heard} | names | matrices
+
+
+def _print_along(options: argparse.Namespace) -> int:
+    """Print how far a view along a run is from it; with ``--out``, write its matrices."""
+    view = linear_along(
+        options.scenario,
+        options.along,
+        at=options.at,
+        inputs=options.input,
+        outputs=options.output,
+        overrides=settings(options.set, options.scenario),
+    )
+    out = console()
+    out.print(f"{view.rig}, {len(view.A)} periods of {view.period:g} s from {view.at:.6g} s: {len(view.states)} states")
+    out.print(f"  {'states':20} {view.variation:.1e} from the rig itself, moved a little off", markup=False)
+    for name, apart in view.heard.items():
+        out.print(f"  {name:20} {apart:.1e}", markup=False)
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
+        replace(options.out / "along.json", json.dumps(along_numbers(view)) + "\n")
+        out.print(f"  {options.out}/along.json")
+    return 0
+
+
 def linearise(options: argparse.Namespace) -> int:
     """Print poles and margins; with ``--out``, write numbers and pictures."""
+    if options.along is not None:
+        if options.open:
+            raise ScenarioError("--along gives the matrices of the whole rig: expected no --open beside it")
+        return _print_along(options)
     view = linear_view(
         options.scenario,
         options.open,
@@ -78,8 +114,14 @@ def linearise(options: argparse.Namespace) -> int:
         ("known to", f"{view.error:.1e} of a column, the worst is {view.worst}"),
         ("varies by", f"{view.variation:.1e} from the rig itself within ten periods"),
     ]
+    rows += [("left out", f"{name} {why}") for name, why in view.left_out.items()]
+    if (most := max(view.heard.values(), default=0.0)) > NOTABLE:
+        name = max(view.heard, key=view.heard.__getitem__)
+        rows += [("outputs", f"{most:.1e} from the rig within 40 periods, the worst is {name}")]
     if view.variation > ANOTHER:
-        rows += [("so", "this is not the rig: something in it goes in steps, or it is another one each period")]
+        rows += [
+            ("so", "this is not the rig: something in it goes in steps, or it is another one each period (--along)")
+        ]
     for name, text in rows:
         out.print(f"  {name:20} {text}", markup=False)
     if options.out:

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -37,6 +38,9 @@ Array = NDArray[np.float64]
 STEPS = tuple(2.0**-n for n in range(4, 33, 4))  # of the size of what is moved
 AGREED = 1e-11  # neighbouring steps that agree so well need no smaller one
 CHECKED = 10  # periods of the whole over which the linear rig is held against the rig
+HEARD_FOR = 40  # periods over which each output is
+LEFT_OUT = 1e-3  # of what an output does in them, and a hundred times what the states are off: beyond it is none
+LATER = 3  # periods after which an output is looked at again: whether it is another function of the states at each tick
 FOLLOWED = 200  # periods that can be run from where the view is
 NEARER = 2.0**-8  # of the steps of the columns, how far all states together are moved off there
 ROUNDS = 5  # in which sizes of states are found that are at zero in the run
@@ -111,6 +115,12 @@ class LinearView:
         Largest difference of a column between its step and the neighbouring one, of its largest entry.
     worst : str
         Of which state or input.
+    heard : dict of str to float
+        Of each output the largest difference between the linear rig and the rig over 40 periods, both moved a little
+        off in all states; of the largest that it does in them.
+    left_out : dict of str to str
+        Outputs that are none of the states, and why: they turn with an angle, belong to some ticks alone, or go in
+        steps.
     variation : float
         Largest difference between the linear rig and the rig after each of ten periods, both moved a little off in all
         states; of the largest difference to the run that is not moved. A rig that is another one each period has it
@@ -137,10 +147,16 @@ class LinearView:
     error: float
     worst: str
     variation: float
+    heard: Mapping[str, float] = MappingProxyType({})
+    left_out: Mapping[str, str] = MappingProxyType({})
 
     @cached_property
     def closed(self) -> control.StateSpace:
-        """The whole rig, of the python-control library, with the names of its states and signals."""
+        """The whole rig, of the python-control library, with the names of its states and signals.
+
+        Its `margin` looks for crossings between frequencies and does not see a pole that leaves at z = -1 or 1 (a gain
+        margin of infinity where 540 is right): take `margins`.
+        """
         import control
 
         return control.ss(
@@ -156,7 +172,10 @@ class LinearView:
 
     @cached_property
     def opened(self) -> control.StateSpace:
-        """The loop L opened at the link, with the states that hear of the link and that it hears of."""
+        """The loop L opened at the link, with the states that hear of the link and that it hears of.
+
+        `control.margin` does not see a pole that leaves at z = -1 or 1: take `margins`.
+        """
         import control
 
         A, b, c, d, names = self._loop
@@ -248,7 +267,7 @@ class LinearView:
 
     @cached_property
     def loop(self) -> control.FrequencyResponseData:
-        """Give the opened loop at `omega`, of the python-control library."""
+        """Give the opened loop at `omega`, of the python-control library; `margins` sees both ends, its own do not."""
         import control
 
         return control.frd(self.at_frequencies(self.omega), self.omega, smooth=True)
@@ -376,7 +395,8 @@ def linear_view(
     if not (math.isfinite(at) and at >= 0.0):
         raise ScenarioError(f"at = {at:g} s: expected 0 or more")
     opened = _command(rig) if link is None else signal_of(rig, link) if link else ""
-    told = [signal_of(rig, name) for name in outputs or ()]
+    named = [signal_of(rig, name) for name in outputs or ()]
+    told = named
     if opened and outputs is None:
         whole = upstream(place_of(rig, opened).member)
         told = [s for s in plants_say(rig) if place_of(rig, s).member.name in whole]
@@ -390,7 +410,113 @@ def linear_view(
     found = StateMap(rig, at, number, said, [*given, *([opened] if opened else [])], FOLLOWED)
     if opened:
         _check_link(found, opened)
-    return Differences(found, told, given, opened).view()
+    view = Differences(found, told, given, opened).view()
+    if lost := [name for name in named if name in view.left_out]:
+        raise RunError(f"{rig.scenario.name}: {lost[0]} {view.left_out[lost[0]]}")
+    return view
+
+
+class LinearAlong(NamedTuple):
+    r"""A rig, linear along its run: :math:`\delta x_{k+1} = A_k \delta x_k + B_k \delta u_k`, outputs by C and D.
+
+    It carries what one matrix does not: a rig in motion, outputs that turn with an angle.
+    """
+
+    rig: str
+    """Name of the scenario."""
+
+    at: float
+    """When it begins, s."""
+
+    period: float
+    """Of the whole rig: from one k to the next, s."""
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    A: Array
+    """Shape (periods, states, states)."""
+
+    B: Array
+    """Shape (periods, states, inputs)."""
+
+    C: Array
+    """Shape (periods, outputs, states)."""
+
+    D: Array
+    """Shape (periods, outputs, inputs)."""
+
+    variation: float
+    """Largest difference of a state to the rig itself, moved off in all states, of the largest that any does, 1."""
+
+    heard: dict[str, float]
+    """The same of each output, of the largest that it does, 1."""
+
+    def answer(self, inputs: Array) -> tuple[Array, Array]:
+        """Return how states and outputs differ from the run when something is added to its inputs.
+
+        Parameters
+        ----------
+        inputs : array, shape (periods, inputs)
+            What is added over each period.
+
+        Returns
+        -------
+        states : array, shape (periods, states)
+            At the end of each period.
+        outputs : array, shape (periods, outputs)
+            At its beginning.
+        """
+        x, states, outputs = np.zeros(len(self.states)), [], []
+        for A, B, C, D, u in zip(self.A, self.B, self.C, self.D, inputs, strict=True):
+            outputs.append(C @ x + D @ u)
+            x = A @ x + B @ u
+            states.append(x)
+        return np.array(states), np.array(outputs)
+
+
+def linear_along(
+    what: str | Scenario | Rig,
+    periods: int = HEARD_FOR,
+    *,
+    at: float | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    seed: int | None = None,
+) -> LinearAlong:
+    """Linearise a rig at each period of a run, from a time on.
+
+    Parameters
+    ----------
+    what, overrides
+        See `rig_of`.
+    periods : int
+        Of the whole rig.
+    at, inputs, outputs, seed
+        See `linear_view`.
+
+    Raises
+    ------
+    ScenarioError
+        As `linear_view`, or less than one period.
+    RunError
+        The rig broke, what it remembers cannot be put back, or there are too many states.
+    """
+    if periods < 1:
+        raise ScenarioError(f"a view along {periods} periods: expected at least 1")
+    rig = rig_of(what, overrides=overrides)
+    at = max(0.0, rig.scenario.duration) if at is None else at
+    if not (math.isfinite(at) and at >= 0.0):
+        raise ScenarioError(f"at = {at:g} s: expected 0 or more")
+    told = [signal_of(rig, name) for name in outputs] if outputs is not None else plants_say(rig)
+    if not told:
+        raise ScenarioError(f"{rig.scenario.name}: no plant says anything at each of its ticks; name outputs")
+    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, told)
+    number = rig.scenario.seed if seed is None else seed
+    found = StateMap(rig, at, number, told, given, max(FOLLOWED, periods))
+    return Differences(found, told, given, "").along(periods)
 
 
 def _command(rig: Rig) -> str:
@@ -459,7 +585,7 @@ class Differences:
         self.finite = np.isfinite(found.start)  # a limit may be without one
         self.columns: dict[int | str, tuple[Array, Array]] = {}  # of numbers by place and signals by name
         self.errors: dict[int | str, float] = {}
-        self.steps: dict[int, float] = {}
+        self.steps: dict[int | str, float] = {}
 
     def _begin(self) -> dict[str, float]:
         """Give what is said where the map's `start` is now, and keep what no float tells of it."""
@@ -557,17 +683,21 @@ class Differences:
             A = a + np.outer(b, c) / (1.0 - d)
             B = B + np.outer(b, D[-1]) / (1.0 - d)
             C, D = C + np.outer(direct, c) / (1.0 - d), D + np.outer(direct, D[-1]) / (1.0 - d)
+        rows = len(self.outputs)
+        judged = _between(a, b, c) if self.link else np.ones(len(kept), bool)
+        apart, heard = self._variation(kept, A, C[:rows], judged)
+        reasons = self._left_out(kept, A, C[:rows], apart, heard)
+        on = [k for k, name in enumerate(self.outputs) if name not in reasons]
         names = [m.names[i] for i in kept]
         used: list[int | str] = [*kept, *self.inputs, *([self.link] if self.link else [])]
         worst = max(used, key=lambda key: self.errors[key], default="")
         units = signal_units(m.rig)
-        rows = len(self.outputs)
         values = dict(zip(names, m.start[kept].tolist(), strict=True)) | self.said
         return LinearView(
-            m.rig.scenario.name, m.t, m.period, tuple(names), tuple(self.inputs), tuple(self.outputs),
-            {s: units.get(s, "") for s in m.places}, values, A, B, C[:rows], D[:rows], self.link, a, b, c, d,
-            self.errors.get(worst, 0.0), m.names[worst] if isinstance(worst, int) else worst,
-            self._variation(kept, A, _between(a, b, c) if self.link else np.ones(len(kept), bool)),
+            m.rig.scenario.name, m.t, m.period, tuple(names), tuple(self.inputs), tuple(self.outputs[k] for k in on),
+            {s: units.get(s, "") for s in m.places}, values, A, B, C[on], D[on], self.link, a, b, c, d,
+            self.errors.get(worst, 0.0), m.names[worst] if isinstance(worst, int) else worst, apart,
+            {self.outputs[k]: heard[k] for k in on}, reasons,
         )  # fmt: skip
 
     def _no_loop(self) -> str:
@@ -599,6 +729,8 @@ class Differences:
         return f"no change of {link} comes back there {after}: on the way something rests on a limit, or waits"
 
     def _signal(self, name: str) -> None:
+        if math.isnan(self.said[name]):
+            raise RunError(f"{self.map.rig.scenario.name}: {name} is not said at {self.map.t:g} s: nothing to add to")
         size = _power(abs(self.said[name]) or 1.0)
 
         def at(height: float) -> tuple[Array, Array, float, str]:
@@ -606,7 +738,7 @@ class Differences:
             x, said = self.map(self.map.start, given, self.fixed)
             return x, np.array([said[s] for s in self.heard]), height, self._parted(self.map.start, given)
 
-        self.columns[name], _ = self._column(name, at, size)
+        self.columns[name], self.steps[name] = self._column(name, at, size)
 
     def _number(self, i: int) -> None:
         begin = self.map.start
@@ -667,27 +799,169 @@ class Differences:
         self.errors[key] = best[0]
         return best[1], best[2]
 
-    def _variation(self, kept: list[int], A: Array, judged: NDArray[np.bool_]) -> float:
-        """Hold the linear rig against the rig, moved off both ways in all states at once; judge some of them."""
-        if not judged.any():
-            return 0.0
-        m = self.map
+    def _off(self, kept: list[int]) -> Array:
+        """Return how far all states are moved off together."""
         signs = np.where(np.arange(len(kept)) % 3 == 1, -1.0, 1.0)
-        off = signs * np.array([self.steps[i] for i in kept]) * NEARER
-        sizes = np.maximum(m.sizes[kept], 1e-300)
-        sizes[m.sizes[kept] == 0.0] = 1.0
-        ups, downs = ([], [])  # type: tuple[list[Array], list[Array]]
-        for found, sign in ((ups, 1.0), (downs, -1.0)):
+        return signs * np.array([self.steps[i] for i in kept]) * NEARER
+
+    def _apart(self, kept: list[int], periods: int, times: float = 1.0) -> Iterator[tuple[Array, Array]]:
+        """Return how far states (after it) and outputs (before it) are apart in each period, moved off both ways."""
+        m, off = self.map, times * self._off(kept)
+        ways = []
+        for sign in (1.0, -1.0):
             start = m.start.copy()
             start[kept] += sign * off
-            found.extend(x[kept] for x, _ in m.go_on(start, CHECKED))
+            ways.append([(x[kept], np.array([said[s] for s in self.outputs])) for x, said in m.go_on(start, periods)])
+        for (up, heard_up), (down, heard_down) in zip(*ways, strict=True):
+            yield 0.5 * (up - down), 0.5 * (heard_up - heard_down)
+
+    def _variation(self, kept: list[int], A: Array, C: Array, judged: NDArray[np.bool_]) -> tuple[float, list[float]]:
+        """Hold the linear rig against the rig, moved off both ways in all states at once; judge some of them."""
+        if not len(kept):
+            return 0.0, [0.0] * len(C)
+        off, sizes = self._off(kept), self._sizes(kept)
         worst = largest = 0.0
-        for up, down in zip(ups, downs, strict=True):
+        said, told = [], []
+        for k, (seen, heard) in enumerate(self._apart(kept, HEARD_FOR)):
+            said.append(heard)
+            told.append(C @ off)
             off = A @ off
-            seen = 0.5 * (up - down)
-            worst = max(worst, float(np.abs((seen - off) / sizes)[judged].max()))
-            largest = max(largest, float(np.abs(seen / sizes)[judged].max()))
-        return worst / largest if largest else 0.0
+            if k < CHECKED and judged.any():
+                worst = max(worst, float(np.abs((seen - off) / sizes)[judged].max()))
+                largest = max(largest, float(np.abs(seen / sizes)[judged].max()))
+        return worst / largest if largest else 0.0, shares(np.array(said), np.array(told))
+
+    def _sizes(self, kept: list[int]) -> Array:
+        m = self.map
+        sizes = np.maximum(m.sizes[kept], 1e-300)
+        sizes[m.sizes[kept] == 0.0] = 1.0
+        return sizes
+
+    def _left_out(self, kept: list[int], A: Array, C: Array, apart: float, heard: Sequence[float]) -> dict[str, str]:
+        """Return the outputs that the states do not give, with the reason."""
+        far = {k: error for k, error in enumerate(heard) if error > max(LEFT_OUT, 100.0 * apart)}
+        found = {}
+        if quiet := [k for k, error in enumerate(heard) if not error and not C[k].any()] if kept else []:
+            late = np.zeros(len(heard), bool)
+            with suppress(RunError):  # so far off the rig breaks
+                far_off = self._apart(kept, FOLLOWED - LATER - 1, 1.0 / NEARER)
+                late = np.array([y for _, y in far_off]).any(axis=0)
+            why = "goes in steps (counts, a quantised sensor) or belongs to other ticks: what the states do comes later"
+            found = {self.outputs[k]: why for k in quiet if late[k]}
+        if not far:
+            return found
+        seen = np.array([y for _, y in self._apart(kept, HEARD_FOR)])
+        own, off = [], self._off(kept)
+        t, start = self.map.t, self.map
+        for _ in range(LATER + 1):
+            own.append(self.rows(kept)[1] @ off)
+            off = A @ off
+            start.advance()
+        turning = shares(seen[: LATER + 1], np.array(own))
+        for k, error in far.items():
+            silent = not C[k].any()
+            if turning[k] <= LEFT_OUT and not (silent and not np.any(own, axis=0)[k]):
+                why = "is another function of the states at each tick (it turns with an angle, or the run moves on)"
+                why += "; a view along the run carries it: --along"
+            elif silent:
+                why = "follows from no small move at that tick: it belongs to other ticks, counts or goes in steps"
+            else:
+                why = "is not smooth: it goes in steps, or belongs to other ticks too"
+            found[self.outputs[k]] = f"{why}; off by {100.0 * error:.3g} % within {HEARD_FOR} periods from {t:.6g} s"
+        return found
+
+    def rows(self, kept: list[int]) -> tuple[Array, Array]:
+        """Return A and the rows of what is heard where the map's `start` is now, with the steps that are known."""
+        self._begin()
+        columns = []
+        for i in kept:
+            up, down = (self.map(self._moved(i, sign), {}, self.fixed) for sign in (1.0, -1.0))
+            columns.append(self._slope(up, down, 2.0 * self.steps[i], kept))
+        A, C = (np.array(part).T for part in zip(*columns, strict=True)) if columns else (np.empty((0, 0)),) * 2
+        return A, C[: len(self.outputs)] if len(kept) else np.empty((len(self.outputs), 0))
+
+    def along(self, periods: int) -> LinearAlong:
+        """Find A, B, C and D at each of some periods, and hold them against the rig."""
+        m, t = self.map, self.map.t
+        kept = self._reached(self.states()[0], periods)
+        if not kept:
+            raise RunError(f"{m.rig.scenario.name}: nothing that is heard has a state at {t:g} s")
+        sizes, off = self._sizes(kept), self._off(kept)
+        seen = list(self._apart(kept, periods))
+        found = []
+        worst = largest = 0.0
+        said, told = [], []
+        for x, y in seen:
+            (A, C), (B, D) = self.rows(kept), self.driven(kept)
+            found.append((A, B, C, D))
+            said.append(y)
+            told.append(C @ off)
+            off = A @ off
+            worst = max(worst, float(np.abs((x - off) / sizes).max()))
+            largest = max(largest, float(np.abs(x / sizes).max()))
+            if len(found) < periods:
+                m.advance()
+        A, B, C, D = (np.array(part) for part in zip(*found, strict=True))
+        return LinearAlong(
+            m.rig.scenario.name,
+            t,
+            m.period,
+            tuple(m.names[i] for i in kept),
+            tuple(self.inputs),
+            tuple(self.outputs),
+            A,
+            B,
+            C,
+            D,
+            worst / largest if largest else 0.0,
+            dict(zip(self.outputs, shares(np.array(said), np.array(told)), strict=True)),
+        )
+
+    def _reached(self, kept: list[int], periods: int) -> list[int]:
+        """Return the states with all that they move later (places of a ring that another tick reads)."""
+        m, reached = self.map, set(kept)
+        while True:
+            off = np.zeros(len(m.start))
+            off[sorted(reached)] = self._off(sorted(reached))
+            ups, downs = ([x for x, _ in m.go_on(m.start + way, periods)] for way in (off, -off))
+            moved = np.any([up != down for up, down in zip(ups, downs, strict=True)], axis=0)
+            new = {int(i) for i in np.flatnonzero(moved & self.finite)} - reached
+            if not new:
+                return sorted(reached)
+            for i in new - self.columns.keys():
+                self._number(i)
+            reached |= new
+            if len(reached) > MOST:
+                self._too_many(sorted(reached))
+
+    def driven(self, kept: list[int]) -> tuple[Array, Array]:
+        """Return B and D where the map's `start` is now."""
+        columns = []
+        for name in self.inputs:
+            up, down = (self.map(self.map.start, {name: sign * self.steps[name]}) for sign in (1.0, -1.0))
+            columns.append(self._slope(up, down, 2.0 * self.steps[name], kept))
+        n, m = len(kept), len(self.outputs)
+        B, D = (
+            (np.array(part).T for part in zip(*columns, strict=True))
+            if columns
+            else (np.empty((n, 0)), np.empty((m, 0)))
+        )
+        return B, D[:m]
+
+    def _moved(self, i: int, sign: float) -> Array:
+        moved = self.map.start.copy()
+        moved[i] += sign * self.steps[i]
+        return moved
+
+    def _slope(self, up: Any, down: Any, width: float, kept: list[int]) -> tuple[Array, Array]:
+        y = np.array([up[1][s] - down[1][s] for s in self.heard])
+        return (up[0][kept] - down[0][kept]) / width, y / width
+
+
+def shares(seen: Array, told: Array) -> list[float]:
+    """Return by how much two courses of each output differ, of the largest that either does."""
+    apart, largest = np.abs(seen - told).max(axis=0), np.maximum(np.abs(seen), np.abs(told)).max(axis=0)
+    return (apart / np.where(largest > 0.0, largest, 1.0)).tolist()  # type: ignore[no-any-return]
 
 
 def _power(size: float) -> float:

@@ -361,6 +361,14 @@ class StateMap:
                 )
             yield found, {name: probe.said for name, probe in self.probes.items()}
 
+    def advance(self) -> None:
+        """Begin one period of the whole later: where the run that is not moved is then."""
+        next(self.go_on(self.start, 1))
+        self._saved = self._tables.keep()
+        self._first += self._every
+        self.t = self._first / self._every * self.period
+        self.start = self._kept = np.concatenate(self._now())
+
     def _grown(self) -> str:
         odd = set(self.names) ^ {self._labels.get(name, name) for name in self._read()[0]}
         members = sorted({name.partition(".")[0] for name in odd})
