@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, cast
 from xml.etree.ElementTree import Element, SubElement
 
 from softrig_core import Plant, Port
-from softrig_core.block.link import Link, Rows
+from softrig_core.block.answer import Rows
+from softrig_core.block.link import Link
 from softrig_core.block.params import build, declarations, flatten
 from softrig_core.block.schedule import Schedule
 from softrig_core.block.step import Step

@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from ..block.answer import Rows
 from ..block.block import Observer
 from ..block.held import ByHand
-from ..block.link import Link, Rows
+from ..block.link import Link
 from ..block.loop import Loop
 from ..block.params import flatten
 from ..block.port import Port, Sample

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Row = tuple[float, ...] | Sample  # what an output says at a tick
+Rows = tuple[Row | None, ...]  # of each output: what it publishes; None for the silence of a sporadic one
 MAPPINGS = (dict, Mapping)  # the first is told at once
 
 
@@ -113,10 +114,9 @@ def part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row |
     return row if stamp is None else Sample(stamps[stamp], row)
 
 
-def parted(outputs: Sequence[Port], numbers: Sequence[float], stamps: Sequence[int]) -> dict[str, Row]:
-    """Return what each output publishes that publishes something, of all numbers, flags and stamps of a tick."""
-    parts = zip(outputs, places(outputs), strict=True)
-    return {p.name: row for p, where in parts if (row := part(numbers, stamps, where)) is not None}
+def parted(outputs: Sequence[Port], numbers: Sequence[float], stamps: Sequence[int]) -> Rows:
+    """Return what each output publishes, of all numbers, flags and stamps of a tick."""
+    return tuple([part(numbers, stamps, where) for where in places(outputs)])
 
 
 Messages = Sequence[tuple[int, tuple[float, ...]]]  # (stamp in ns, values) of each, the oldest first

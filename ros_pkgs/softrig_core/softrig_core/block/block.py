@@ -32,7 +32,7 @@ P = TypeVar("P", bound=BlockParams, default=Any)
 # what makes or remakes a block's constants
 _OPEN = frozenset({"__init__", "setup", "change", "reset"})
 # attributes of whoever runs the block
-_RUNNERS = frozenset({"ages", "unanswered", "realtime", "_seed", "_first"})
+_RUNNERS = frozenset({"ages", "unanswered", "realtime", "_seed", "_Block__first"})
 
 
 def _check_writer(block: Block, name: str, writer: FrameType) -> None:
@@ -150,7 +150,7 @@ class Block(Generic[P]):
         try:
             self.setup()
             self.reset(self._seed)
-            self._first: tuple[Any, list[Any]] | None = self.first(), self.events[:]
+            self.__first: tuple[Any, list[Any]] | None = self.first(), self.events[:]
             self.events.clear()  # who holds the block gets them
             self._open = False
         except (ParameterError, ScenarioError, RunError):
@@ -220,7 +220,7 @@ class Block(Generic[P]):
 
     def take_first(self) -> Any:
         """Return the state before the first tick, for who holds the block from now on: what `first` gives."""
-        found, self._first = self._first, None
+        found, self.__first = self.__first, None
         if found is None:
             self.events.clear()
             return self.first()
@@ -276,7 +276,7 @@ class Block(Generic[P]):
         params : BlockParams
             Those to go on with; `p` are still those of before.
         """
-        self.p, self._first = params, None
+        self.p, self.__first = params, None
         self.setup()
 
     def warm_up(self) -> None:
@@ -284,7 +284,7 @@ class Block(Generic[P]):
 
     def reset(self, seed: int) -> None:
         """Take a seed, and forget what was reported; who holds the block then asks for its `first` state."""
-        self._seed, self._first = seed, None
+        self._seed, self.__first = seed, None
         for name in ("standard_normal", "uniform"):
             self.__dict__.pop(name, None)
         self.events.clear()

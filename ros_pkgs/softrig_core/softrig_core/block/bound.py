@@ -29,7 +29,7 @@ def say(t):
         else:
             {answer} = respond(step.x, t{inputs})
 {checked}
-        step.said = {said}
+        step.said = rows
 {failed}
 {kept}
     if events:
@@ -94,7 +94,6 @@ def _say_text(
 ) -> str:
     rows = [f"row{k}" for k, _ in enumerate(outputs)]
     all_rows = "".join(f"{row}, " for row in rows)
-    said = f"{{{', '.join(f'{p.name!r}: {row}' for p, row in zip(outputs, rows, strict=True))}}}"
     checked, handed = "        rows = numbers = ()", []
     if outputs and plain:
         sizes = [f"type({row}) is tuple and len({row}) == {p.size}" for row, p in zip(rows, outputs, strict=True)]
@@ -106,8 +105,6 @@ def _say_text(
         )
     elif outputs:
         checked = f"        {all_rows} = rows = step.checked(found)\n        numbers = ()"
-        if any(port.sporadic for port in outputs):
-            said = f"{{name: row for name, row in {said}.items() if row is not None}}"
         spoke = [f"before[{k}] if row{k} is None else t" if p.sporadic else "t" for k, p in enumerate(outputs)]
         handed += ["    before = step.spoken", f"    step.spoken = [{', '.join(spoke)}]"]
     for number, (output, name, taken) in enumerate(wires):
@@ -123,7 +120,6 @@ def _say_text(
         answer=answer,
         inputs=_inputs(asked_for),
         checked=checked,
-        said=said,
         failed=FAILED,
         kept=kept,
         handed="\n".join(handed),

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from .answer import Row, parted
+from .answer import Rows, parted
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 Step = Any  # `softrig_core.block.step.Step`, which imports this
-Rows = tuple["Row | None", ...]  # of each output: what is said; None for the silence of a sporadic one
 
 
 class Link:
@@ -63,8 +62,7 @@ class Link:
         """
         step = self.step
         for t, row, late in zip(times.tolist(), numbers.tolist(), stamps.tolist(), strict=True):
-            said = parted(step.outputs, tuple(row), late)
-            self.send(t, tuple([said.get(p.name) for p in step.outputs]), tuple(row) if step.plain else ())
+            self.send(t, parted(step.outputs, row, late), tuple(row) if step.plain else ())
             self.over(t)
 
     def changed(self, t: int, values: Mapping[str, Any]) -> None:

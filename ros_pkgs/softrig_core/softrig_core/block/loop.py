@@ -30,7 +30,7 @@ def say(step: Step, t: int) -> None:
     try:
         x, found = step.asked(t)  # update, outputs, finish, refused; before it changes of parameters that are due
         rows = step.checked(found)  # size, finite, within Port.limits
-        step.x, step.said = x, {p.name: row for p, row in zip(step.outputs, rows, strict=True) if row is not None}
+        step.x, step.said = x, rows
     except Exception as error:
         step.fail(error)
     step.tell()  # only now counts what the block has reported

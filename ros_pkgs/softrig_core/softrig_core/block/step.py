@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NoReturn
 
 from ..errors import RunError, describe
-from .answer import Row, admit, flat
+from .answer import Row, Rows, admit, flat
 from .block import Block, Level, Plant
 from .bound import mover, sayer
 from .change import Change, permit, revise
 from .fill import Fill, Pick, Stamp
 from .held import Held
-from .link import Link, Rows
+from .link import Link
 from .loop import move, say
 from .params import flatten
 from .port import Port, Sample
@@ -95,7 +95,7 @@ class Step(Held):
         self.plain = not any(p.sporadic or p.delayed for p in outputs)
         self.spoken: list[int | None] = [None] * len(outputs)  # of one that is not plain: when each output spoke last
         self.numbers: tuple[float, ...] = ()
-        self.said: Any = {}  # the newest answer as it was admitted: what is held when an input is refused
+        self.said: Rows = ()  # the newest answer as it was admitted: what is held when an input is refused
         self.readers: list[Fill] = []
         self.doubters: list[Fill] = []
         self.asked_for = () if isinstance(block, Plant) else tuple(self.values)
@@ -167,11 +167,16 @@ class Step(Held):
 
     def held(self) -> Mapping[str, Any]:
         """Give what was said last, at first the safe values; silence on sporadic ports."""
+        said = self.said or (None,) * len(self.outputs)
         return {
-            p.name: self.said.get(p.name) or (Sample(self.t, p.safe) if p.delayed else p.safe)
-            for p in self.outputs
+            p.name: row or (Sample(self.t, p.safe) if p.delayed else p.safe)
+            for p, row in zip(self.outputs, said, strict=True)
             if not p.sporadic
         }
+
+    def newest(self, name: str) -> Any:
+        """Return what an output published at the newest tick; None: nothing."""
+        return next((row for p, row in zip(self.outputs, self.said, strict=False) if p.name == name), None)
 
     def refused(self, t: int) -> Any:
         """Answer a tick of which something was refused."""

@@ -89,8 +89,12 @@ def _run(rig: Rig, most: int) -> Ticks:
     for t in Loop(list(steps.values())).run():
         if t is None or t == rig.end or len(rows) >= most:  # at the end not all of them answer
             break
-        rows.append((t, {m.name: dict(steps[m.name].said) for m in rig.members if m.schedule.due(t)}))
+        rows.append((t, {m.name: _published(steps[m.name]) for m in rig.members if m.schedule.due(t)}))
     return Ticks(rows, calls)
+
+
+def _published(step: Step) -> dict[str, Any]:
+    return {p.name: row for p, row in zip(step.outputs, step.said, strict=True) if row is not None}
 
 
 def _member(rig: Rig, member: Member, calls: Sequence[Call | Changed], single: bool) -> Exported:

@@ -54,7 +54,7 @@ def answered(
         step.spoken = [None if t == NEVER else t for t in newest]
     for fill in step.readers:
         if not step.outputs[fill.output].sporadic:
-            fill.bring(said[step.outputs[fill.output].name])
+            fill.bring(said[fill.output])  # type: ignore[arg-type]
 
 
 class Answers(NamedTuple):
@@ -82,7 +82,7 @@ def numbers_of(step: Step) -> tuple[float, ...]:
     """Give all that the newest answer of a step says, zeros where it is silent; flags of those that may be after it."""
     if step.plain:
         return tuple(map(float, step.numbers))
-    rows: list[Any] = [step.said.get(p.name) for p in step.outputs]
+    rows: Sequence[Any] = step.said or [None] * len(step.outputs)
     found = [
         (0.0,) * p.size if row is None else row.data if isinstance(row, Sample) else row
         for p, row in zip(step.outputs, rows, strict=True)
@@ -93,7 +93,8 @@ def numbers_of(step: Step) -> tuple[float, ...]:
 
 def stamps_of(step: Step) -> tuple[int, ...]:
     """Give the stamps of the delayed outputs of a step, in its newest answer, ns; 0 where it is silent."""
-    return tuple(getattr(step.said.get(p.name), "stamp", 0) for p in step.outputs if p.delayed)
+    rows = step.said or [None] * len(step.outputs)
+    return tuple(getattr(row, "stamp", 0) for p, row in zip(step.outputs, rows, strict=True) if p.delayed)
 
 
 class Audience:
@@ -161,8 +162,8 @@ class Audience:
                 if (at := k // every - begin) >= 0:
                     s.t = s.schedule.time(k // every)
                     if not s.plain:
-                        spoke = parted(s.outputs, numbers[at], stamps[at])
-                        s.spoken = [s.t if p.name in spoke else t for p, t in zip(s.outputs, s.spoken, strict=True)]
+                        said = parted(s.outputs, numbers[at], stamps[at])
+                        s.spoken = [t if row is None else s.t for row, t in zip(said, s.spoken, strict=True)]
                     for fill, where in readers:
                         row = part(numbers[at], stamps[at], where)
                         if row is not None:

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..block.link import Link, Rows
+from ..block.answer import Rows
+from ..block.link import Link
 from ..block.loop import Loop
 from ..block.step import Step
 from ..block.tables import Tables

@@ -16,7 +16,9 @@ from ..block.step import Step
 from ..errors import RunError
 
 # written by whoever runs a block
-_RUNNERS = frozenset({"p", "name", "ages", "unanswered", "events", "realtime", "_seed", "_first", "_open", "SCRATCH"})
+_RUNNERS = frozenset(
+    {"p", "name", "ages", "unanswered", "events", "realtime", "_seed", "_Block__first", "_open", "SCRATCH"}
+)
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 _CHANGEABLE = (int, float, list, dict, set, deque, bytearray)
 

@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from ..block.answer import Rows
 from ..block.block import Block, Observer
 from ..block.codec import encoder
-from ..block.link import Link, Rows
+from ..block.link import Link
 from ..block.loop import YOUNG
 from ..block.port import CLOCK, Port, Sample
 from ..block.step import Step

@@ -14,9 +14,9 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core.block.answer import Rows
 from softrig_core.block.block import Block, Level, Plant
 from softrig_core.block.change import loads
-from softrig_core.block.link import Rows
 from softrig_core.block.port import CLOCK, Port, Sample
 from softrig_core.block.schedule import Schedule
 from softrig_core.block.step import Step

@@ -231,7 +231,7 @@ class Simulation:
             return []
         step = self._adapter.step
         port = next(p for p in step.outputs if p.name == self._scene.port)
-        said = step.said.get(port.name) or [0.0] * len(port.labels)
+        said = step.newest(port.name) or [0.0] * len(port.labels)
         return [float(said[k]) for k, label in enumerate(port.labels) if label.endswith(f"/{quantity}")]
 
     def _entities(self, request: Any, response: Any) -> Any:

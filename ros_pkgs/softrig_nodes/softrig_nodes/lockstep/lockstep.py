@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core.block.answer import Rows
 from softrig_core.block.block import Level
-from softrig_core.block.link import Link, Rows
+from softrig_core.block.link import Link
 from softrig_core.block.port import Port
 from softrig_core.solver.solver import Solver
 from softrig_core.timebase import SECOND

@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping, Set
 from functools import partial
 from typing import Any
 
-from softrig_core.block.answer import Row
+from softrig_core.block.answer import Row, Rows
 from softrig_core.block.block import Level, Plant
 from softrig_core.block.fill import Pick
-from softrig_core.block.link import Link, Rows
+from softrig_core.block.link import Link
 from softrig_core.block.port import Port
 from softrig_core.block.schedule import Schedule
 from softrig_core.errors import RunError
@@ -339,7 +339,7 @@ class Realtime(Link):
                 return
             text = str(error).removeprefix(f"{step.name}: ")
             node.step.note(Level.ERROR, "failed", f"{text}; safe output")
-            step.said = {}
+            step.said = ()
             step.hand_on(t, step.checked(step.held()))
         self._ticked(t)
 
