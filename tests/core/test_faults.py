@@ -429,11 +429,11 @@ def test_with_faults_the_seed_alone_decides():
     ("fault", "reason"),
     [
         ({"link": "lag/stat"}, r"nobody publishes 'lag/stat' \(did you mean 'lag/state'\?\)"),
-        ({"link": "lag/state -> source"}, "source does not read lag/state; gain does"),
-        ({"link": "lag/applied"}, "nobody does not read lag/applied"),
+        ({"link": "lag/state -> source"}, "source does not subscribe to lag/state; its subscribers are gain"),
+        ({"link": "lag/applied"}, "no node acts on lag/applied, so a fault there would change nothing"),
         ({"link": "lag/state", "kind": "noise", "value": [1, 2, 3]}, "node it: .*value has 3 numbers"),
         ({"link": "lag/state", "knd": "noise"}, "parameter knd is unknown .did you mean 'kind'"),
-        ({"link": "lag/state", "message": "x"}, "message is that of the link"),
+        ({"link": "lag/state", "message": "x"}, "message is set by the link"),
         ({"link": "lag state"}, "pattern"),
     ],
 )

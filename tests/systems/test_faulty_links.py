@@ -1,11 +1,13 @@
 """Every kind of fault on every topic of the fourteen systems: it starts, and does to each message what it says."""
 
 import math
+import random
+from datetime import date
 
 import numpy as np
 import pytest
 from softrig_control.nodes.fault import FaultParams
-from softrig_core import Block, BlockParams, load_scenario, param, rig_of, simulate
+from softrig_core import Block, BlockParams, RunError, load_scenario, param, rig_of, simulate
 from softrig_core.scenario.port_text import ports_of, ports_text, reader
 from softrig_core.wire import types
 
@@ -144,3 +146,63 @@ def test_each_kind_of_fault_does_on_each_topic_what_it_says(name):
         np.testing.assert_array_equal([m[2] for m in came], [m[2] for m in want], err_msg=at)
     links = {entry.link.split(" -> ")[0] for entry in faults.values()}
     assert links - checked == LATER.get(name, set())
+
+
+def links_of(name):
+    """The topics of a system that some node of it reads."""
+    rig = rig_of(load_scenario(name), live=False)
+    return [p.topic for m in rig.members for p in m.outputs if rig.readers(m, p)], rig
+
+
+def trials(name):
+    """Each kind of fault on each link of a system, with the readers that it has."""
+    topics, rig = links_of(name)
+    for topic in topics:
+        kinds = [kind for kind in KINDS if (kind, rig.topics[topic].msgtype) != ("invalid", types.BUTTON.name)]
+        yield from ((name, SYSTEMS[name], topic, kind) for kind in kinds)
+
+
+def numbers_said(run, topic):
+    """All numbers that a topic said."""
+    return np.concatenate([np.empty(0), *(np.ravel(row) for _, _, row in said(run, topic))])
+
+
+def suffered(name, duration, topic, kind):
+    """Run a system with a large fault on a link; give what is wrong with how it takes it, empty for nothing."""
+    value = {"scale": [-1e9], "offset": [1e9], "spike": [-1e9], "drift": [1e12], "delay": []}.get(kind)
+    numbers = NUMBERS.get(kind, {}) | ({"value": value} if value else {})
+    if kind == "delay":
+        numbers = {"delay": 2.0 * next(m.params.period for m in links_of(name)[1].members
+                                       for p in m.outputs if p.topic == topic)}  # fmt: skip
+    scenario = load_scenario(name).changed(duration=duration)
+    fault = {"link": topic, "kind": kind, **numbers}
+    try:
+        run = simulate(scenario.having(faults={"broken": fault}, figures={}, expect={}, claims={}, requirements={}))
+    except RunError as error:  # a plant that trips or leaves its domain ends the run by its own word
+        cause = error.__cause__
+        return "" if cause is None or isinstance(cause, ValueError | RunError) else f"{type(cause).__name__}: {error}"
+    odd = [
+        topic
+        for topic in run.recording.topics
+        if topic in run.rig.topics and not topic.endswith("/broken") and not np.isfinite(numbers_said(run, topic)).all()
+    ]
+    return f"no number on {', '.join(odd)}" if odd else run.error
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_each_kind_of_fault_on_each_link_is_borne_by_those_that_read_it(name):
+    wrong = {each: found for each in trials(name) if (found := suffered(*each))}
+    assert wrong == {}
+
+
+QUICK = [
+    each for each in SYSTEMS if each not in ("optimal_control_mvim", "economic_dispatch", "fault_location", "pwa_delay")
+]
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_some_faults_of_the_day_are_borne_by_those_that_read_the_link(name):
+    drawn = random.Random(f"{date.today()} {name}").sample(list(trials(name)), 6)
+    assert {each: found for each in drawn if (found := suffered(*each))} == {}

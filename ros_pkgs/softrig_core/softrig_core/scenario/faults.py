@@ -91,8 +91,7 @@ def insert(
             )
         concerned = [key for key in readers if key[1] == topic and reader in ("", key[0])]
         if not concerned:
-            who = ", ".join(n for n, t in readers if t == topic) or "nobody"
-            raise ScenarioError(f"{at}: {reader or 'nobody'} does not read {topic}; {who} does")
+            raise ScenarioError(f"{at}: {_unheard(topic, reader, [n for n, t in readers if t == topic])}")
         before = {readers[key] for key in concerned}
         if len(before) > 1:
             raise ScenarioError(
@@ -118,7 +117,7 @@ def insert(
         if any(nodes[reader]["external"] for reader, _ in concerned):
             about["holds"] = True  # an outside node is not told of silence, and would be waited for
         for key in sorted(about.keys() & fault.parameters.keys() - {"period", "holds"}):
-            raise ScenarioError(f"{at}: {key} is that of the link and not to be said")
+            raise ScenarioError(f"{at}: {key} is set by the link; remove it from the fault")
         found[name] = {
             "package": PACKAGE,
             "executable": EXECUTABLE,
@@ -130,6 +129,16 @@ def insert(
             readers[place] = ends
             found[place[0]]["remap"] |= _remap(nodes[place[0]]["remap"], topic, ends)
     return found
+
+
+def _unheard(topic: str, reader: str, subscribers: list[str]) -> str:
+    """Say that nothing would change with a fault, since no node of those that it concerns subscribes to its link."""
+    if reader and subscribers:
+        return f"{reader} does not subscribe to {topic}; its subscribers are {', '.join(subscribers)}"
+    return (
+        f"no node acts on {topic}, so a fault there would change nothing (figures are measured on what is sent); "
+        "expected a link with a subscriber"
+    )
 
 
 def _remap(given: Mapping[str, str], topic: str, ends: str) -> dict[str, str]:
