@@ -380,7 +380,7 @@ def solving(monkeypatch):
         is_ready=False,
     )
     monkeypatch.setattr("softrig_nodes.seam.solving.Solver", SimpleNamespace)
-    step = SimpleNamespace(block=block, x="first", bad=False, values={"u": 1.0}, respond=None)
+    step = SimpleNamespace(block=block, x="first", bad=False, values={"u": 1.0}, link=None)
     return hand, block, step, asked, resumed, Solving(hand, step, lambda: resumed.append(hand.time))
 
 
@@ -399,7 +399,7 @@ def test_a_solver_begins_a_tick_once_and_is_looked_at_until_its_answer_is_there(
     timer.call()
     assert (resumed, timer.now) == ([hand.time], None)
     assert part.finished(5)
-    assert (step.respond("begun", 5, u=2.0), asked[-1]) == ("answer", ("end", "begun", 5))
+    assert (step.link.respond("begun", 5, u=2.0), asked[-1]) == ("answer", ("end", "begun", 5))
     assert part.working
     step.bad = True
     block.is_ready = False

@@ -205,10 +205,9 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
             self._begin()
         step = self._step
         if not self._inputs and not isinstance(step.block, Plant):  # a source has its first value before any step
-            kept = step.save(), step.said
+            kept = step.save()
             step.say(self._schedule.time(self._k))
-            step.load(kept[0])
-            step.said = kept[1]
+            step.load(kept)
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Move on by whole periods.

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..block.link import Link
 from ..block.loop import Loop
 from ..block.port import Port, Sample
 from ..block.step import Step
@@ -94,37 +94,37 @@ class _Known(NamedTuple):
     inputs: tuple[Any, ...]
 
 
-@dataclass
-class _Probe:
+class _Probe(Link):
     """Listens to a value of an output from a tick on, and changes what others get of it."""
 
     said: float = math.nan
     fixed: float | None = None
     added: float = 0.0
 
-    def put_in(self, step: Step, place: Place) -> None:
-        respond, (_, port, k) = step.respond, place
+    def __init__(self, step: Step, place: Place) -> None:
+        super().__init__(step)
+        _, self._port, self._k = place
 
-        def probed(x: Any, t: int, **inputs: Any) -> Any:
-            if step.plant:
-                return changed(respond(x, t))
-            x, found = respond(x, t, **inputs)
-            return x, changed(found)
+    def respond(self, x: Any, t: int, **inputs: Any) -> Any:
+        """Answer with another value in its place."""
+        if self.step.plant:
+            return self._changed(super().respond(x, t))
+        x, found = super().respond(x, t, **inputs)
+        return x, self._changed(found)
 
-        def changed(found: Any) -> Any:
-            row: Any = found.get(port.name)
-            if row is None:
-                return found
-            data = tuple(row.data if isinstance(row, Sample) else row)
-            if math.isnan(self.said):
-                self.said = data[k]
-            new = (data[k] if self.fixed is None else self.fixed) + self.added
-            if new == data[k]:
-                return found
-            data = (*data[:k], new, *data[k + 1 :])
-            return {**found, port.name: Sample(row.stamp, data) if isinstance(row, Sample) else data}
-
-        step.respond = probed
+    def _changed(self, found: Any) -> Any:
+        name, k = self._port.name, self._k
+        row: Any = found.get(name)
+        if row is None:
+            return found
+        data = tuple(row.data if isinstance(row, Sample) else row)
+        if math.isnan(self.said):
+            self.said = data[k]
+        new = (data[k] if self.fixed is None else self.fixed) + self.added
+        if new == data[k]:
+            return found
+        data = (*data[:k], new, *data[k + 1 :])
+        return {**found, name: Sample(row.stamp, data) if isinstance(row, Sample) else data}
 
 
 class StateMap:
@@ -197,9 +197,7 @@ class StateMap:
         members = {m.name: m for m in self.rig.members if m.name in names}
         self._steps = wired(self.rig, {name: m.block(seed) for name, m in members.items()})
         self._loop, self._tables = Loop(list(self._steps.values())), Tables(self._steps.values())
-        self.probes = {name: _Probe() for name in self.places}
-        for name, probe in self.probes.items():
-            probe.put_in(self._steps[self.places[name].member.name], self.places[name])
+        self.probes = {name: _Probe(self._steps[place.member.name], place) for name, place in self.places.items()}
 
     def _come(self) -> None:
         """Run to where it begins, and see on the way what changes."""

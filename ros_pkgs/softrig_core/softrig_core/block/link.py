@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from .answer import Rows, parted
 
@@ -28,6 +28,8 @@ class Link:
         The one that it had.
     """
 
+    READS: ClassVar[bool] = True  # whether its `respond` gets the inputs
+
     def __init__(self, step: Step) -> None:
         self.step, self.inner = step, step.link
         step.link = self
@@ -35,6 +37,15 @@ class Link:
     def lacks(self, t: int) -> bool:
         """Return whether something that tick `t` needs has not come; what has come is in the values of the step."""
         return self.inner is not None and self.inner.lacks(t)
+
+    def respond(self, x: Any, t: int, **inputs: Any) -> Any:
+        """Ask the block for its answer to a tick; who overrides it may ask otherwise, or change what is answered."""
+        return (self.step.ask if self.inner is None else self.inner.respond)(x, t, **inputs)
+
+    def settle(self) -> None:
+        """Have the state of the step hold all that its ticks have seen."""
+        if self.inner is not None:
+            self.inner.settle()
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Take the answer of a tick.

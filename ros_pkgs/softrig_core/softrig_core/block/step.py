@@ -58,7 +58,7 @@ class Step(Held):
     say : callable
         Gets t, ns: answers that tick, hands the answer to the readers here, and sends it. A RunError whose `node` is
         the name of this step: the block failed, or gave what may not leave it. Made with the first tick (`bound.py`):
-        what is read and written must be wired by then, `respond` set; made again when it gets another link.
+        what is read and written must be wired by then; made again when it gets another link.
     advance : callable
         Gets t, ns, and by choice the values of the inputs: moves a plant from t over one period, or a RunError.
     link : Link or None
@@ -98,11 +98,7 @@ class Step(Held):
         self.said: Rows = ()  # the newest answer as it was admitted: what is held when an input is refused
         self.readers: list[Fill] = []
         self.doubters: list[Fill] = []
-        self.asked_for = () if isinstance(block, Plant) else tuple(self.values)
         self.plant = isinstance(block, Plant)
-        self.respond: Callable[..., Any] = block.outputs if isinstance(block, Plant) else block.update
-        if not self.plant and block.finishes():
-            self.respond = self._finish_or_update
         block.ages = self.age
         self.link = None
         self.plan(changes)
@@ -116,6 +112,32 @@ class Step(Held):
     def link(self, link: Link | None) -> None:
         self._link = link
         self.say, self.advance = self._first_say, self._first_advance
+
+    @property
+    def respond(self) -> Callable[..., Any]:
+        """What answers a tick, ``(x, t, **inputs)``: the block, or the outermost link that asks it in its own way."""
+        link = self._asking
+        return self.ask if link is None else link.respond
+
+    @property
+    def ask(self) -> Callable[..., Any]:
+        """The method of the block that answers a tick."""
+        block = self.block
+        if isinstance(block, Plant):
+            return block.outputs
+        return self._finish_or_update if block.finishes() else block.update
+
+    @property
+    def asked_for(self) -> tuple[str, ...]:
+        """Names of the inputs that `respond` gets."""
+        return () if self.plant or (self._asking is not None and not self._asking.READS) else tuple(self.values)
+
+    @property
+    def _asking(self) -> Link | None:
+        link = self._link
+        while link is not None and type(link).respond is Link.respond:
+            link = link.inner
+        return link
 
     # what a tick is -----------------------------------------------------------------------------------------------
 
@@ -155,6 +177,12 @@ class Step(Held):
                 fill.bring(row)
         if self.link is not None:
             self.link.send(t, rows, self.numbers)
+
+    def status(self) -> Mapping[str, tuple[float, str]]:
+        """Return the figures of an observer that has taken in all that it has seen; see `Observer.status`."""
+        if self.link is not None:
+            self.link.settle()
+        return super().status()
 
     def age(self, name: str) -> int | None:
         """Answer `Block.age`: from the stamp of what an input holds to the tick under way, ns; None: nothing came."""

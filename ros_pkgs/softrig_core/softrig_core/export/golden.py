@@ -111,9 +111,6 @@ def watched(step: Step, calls: list[Call | Changed]) -> None:
     """Have a list take the calls of a step's block, and the changes of its parameters; before its first tick."""
     for name in methods(step.block):
         _watch(step.block, name, calls)
-    own = getattr(type(step.block), methods(step.block)[0])
-    if getattr(step.respond, "__func__", None) is own:  # a step has taken the method by then
-        step.respond = getattr(step.block, methods(step.block)[0])
     _watch_changes(step, calls)
 
 

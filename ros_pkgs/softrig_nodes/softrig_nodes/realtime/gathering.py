@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from softrig_core.block.answer import Heard
 from softrig_core.block.block import Observer
+from softrig_core.block.link import Link
 from softrig_core.block.port import Port, Sample
 from softrig_core.block.step import Step
 from softrig_core.timebase import SECOND
@@ -37,8 +38,8 @@ class _Seen:
         return Heard(stamps, values.reshape(len(stamps), self._size))
 
 
-class Gathering:
-    """Puts together what the ticks of an observer have seen; `Step.respond` and `Step.status` are its own.
+class Gathering(Link):
+    """Puts together what the ticks of an observer have seen.
 
     Parameters
     ----------
@@ -48,19 +49,20 @@ class Gathering:
         So many are taken in together.
     """
 
+    READS = False
+
     def __init__(self, step: Step, ticks: int) -> None:
-        self._step, self._most = step, ticks
+        super().__init__(step)
+        self._most = ticks
         self._seen = [_Seen(port) for port in step.inputs]
         self._count, self._t = 0, 0
-        step.respond, step.asked_for = self._respond, ()
-        step.status = self._status  # type: ignore[method-assign]
 
-    def _respond(self, x: Any, t: int) -> tuple[Any, Mapping[str, Any]]:
+    def respond(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, Any]]:
         """Keep what is new at a tick."""
-        inputs, told = self._step.values, self._step.stamps
+        values, told = self.step.values, self.step.stamps
         for seen in self._seen:
             name = seen.name
-            value = inputs[name]
+            value = values[name]
             if value is None:
                 continue
             stamp = told[name]()  # None: nobody has said anything, it holds what it began with
@@ -81,11 +83,12 @@ class Gathering:
             return x
         self._count = 0
         messages = {seen.name: seen.messages() for seen in self._seen if seen.stamps}
-        return self._step.block.at_once(x, self._t, messages)  # type: ignore[attr-defined]
+        return self.step.block.at_once(x, self._t, messages)
 
-    def _status(self) -> Mapping[str, tuple[float, str]]:
-        self._step.x = self._taken(self._step.x)
-        return Step.status(self._step)
+    def settle(self) -> None:
+        """Take in what was put together so far."""
+        self.step.x = self._taken(self.step.x)
+        super().settle()
 
 
 def gather(step: Step) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
+from softrig_core.block.link import Link
 from softrig_core.block.port import Port
 from softrig_core.block.step import Step
 from softrig_core.solver.solver import Solver
@@ -17,7 +19,7 @@ TOLD_EVERY = 0.5  # s
 LOOK = 2_000_000  # ns
 
 
-class Solving:
+class Solving(Link):
     """One solver block between the begin of a tick and its answer.
 
     Parameters
@@ -30,8 +32,8 @@ class Solving:
 
     def __init__(self, middleware: Middleware, step: Step, resume: Callable[[], object]) -> None:
         assert isinstance(step.block, Solver)
-        self._step, self._block = step, step.block
-        step.respond = lambda x, t, **inputs: self._block.end(x, t)
+        super().__init__(step)
+        self._block = step.block
         self._middleware = middleware
         self._header = TickWriter()(0, [middleware.full_name])
         self._publish = middleware.publisher(BUSY, TICK, lambda count: None)
@@ -42,14 +44,20 @@ class Solving:
         self._timer.cancel()
         self._waits = False
 
+    READS = False
+
+    def respond(self, x: Any, t: int, **inputs: Any) -> Any:
+        """Give the answer of a tick that has begun."""
+        return self._block.end(x, t)
+
     @property
     def working(self) -> bool:
         """Whether a request is under way or waits."""
-        return self._block.working(self._step.x)
+        return self._block.working(self.step.x)
 
     def finished(self, t: int) -> bool:
         """Begin a tick (ns) if that is not done; tell whether its answer can be given."""
-        step, block = self._step, self._block
+        step, block = self.step, self._block
         if self._tick != t:
             self._tick = t
             step.x = block.carry_on(step.x, t) if step.bad else block.begin(step.x, t, **step.values)
@@ -68,7 +76,7 @@ class Solving:
 
     def _look(self) -> None:
         assert self._tick is not None
-        if self._block.ready(self._step.x, self._tick):
+        if self._block.ready(self.step.x, self._tick):
             self._rest()
             self._resume()
         elif self._middleware.steady() - self._told > TOLD_EVERY:
