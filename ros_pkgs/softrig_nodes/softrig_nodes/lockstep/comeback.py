@@ -155,12 +155,12 @@ class Comeback:
         step.plan(sorted([*step.changes, *changes], key=lambda change: change.at))
         spoken = drive.spoken
         assert spoken is not None
-        _Returning(step, self.lacks)
+        returning = _Returning(step, self.lacks)
         spoken.silent = True
         for t in ticks:
             if t is None:
                 break
-        step.link, spoken.silent = drive, False
+        step.link, spoken.silent = returning.inner, False
         self._resume()
 
     def lacks(self, t: int) -> bool:
