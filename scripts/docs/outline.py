@@ -22,7 +22,8 @@ KINDS = {
         "You know what you want to do; here is how.",
         ("set_up", "wheel", "upgrade", "view", "studies", "send", "strangers", "reports", "continuous_integration",
          "python", "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools",
-         "hardware", "boards", "node", "cpp_node", "c_law", "classroom", "workspace", "two_machines", "distribution"),
+         "hardware", "boards", "node", "cpp_node", "c_law", "classroom", "workspace", "ends", "two_machines",
+         "distribution"),
     ),
     "notebooks": (
         "Notebooks",

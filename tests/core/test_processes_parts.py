@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,7 +35,7 @@ from softrig_nodes.processes import (
     supervision,
 )
 from softrig_nodes.processes.children import last_line, read_status, stop
-from softrig_nodes.processes.guests import Guests
+from softrig_nodes.processes.guests import CYCLONE, UNSEEN, Guests
 from softrig_nodes.processes.placement import Placement
 from softrig_nodes.processes.restarting import Restarts, check_restart
 from softrig_nodes.processes.stopping import Stopped
@@ -666,7 +667,7 @@ def test_what_could_not_be_started_again_is_refused():
 # ---- external nodes ----
 
 
-def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come():
+def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come(monkeypatch):
     nodes = BASIC | {
         "gain": {"executable": "gain", "external": True},
         "watcher": {"executable": "watcher", "external": True},
@@ -705,6 +706,12 @@ def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come():
     text = "/theirs publishes /lag/comand, which nobody in the rig reads; lag/command is awaited from gain"
     assert look(plant=lacks | {"published": stray}, source=lacks) == [text]
     assert look(plant=lacks | {"published": stray}, source=lacks) == []
+    later = time.monotonic() + 2 * UNSEEN
+    monkeypatch.setattr("softrig_nodes.processes.guests.time", SimpleNamespace(monotonic=lambda: later))
+    (hint,) = look(plant=lacks, source=lacks)
+    assert hint.startswith("gain: not seen for 10 s; where it runs on Cyclone DDS: export CYCLONEDDS_URI='<CycloneDDS>")
+    assert CYCLONE in (Path(__file__).parents[2] / "ros_pkgs/softrig_bringup/doc/set_up.md").read_text()
+    assert look(plant=lacks, source=lacks) == []
     assert look(plant={"lacking": []}, source={"lacking": []}) == ["gain is there"]
     assert look(plant={"lacking": []}, source={"lacking": []}) == []
     Guests(rig_of(make_scenario(nodes)), None).invite(7)

@@ -20,6 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 VARIABLE = "SOFTRIG_PUBLIC"
+SEEN = "rclpy 7.1 (Jazzy), 9.1 (Kilted)"
 OF_ROS = ("use_sim_time", "start_type_description_service")  # which every node declares itself
 
 
@@ -64,52 +65,48 @@ def _service() -> bool:
 
 
 USES = {
-    "error": Use("rclpy 7.1 to 10", "RuntimeError, of which it is one", lambda: issubclass(_rcl_error(), RuntimeError)),
-    "publish_raw": Use(
-        "rclpy 7.1 to 10", "Publisher.publish: 5 % of a lockstep loop", lambda: _takes(_c().Publisher.publish_raw)
-    ),
+    "error": Use(SEEN, "RuntimeError, of which it is one", lambda: issubclass(_rcl_error(), RuntimeError)),
+    "publish_raw": Use(SEEN, "Publisher.publish: 5 % of a lockstep loop", lambda: _takes(_c().Publisher.publish_raw)),
     "log": Use(
-        "rclpy 7.1 to 10",
+        SEEN,
         "the logger's methods, which read source files to name the caller: 13 to 30 ms at the first text",
         lambda: callable(_c().rclpy_logging_rcutils_log),
     ),
     "endpoints": Use(
-        "rclpy 7.1 to 10",
+        SEEN,
         "Node.get_publishers_info_by_topic, which applies the node's remaps to a name that is one already",
         lambda: (
             callable(_c().rclpy_get_publishers_info_by_topic) and callable(_c().rclpy_get_subscriptions_info_by_topic)
         ),
     ),
     "overrides": Use(
-        "rclpy 7.1 to 10",
+        SEEN,
         "the node declares what it is given, which is undeclared again",
         lambda: _assigns(Node, "_parameter_overrides"),
     ),
     "parameters": Use(
-        "rclpy 7.1 to 10",
+        SEEN,
         "Node.get_parameter and describe_parameter; empty lists have the type of bytes",
         lambda: _assigns(Node, "_parameters", "_descriptors"),
     ),
     "subscriptions": Use(
-        "rclpy 7.1 to 10",
+        SEEN,
         "the executor takes all messages: a third of a lockstep loop's rate",
         lambda: _assigns(Node, "_subscriptions"),
     ),
-    "send_response": Use(
-        "rclpy 7.1 to 10", "an answer to a client that has gone takes 0.1 s of a tick's time", _service
-    ),
+    "send_response": Use(SEEN, "an answer to a client that has gone takes 0.1 s of a tick's time", _service),
     "events_executor": Use(
-        "rclpy 7.1 to 10",
+        SEEN,
         "SingleThreadedExecutor: six times the processor time of a message",
         lambda: callable(importlib.import_module("rclpy.experimental.events_executor").EventsExecutor),
     ),
     "wait_set": Use(
-        "rclpy 7.1 to 10",
+        SEEN,
         "events by the executor, which may stop for ever under heavy loss",
         lambda: all(callable(getattr(_c().WaitSet, n)) for n in ("clear_entities", "wait")),
     ),
     "take_message": Use(
-        "rclpy 7.1 to 10",
+        SEEN,
         "the executor's turns: of a queue at the end it takes one message a turn",
         lambda: callable(_c().Subscription.take_message),
     ),
@@ -270,5 +267,5 @@ def taken(subscription: Any) -> Iterator[bytes]:
 
 
 def signal_manager(kind: type) -> Any:
-    """Return launch's handler of signals (3.4 to 3.7); None in another launch, which then ends at SIGTERM by itself."""
+    """Return launch's handler of signals (3.4); None in another launch, which then ends at SIGTERM by itself."""
     return getattr(kind, "_AsyncSafeSignalManager__current", None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Set
 from difflib import get_close_matches
 from typing import Any
@@ -9,6 +10,14 @@ from typing import Any
 from softrig_core.rig.rig import Rig
 
 from .peers import ours
+
+UNSEEN = 10.0  # s: on one host ROS finds a node within 3 s
+# under LOCALHOST a participant of Cyclone DDS is found by unicast alone
+CYCLONE = (
+    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
+    '<AllowMulticast>false</AllowMulticast></General><Discovery><Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+    "</Domain></CycloneDDS>"
+)
 
 
 class Guests:
@@ -22,6 +31,7 @@ class Guests:
         self._rig = rig
         self._said: set[str] = set()
         self._awaited = [name for name, topics in self._needed.items() if topics]
+        self._since = time.monotonic()
 
     def invite(self, domain: int) -> None:
         """Say who is expected, where, and with what."""
@@ -64,6 +74,12 @@ class Guests:
             self._once(f"{name} is there", f"{name} is there")
         for state in states.values():
             self._name_strays(lacking, state.get("published", {}))
+        if self._awaited and time.monotonic() - self._since > UNSEEN:
+            who = ", ".join(self._awaited)
+            self._once(
+                "unseen",
+                f"{who}: not seen for {UNSEEN:g} s; where it runs on Cyclone DDS: export CYCLONEDDS_URI='{CYCLONE}'",
+            )
 
     def _name_strays(self, lacking: Set[str], published: Mapping[str, list[tuple[str, str]]]) -> None:
         """Say who publishes, under a name that the rig does not know, the type of a topic that is awaited."""
