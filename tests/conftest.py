@@ -66,6 +66,18 @@ def pytest_terminal_summary(terminalreporter, config):
         terminalreporter.write_line(f"| `{folder}` | {row['passed']} | {row['other']} | {row['seconds'] / 60:.1f} |")
 
 
+def few(values, most):
+    """Give parameters of which `most`, spread evenly, are for each day, and the others for the long set."""
+    values = list(values)
+    daily = [k for k, value in enumerate(values) if not getattr(value, "marks", ())]
+    kept = {daily[round(k * (len(daily) - 1) / max(1, most - 1))] for k in range(min(most, len(daily)))}
+    for k in set(daily) - kept:
+        value = values[k]
+        parts = value.values if hasattr(value, "marks") else value if isinstance(value, tuple) else (value,)
+        values[k] = pytest.param(*parts, marks=pytest.mark.long, id=getattr(value, "id", None))
+    return values
+
+
 def make_scenario(nodes, duration=1.0, **keys):
     """Scenario of faultrig blocks: node name -> executable, or -> dict with executable and more."""
     entries = {

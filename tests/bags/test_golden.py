@@ -201,8 +201,6 @@ def digests(names, kernels):
 DIFFERED = [
     "fault_location_m4k",
     "gupfc_s2_short",
-    "optimal_control_mvim",
-    "pv_mppt_certified_transients",
     "pwa_delay_p3",
     "dc_motor_fsfb_s7",
 ]

@@ -251,8 +251,8 @@ NO_PYTHON = ('"""A law', 'def (\n"""A law', 2)
 @pytest.mark.parametrize(
     ("mistake", "mode", "status", "said"),
     [
-        pytest.param(FAILS, "inprocess", 3, "ZeroDivisionError: division by zero", marks=pytest.mark.long),
-        (FAILS, "processes", 3, "ZeroDivisionError: division by zero"),
+        (FAILS, "inprocess", 3, "ZeroDivisionError: division by zero"),
+        pytest.param(FAILS, "processes", 3, "ZeroDivisionError: division by zero", marks=pytest.mark.long),
         pytest.param(
             ABSENT, "inprocess", 2, "ModuleNotFoundError: No module named 'nothing_such'", marks=pytest.mark.long
         ),

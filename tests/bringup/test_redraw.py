@@ -111,6 +111,7 @@ def test_a_picture_has_the_column_width_and_letters_of_its_publisher(run, tmp_pa
     }
 
 
+@pytest.mark.long
 def test_no_pdf_of_softrig_has_type_3_letters(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-record", "--format", "pdf"]

@@ -108,7 +108,7 @@ class Browser:
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("mode", ["processes", pytest.param("container", marks=pytest.mark.long)])
+@pytest.mark.parametrize("mode", [pytest.param("processes", marks=pytest.mark.long), "container"])
 def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_the_same_run_without(tmp_path, mode):
     words = ("dc_motor_smc", "--duration", "0.1", "--no-plots")
     with running("view", *words, "--mode", mode, "--out", tmp_path / "seen") as process:
@@ -355,7 +355,7 @@ def test_what_a_browser_asks_for_is_done_in_the_thread_of_the_ticks():
     assert source.session.t == 0.02
 
 
-@pytest.mark.parametrize("at", ["0.0.0.0:0", "127.0.0.1:0"])
+@pytest.mark.parametrize("at", ["0.0.0.0:0", pytest.param("127.0.0.1:0", marks=pytest.mark.long)])
 def test_only_who_says_the_token_is_let_in(tmp_path, at):
     assert main(["run", "dc_motor_smc", "--mode", "inprocess", "--duration", "0.05", "--no-plots", "--out",
                  str(tmp_path / "run")]) in (0, 1)  # fmt: skip

@@ -116,6 +116,7 @@ def use(prefix, folder, variables):
     assert loaded.startswith(str(prefix))
 
 
+@pytest.mark.long
 def test_it_works_beside_the_packages_that_are_here(wheel, tmp_path):
     prefix = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", prefix], check=True)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 from by_hand import Hand
+from conftest import few
 from faultrig import Lag
 from rcl_interfaces.msg import Parameter as Message, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -126,7 +127,7 @@ def served(node, block, state):
 
 
 @pytest.mark.parametrize("state", [pytest.param(s, marks=pytest.mark.long) for s in ("rest", "realtime")] + ["running"])
-@pytest.mark.parametrize("block", blocks())
+@pytest.mark.parametrize("block", few(blocks(), 27))
 def test_no_call_changes_type_range_or_existence(block, state, event):
     node = Stood()
     current, paces, adapter = served(node, block, state)

@@ -7,7 +7,7 @@ from functools import cache, partial
 from multiprocessing import get_context
 
 import pytest
-from conftest import differences, in_process, make_scenario
+from conftest import differences, few, in_process, make_scenario
 from simulated import Discovery, SimulatedNode, SimulatedRig, SimulatedTimer, World, some
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
@@ -153,7 +153,7 @@ def test_who_is_stopped_while_an_outside_node_is_awaited_asks_nobody_about_it(ca
         assert adapter.status()["state"] == "done"
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", few(KINDS, 7))
 def test_no_start_loses_a_message(kind):
     for seed in range(8):
         assert start(kind, seed, stalls=seed % 3) == [], seed
@@ -219,7 +219,7 @@ def guests(kind, rng):
     return tuple(rng.sample(others, rng.randint(1, len(others)))) if others else ()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", few(KINDS, 7))
 def test_any_node_may_be_outside_reading_any_subset(kind):
     for seed in range(8):
         outside = guests(kind, random.Random(seed))
@@ -370,14 +370,14 @@ def real_time(kind, seed, outside=(), stalls=0):
     return wrong
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", few(KINDS, 7))
 def test_in_real_time_every_tick_is_answered_or_counted(kind):
     for seed in range(4):
         outside = called(kind, random.Random(seed))
         assert real_time(kind, seed, outside, stalls=seed % 4) == [], (seed, outside)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", few(KINDS, 7))
 def test_when_a_node_dies_the_others_end_and_name_it(kind):
     for seed in range(5):
         assert death(kind, seed) == [], seed

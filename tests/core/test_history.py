@@ -232,6 +232,7 @@ def test_limit_holds_at_each_stage():
     assert least[0] == 0.0
 
 
+@pytest.mark.long
 def test_bits_without_numba():
     code = (
         "import math, sys, numpy as np, test_history as t\n"

@@ -345,7 +345,7 @@ def test_damage_is_refused_or_does_not_matter(attack, tmp_path):
 @pytest.mark.parametrize(
     ("areas", "number"),
     [
-        (("parameters", "scenarios"), 3),  # may ask for all memory: in processes of their own
+        (("parameters", "scenarios"), 1),  # may ask for all memory: in processes of their own
         pytest.param(("bags", "messages", "parameters", "scenarios"), 12, marks=pytest.mark.long),
     ],
 )

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
+from conftest import PATIENCE, PRESS, differences, few, fork, in_process, make_scenario, no_process_left, until
 from outside import script
 from softrig_core import Recording, Signals, list_scenarios, rig_of
 from softrig_nodes import container as containers, run_processes
@@ -67,7 +67,9 @@ def equal_to_in_process(wired, outcome, seed=0):
     assert differences(expected, outcome.recording) == []
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in HEADLINES])
+@pytest.mark.parametrize(
+    "name", few([pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in HEADLINES], 3)
+)
 def test_every_system_gives_the_bytes_of_the_run_in_process(name, tmp_path):
     wired = short(name, 300)
     seed = wired.scenario.seed

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import in_process
+from conftest import few, in_process
 from scipy.optimize import brentq
 from softrig_core import (
     ByHand,
@@ -73,7 +73,7 @@ def unsettled(signals, step):
 # acceptance ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", AXIS_SCENARIOS)
+@pytest.mark.parametrize("name", few(AXIS_SCENARIOS, 14))
 def test_every_scenario_meets_its_figures(name):
     results = evaluate(rig_of(name), run(name))
     assert any(r.judged for r in results)

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import in_process
+from conftest import few, in_process
 from scipy.linalg import expm as scipy_expm
 from softrig_control.discretise import expm, zero_order_hold
 from softrig_control.kalman import SteadyKalman, steady_kalman_gain
@@ -54,7 +54,9 @@ def speed(name):
     return signals[f"motor/{'true_' if 'motor/true_state' in rig.topics else ''}state/shaft/velocity"]
 
 
-@pytest.mark.parametrize("name", sorted({n for n in list_scenarios() if n.startswith("dc_motor_smc")} - ELSEWHERE))
+@pytest.mark.parametrize(
+    "name", few(sorted({n for n in list_scenarios() if n.startswith("dc_motor_smc")} - ELSEWHERE), 14)
+)
 def test_every_scenario_meets_its_figures(name):
     assert figures(name)
 

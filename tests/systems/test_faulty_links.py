@@ -6,6 +6,7 @@ from datetime import date
 
 import numpy as np
 import pytest
+from conftest import few
 from softrig_control.nodes.fault import FaultParams
 from softrig_core import Block, BlockParams, RunError, load_scenario, param, rig_of, simulate
 from softrig_core.scenario.port_text import ports_of, ports_text, reader
@@ -103,9 +104,12 @@ def expected(kind, sent):
     raise AssertionError(kind)
 
 
+HEAVY = ("optimal_control_mvim", "pwa_delay")  # whose solvers alone take seconds
+
+
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.long) if n in ("optimal_control_mvim", "pwa_delay") else n for n in SYSTEMS],
+    few([pytest.param(n, marks=pytest.mark.long) if n in HEAVY else n for n in SYSTEMS], 5),
 )
 def test_each_kind_of_fault_does_on_each_topic_what_it_says(name):
     rig, faults = tapped(name, SYSTEMS[name])

@@ -57,9 +57,7 @@ def status(found, name):
         "gupfc",
         "gupfc_s2",
         "gupfc_s5",
-        "gupfc_s5_sweep",
-        "gupfc_stretch",
-        *(pytest.param(n, marks=pytest.mark.long) for n in ("gupfc_s3", "gupfc_s4")),
+        *(pytest.param(n, marks=pytest.mark.long) for n in ("gupfc_s3", "gupfc_s4", "gupfc_s5_sweep", "gupfc_stretch")),
     ],
 )
 def test_scenario(name):

@@ -6,7 +6,7 @@ from itertools import accumulate, groupby
 
 import numpy as np
 import pytest
-from conftest import differences, in_process
+from conftest import differences, few, in_process
 from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -62,11 +62,14 @@ LATER = ("e1", "e2", "e2_3_lsb", "s1", "s4", "s5", "s6_offset", "s7", "s8_half",
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(n, marks=pytest.mark.long) if n[14:] in LATER else n
-        for n in sorted(list_scenarios())
-        if n.startswith("induction_dtc")
-    ],
+    few(
+        [
+            pytest.param(n, marks=pytest.mark.long) if n[14:] in LATER else n
+            for n in sorted(list_scenarios())
+            if n.startswith("induction_dtc")
+        ],
+        3,
+    ),
 )
 def test_scenario_meets_its_numbers(name):
     scenario = load_scenario(name)

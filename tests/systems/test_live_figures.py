@@ -3,6 +3,7 @@
 from collections import deque
 
 import pytest
+from conftest import few
 from softrig_core import (
     ByHand,
     RunError,
@@ -35,19 +36,22 @@ def live(run):
 
 @pytest.mark.parametrize(
     ("name", "duration", "least"),
-    [
-        ("dc_motor_smc_b1", 4.0, 7),
-        ("dc_motor_smc_faults", 4.0, 6),
-        ("rehab_impedance", 4.0, 18),
-        ("dc_motor_fsfb_s1_none", 8.0, 7),
-        ("dc_motor_fsfb_s2", 8.0, 9),
-        ("manipulator_adsmc_s2", 4.0, 12),
-        ("induction_dtc_s2", 2.0, 12),
-        ("lsrm_fuzzy_n2", 2.0, 4),
-        ("pv_mppt", 3.0, 8),
-        ("rectifier_mpc", 0.6, 5),
-        ("gupfc_stretch", 1.5, 40),
-    ],
+    few(
+        [
+            ("dc_motor_smc_b1", 4.0, 7),
+            ("dc_motor_smc_faults", 4.0, 6),
+            ("rehab_impedance", 4.0, 18),
+            ("dc_motor_fsfb_s1_none", 8.0, 7),
+            ("dc_motor_fsfb_s2", 8.0, 9),
+            ("manipulator_adsmc_s2", 4.0, 12),
+            ("induction_dtc_s2", 2.0, 12),
+            ("lsrm_fuzzy_n2", 2.0, 4),
+            ("pv_mppt", 3.0, 8),
+            ("rectifier_mpc", 0.6, 5),
+            ("gupfc_stretch", 1.5, 40),
+        ],
+        5,
+    ),
 )
 def test_figures_while_running_equal_those_of_the_recording(name, duration, least):
     run = simulate(with_figures(name, duration))
@@ -152,7 +156,7 @@ def rows(kept):
 WIDE = 100  # numbers of a message: four blocks hold what comes
 
 
-@pytest.mark.parametrize("window", [5, 700, 5000])
+@pytest.mark.parametrize("window", [5, 700, pytest.param(5000, marks=pytest.mark.long)])
 def test_a_window_is_a_queue(window):
     """Over many blocks, with messages that are repeated and pauses that empty it."""
     kept, queue, forgot = Kept(), deque(), False

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from conftest import few
 from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
@@ -61,7 +62,7 @@ def daily_or_long(names):
     return [pytest.param(n, marks=pytest.mark.long if n[11:] in MORE else []) for n in names]
 
 
-@pytest.mark.parametrize("name", daily_or_long(SCENARIOS))
+@pytest.mark.parametrize("name", few(daily_or_long(SCENARIOS), 5))
 def test_scenario_meets_its_numbers(name):
     assert [row for row in measured(name).values() if not row.passed] == []
     assert any(row.judged for row in measured(name).values())

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import softrig_robots
-from conftest import differences, in_process
+from conftest import differences, few, in_process
 from scipy.integrate import solve_ivp
 from simulated import SimulatedRig, World
 from softrig_core import (
@@ -384,7 +384,7 @@ LATER = {f"manipulator_adsmc_{n}" for n in ("s2", "s2b", "s3", "s4_printed_mu1",
 NAMES = sorted(n for n in list_scenarios() if n.startswith("manipulator_adsmc"))
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES])
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 3))
 def test_scenario_meets_its_numbers(name):
     found = evaluate(rig_of(name), run(name))
     assert any(m.judged for m in found)

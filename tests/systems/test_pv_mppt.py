@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import differences, in_process
+from conftest import differences, few, in_process
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -356,7 +356,7 @@ LATER = {
 NAMES = [n for n in list_scenarios() if n.startswith("pv_mppt")]
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES])
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 10))
 def test_scenario_meets_its_metrics(name):
     _, figures = result(name)
     assert figures

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import few
 from pages import generated as pages
 from softrig_core import (
     ByHand,
@@ -84,6 +85,7 @@ def run(name):
 # C1, C2, C3, C5: certified margins
 
 
+@pytest.mark.long
 def test_theorem_1_on_the_switched_system():
     assert 0.01925 <= margin("switched", 0.0190, 0.0196) <= 0.01930
     assert round(margin("switched", 0.0190, 0.0196), 4) >= 0.0193
@@ -546,7 +548,7 @@ SLOW = {f"pwa_delay_{n}" for n in (
 )}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in SLOW)) for n in NAMES])
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in SLOW)) for n in NAMES], 4))
 def test_figures_of_the_scenarios(name):
     assert [f"{r.name} = {r.value}" for r in run(name).missed] == []
 

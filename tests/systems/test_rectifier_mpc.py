@@ -10,6 +10,7 @@ from functools import cache
 import mpmath
 import numpy as np
 import pytest
+from conftest import few
 from hypothesis import given, strategies as st
 from pages.drawn import rectifier_mpc as pictures
 from scipy import linalg, signal
@@ -59,7 +60,7 @@ def run_of(name):
     return simulate(name)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", few(SCENARIOS, 18))
 def test_scenario_meets_its_figures(name):
     run = run_of(name)
     assert run.results

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import softrig_robots
-from conftest import in_process
+from conftest import few, in_process
 from scipy.integrate import solve_ivp
 from simulated import SimulatedRig, World
 from softrig_core import (
@@ -240,7 +240,7 @@ LATER = {f"rehab_impedance_{n}" for n in (
 NAMES = sorted(n for n in list_scenarios() if n.startswith("rehab_impedance"))
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES])
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 4))
 def test_scenario_meets_its_numbers(name):
     found = evaluate(rig_of(name), run(name))
     assert any(m.judged for m in found)
@@ -397,7 +397,7 @@ def test_every_parameter_of_the_robot_is_held_against_the_stability_limit():
     assert set(flatten(RehabPlant.Params())) == {*ROBOTS, *FREE_OF_THE_LIMIT}
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", few(ROBOTS, 7))
 def test_stability_limit_is_of_the_robot_in_the_rig(name):
     """Old: the published robot's, 5.11, whatever the plant was."""
     change = {f"rehab_plant.{name}": ROBOTS[name][0]}

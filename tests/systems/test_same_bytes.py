@@ -1,7 +1,7 @@
 """Through processes every system gives the bytes of the run in process; in a container: processes/test_container.py."""
 
 import pytest
-from conftest import differences, in_process
+from conftest import differences, few, in_process
 from softrig_core import rig_of
 from softrig_nodes import run_processes
 
@@ -27,7 +27,7 @@ LONG = [
 
 
 @pytest.mark.parametrize(
-    ("name", "duration", "seed"), [*DAILY, *(pytest.param(*r, marks=pytest.mark.long) for r in LONG)]
+    ("name", "duration", "seed"), few([*DAILY, *(pytest.param(*r, marks=pytest.mark.long) for r in LONG)], 4)
 )
 def test_processes_give_the_bytes_of_the_run_in_process(name, duration, seed, tmp_path):
     rig = rig_of(name, duration=duration)

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import PATIENCE, differences, in_process
+from conftest import PATIENCE, differences, few, in_process
 from softrig_core import (
     ByHand,
     Level,
@@ -75,7 +75,7 @@ LATER = {f"tcp_aqm_smc_{n}" for n in (
 )}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES])
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 6))
 def test_figures_of_the_scenarios(name):
     missed = [f"{r.name} = {r.value}" for r in figures(name).values() if not r.passed]
     assert missed == []
