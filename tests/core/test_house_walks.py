@@ -42,7 +42,7 @@ def test_the_writers_of_ticks_are_where_the_page_says(place):
 def test_the_texts_of_the_page_are_those_of_the_rig():
     """Python's lines stand in the law; those of native code are what is written for the rig today."""
     python, method, turn = (
-        re.sub(r"^ +", "", text, flags=re.M) for text in re.findall(r"```python\n(.*?)```", PAGE, re.S)
+        re.sub(r"^ +", "", text, flags=re.M) for text in re.findall(r"```(?:python|text)\n(.*?)```", PAGE, re.S)
     )
     rig = rig_of("dc_motor_smc_b2")
     steps = wired(rig, {m.name: m.block(0) for m in rig.members})
