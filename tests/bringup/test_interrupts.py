@@ -121,13 +121,18 @@ def in_a_launch(monkeypatch, capsys):
 
 @pytest.mark.parametrize("twice", [False, True], ids=["once", "twice"])
 @pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
-@pytest.mark.parametrize("phase", [*BEFORE, *PHASES])
-@pytest.mark.parametrize("door", ["run", "view", "launch"])
+@pytest.mark.parametrize(
+    ("door", "phase"),
+    [
+        (door, phase)
+        for door in ("run", "view", "launch")
+        for phase in (*BEFORE, *PHASES)
+        if phase != "native" or door == "run"  # the page and the nodes have loops of their own
+    ],
+)
 def test_no_interrupted_run_has_status_0_and_one_line_says_what_is_missing(
     door, phase, number, twice, monkeypatch, capsys, request
 ):
-    if phase == "native" and door != "run":
-        pytest.skip("the page and the nodes have a loop of their own")
     where, told = (BEFORE | PHASES)[phase]
     if door == "launch":
         where = where.replace(f"{VERB}.checked", "softrig_bringup.verbs.launched.checked")
@@ -142,12 +147,14 @@ def test_no_interrupted_run_has_status_0_and_one_line_says_what_is_missing(
     assert number.name in lines[0]
 
 
-def test_what_the_line_says_makes_what_is_missing(monkeypatch, undrawn, tmp_path):
+def test_what_the_line_says_makes_what_is_missing(monkeypatch, tmp_path):
     with monkeypatch.context() as patched:
         strike(patched, f"{RUN}.plot_run", signal.SIGINT, False)
         assert in_a_run() == 130
     assert main(["report", "r"]) == 0
-    assert (tmp_path / "report.html").read_text().count("<img") == 2
+    page = (tmp_path / "report.html").read_text()
+    assert "This run has no pictures" not in page
+    assert page.count("<figure>") >= 2
     assert in_a_run() == 1  # what was left there is in nobody's way
 
 
