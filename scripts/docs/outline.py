@@ -108,6 +108,10 @@ SYSTEMS = {
 # machines and converters of the field with the laws of the field: no paper, so no claims
 MACHINES = {
     "pmsm_foc": System("machines", ("field orientation",), "pmsm_foc_servo"),
+    "im_foc": System("machines", ("field orientation",), "im_foc_4kw"),
+    "bldc_six_step": System("machines", ("six-step",), "bldc_six_step_anaheim"),
+    "buck_pi": System("power", ("PID",), "buck_pi_boost"),
+    "arm_computed_torque": System("robot", ("computed torque", "impedance"), "arm_computed_torque_three"),
 }
 GALLERY = SYSTEMS | MACHINES
 

@@ -18,6 +18,7 @@ from told import check_told, drawing_lines
 
 # one of each plant that is drawn, and of each of its ways to be wired
 DRAWN = [
+    "arm_computed_torque", "bldc_six_step", "buck_pi", "buck_pi_boost", "im_foc",
     "dc_motor_smc", "dc_motor_smc_b2", "dc_motor_fsfb", "economic_dispatch", "fault_location", "gupfc", "induction_dtc",
     "lsrm_fuzzy", "manipulator_adsmc", "manipulator_adsmc_two_link", "optimal_control_mvim", "optimal_control_mvim_s1",
     "optimal_control_mvim_s3", "pmsm_foc", "pmsm_foc_synrm", "pv_mppt", "pwa_delay", "pwa_delay_p2", "pwa_delay_p2c",

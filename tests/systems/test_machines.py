@@ -9,9 +9,9 @@ from scipy.integrate import solve_ivp
 from scipy.special import jv
 from softrig_core import ByHand, Level, load_scenario, simulate
 from softrig_drives.machines import inverter as legs
-from softrig_drives.machines.current_references import currents as least_currents, mtpa
-from softrig_drives.machines.foc import FocController, FocControllerParams
-from softrig_drives.machines.modulation import Modulation, duties, linear_range
+from softrig_drives.machines.control.current_references import currents as least_currents, mtpa
+from softrig_drives.machines.control.foc import FocController, FocControllerParams
+from softrig_drives.machines.control.modulation import Modulation, duties, linear_range
 from softrig_drives.machines.plant import PmsmPlant, PmsmPlantParams
 from softrig_drives.machines.synchronous import SynchronousConstants, linkage
 

@@ -78,15 +78,20 @@ def scenario(name: str, **more: Any) -> Scenario:
 
 # scenarios that go natively, by system; the others by what is in the way
 GOES = {
+    "arm_computed_torque": 5,
+    "bldc_six_step": 3,
+    "buck_pi": 4,
     "dc_motor_fsfb": 40,
     "dc_motor_smc": 44,
     "gupfc": 7,
+    "im_foc": 4,
+    "im_vhz": 1,
     "induction_dtc": 20,
     "lsrm_fuzzy": 40,
     "manipulator_adsmc": 13,
     "optimal_control": 6,
     "pmsm_field_weakening": 1,
-    "pmsm_foc": 6,
+    "pmsm_foc": 8,
     "pv_mppt": 30,
     "pwa_delay": 18,
     "rectifier_mpc": 16,

@@ -229,6 +229,30 @@ class SymbolicRobot:
             acceleration[i] = carried + self._axes[i] * result[-1]
         return ca.vertcat(*result)
 
+    def inverse_dynamics(self, q: ca.SX, v: ca.SX, a: ca.SX, armature: ca.SX, payload: ca.SX) -> ca.SX:
+        """Torques for accelerations by the recursive Newton-Euler algorithm; arguments as in `forward_dynamics`."""
+        count = len(self._parents)
+        x: list[ca.SX] = [ca.SX.eye(6)] * count
+        twist: list[ca.SX] = [ca.SX.zeros(6)] * count
+        acceleration: list[ca.SX] = [ca.SX(ca.vertcat(-self._gravity, ca.DM.zeros(3)))] * count
+        inertia = [ca.SX(body) for body in self._bodies]
+        holder, _, at = self._tool
+        inertia[holder] = inertia[holder] + _point_inertia(payload, at)
+        force: list[ca.SX] = [ca.SX.zeros(6)] * count
+        for i in range(1, count):
+            axis, parent = self._axes[i], self._parents[i]
+            x[i] = _motion_transform(*self._joint(i, q[i - 1]))
+            twist[i] = x[i] @ twist[parent] + axis * v[i - 1]
+            acceleration[i] = (
+                x[i] @ acceleration[parent] + axis * a[i - 1] + _cross_motion(twist[i]) @ (axis * v[i - 1])
+            )
+            force[i] = inertia[i] @ acceleration[i] + _cross_force(twist[i]) @ (inertia[i] @ twist[i])
+        torque: list[ca.SX] = [ca.SX(1)] * count
+        for i in reversed(range(1, count)):
+            torque[i] = self._axes[i].T @ force[i] + armature[i - 1] * a[i - 1]
+            force[self._parents[i]] = force[self._parents[i]] + x[i].T @ force[i]
+        return ca.vertcat(*torque[1:])
+
     def tool_position(self, q: ca.SX) -> ca.SX:
         """Place of the tool frame in the base frame, m."""
         holder, _, at = self._tool

@@ -25,11 +25,12 @@ class MachineDrawing(Drawing):
             self.quantity("joint_states", f"shaft/{field}") for field in ("position", "velocity", "effort")
         )
         self.currents = [self.quantity("currents", axis) for axis in "xyz"]
-        self.duties = [self.quantity("applied", f"{name}/effort") for name in "abc"]
+        duties = "applied" if any(port.name == "applied" for port in self.plant.outputs) else "gates"
+        self.duties = [self.quantity(duties, f"{name}/effort") for name in "abc"]
         self.voltage = self.quantity("dc_link", "voltage/position")
         self.pairs = self.p.pole_pairs
         self.full = 0.5 * self.p.trip_current
-        self.magnet = getattr(self.p, "psi_f", 0.0) > 0.0
+        self.magnet = getattr(self.p, "psi_f", 0.0) > 0.0 or hasattr(self.p, "k_e")
 
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
         """Stator, rotor, current vector, then the inverter and the values."""
@@ -86,6 +87,6 @@ class MachineDrawing(Drawing):
         pen.line([(left - 20, top), (left + 170, top)], "line", 2.0)
         pen.line([(left - 20, bottom), (left + 170, bottom)], "line", 2.0)
         for k, ((name, role), duty) in enumerate(zip(PHASES, self.duties, strict=True)):
-            x, height = left + 10 + 60 * k, (bottom - top) * held(duty(row), 1.0)
+            x, height = left + 10 + 60 * k, (bottom - top) * max(held(duty(row), 1.0), 0.0)
             pen.box(x - 10, bottom - height, 20, height, role, role, 0)
             pen.text((x + 16, (top + bottom) / 2 + 5), name, role)

@@ -7,9 +7,9 @@ from typing import Any, Literal, NamedTuple
 
 from softrig_core import Block, Port, param, scalars, vector3
 
+from ..ports import CURRENTS, DC_LINK, DUTY, SHAFT_MEAS, SPEED_REF, TORQUE_REF
 from .current_control import CurrentControl, CurrentControlParams, Integrals, rotated
 from .current_references import currents as least_currents
-from .ports import CURRENTS, DC_LINK, DUTY, SHAFT_MEAS, SPEED_REF, TORQUE_REF
 from .speed_control import Speed, SpeedControl, SpeedControlParams
 
 CURRENT_REF = vector3("current_ref", "current_ref", "dq", "A", held=True)

@@ -1,0 +1,1 @@
+"""Field orientation, voltage over frequency, six steps, and what they are made of."""

@@ -1,0 +1,62 @@
+"""The induction machine as a plant."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple
+
+from . import induction
+from .induction import InductionConstants
+from .plant import MachineParams, MachinePlant, Nine, Three
+from .synchronous import Array
+
+
+class InductionPlantParams(InductionConstants, MachineParams):
+    """Machine, inverter, mechanics."""
+
+
+class State(NamedTuple):
+    """Flux linkages of stator and rotor in stator coordinates (Wb); the rest as in `plant.State`."""
+
+    psi_s_alpha: float = 0.0
+    psi_s_beta: float = 0.0
+    psi_R_alpha: float = 0.0  # noqa: N815
+    psi_R_beta: float = 0.0  # noqa: N815
+    omega: float = 0.0
+    theta: float = 0.0
+    omega_load: float = 0.0
+    theta_load: float = 0.0
+    u_dc: float = 0.0
+    waiting: Three = (0.5, 0.5, 0.5)
+    applied: Three = (0.5, 0.5, 0.5)
+    rising: bool = True
+    fault: bool = False
+
+
+class InductionPlant(MachinePlant[InductionPlantParams]):
+    """Induction machine with a cage rotor; see `induction.rates`."""
+
+    MACHINE: ClassVar[Any] = induction
+
+    def constants(self) -> Array:
+        """Return the constants of the inverse-Gamma circuit."""
+        return self.p.numbers(self.p.r_on)
+
+    def first(self) -> State:
+        """Begin without flux, at the speed and angle of the parameters."""
+        p = self.p
+        w_load, theta_load = (p.w_0, p.theta_0) if p.J_load else (0.0, 0.0)
+        return State(0.0, 0.0, 0.0, 0.0, p.w_0, p.theta_0, w_load, theta_load, p.U_dc)
+
+    def nine(self, x: State) -> Nine:
+        """Return fluxes, mechanics, DC voltage, which is that of the source without a capacitor."""
+        u_dc = x.u_dc if self._capacitor else self.p.U_dc
+        return (
+            x.psi_s_alpha, x.psi_s_beta, x.psi_R_alpha, x.psi_R_beta, x.omega, x.theta, x.omega_load, x.theta_load, u_dc
+        )  # fmt: skip
+
+    def advance(self, x: State, t: int, *, duty: tuple[float, ...], load_torque: tuple[float, ...] | None) -> State:
+        """Move by one period."""
+        found, waiting, applied, fault = self.moved(x, t, duty, load_torque)
+        a, b, c, d, omega, theta, omega_load, theta_load, u_dc = found
+        rising = not x.rising if self.p.updates == 2 else True
+        return State(a, b, c, d, omega, theta, omega_load, theta_load, u_dc, waiting, applied, rising, fault)

@@ -1,0 +1,1 @@
+"""DC/DC converters with one switch: buck and boost."""
