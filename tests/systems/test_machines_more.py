@@ -7,12 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.signal import lti
-from softrig_core import ByHand, load_scenario, simulate
+from softrig_bringup.cli import main
+from softrig_core import ByHand, load_scenario, rig_of, simulate
 from softrig_drives.induction_dtc.machine import inverse_gamma
 from softrig_drives.machines.bldc import BldcPlant, BldcPlantParams, shape
 from softrig_drives.machines.control.induction_foc import ImFocController, ImFocParams
 from softrig_drives.machines.control.six_step import STEPS, SixStepController, SixStepParams
 from softrig_drives.machines.induction_plant import InductionPlant, InductionPlantParams
+from softrig_drives.machines.rated import pmsm, scenario
 from softrig_drives.machines.sensors import CurrentSensor, CurrentSensorParams, ShaftSensor, ShaftSensorParams
 
 THIRD = 2.0 * math.pi / 3.0
@@ -243,3 +245,83 @@ def test_a_machine_published_as_a_t_circuit():
     circuit = inverse_gamma(1.395, 0.005839, 0.005839, 0.1722)
     assert (p["R_R"], p["L_sigma"], p["L_M"]) == pytest.approx(circuit, rel=1e-6)
     assert not simulate("im_foc_4kw").missed
+
+
+# data sheets ------------------------------------------------------------------------------------------------------
+
+SHEET = {"speed": 1500.0, "current": 4.3, "pole_pairs": 3, "torque": 14.0, "R_s": 3.6, "L_d": 0.036, "L_q": 0.051}
+
+
+def test_what_a_data_sheet_says_is_what_the_machine_has():
+    """Three ways to say the same magnet; its voltage at 1000 1/min and its torque over rms current by definition."""
+    psi = 0.545
+    volts = psi * 3 * (1000 * math.pi / 30) * math.sqrt(1.5)
+    ways = ({"psi_f": psi}, {"K_e": volts}, {"K_t": 1.5 * 3 * psi * math.sqrt(2.0)})
+    for way in ways:
+        drive = pmsm({**SHEET, **way})
+        assert drive.plant["psi_f"] == pytest.approx(psi, rel=1e-12)
+        assert not any(line.startswith(("psi_f", "R_s", "L_d")) for line in drive.assumed)
+    between = {k: v for k, v in SHEET.items() if k not in ("R_s", "L_d", "L_q")} | {"R_tt": 7.2, "L_tt": 0.07}
+    drive = pmsm(between)
+    assert (drive.plant["R_s"], drive.plant["L_d"], drive.plant["L_q"]) == pytest.approx((3.6, 0.035, 0.035))
+
+
+def test_what_is_assumed_is_consistent_with_the_rated_point():
+    """Rated current makes the rated torque, at the rated voltage and speed; the losses are the share that is named."""
+    given = {"speed": 1500.0, "current": 4.3, "pole_pairs": 3, "power": 2200.0, "voltage": 370.0}
+    p = pmsm(given).plant
+    peak, w = 4.3 * math.sqrt(2.0), 1500 * math.pi / 30
+    assert 1.5 * 3 * p["psi_f"] * peak * w == pytest.approx(2200.0, rel=1e-12)
+    u = complex(p["R_s"] * peak + 3 * w * p["psi_f"], 3 * w * p["L_q"] * peak)
+    assert abs(u) * math.sqrt(1.5) == pytest.approx(370.0, rel=1e-12)
+    assert 1.5 * p["R_s"] * peak**2 == pytest.approx(0.05 * 2200.0, rel=1e-12)
+
+
+SERVO = {"speed": 6000.0, "current": 7.1, "pole_pairs": 4, "torque": 0.27, "R_tt": 0.79, "L_tt": 0.00038, "U_dc": 24.0}
+
+
+@pytest.mark.parametrize("given", [{**SHEET, "psi_f": 0.545, "J": 0.015}, SERVO])
+def test_the_rig_of_a_data_sheet_does_what_it_expects(given, tmp_path):
+    text, assumed = scenario("mine", given)
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    assert all(line in text for line in assumed)
+    run = simulate(str(path))
+    assert not run.missed, run.figures
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({}, "missing speed, current, pole_pairs, torque"),
+        ({**SHEET, "poles": 6.0}, "poles: not asked for"),
+        ({**SHEET, "torque": -1.0}, "above zero"),
+        ({**SHEET, "torque": math.nan}, "above zero"),
+        ({**SHEET, "pole_pairs": 2.5}, "whole number"),
+        ({**SHEET, "R_tt": 7.2}, "say the same"),
+        ({k: v for k, v in SHEET.items() if k != "L_q"}, "give both"),
+        ({k: v for k, v in SHEET.items() if k[0] != "L"}, "no inductance: give L_tt"),
+        ({**{k: v for k, v in SHEET.items() if k[0] != "L"}, "voltage": 100.0}, "less than back-EMF"),
+    ],
+)
+def test_a_data_sheet_that_cannot_be_is_refused(given, text):
+    with pytest.raises(ValueError, match=text):
+        pmsm(given)
+
+
+def test_the_verb_writes_the_scenario(tmp_path, capsys):
+    values = [f"{k}={v}" for k, v in SHEET.items()]
+    assert main(["new", "my_drive", "--plant", "pmsm", "--into", str(tmp_path), "--rated", *values]) == 0
+    assert "i_max" in capsys.readouterr().out
+    assert rig_of(str(tmp_path / "my_drive.yaml")).scenario.nodes["pmsm_plant"].parameters["R_s"] == 3.6
+    for arguments, text in (
+        (["my_drive", "--plant", "pmsm", "--into", str(tmp_path), "--rated", *values], "there already"),
+        (["other", "--plant", "dcmotor"], "unknown; there are pmsm"),
+        (["other", "--plant", "pmsm", "--rated", "speed"], "expected NAME=VALUE"),
+        (["other", "--plant", "pmsm", "--rated", "speed=fast"], "expected NAME=VALUE"),
+        (["other", "--plant", "pmsm", "--only", "law"], "leave --only"),
+        (["other", "--rated", "speed=3000"], "needs"),
+        (["pmsm_foc", "--plant", "pmsm", "--rated", *values], "scenario already"),
+    ):
+        assert main(["new", *arguments]) == 2
+        assert text in capsys.readouterr().err

@@ -26,6 +26,10 @@ def verbs(verb: Verb) -> None:
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
     new.add_argument("--only", choices=("law", "plant"), help="a law for a plant that is there, or a plant by itself")
     new.add_argument("--language", choices=("c", "c++", "rust"), help="a law in another language than Python")
+    new.add_argument("--plant", metavar="KIND", help="a drive from the data sheet of your machine: pmsm")
+    new.add_argument(
+        "--rated", nargs="+", default=[], metavar="NAME=VALUE", help="with --plant: its rated values, as speed=3000"
+    )
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
     pack = verb("pack", "verbs.pack:main", "a run as one file, your own packages in it: `run --like FILE` elsewhere")
     pack.add_argument("run", type=Path, metavar="RUN", help="its folder, or its bag; or the folder of a study")

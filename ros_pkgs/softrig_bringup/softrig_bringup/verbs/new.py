@@ -20,6 +20,7 @@ from softrig_core.guard import naming
 from softrig_core.scenario.scenario_file import find
 
 from .new_native import new_native, told
+from .new_rated import from_data_sheet
 
 # template, and where it goes; $name below stands for the package's name
 FILES = {"package.xml": "package.xml", "setup.py": "setup.py", "setup.cfg": "setup.cfg", "README.md": "README.md"}
@@ -152,7 +153,14 @@ def _write(path: Path, text: str) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Write a package, or a law in another language, and say what to do with it."""
+    """Write a package, a law in another language, or a drive from a data sheet; print what to do with it."""
+    if options.rated and not options.plant:
+        raise ScenarioError("--rated: needs `--plant pmsm`")
+    if options.plant:
+        if options.only or options.language:
+            raise ScenarioError("--plant: writes a scenario; leave --only and --language out")
+        print(from_data_sheet(options.name, options.into, options.plant, options.rated, command()))
+        return 0
     if options.language:
         if options.only == "plant":
             raise ScenarioError("--only plant: `--language` writes a law; c_plant runs a plant in C")

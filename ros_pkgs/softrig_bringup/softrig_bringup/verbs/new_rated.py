@@ -1,0 +1,67 @@
+"""A scenario from the rated values of a data sheet; what turns them into a rig is an entry point of a package."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from softrig_core import ScenarioError
+from softrig_core.guard import naming
+from softrig_core.scenario.scenario_file import find
+
+GROUP = "softrig_data_sheets"  # entry points: (name, rated values) to the text of a scenario and what was assumed
+
+
+def from_data_sheet(name: str, parent: Path, kind: str, rated: Sequence[str], command: str) -> str:
+    """Write ``NAME.yaml`` and return what to print.
+
+    Parameters
+    ----------
+    name : str
+        Of the scenario.
+    parent : Path
+        Folder in which the file is made.
+    kind : str
+        An entry point of `GROUP`.
+    rated : sequence of str
+        ``NAME=VALUE`` each.
+    command : str
+        What a person types to get the command line.
+
+    Raises
+    ------
+    ScenarioError
+        An unknown kind, a value that is no number, values that are missing or contradict, or a file that is there.
+    """
+    points = {p.name: p for p in importlib.metadata.entry_points(group=GROUP)}
+    if kind not in points:
+        raise ScenarioError(f"--plant {kind}: unknown; there are {', '.join(sorted(points))}")
+    if not name.isidentifier():
+        raise ScenarioError(f"name {name!r}: expected letters, digits and _, as in my_drive")
+    if (there := find(name)) is not None:
+        raise ScenarioError(f"name {name!r}: `run {name}` is a scenario already ({there.name}); choose another")
+    given: dict[str, float] = {}
+    for item in rated:
+        key, found, value = item.partition("=")
+        try:
+            given[key.strip()] = float(value.replace(",", "."))
+        except ValueError:
+            raise ScenarioError(f"--rated {item}: expected NAME=VALUE with a number, as speed=3000") from None
+        if not found:
+            raise ScenarioError(f"--rated {item}: expected NAME=VALUE, as speed=3000")
+    try:
+        text, assumed = points[kind].load()(name, given)
+    except ValueError as error:
+        raise ScenarioError(f"--rated: {error}") from None
+    path = parent / f"{name}.yaml"
+    if path.exists() or path.is_symlink():
+        raise ScenarioError(f"{path} is there already; choose another name or --into DIR")
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    shown = shlex.quote(os.path.relpath(path))
+    lines = [f"wrote {shown}; assumed, because the rated values do not have it:", *(f"  {line}" for line in assumed)]
+    return "\n".join([*lines, "now:", f"  {command} run {shown} --mode inprocess"])
