@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from softrig_core.judge import measures
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.recording import Columns, Topic
 
 
 def eighth(rng):
@@ -393,3 +395,32 @@ def test_what_is_missing_is_named():
 def test_every_figure_is_among_them_and_has_no_bound_of_its_own():
     assert sorted(measures.__all__) == sorted(OVER_TIME | OF_ERRORS | OF_VALUES | OF_STEPS)
     assert {getattr(measures, name).possible for name in measures.__all__} == {(-math.inf, math.inf)}
+
+
+@pytest.mark.parametrize("side", [0, 10**9])
+@pytest.mark.parametrize("seed", range(8))
+def test_the_newest_time_of_each_instant_is_that_of_a_search_by_hand(monkeypatch, side, seed):
+    """Times of one period that begin earlier or later, end earlier or later, or come twice; by a count of each."""
+    monkeypatch.setattr(measures, "SIDE_BY_SIDE", side)
+    draw = np.random.default_rng(seed)
+    at = np.arange(90.0)
+    for first, last, shift in [(0, 90, 0.0), (0, 91, 0.999), (-3, 89, 0.5), (4, 95, 0.0), (0, 90, -0.5), (-1, 60, 0.0)]:
+        times = np.arange(float(first), float(last))
+        if seed:
+            times[draw.integers(1, len(times) - 1, seed)] -= draw.choice([0.0, 1.0, 0.25], seed)
+        times.sort()
+        found = measures.newest(times, at + shift)
+        assert found.tolist() == [int((times <= instant).sum()) - 1 for instant in at + shift]
+
+
+def test_the_end_of_a_record_is_its_newest_message_however_its_parts_came():
+    layout = Layout("sensor_msgs/msg/JointState", "", ["x"], {"position": 1})
+    topic = Topic("a", "sensor_msgs/msg/JointState")
+    assert topic.newest() is None
+    topic.add_columns(Columns(np.array([1, 5]), np.zeros((2, 1)), layout))
+    topic.add_columns(Columns(np.array([7]), np.zeros((1, 1)), layout))
+    topic.add_columns(Columns(np.array([], np.int64), np.zeros((0, 1)), layout))
+    assert topic.newest() == 7
+    topic.times.append(9)
+    topic.data.append(b"")
+    assert topic.newest() == 9

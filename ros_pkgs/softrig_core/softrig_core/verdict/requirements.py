@@ -269,7 +269,7 @@ def _judge(
     read_ = {n: signals[n] for n in {conditions[v].signal if v in conditions else v for v in used} if n not in own}
     ticker = _ticker(rig)
     read_too = [signal for figure in (*measured.values(), *timed.values()) for signal in figure.reads]
-    follows = not bounded_by_numbers(formula, known, compared)
+    follows = not _bounded(formula, items, scaled[0])
     return Judge(
         tree,
         read_,
@@ -298,6 +298,11 @@ def _at(
 def _used(formula: str, known: Items) -> tuple[list[str], list[tuple[float, float | None]]]:
     tree, _ = read(formula, dict(known))
     return variables(tree), list(intervals(tree))
+
+
+@lru_cache(maxsize=256)
+def _bounded(formula: str, known: Items, units: Items) -> bool:
+    return bounded_by_numbers(formula, dict(known), dict(units))
 
 
 @lru_cache(maxsize=256)

@@ -205,6 +205,12 @@ class Topic:
         whole = self.columns()
         return np.array(self.times, np.int64) if whole is None else whole.times
 
+    def newest(self) -> int | None:
+        """Give the time of its last message, ns; None without one."""
+        if parts := self.parts():  # which need not be joined for it
+            return next(int(part.times[-1]) for part in reversed(parts) if len(part.times))
+        return self.times[-1] if self.times else None
+
     def before(self, t: int) -> Topic:
         """Give its messages that are earlier than t, ns."""
         found, whole = Topic(self.name, self.msgtype), self.columns()

@@ -101,8 +101,8 @@ class Signals(Mapping[str, Signal]):
     @cached_property
     def end(self) -> float:
         """Time of the newest message of all signals, s: up to it the last sample of each is held."""
-        topics = [t for t in self.recording.topics.values() if t.msgtype in TYPES]
-        return (max((int(t.ticks()[-1]) for t in topics if len(t.ticks())), default=0) - self._epoch) / SECOND
+        ends = [topic.newest() for topic in self.recording.topics.values() if topic.msgtype in TYPES]
+        return (max((end for end in ends if end is not None), default=0) - self._epoch) / SECOND
 
     def table(self, topic: str) -> Table:
         """Give all columns of a topic; what a message lacks that others of its topic have is NaN."""
