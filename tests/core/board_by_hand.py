@@ -6,6 +6,8 @@ import subprocess
 
 from softrig_core.export.check import FLAGS
 
+# scenarios that need an AVR compiler and simavr, and whose board can only go on
+UNO = ("dc_motor_smc_uno", "dc_motor_smc_uno_pid", "dc_motor_smc_uno_soft")
 HARNESS = """
 #include "{n}_link.h"
 #include <stddef.h>

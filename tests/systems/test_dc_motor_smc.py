@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from board_by_hand import UNO
 from conftest import few, in_process
 from scipy.linalg import expm as scipy_expm
 from softrig_control.discretise import expm, zero_order_hold
@@ -30,7 +31,7 @@ K = 9.71170883  # K/r, 1/s^2, solved from Table II
 C = 5.0320416  # slope of the surface, 1/s
 
 # their golden bags and tests/core/test_faults.py; test_falsifications.py; test_other_machines.py
-ELSEWHERE = {f"dc_motor_smc_{n}" for n in ("faults", "faults_bus", "b1_insensitive", "re40", "re40_law")}
+ELSEWHERE = {f"dc_motor_smc_{n}" for n in ("faults", "faults_bus", "b1_insensitive", "re40", "re40_law")} | {*UNO}
 
 
 @functools.cache

@@ -15,6 +15,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from board_by_hand import UNO
 from softrig_core import (
     Observer,
     ParameterError,
@@ -613,7 +614,7 @@ def test_figures_of_a_system_follow_its_nodes(scenario):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("scenario", sorted(set(list_scenarios()) - set(HEADLINES)))
+@pytest.mark.parametrize("scenario", sorted(set(list_scenarios()) - set(HEADLINES) - {*UNO}))
 def test_figures_of_every_scenario_follow_its_nodes(scenario):
     follows(scenario)
     no_time_beside_a_node_s(scenario)

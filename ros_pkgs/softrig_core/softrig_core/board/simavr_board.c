@@ -28,12 +28,13 @@ static size_t in_at, in_end, out_end;
 static bool may_send = true;
 static avr_cycle_count_t last, frame_end, begun, longest;
 static avr_t *avr;
+static int wire;
 
 static void flush_out(void)
 {
     size_t at = 0;
     while (at < out_end) {
-        ssize_t n = write(1, out + at, out_end - at);
+        ssize_t n = write(wire, out + at, out_end - at);
         if (n <= 0) {
             exit(0);
         }
@@ -85,6 +86,8 @@ int main(int argc, char **argv)
 {
     elf_firmware_t firmware;
     memset(&firmware, 0, sizeof firmware);
+    wire = dup(1); /* libsimavr writes to standard output */
+    dup2(2, 1);
     signal(SIGPIPE, SIG_IGN);
     if (argc < 2 || elf_read_firmware(argv[1], &firmware) != 0) {
         fprintf(stderr, "cannot read the firmware\n");

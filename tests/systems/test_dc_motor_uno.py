@@ -1,0 +1,146 @@
+"""The motor behind a simulated Uno: peripherals against the data sheet, limits before casts, the paper's hardware."""
+
+import math
+import shutil
+import struct
+import subprocess
+
+import pytest
+from board_by_hand import UNO
+from softrig_core import ScenarioError, simulate
+from softrig_core.board.simavr import HEADER
+from softrig_core.firmware.check import DEBIAN
+from softrig_drives.dc_motor.uno import ROW, DcMotorUnoParams, built, firmware_files, simulator_of
+
+pytestmark = pytest.mark.skipif(
+    not (shutil.which("avr-gcc") and HEADER.is_file() and shutil.which("cc")),
+    reason=f"needs an AVR compiler and simavr (Debian: {DEBIAN})",
+)
+SPEED = "motor/true_state/shaft/velocity"
+P = DcMotorUnoParams()
+BRIDGE = P.vmax - P.bridge_drop  # V
+
+
+def rows(firmware, *times):
+    """What the simulator says at times in ms."""
+    given = b"".join(struct.pack("<q", t * 1_000_000) for t in times)
+    done = subprocess.run([simulator_of(P), firmware], input=given, capture_output=True, check=True, timeout=60)
+    return list(ROW.iter_unpack(done.stdout))
+
+
+def test_the_run_is_that_of_the_digital_rig_and_the_same_again():
+    first, again, digital = (
+        simulate(name, duration=0.5) for name in ("dc_motor_smc_uno", "dc_motor_smc_uno", "dc_motor_smc_b1")
+    )
+    assert {k: t.data for k, t in first.recording.topics.items()} == {
+        k: t.data for k, t in again.recording.topics.items()
+    }
+    speed, other = (r.signals[SPEED].x for r in (first, digital))
+    assert max(abs(a - b) for a, b in zip(speed, other, strict=True)) < 0.42  # rad/s: what a count makes of the speed
+    assert max(speed) > 6.0
+    assert simulate("dc_motor_smc_uno", duration=0.1).blocks["dc_motor_uno"].x.row[7] > 2000  # cycles of a tick
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", UNO)
+def test_the_hardware_section_of_the_paper(name):
+    run = simulate(name)
+    assert [r.name for r in run.results if r.passed is not True and r.limited] == []
+
+
+PWM = """
+#include <avr/io.h>
+#include <avr/sleep.h>
+int main(void)
+{
+    DDRB = 3; DDRD = 0x80; PORTD = 0x80; EIMSK = 3;
+    OCR1A = LEVEL;
+    TCCR1A = (1 << COM1A1) | (1 << WGM10);
+    TCCR1B = MODE | (1 << CS11) | (1 << CS10);
+    for (;;) { }
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("mode", "level", "duty"),
+    [
+        ("(1 << WGM12)", 0, 1 / 256),  # ATmega328P data sheet, 16.9.3: a narrow spike
+        ("(1 << WGM12)", 127, 1 / 2),
+        ("(1 << WGM12)", 255, 1.0),
+        ("0", 0, 0.0),  # 16.9.4: continuously low, and high at TOP
+        ("0", 127, 127 / 255),
+        ("0", 255, 1.0),
+    ],
+)
+def test_pwm_has_the_duty_of_the_data_sheet(mode, level, duty):
+    text = f"#define MODE {mode}\n#define LEVEL {level}\n{PWM}"
+    whole = 51 if mode == "0" else 128  # ms: 25 and 125 periods of 510 and 256 steps of 4 us
+    _, last = rows(built({"pwm.c": text}, "pwm"), 10, 10 + whole)
+    assert last[6] == pytest.approx(duty * BRIDGE, abs=1e-3 * BRIDGE)
+
+
+LAW = """
+#ifndef LAW_H
+#define LAW_H
+#include "softrig_c.h"
+typedef struct { uint8_t nothing; } law;
+typedef struct { real_t state[1]; bool has_reference; real_t reference[1]; } law_in;
+typedef struct { real_t command[1]; } law_out;
+static void law_init(law *l, const void *p) { (void)l; (void)p; }
+static int law_step(law *l, const law_in *in, law_out *out, int64_t t)
+{
+    (void)l; (void)in; (void)t;
+    out->command[0] = VOLTAGE;
+    return 0;
+}
+#endif
+"""
+VOLTAGES = {
+    "-1 below": ("-13.0f", -1.0),
+    "beyond": ("12.1f", 1.0),
+    "far": ("1e30f", 1.0),
+    "NaN": ("NAN", 0.0),
+    "infinite": ("-INFINITY", -1.0),
+    "half": ("6.0f", 128 / 255),
+    "none": ("0.0f", 0.0),
+}
+
+
+@pytest.mark.parametrize(("voltage", "part"), VOLTAGES.values(), ids=VOLTAGES)
+def test_a_voltage_is_limited_before_it_becomes_a_register(voltage, part, tmp_path):
+    from importlib import resources
+
+    support = (resources.files("softrig_core.export") / "softrig_c.h").read_text()
+    lines = '#define SR_FLOAT\n#define LAW_HEADER "law.h"\n#define LAW law\n#define VMAX 12.0\n#define SET_POINT 1.0\n'
+    lines += "#define LAW_IN law_in\n#define LAW_OUT law_out\n#define LAW_STEP law_step\n#define LAW_INIT law_init\n"
+    lines += f"#define SPEED_PER_COUNT 1.0\n#define CURRENT_LSB 1.0\n#define VOLTAGE SR_REAL({voltage})\n"
+    files = {"softrig_c.h": support, "law.h": LAW} | firmware_files(lines)
+    (row,) = rows(built(files, "limits"), 5)
+    assert row[3] == pytest.approx(part * BRIDGE)
+    # the same lines on this machine
+    for name in ("softrig_c.h", "law.h", "uno_pwm.h"):
+        (tmp_path / name).write_text(files[name])
+    main = f'#include <stdio.h>\n{lines}#include "law.h"\n#include "uno_pwm.h"\n'
+    main += 'int main(void) { printf("%d", pwm_of(VOLTAGE)); }\n'
+    (tmp_path / "main.c").write_text(main)
+    subprocess.run(["cc", "-std=c99", "-o", "main", "main.c", "-lm"], cwd=tmp_path, check=True, capture_output=True)
+    said = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=False).stdout
+    assert int(said) == round(part * 255)
+
+
+def test_a_controller_with_other_ports_is_refused():
+    with pytest.raises(ScenarioError, match="cannot run on the Uno of this rig: expected the inputs state, reference"):
+        simulate(
+            "dc_motor_smc_uno",
+            duration=0.1,
+            overrides={"dc_motor_uno.scenario": "induction_dtc", "dc_motor_uno.controller": "speed_controller"},
+        )
+
+
+def test_speed_by_the_counts_of_the_encoder():
+    run = simulate("dc_motor_smc_uno_soft", duration=1.0)
+    theta = run.signals["motor/true_state/shaft/position"].x
+    count = run.signals["motor/sensors/encoder_count/position"].x
+    assert [math.floor(a * P.counts_per_rev / math.tau) for a in theta] == list(count)
+    assert count[-1] > 1000
