@@ -95,8 +95,8 @@ class Simulated(FileWire):
         try:
             self._process.wait(END)
             self._said.seek(0)
-            return dict(json.loads(self._said.read()))
-        except (ValueError, subprocess.TimeoutExpired):
+            return dict(json.loads(self._said.read().splitlines()[-1]))  # libsimavr has its lines before
+        except (ValueError, IndexError, subprocess.TimeoutExpired):
             return {}
 
     def close(self) -> None:
