@@ -8,6 +8,7 @@ import shutil
 import struct
 import subprocess
 import tty
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -224,7 +225,7 @@ def linked_rig(firmware, port, **more):
     folder, name, *_ = firmware
     link = {"port": port, "firmware": str(folder / f"{name}.json")} | more
     draft = read_draft(SCENARIO)
-    return rig_of(draft._replace(raw=merge(draft.raw, {"nodes": {NODE: {"link": link}}})))
+    return rig_of(replace(draft, raw=merge(draft.raw, {"nodes": {NODE: {"link": link}}})))
 
 
 def test_a_rig_with_a_board_over_a_pty_is_the_rig_without(firmware):
@@ -252,8 +253,8 @@ def test_gains_change_on_the_board_between_two_ticks(firmware):
     script = {"changes": [{"at": 0.3, "set": {f"{NODE}.k_per_ref": 4.0}}]}
     draft = read_draft(SCENARIO)
     link = {"nodes": {NODE: {"link": {"port": f"program:{folder / name}", "firmware": str(folder)}}}}
-    plain = rig_of(draft._replace(raw=merge(draft.raw, script)), duration=0.6)
-    board = rig_of(draft._replace(raw=merge(merge(draft.raw, script), link)), duration=0.6)
+    plain = rig_of(replace(draft, raw=merge(draft.raw, script)), duration=0.6)
+    board = rig_of(replace(draft, raw=merge(merge(draft.raw, script), link)), duration=0.6)
     assert recorded(board) == recorded(plain)
     assert recorded(board) != recorded(linked_rig(firmware, f"program:{folder / name}"), duration=0.6)
 
@@ -279,7 +280,7 @@ def test_a_link_that_cannot_work_is_refused_before_the_run(change, told, firmwar
     link = {"nodes": {NODE: {"link": {"port": "program:x", "firmware": str(folder)}}}}
     draft = read_draft(SCENARIO)
     with pytest.raises(ScenarioError, match=told):
-        rig_of(draft._replace(raw=merge(merge(draft.raw, link), change)))
+        rig_of(replace(draft, raw=merge(merge(draft.raw, link), change)))
 
 
 def test_a_port_that_cannot_be_opened_ends_the_run_by_a_line(firmware):

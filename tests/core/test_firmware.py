@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -33,7 +34,7 @@ def test_a_sketch_on_the_uno_moves_the_motor_as_python_does(tmp_path):
     assert found.ram + found.stack < RAM / 2
     draft = read_draft("dc_motor_smc_b2")
     link = {"nodes": {"dc_motor_smc": {"link": {"port": f"simavr:{tmp_path / name}.elf", "firmware": str(tmp_path)}}}}
-    board = simulate(rig_of(draft._replace(raw=merge(draft.raw, link))), duration=0.3).recording.topics
+    board = simulate(rig_of(replace(draft, raw=merge(draft.raw, link))), duration=0.3).recording.topics
     python = simulate("dc_motor_smc_b2", duration=0.3).recording.topics
     assert board["motor/true_state"].data == python["motor/true_state"].data
     assert board["motor/command"].data != python["motor/command"].data  # in float

@@ -95,8 +95,9 @@ class Simulated(FileWire):
         try:
             self._process.wait(END)
             self._said.seek(0)
-            return dict(json.loads(self._said.read().splitlines()[-1]))  # libsimavr has its lines before
-        except (ValueError, IndexError, subprocess.TimeoutExpired):
+            said = next(line for line in self._said if line.startswith(b"{"))  # libsimavr has lines of its own
+            return dict(json.loads(said))
+        except (ValueError, StopIteration, subprocess.TimeoutExpired):
             return {}
 
     def close(self) -> None:
