@@ -411,7 +411,7 @@ class SimulatedRig:
         node = SimulatedNode(world, member.name, member.remap, process)
         sink = _Sink.__new__(_Sink)
         adapter = Adapter(node, member.block(seed), RunOptions(**given), sink)
-        sink.__init__(self.recording, adapter.recorded)
+        sink.__init__(self.recording, adapter.record.topics)
         adapter.files = files
         if world.discovery is not None:
             adapter.on_finished = partial(world.discovery.leave, node)
@@ -437,7 +437,7 @@ class SimulatedRig:
         if len(self.adapters) < self.expected or stand != before or not all(awake for _, _, awake in stand):
             self.world.at(self.world.now + 250_000_000, partial(self._come_back, name, stand, rng))
             return
-        own, died = self.adapters[name].recorded, self.recording.before(1 << 62)
+        own, died = self.adapters[name].record.topics, self.recording.before(1 << 62)
         for topic, _ in own:
             del self.recording.topics[topic].times[:], self.recording.topics[topic].data[:]
 

@@ -143,14 +143,14 @@ def test_who_is_stopped_while_an_outside_node_is_awaited_asks_nobody_about_it(ca
     waiting = [a for a in run.adapters.values() if a.lacking]
     assert waiting
     for adapter in waiting:
-        assert "published" in adapter.status()
+        assert "published" in adapter.account.status()
 
         def gone():
             raise RuntimeError
 
         adapter.middleware.topics = gone
         assert conclude(adapter, stopped=True) == 0
-        assert adapter.status()["state"] == "done"
+        assert adapter.account.status()["state"] == "done"
 
 
 @pytest.mark.parametrize("kind", few(KINDS, 7))

@@ -29,7 +29,7 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     adapter = run.adapters[CLOCK]
     hold = adapter.hold
     assert not run.adapters["dc_motor_smc"].hold.go_at(1.0)  # not the node of the clock
-    assert adapter.status()["pace"] == 1.0
+    assert adapter.account.status()["pace"] == 1.0
     for moment, call in (
         (0.22, partial(hold.go_at, 0.1)),
         (2.22, partial(hold.ask, "pause")),
@@ -46,7 +46,7 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     assert stepped - held == pytest.approx(float(RIG.clock.schedule.period))
     assert again - stepped == pytest.approx(0.1, abs=0.012)
     assert world.now - start < 21.2e9
-    assert adapter.status()["pace"] == 0.0
+    assert adapter.account.status()["pace"] == 0.0
     assert not differences(run.recording, in_process(RIG))
 
 

@@ -12,7 +12,7 @@ MS, SECOND = 1_000_000, 1_000_000_000
 
 LIMITS = {
     # how often nodes look, ns
-    "softrig_nodes.adapter.adapter": {"WATCH_PERIOD": 250 * MS, "LOOK_EVERY": 4},
+    "softrig_nodes.adapter.account": {"WATCH_PERIOD": 250 * MS, "LOOK_EVERY": 4},
     "softrig_nodes.adapter.handshake": {"CHECK": 20 * MS, "SETTLED": 25},
     "softrig_nodes.adapter.departure": {"LEAD": 500 * MS, "CLOCKS": 500 * MS, "REPEAT": 5},
     "softrig_nodes.face.frames": {"PERIOD": 33_333_333},

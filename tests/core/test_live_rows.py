@@ -336,7 +336,7 @@ def test_a_law_by_hand_begins_with_the_first_message_and_learns_how_often_others
     node.hear("a", 0, 5.0, at=START + 44 * MS)  # without a stamp: now
     node.hear("b", 0, 5.0)
     assert SEEN[-1] == (40 * MS, 5.0, 5.0, 9.0, 0)
-    assert node.adapter.recorded[:4] == [
+    assert node.adapter.record.topics[:4] == [
         ("u", "sensor_msgs/msg/JointState"),
         ("a", "sensor_msgs/msg/JointState"),
         ("b", "sensor_msgs/msg/JointState"),
@@ -904,7 +904,7 @@ def test_a_node_says_how_it_is():
     timer_at(node, timer, 0)
     node.hear("command", START, math.nan)
     node.hear("command", START, math.nan)
-    status = node.adapter.status()
+    status = node.adapter.account.status()
     assert status["refused"] == {"lag/command": [2, "u/effort is nan, expected a finite number"]}
     assert {
         k: status[k] for k in ("state", "t", "ticks", "error", "waits_for", "lacking", "epoch", "busy", "held")
@@ -924,7 +924,7 @@ def test_a_node_says_how_it_is():
     assert len(node.hand.logs) == 1  # once
     node.adapter.fail("broken")
     node.adapter.fail("broken more")
-    status = node.adapter.status()
+    status = node.adapter.account.status()
     assert (status["state"], status["error"]) == ("failed", "broken")
     assert status["peak_memory_mb"] > 1.0
     assert "figures" not in status

@@ -38,8 +38,9 @@ class Reader:
             paired=(), timeout=10.0, start_timeout=30.0, duration=duration, links="x", patience=0.8
         )
         self.is_plant, self.state, self.ticks, self.epoch, self.namespace = plant, "running", 0, 0, ""
-        self.foreign, self.kept, self.values, self.paces, self.files = {}, [], {}, [], None
-        self.sink = SimpleNamespace(add=lambda *said: self.kept.append(said))
+        self.kept, self.values, self.paces, self.files = [], {}, [], None
+        self.record = SimpleNamespace(foreign={}, sink=SimpleNamespace(add=lambda *said: self.kept.append(said)))
+        self.account = SimpleNamespace(refuse=self._refuse, write_status=lambda: None)
         self.step = SimpleNamespace(
             stamps={},
             bad=False,
@@ -60,7 +61,7 @@ class Reader:
     def peer(self, link):
         return Schedule(link.period, self.schedule.clock, self.options.duration, link.at_end)
 
-    def refuse(self, row, text):
+    def _refuse(self, row, text):
         self.refusals.append((row.name, text))
         row.refused, row.last_refusal = row.refused + 1, text
 
@@ -347,7 +348,7 @@ def test_an_input_takes_the_newest_where_nobody_is_said_to_send_it():
 
 def test_the_newest_value_holds_from_the_tick_at_which_it_came_and_is_recorded_there():
     reader = Reader()
-    reader.foreign = {"x": 5}
+    reader.record.foreign = {"x": 5}
     row = reader.row(joint_state("x", "x", ["q"], position="m", held=True))
     assert isinstance(row, Newest)
     for k, stamp in ((3, 17), (4, 2)):
@@ -393,7 +394,7 @@ def test_numbers_tell_what_is_lost_and_what_is_repeated_and_begin_anew_with_a_ba
 
 def test_what_comes_from_outside_is_recorded_at_the_tick_that_uses_it():
     reader = Reader(inputs={"x": link()})
-    reader.foreign = {"x": 2}
+    reader.record.foreign = {"x": 2}
     row = reader.row(state())
     for stamps in ((0,), (10, 20), (), (30,)):  # one of them ahead of its time
         reader.table.await_tick(reader.t)
@@ -402,7 +403,7 @@ def test_what_comes_from_outside_is_recorded_at_the_tick_that_uses_it():
         assert reader.kept[-1] == (2, reader.t, said(row.port, reader.t, 1.0))
         reader.ticks += 1
     assert len(reader.kept) == 4
-    reader.sink = None
+    reader.record.sink = None
     reader.table.await_tick(reader.t)
     row.receive(said(row.port, reader.t, 1.0))
     assert row.used == reader.t
@@ -812,7 +813,7 @@ def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=None, cl
     reader.table.follow_ticks(set(), lambda: None)
     planned, marked = [], []
     reader.step.changes, reader.step.plan = [Change(MS, {"k": 1.0})], planned.extend
-    reader.step.link, reader.block, reader.write_status = None, None, lambda: None
+    reader.step.link, reader.block = "its links", None
 
     def recording(of):
         known = {port.name: port for port in ports} | {"/clock": CLOCK}
@@ -864,7 +865,7 @@ def test_who_comes_back_answers_the_ticks_for_which_the_others_have_said_all_and
     ]
     assert marked[4] == {"x": 40 * MS, "s": 10 * MS, "c": 40 * MS}
     assert planned == [Change(MS, {"k": 1.0})]
-    assert (reader.step.link, back._drive.spoken.silent) == (back._drive, False)
+    assert (reader.step.link, back._drive.spoken.silent) == ("its links", False)
     assert reader.refusals == [("s", "q/position is nan, expected a finite number")]
     assert {name: (row.used, row.reached) for name, row in rows.items()} == {
         "x": (40 * MS, 40 * MS),
@@ -924,7 +925,7 @@ def test_what_came_from_outside_is_in_its_own_record_and_each_message_counts():
     assert seen == [(0, 0.5, 1.0, False), (1, 1.5, 3.0, False), (2, 2.5, 3.0, True)]
     assert rows["f"].stamp == 10 * MS
     reader = Reader(inputs={"x": link()}, returns=True)
-    reader.foreign, row = {"f": 4}, None
+    reader.record.foreign, row = {"f": 4}, None
     reader.row(state("x"))
     row = reader.row(free)
     heard = comebacks._Heard(row, Files(recording({}), recording(own)), outside=True)

@@ -178,7 +178,7 @@ class Leaves:
             paces=[],
             options=SimpleNamespace(start_timeout=limit),
             fail=self.failures.append,
-            refuse=lambda item, text: self.failures.append(text),
+            account=SimpleNamespace(refuse=lambda item, text: self.failures.append(text)),
         )
         self.shake = SimpleNamespace(absent=lambda: [*self.gone], gone=[])
         self.gone = self.shake.gone
@@ -371,19 +371,19 @@ def test_a_plant_says_its_ticks_on_the_clock_and_is_told_who_follows():
     assert [parse("rosgraph_msgs/msg/Clock", data).stamp for data in hand.said["/clock"]] == [0, 10 * MS, 20 * MS]
     assert [parse(JOINT, data).fields["position"] for data in hand.said["lag/state"]] == [(0.0,), (0.01,), (0.0199,)]
     assert [number for number, _, _ in kept.said] == [0, 1, 4] * 3
-    assert adapter.recorded == [
+    assert adapter.record.topics == [
         ("lag/state", JOINT),
         ("lag/applied", JOINT),
         ("lag/offset", "std_msgs/msg/Float64"),
         ("lag/kick", "std_msgs/msg/Bool"),
         ("/clock", "rosgraph_msgs/msg/Clock"),
     ]
-    assert (adapter.foreign, adapter.extra_numbers) == ({"offset": 2, "kick": 3}, 4)
+    assert (adapter.record.foreign, adapter.record.clock) == ({"offset": 2, "kick": 3}, 4)
     assert adapter.state == "done"
     figures = adapter.drive.statistics()
     assert figures["running_s"] >= 0.0
     assert figures["tick_max_ms"] >= figures["tick_p50_ms"] >= 0.0
-    status = adapter.status()
+    status = adapter.account.status()
     assert (status["state"], status["t"], status["ticks"]) == ("done", 20 * MS, 2)
 
 
@@ -393,7 +393,7 @@ def test_two_who_publish_what_is_paired_end_the_run():
     hand.writers["/lag/state"] = ["a", "b"]
     hand.matched["lag/state"](2)
     assert adapter.state == "failed"
-    next(t for t in hand.timers if t.call.__name__ == "_watch").call()
+    next(t for t in hand.timers if t.call.__name__ == "watch").call()
     assert str(adapter.error) == "2 publishers on lag/state (/a, /b), expected exactly one"
     hand, _, adapter = node(Gain(), law_links(returns=True))
     begun(adapter, hand, {"lag/command": ["plant"]})
@@ -439,7 +439,7 @@ def test_arrays_are_numbered_and_a_shard_holds_them_as_rows(tmp_path):
 def test_a_topic_of_another_type_is_told_once_and_a_watch_writes_the_status(tmp_path):
     hand, _, adapter = node(Gain(), law_links(), status=str(tmp_path / "a.status"))
     Group([adapter])
-    watch = next(t for t in hand.timers if t.call.__name__ == "_watch")
+    watch = next(t for t in hand.timers if t.call.__name__ == "watch")
     assert watch.asked == [(250 * MS, 0)]
     watch.call()
     assert json.loads((tmp_path / "a.status").read_text())["state"] == "starting"
@@ -449,7 +449,7 @@ def test_a_topic_of_another_type_is_told_once_and_a_watch_writes_the_status(tmp_
         assert len(hand.logs) == (k >= 4)  # it looks at each fourth
     text = f"lag/state exists with type std_msgs/msg/Float64, expected {JOINT}"
     assert hand.logs == [f"ERROR {text}"]
-    assert adapter.status()["reports"] == {"type of lag/state": [2, text, 1]}
+    assert adapter.account.status()["reports"] == {"type of lag/state": [2, text, 1]}
     hand.deaf = lambda: "hears nobody"
     for _ in range(4):
         watch.call()
@@ -464,11 +464,11 @@ def test_a_topic_of_another_type_is_told_once_and_a_watch_writes_the_status(tmp_
 def test_a_status_is_written_at_each_watch_or_against_the_wall_clock_at_each_fourth(every, written, tmp_path):
     hand, _, adapter = node(Gain(), law_links(), status=str(tmp_path / "a.status"))
     Group([adapter])
-    watch = next(t for t in hand.timers if t.call.__name__ == "_watch")
+    watch = next(t for t in hand.timers if t.call.__name__ == "watch")
     adapter.state, adapter.drive.status_every = "running", every
     adapter.drive.progress = lambda: None
     times = []
-    adapter.write_status = lambda: times.append(adapter._watches)
+    adapter.account.write_status = lambda: times.append(adapter.account.watches)
     for _ in range(8):
         watch.call()
     assert times == written
@@ -482,7 +482,8 @@ def test_who_comes_back_says_each_quarter_of_a_second_that_it_lives(monkeypatch)
     monkeypatch.setattr(comebacks, "time", SimpleNamespace(monotonic=lambda: clock.now))
     back = object.__new__(Comeback)
     back._told, back._paired, back._free = 5.0, {}, []
-    back._node = SimpleNamespace(write_status=lambda: written.append(clock.now), block=None)
+    account = SimpleNamespace(write_status=lambda: written.append(clock.now))
+    back._node = SimpleNamespace(account=account, block=None)
     back._drive = SimpleNamespace(senders=SimpleNamespace(rows=[]), solving=None)
     for k in range(1, 11):
         clock.now = 5.0 + 0.1 * k
@@ -493,12 +494,12 @@ def test_who_comes_back_says_each_quarter_of_a_second_that_it_lives(monkeypatch)
 def test_an_observer_that_is_done_says_what_it_has_measured():
     hand, _, adapter = node(Watcher(), law_links(), duration=0.03)
     begun(adapter, hand, {})
-    assert "figures" not in adapter.status()
+    assert "figures" not in adapter.account.status()
     adapter.step.x = 7
     adapter.finish()
-    assert adapter.status()["figures"] == {"seen": (7.0, "")}
+    assert adapter.account.status()["figures"] == {"seen": (7.0, "")}
     adapter.step.x = 8
-    assert adapter.status()["figures"] == {"seen": (7.0, "")}  # worked out once
+    assert adapter.account.status()["figures"] == {"seen": (7.0, "")}  # worked out once
 
 
 def test_who_comes_back_says_again_what_it_has_said_last():
@@ -599,7 +600,8 @@ def ended(state, error=None, absent=(), shard=None, broken=False):
             raise OSError("disk full")
 
     written = []
-    fake = SimpleNamespace(state=state, error=error, absent=[*absent], shard=shard, write_status=write)
+    fake = SimpleNamespace(state=state, error=error, absent=[*absent])
+    fake.record, fake.account = SimpleNamespace(shard=shard), SimpleNamespace(write_status=write)
     fake.middleware, fake.t = SimpleNamespace(name="node"), 1_500_000_000
     return fake, written
 

@@ -106,7 +106,7 @@ class Contained:
         } | {"epoch": self.epoch}
         sink = _Sink.__new__(_Sink)
         adapter = Adapter(ContainedMiddleware(node, self.exchange), member.block(seed), RunOptions(**given), sink)
-        sink.__init__(self.recording, adapter.recorded)
+        sink.__init__(self.recording, adapter.record.topics)
         return adapter
 
     def run(self, until=1 << 62):

@@ -64,10 +64,10 @@ class Container:
         found = Recording((t, p.msgtype) for t, p in self.rig.topics.items())
         for name, adapter in self.adapters.items():
             assert (adapter.state, adapter.error) == ("done", None)
-            adapter.shard.close()
+            adapter.record.shard.close()
             found.read_shard(self.folder / f"{name}.shard")
         assert differences(self.expected, found) == []
-        return {name: adapter.status()["native"] for name, adapter in self.adapters.items()}
+        return {name: adapter.account.status()["native"] for name, adapter in self.adapters.items()}
 
 
 @pytest.mark.parametrize(

@@ -6,39 +6,33 @@ messages, timers and clocks come from a `Middleware`.
 
 from __future__ import annotations
 
-import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core.block.answer import Rows
-from softrig_core.block.block import Block, Level, Plant
+from softrig_core.block.block import Block, Plant
 from softrig_core.block.change import loads
 from softrig_core.block.port import CLOCK, Port, Sample
 from softrig_core.block.schedule import Schedule
 from softrig_core.block.step import Step
 from softrig_core.errors import RunError
 from softrig_core.rig.options import InputLink, Links, RunOptions
-from softrig_core.timebase import SECOND
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.parameter_event import encode
-from softrig_core.wire.recording import ShardWriter, Sink, relative
+from softrig_core.wire.recording import Sink
 
 from ..seam.buttons import Buttons
 from ..seam.endpoint import Input, Output
-from ..seam.health import StatusFile, figures, peak_memory
 from ..seam.hold import Hold
-from ..seam.middleware import Matched, Middleware, other_types
+from ..seam.middleware import Matched, Middleware
 from ..seam.numbering import Numbering
 from ..seam.tick import TICK, TickWriter, acknowledged
+from .account import WATCH_PERIOD, Account
 from .files import Files, read_files
-
-LOOK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
-WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
-CLOCK_LAYOUT = Layout(CLOCK.msgtype)
+from .record import CLOCK_LAYOUT, Record
 
 
 class Drive(Protocol):
@@ -127,9 +121,7 @@ class Adapter:
         self.lacking: list[str] = []  # topics of external nodes that nobody publishes yet
         self.files = self._files()  # of one that comes back
         self.on_finished: Callable[[], None] = lambda: None
-        self._logged: set[str] = set()
-        self._watches = 0
-        self._status = StatusFile(options.status)
+        self.account = Account(self)
         self.inputs: list[Input] = []  # what is read of other nodes, by the table of the drive
         self.paces: list[Input] = []  # /clock and the ticks of other nodes
         self.outputs = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
@@ -138,8 +130,10 @@ class Adapter:
         self.acknowledge: Callable[[int, Iterable[str]], None] | None = None
         self._silent = any(p.sporadic for p in outputs)  # at times
         self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
-        self._open_record(sink)
-        self._figures: dict[str, Any] = {}  # of one that is done: worked out once
+        self.record = Record(
+            self.outputs, inputs, self.step.plain, self._owns_clock, self.links, options, middleware.resolve, sink
+        )
+        self._plain = self.step.plain and not any(o.numbered for o in self.outputs) and self.record.by_numbers
         self.alone = False  # whether nothing of what it says is read in another process, in which case it stays here
         self._unread = False  # the same of one that says plain numbers: a look at its record is enough
         self.buttons = Buttons(self.values, self._record_press)
@@ -163,7 +157,7 @@ class Adapter:
         if self._owns_clock:
             self.clock_output.send = middleware.sender(CLOCK.topic, CLOCK_LAYOUT, self._noting(self.clock_output))
         self._look_for_readers()
-        middleware.timer(WATCH_PERIOD, self._watch)
+        middleware.timer(WATCH_PERIOD, self.account.watch)
 
     @property
     def t(self) -> int:
@@ -184,29 +178,6 @@ class Adapter:
         again, peers = self.options.again, dict.fromkeys([*names, *links.solvers])
         return (lambda: read_files(Path(again), self.middleware.name, peers)) if again else None
 
-    def _open_record(self, sink: Sink | None) -> None:
-        """Number what is recorded: outputs, what comes from outside (by its first reader), the clock."""
-        recorded = [(relative(o.topic), o.port.msgtype) for o in self.outputs]
-        records = self.links.records
-        outside = [
-            p for p in self.step.inputs if (p.name not in self.links.inputs if records is None else p.name in records)
-        ]
-        self.foreign = {port.name: len(recorded) + k for k, port in enumerate(outside)}
-        recorded += [(relative(self.middleware.resolve(p.topic)), p.msgtype) for p in outside]
-        self.extra_numbers = len(recorded)
-        row = {o.number: o.layout for o in self.outputs} if self.step.plain else {}
-        if self.links.owns_clock:
-            recorded.append((CLOCK.topic, CLOCK.msgtype))
-            if self.step.plain and self._owns_clock:
-                row[self.extra_numbers] = CLOCK_LAYOUT
-        self.recorded = recorded
-        wanted = self.options.shard and sink is None
-        self.shard = ShardWriter(Path(self.options.shard), recorded, row) if wanted else None
-        self.sink = self.shard if sink is None else sink
-        self._add_row = self.shard.add_row if self.shard is not None and row else None
-        numbered = any(o.numbered for o in self.outputs)
-        self._plain = self.step.plain and not numbered and (self._add_row is not None or self.sink is None or not row)
-
     def _subscribe(self, item: Input) -> None:
         def matched(count: int) -> None:
             item.matched(count)
@@ -214,6 +185,10 @@ class Adapter:
 
         self.inputs.append(item)
         self.middleware.subscribe(item.port.topic, item.port.msgtype, item.receive, matched, item.numbered)
+
+    def _record_press(self, port: Port, down: bool) -> None:
+        if self.record.sink is not None and port.name in self.record.foreign:
+            self.drive.record(self.record.foreign[port.name], port.layout().encode(0, (down,)))
 
     def _noting(self, output: Output) -> Matched:
         """Give what hears how many read an output."""
@@ -231,16 +206,6 @@ class Adapter:
         self.alone = silent and not any(o.readers for o in outputs)
         self._unread = self.alone and self._plain
 
-    def _record_press(self, port: Port, down: bool) -> None:
-        if self.sink is not None and port.name in self.foreign:
-            self.drive.record(self.foreign[port.name], port.layout().encode(0, (down,)))
-
-    def record_change(self, t: int, values: Mapping[str, Any]) -> None:
-        """Record parameters that have changed before tick `t`."""
-        stamp = self.epoch + t
-        if self.sink is not None:
-            self.sink.note(stamp, encode(stamp, f"/{self.middleware.name}", values))
-
     # ticks ----------------------------------------------------------------------------------------------------
 
     def peer(self, link: InputLink) -> Schedule:
@@ -253,10 +218,10 @@ class Adapter:
         All messages go out in one burst: a reader that wakes for the first finds the others already there, and
         recording takes place while it works. (Each wake-up between two messages costs as much as the law.)
         """
-        stamp = self.epoch + t
+        stamp, record = self.epoch + t, self.record
         if self._unread:  # in a container, nearly always
-            if self._add_row is not None:
-                self._add_row(stamp, numbers)
+            if record.add_row is not None:
+                record.add_row(stamp, numbers)
             return
         said: list[tuple[Output, int, tuple[float, ...]]] = []
         if self._plain:
@@ -268,18 +233,18 @@ class Adapter:
             self.acknowledge(stamp, [o.name for o, _, _ in said if o.port.sporadic] if self._silent else ())
         if self._owns_clock:
             self.clock_output.send(stamp, ())
-        if self._add_row is not None:
-            self._add_row(stamp, numbers)
-        elif self.sink is not None:
+        if record.add_row is not None:
+            record.add_row(stamp, numbers)
+        elif record.sink is not None:
             for output, mark, values in said:
-                self.sink.add(output.number, stamp, output.layout.encode(mark, values))
+                record.sink.add(output.number, stamp, output.layout.encode(mark, values))
             if self._owns_clock:
-                self.sink.add(self.extra_numbers, stamp, CLOCK_LAYOUT.encode(stamp, ()))
+                record.sink.add(record.clock, stamp, CLOCK_LAYOUT.encode(stamp, ()))
 
     def keep(self, times: NDArray[np.int64], numbers: NDArray[np.float64]) -> None:
         """Record many answers that nobody hears: their ticks, shape (n,), and all their numbers, (n, size)."""
-        if self.shard is not None and numbers.shape[1]:
-            self.shard.add_rows(self.epoch + times, numbers)
+        if self.record.shard is not None and numbers.shape[1]:
+            self.record.shard.add_rows(self.epoch + times, numbers)
         for output in self.outputs:
             output.said += len(times)
 
@@ -308,21 +273,7 @@ class Adapter:
         schedule = self.schedule
         return lambda stamp, spoken: send(stamp, ()) if acknowledged(schedule, stamp) else None
 
-    # health ----------------------------------------------------------------------------------------------------
-
-    def refuse(self, item: Input, reason: str) -> None:
-        """Count a bad message and log it once; it never reaches the block."""
-        item.refused += 1
-        if item.last_refusal != reason:
-            item.last_refusal = reason
-            kind = reason.split()[0]  # not the whole: a wrong stamp is another each time
-            self.log_once(f"{item.port.topic}: {kind}", Level.ERROR, f"refused on {item.port.topic}: {reason}")
-
-    def log_once(self, key: str, level: Level, text: str) -> None:
-        """Log a text the first time its key appears."""
-        if key not in self._logged:
-            self._logged.add(key)
-            self.middleware.log(level, text)
+    # its end ----------------------------------------------------------------------------------------------------
 
     def fail(self, text: str) -> None:
         """End the run with an error."""
@@ -341,72 +292,3 @@ class Adapter:
         """Stop."""
         self.state = state
         self.on_finished()
-
-    def _notice_types(self) -> None:
-        """Name a topic that somebody publishes with another type: nothing of it ever arrives."""
-        for item in self.inputs:
-            key = f"type of {item.port.topic}"
-            if item.publishers or item.heard or key in self.step.reports:
-                continue
-            other = other_types(self.middleware, item.port)
-            if other:
-                text = f"{item.port.topic} exists with type {other}, expected {item.port.msgtype}"
-                self.step.note(Level.ERROR, key, text)
-                self.log_once(key, Level.ERROR, text)
-
-    def _watch(self) -> None:
-        if self.shard is not None:
-            self.shard.flush()
-        self._logged -= self.step.anew
-        self.step.anew.clear()
-        for key, (level, text, _) in self.step.reports.items():
-            self.log_once(key, level, text)
-        self.drive.progress()
-        if self._watches % LOOK_EVERY == 0:
-            self._notice_types()
-            if (why := self.middleware.deaf()) and self.state in ("starting", "running"):
-                self.fail(why)
-        self._watches += 1
-        if self._watches % self.drive.status_every == 0 or self.state != "running":
-            self.write_status()
-
-    def write_status(self) -> None:
-        """Write the status file, if one is wanted."""
-        if self.options.status:
-            self._status.write(self.status())
-
-    def status(self) -> dict[str, Any]:
-        """Say how it is, what it refuses, and while an outside node lacks who publishes what."""
-        refused = {i.port.topic: [i.refused, i.last_refusal] for i in self.inputs + self.paces if i.refused}
-        status: dict[str, Any] = {
-            "state": self.state,
-            "t": self.t,
-            "ticks": self.ticks,
-            "error": str(self.error) if self.error else "",
-            "waits_for": self.waits_for,
-            "lacking": self.lacking,
-            "epoch": self.epoch,
-            "refused": refused,
-            "reports": {key: [int(level), text, n] for key, (level, text, n) in self.step.reports.items()},
-            "busy": self.drive.busy(),
-            "held": self.hold.held,
-            "pace": self.hold.pace,
-            "cpu_s": round(time.process_time(), 3),
-            "prompt": self.middleware.prompt,
-            "processor": self.middleware.processor,
-        }
-        if self.left_early:
-            status["left_early"] = True
-        if self.state != "running":
-            status |= self.drive.native()
-        status |= self.drive.counts()
-        if self.lacking and self.state != "done":  # ROS may have been shut down by then
-            status["published"] = {
-                t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)] for t in self.middleware.topics()
-            }
-        if self.state != "running":  # what takes longer than a tick
-            status |= {"peak_memory_mb": peak_memory()} | self.drive.statistics()
-        if self.state == "done":
-            self._figures = self._figures or figures(self.step)
-            status |= self._figures
-        return status

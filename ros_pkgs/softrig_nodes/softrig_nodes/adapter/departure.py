@@ -86,7 +86,7 @@ class Departure:
         try:
             _, names = self._read(data)
         except Refused as error:
-            self._node.refuse(self._input, str(error))
+            self._node.account.refuse(self._input, str(error))
             return
         self._silent -= names
         if self._epoch:
@@ -96,7 +96,7 @@ class Departure:
         try:
             epoch, said = self._read(data)
         except Refused as error:
-            self._node.refuse(self._input, str(error))
+            self._node.account.refuse(self._input, str(error))
             return
         if epoch <= 0:
             return

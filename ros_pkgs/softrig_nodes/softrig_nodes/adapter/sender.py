@@ -36,7 +36,7 @@ class Sender(Input):
         self.node = node
         self.who = who
         self.stamp: int | None = None
-        self._number = node.foreign.get(port.name)
+        self._number = node.record.foreign.get(port.name)
         self._valued = port.partial or port.delayed  # what an input holds is not only what the message says
 
     # the way of a message ------------------------------------------------------------------------------------------
@@ -49,7 +49,7 @@ class Sender(Input):
         try:
             stamp, found = self.read(data)
         except Refused as error:
-            self.node.refuse(self, str(error))
+            self.node.account.refuse(self, str(error))
             self.spoilt(data)
             return
         self.came(stamp, found, data)
@@ -81,8 +81,8 @@ class Sender(Input):
     def record(self, t: int, data: bytes) -> None:
         """Record a message, at the time `t` (ns) from which it counts, if it comes from outside the rig."""
         node = self.node
-        if self._number is not None and node.sink is not None:
-            node.sink.add(self._number, t, data)
+        if self._number is not None and node.record.sink is not None:
+            node.record.sink.add(self._number, t, data)
 
     def in_order(self, number: int) -> bool:
         """Whether an array is new to an input that takes the newest; refuses one that is repeated, counts lost ones.
@@ -109,4 +109,4 @@ class Sender(Input):
 
     def repeated(self, number: int, expected: int) -> None:
         """Refuse an array that was there before."""
-        self.node.refuse(self, f"number {number} from {self.who}, expected {expected} (already there)")
+        self.node.account.refuse(self, f"number {number} from {self.who}, expected {expected} (already there)")

@@ -54,9 +54,9 @@ def failure(adapter: Adapter, error: Exception) -> Exception:
 
 def conclude(adapter: Adapter, stopped: bool) -> int:
     """Leave what the node has recorded and how it ended; gives the exit status."""
-    if adapter.shard is not None:
+    if adapter.record.shard is not None:
         try:
-            adapter.shard.close()
+            adapter.record.shard.close()
         except OSError as error:
             adapter.error, adapter.state = error, "failed"
     if stopped and adapter.state == "starting" and adapter.absent:
@@ -65,7 +65,7 @@ def conclude(adapter: Adapter, stopped: bool) -> int:
         adapter.left_early = True
         adapter.state = "done"  # who is stopped by a person has not failed
     try:
-        adapter.write_status()
+        adapter.account.write_status()
     except OSError as error:
         adapter.error, adapter.state = adapter.error or error, "failed"
     if adapter.error is not None:

@@ -12,7 +12,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from softrig_core.block.block import Block, Level, Observer
 from softrig_core.block.port import Port
 
-from ..adapter.adapter import WATCH_PERIOD, Adapter
+from ..adapter.account import WATCH_PERIOD
+from ..adapter.adapter import Adapter
 from ..ros.messages import diagnostic_array, marker_array, message_class
 from ..ros.ros import QOS, ServingNode
 from .frames import Frames

@@ -22,7 +22,8 @@ from softrig_core.solver.solver import Solver
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import relative
 
-from ..adapter.adapter import WATCH_PERIOD, Adapter
+from ..adapter.account import WATCH_PERIOD
+from ..adapter.adapter import Adapter
 from ..adapter.files import Files
 from ..adapter.sender import Sender
 from ..seam.numbering import Numbering
@@ -96,7 +97,7 @@ class _Heard:
             try:
                 stamp, found = row.read(self.data[k])
             except Refused as error:
-                node.refuse(row, str(error))
+                node.account.refuse(row, str(error))
                 node.step.bad = True
                 continue
             node.values[row.name] = row.value(stamp, found)
@@ -167,7 +168,7 @@ class Comeback:
         """Have the inputs hold what had come up to tick t; whether something that the tick needs had not."""
         if time.monotonic() - self._told > WATCH_PERIOD * 1e-9:  # the runner sees that it lives
             self._told = time.monotonic()
-            self._node.write_status()
+            self._node.account.write_status()
         for heard in (*self._paired.values(), *self._free):
             if not isinstance(heard.row, Pace):
                 heard.bring(t)

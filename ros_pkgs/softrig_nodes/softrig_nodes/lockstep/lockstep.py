@@ -57,7 +57,8 @@ class Lockstep(Link):
         self._over = False  # the last tick is answered
         self._awaited = 0  # tick whose wants are set
         self._last = math.inf if node.schedule.last is None else node.schedule.last
-        self._keeps = node.step.plain and (node.shard is not None or node.sink is None)  # many answers in one go
+        record = node.record
+        self._keeps = node.step.plain and (record.shard is not None or record.sink is None)  # many answers in one go
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = self._longest = 0
         self.solving: Solving | None = None
@@ -157,8 +158,8 @@ class Lockstep(Link):
 
     def record(self, number: int, data: bytes) -> None:
         """Record a message from outside at the tick that uses it."""
-        if self.node.sink is not None:
-            self.node.sink.add(number, self.t, data)
+        if self.node.record.sink is not None:
+            self.node.record.sink.add(number, self.t, data)
 
     def on_matched(self, item: Input) -> None:
         """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
@@ -248,7 +249,8 @@ class Lockstep(Link):
 
     def changed(self, t: int, values: Mapping[str, Any]) -> None:
         """Record new parameters."""
-        self.node.record_change(t, values)
+        node = self.node
+        node.record.change(node.epoch + t, node.middleware.name, values)
 
     def over(self, t: int) -> None:
         """Count a tick; one that has answered its last leaves."""

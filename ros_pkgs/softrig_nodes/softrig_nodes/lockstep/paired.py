@@ -268,7 +268,7 @@ class Paired(Sender):
         else:
             got, want = position / SECOND, self.want / SECOND
             twice = " (already there)" if self.have else ""
-            self.node.refuse(self, f"stamp {got:.9g} s from {self.who}, expected {want:.9g} s{twice}")
+            self.node.account.refuse(self, f"stamp {got:.9g} s from {self.who}, expected {want:.9g} s{twice}")
 
     def recall(self, number: int, data: bytes) -> None:
         """Take the bytes of a message from the record of its sender: its number there, from 0."""

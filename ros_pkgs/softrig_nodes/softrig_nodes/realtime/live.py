@@ -74,7 +74,7 @@ class LiveSenders:
 
     def record(self, stamp: int) -> None:
         """Record what the tick of a stamp uses, with that stamp: at it a repetition must bring the same."""
-        sink = self.node.sink
+        sink = self.node.record.sink
         if sink is not None:
             for due, number, data in self.unrecorded:
                 if due <= stamp:
@@ -233,7 +233,7 @@ class Live(Sender):
                 self._begin(stamp)
             due = self.table.grid_time(now) if self.by_arrival else stamp
             if unchecked and (reason := self.port.beyond(values)):
-                self.node.refuse(self, reason)
+                self.node.account.refuse(self, reason)
                 if not self.node.is_plant:
                     self.table.excuse(self, due, now)
                 return
@@ -370,5 +370,5 @@ class Live(Sender):
             return False
         middleware = self.node.middleware
         who = ", ".join(sorted({p.name for p in middleware.publishers(middleware.resolve(self.port.topic))}))
-        self.node.refuse(self, f"{self.publishers} publishers at once ({who}), expected one")
+        self.node.account.refuse(self, f"{self.publishers} publishers at once ({who}), expected one")
         return True

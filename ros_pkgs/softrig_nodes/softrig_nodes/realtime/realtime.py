@@ -239,7 +239,8 @@ class Realtime(Link):
 
     def changed(self, t: int, values: Mapping[str, Any]) -> None:
         """Record new parameters."""
-        self.node.record_change(t, values)
+        node = self.node
+        node.record.change(node.epoch + t, node.middleware.name, values)
 
     def hear(self, parts: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows) -> None:
         """Take what a node of this process says at a tick: all of it, before any of it makes this one answer."""

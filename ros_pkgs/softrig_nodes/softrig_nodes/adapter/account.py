@@ -1,0 +1,124 @@
+"""What a node says of itself: reports and refusals in the log, its status file."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from softrig_core.block.block import Level
+from softrig_core.timebase import SECOND
+
+from ..seam.endpoint import Input
+from ..seam.health import StatusFile, figures, peak_memory
+from ..seam.middleware import other_types
+
+Adapter = Any  # `softrig_nodes.adapter.adapter.Adapter`, which imports this
+LOOK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
+WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
+
+
+class Account:
+    """The log and the status file of a node.
+
+    Parameters
+    ----------
+    node : Adapter
+
+    Attributes
+    ----------
+    watches : int
+        How often `watch` has looked.
+    """
+
+    def __init__(self, node: Adapter) -> None:
+        self._node = node
+        self.watches = 0
+        self._logged: set[str] = set()
+        self._file = StatusFile(node.options.status)
+        self._figures: dict[str, Any] = {}  # of a node that is done: worked out once
+
+    def refuse(self, item: Input, reason: str) -> None:
+        """Count a bad message and log it once; it never reaches the block."""
+        item.refused += 1
+        if item.last_refusal != reason:
+            item.last_refusal = reason
+            kind = reason.split()[0]  # not the whole: a wrong stamp is another each time
+            self._log_once(f"{item.port.topic}: {kind}", Level.ERROR, f"refused on {item.port.topic}: {reason}")
+
+    def watch(self) -> None:
+        """Log what is new, look for what ends the run, write the status; called every `WATCH_PERIOD`."""
+        node = self._node
+        if node.record.shard is not None:
+            node.record.shard.flush()
+        self._logged -= node.step.anew
+        node.step.anew.clear()
+        for key, (level, text, _) in node.step.reports.items():
+            self._log_once(key, level, text)
+        node.drive.progress()
+        if self.watches % LOOK_EVERY == 0:
+            self._notice_types()
+            if (why := node.middleware.deaf()) and node.state in ("starting", "running"):
+                node.fail(why)
+        self.watches += 1
+        if self.watches % node.drive.status_every == 0 or node.state != "running":
+            self.write_status()
+
+    def write_status(self) -> None:
+        """Write the status file, if one is wanted."""
+        if self._node.options.status:
+            self._file.write(self.status())
+
+    def status(self) -> dict[str, Any]:
+        """Say how it is, what it refuses, and while an outside node lacks who publishes what."""
+        node = self._node
+        refused = {i.port.topic: [i.refused, i.last_refusal] for i in node.inputs + node.paces if i.refused}
+        status: dict[str, Any] = {
+            "state": node.state,
+            "t": node.t,
+            "ticks": node.ticks,
+            "error": str(node.error) if node.error else "",
+            "waits_for": node.waits_for,
+            "lacking": node.lacking,
+            "epoch": node.epoch,
+            "refused": refused,
+            "reports": {key: [int(level), text, n] for key, (level, text, n) in node.step.reports.items()},
+            "busy": node.drive.busy(),
+            "held": node.hold.held,
+            "pace": node.hold.pace,
+            "cpu_s": round(time.process_time(), 3),
+            "prompt": node.middleware.prompt,
+            "processor": node.middleware.processor,
+        }
+        if node.left_early:
+            status["left_early"] = True
+        if node.state != "running":
+            status |= node.drive.native()
+        status |= node.drive.counts()
+        if node.lacking and node.state != "done":  # ROS may have been shut down by then
+            status["published"] = {
+                t: [[p.msgtype, p.full_name] for p in node.middleware.publishers(t)] for t in node.middleware.topics()
+            }
+        if node.state != "running":  # what takes longer than a tick
+            status |= {"peak_memory_mb": peak_memory()} | node.drive.statistics()
+        if node.state == "done":
+            self._figures = self._figures or figures(node.step)
+            status |= self._figures
+        return status
+
+    def _log_once(self, key: str, level: Level, text: str) -> None:
+        if key not in self._logged:
+            self._logged.add(key)
+            self._node.middleware.log(level, text)
+
+    def _notice_types(self) -> None:
+        """Name a topic that somebody publishes with another type: nothing of it ever arrives."""
+        node = self._node
+        for item in node.inputs:
+            key = f"type of {item.port.topic}"
+            if item.publishers or item.heard or key in node.step.reports:
+                continue
+            other = other_types(node.middleware, item.port)
+            if other:
+                text = f"{item.port.topic} exists with type {other}, expected {item.port.msgtype}"
+                node.step.note(Level.ERROR, key, text)
+                self._log_once(key, Level.ERROR, text)

@@ -1,0 +1,81 @@
+"""What a node records: what it publishes, what comes to it from outside, parameters that change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from softrig_core.block.port import CLOCK, Port
+from softrig_core.rig.options import Links, RunOptions
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.parameter_event import encode
+from softrig_core.wire.recording import ShardWriter, Sink, relative
+
+from ..seam.endpoint import Output
+
+CLOCK_LAYOUT = Layout(CLOCK.msgtype)
+
+
+class Record:
+    """The record of a node, by numbers of its topics: outputs, inputs from outside (by their first reader), the clock.
+
+    Parameters
+    ----------
+    plain : bool
+        Whether the node publishes on each output at each tick, at its stamp.
+    owns_clock : bool
+        Whether it publishes /clock.
+    resolve : callable
+        Gives the whole name of a topic.
+    sink : Sink or None
+        Gets the messages in place of the file that the options name.
+
+    Attributes
+    ----------
+    topics : list of (str, str)
+        Name and type of what is recorded.
+    foreign : dict of str to int
+        Number of each input that is recorded here.
+    clock : int
+        Number of /clock.
+    sink : Sink or None
+    shard : ShardWriter or None
+        The sink, where it is the file that the options name.
+    add_row : callable or None
+        Records an answer as its stamp and numbers, where the file takes them so.
+    """
+
+    def __init__(
+        self,
+        outputs: Sequence[Output],
+        inputs: Sequence[Port],
+        plain: bool,
+        owns_clock: bool,
+        links: Links,
+        options: RunOptions,
+        resolve: Callable[[str], str],
+        sink: Sink | None,
+    ) -> None:
+        self.topics = [(relative(o.topic), o.port.msgtype) for o in outputs]
+        records = links.records
+        outside = [p for p in inputs if (p.name not in links.inputs if records is None else p.name in records)]
+        self.foreign = {port.name: len(self.topics) + k for k, port in enumerate(outside)}
+        self.topics += [(relative(resolve(p.topic)), p.msgtype) for p in outside]
+        self.clock = len(self.topics)
+        row = {o.number: o.layout for o in outputs} if plain else {}
+        if links.owns_clock:
+            self.topics.append((CLOCK.topic, CLOCK.msgtype))
+            if plain and owns_clock:
+                row[self.clock] = CLOCK_LAYOUT
+        wanted = options.shard and sink is None
+        self.shard = ShardWriter(Path(options.shard), self.topics, row) if wanted else None
+        self.sink = self.shard if sink is None else sink
+        self.add_row = self.shard.add_row if self.shard is not None and row else None
+        # whether an answer is recorded by its numbers, or not at all: nobody needs its messages here
+        self.by_numbers = self.add_row is not None or self.sink is None or not row
+
+    def change(self, stamp: int, who: str, values: Mapping[str, Any]) -> None:
+        """Record parameters of a node that have changed before the tick of a stamp, ns."""
+        if self.sink is not None:
+            self.sink.note(stamp, encode(stamp, f"/{who}", values))
