@@ -22,7 +22,7 @@ KINDS = {
         "You know what you want to do; here is how.",
         ("set_up", "wheel", "upgrade", "view", "studies", "send", "strangers", "reports", "continuous_integration",
          "python", "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools",
-         "hardware", "boards", "node", "cpp_node", "c_law", "classroom", "workspace", "ends", "two_machines",
+         "hardware", "boards", "plc", "node", "cpp_node", "c_law", "classroom", "workspace", "ends", "two_machines",
          "distribution"),
     ),
     "notebooks": (
@@ -72,6 +72,7 @@ KEYWORDS = {
     "outside_tools": "plotjuggler, foxglove, rviz, gif, video, animation",
     "boards": "serial, arduino, uno, link, loop, simavr, qemu, hil",
     "hardware": "c, embedded, arduino, microcontroller, export, firmware, misra",
+    "plc": "plc, iec 61131, structured text, codesys, twincat, plcopen, function block",
     "bags": "rosbag, mcap, record, replay",
     "realtime": "hardware, loop, hil, latency, wall, clock",
 }

@@ -14,6 +14,7 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- licences: run -->                                         of what lock files pin, or of what casadi has inside;
                                                                     anew only with --runs
     <!-- format: softrig_robots.urdf_file URDF -->                 a table of what is used, ignored, refused of a file
+    <!-- exported: all -->                                          classes that have C; anew only with --runs
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
 
@@ -47,11 +48,12 @@ from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import hold
 
 from . import drawn, numbers
+from .exported import exported
 from .licences import licences
 from .plots import animate, animation, draw, picture
 from .rooms import rooms
 
-_KINDS = "format|licences|rooms|code|nodes|claims|scenarios|sources|picture|animation|measured"
+_KINDS = "exported|format|licences|rooms|code|nodes|claims|scenarios|sources|picture|animation|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 LONG = 6  # rows of measurements; more are folded
 ANIMATION = re.compile(r"<!-- animation: (\S+) (\S+) (\S+) -->")
@@ -62,7 +64,7 @@ def generate(page: str, runs: bool = False) -> str:
     """Give a page with its generated parts made anew; what is measured stays unless `runs`, which simulates."""
 
     def part(found: re.Match[str]) -> str:
-        if found[2] in ("measured", "licences") and not runs:
+        if found[2] in ("exported", "measured", "licences") and not runs:
             return found[0]
         first, *words = found[3].split()
         made: dict[str, Callable[[], str]] = {
@@ -73,6 +75,7 @@ def generate(page: str, runs: bool = False) -> str:
             "picture": lambda: picture(first, int(words[0])),
             "animation": lambda: animation(first),
             "measured": lambda: measured(found[3]),
+            "exported": lambda: exported([] if first == "all" else [first, *words]),
             "rooms": lambda: house(first),
             "code": lambda: code(first, words),
             "licences": lambda: licences(found[3]),

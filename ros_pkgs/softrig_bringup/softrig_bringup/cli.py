@@ -43,6 +43,11 @@ FOREIGN = {
         "cortex_m",
         "a node as firmware of a Cortex-M that joins a rig",
     ),
+    "export st": (
+        "softrig_core.export.st_files",
+        "main",
+        "controllers of a scenario as function blocks in structured text, for a PLC",
+    ),
     "export": ("softrig_control.fmu.export", "main", "nodes of a scenario as FMUs or C, for other tools"),
     "locate": (
         "softrig_power.fault_location.locate_tool",

@@ -419,7 +419,7 @@ class _Files:
         for port in there:
             if port.held:
                 tests.append(f"{'' if port.name in form.there else '!'}in->has_{identifier(port.name)}")
-        given = ["s", "x", "t_ns"]
+        given = ["s", *(["x"] if not isinstance(form.state, Absent) else []), "t_ns"]
         for port in there:
             if port.name in form.there:
                 name = identifier(port.name)
@@ -428,7 +428,7 @@ class _Files:
                 given.append(f"({self.unit.c(input_kind(port))}){{ {stamped} }}")
         lines = [f"if (!known && {' && '.join(f'({t})' for t in tests)}) {{", "    known = true;"]
         k = self.forms.index(form.state)
-        lines.append(f"    {self.state_types[k]} x = s->x.f{k};")
+        lines += [f"    {self.state_types[k]} x = s->x.f{k};", "    (void)x;"]
         for path, _ in leaves(form.state):
             lines.append(f"    memcpy(s->b.{_store(path)}, s->a.{_store(path)}, sizeof s->b.{_store(path)});")
             lines.append(f"    x{path} = s->b.{_store(path)};")
@@ -862,6 +862,8 @@ def _told(value: Any) -> str:
 
 def _initial(value: Any) -> str:
     """Return how C initialises a value."""
+    if value is None:
+        return "0"
     if isinstance(value, np.ndarray):
         return "NULL"
     if isinstance(value, complex):

@@ -305,6 +305,10 @@ class Expressions(Base):
                 return f"({'!' if isinstance(op, ast.Is) else ''}{self._simple(left).c}.some)"
             return "true" if isinstance(left.kind, Absent) is isinstance(op, ast.Is) else "false"
         left, right = (self.coerced(v, v.kind.item) if isinstance(v.kind, Maybe) else v for v in (left, right))
+        if isinstance(op, (ast.In, ast.NotIn)):
+            one = self.named(left)
+            tests = [self._compared(ast.Eq(), one, part, node) for part in self.parts(right, node)]
+            return f"({'' if isinstance(op, ast.In) else '!'}({' || '.join(tests) or 'false'}))"
         if type(op) not in ORDER:
             raise self.unknown(f"a comparison {type(op).__name__.lower()}", node)
         if COMPLEX in (left.kind, right.kind):

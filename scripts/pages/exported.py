@@ -1,0 +1,64 @@
+"""Which classes of the shipped scenarios have C and structured text: each exported and held against Python."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+
+from softrig_core import Rig, ScenarioError, list_scenarios, rig_of
+from softrig_core.export.c_files import Exported
+from softrig_core.export.check import replayed
+from softrig_core.export.command import export_c
+from softrig_core.export.golden import member_of
+from softrig_core.export.st import ordered, structured_text
+from softrig_core.export.st_files import executed
+from softrig_core.native.value import NotNative
+
+ROWS = 500  # calls of the run, and as many with drawn inputs
+FOLDED = "<details><summary>{count} classes, {c} as C, {st} as structured text</summary>\n\n{table}\n</details>\n"
+
+
+def exported(names: list[str]) -> str:
+    """Give the table: of each class the first scenario that has it."""
+    seen: dict[str, tuple[str, Rig]] = {}
+    for name in names or list_scenarios():
+        rig = rig_of(name)
+        for member in rig.members:
+            seen.setdefault(member.block_class.__name__, (member.name, rig))
+    rows = [_row(kind, node, rig) for kind, (node, rig) in seen.items()]
+    rows.sort(key=lambda row: (row[2] != "same bits", row[0]))
+    head = "| class | node, scenario | C | bits depend on the C library's | may be set | structured text |"
+    lines = [head, "|---|---|---|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
+    c, st = (sum(row[k] in ("same bits", "same numbers") for row in rows) for k in (2, 5))
+    return FOLDED.format(count=len(rows), c=c, st=st, table="\n".join(lines))
+
+
+def _row(kind: str, node: str, rig: Rig) -> tuple[str, ...]:
+    about = f"`{kind}`", f"`{node}`, `{rig.scenario.name}`"
+    with tempfile.TemporaryDirectory() as place:
+        try:
+            done = export_c(rig, node, Path(place), rows=ROWS, drawn=ROWS)
+        except ScenarioError as reason:
+            return *about, _short(str(reason)), "", "", ""
+        found = replayed(Path(place), done.name)
+    words = [", ".join(f"`{name}`" for name in names) or "-" for names in (done.libm, done.settable)]
+    differ = f"{found.differing} numbers, {found.wrong_status} statuses differ"
+    return *about, "same bits" if found.same else differ, *words, _structured(done, node, rig)
+
+
+def _structured(done: Exported, node: str, rig: Rig) -> str:
+    n, files, member = done.name, done.files, member_of(rig, node)
+    try:
+        text = ordered(structured_text(n, files[f"{n}.h"], files[f"{n}.c"], files["softrig_c.h"], member))
+    except NotNative as reason:
+        return _short(str(reason))
+    found = executed(text, done, member)
+    return "same numbers" if found.same else f"{found.differing} numbers, {found.wrong_status} statuses differ"
+
+
+def _short(reason: str) -> str:
+    """Give a reason without paths and line numbers."""
+    reason = reason.partition("cannot be exported as C: ")[2] or reason
+    found = re.fullmatch(r"[\w.]*?(\w+\.\w+|\w+), line \d+: (.*)", reason)
+    return (f"{found[1]}: {found[2]}" if found else reason).replace("|", "/")

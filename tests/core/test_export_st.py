@@ -1,0 +1,178 @@
+"""Structured text: the printed text is run by a reader of its own and held against Python's golden rows."""
+
+import math
+import random
+from importlib import resources
+from xml.etree import ElementTree
+
+import pytest
+from softrig_core import ScenarioError, rig_of
+from softrig_core.export import st_files
+from softrig_core.export.golden import member_of
+from softrig_core.export.st_files import executed, main, st_of, written
+from softrig_core.export.st_run import Program
+
+LONG = [("dc_motor_fsfb", "fsfb_controller"), ("induction_dtc", "dtc_controller"), ("lsrm_fuzzy", "speed_controller")]
+RULES = [("dc_motor_smc_b2", "dc_motor_smc"), *(pytest.param(*one, marks=pytest.mark.long) for one in LONG)]
+TC6 = "{http://www.plcopen.org/xml/tc6_0201}"
+
+
+def text_of(units, done):
+    return written(units, done.name, "st")[f"{done.name}.st"]
+
+
+@pytest.mark.parametrize(("scenario", "node"), RULES)
+def test_the_text_computes_the_numbers_of_python(scenario, node):
+    rig = rig_of(scenario)
+    units, done = st_of(rig, node, rows=200, drawn=200)
+    found = executed(text_of(units, done), done, member_of(rig, node))
+    assert found.rows == 400
+    assert (found.differing, found.wrong_status) == (0, 0)
+
+
+@pytest.fixture(scope="module")
+def law():
+    rig = rig_of("dc_motor_smc_b2")
+    return rig, *st_of(rig, "dc_motor_smc", rows=100, drawn=100)
+
+
+def test_another_law_and_a_status_that_is_forgotten_are_noticed(law):
+    rig, units, done = law
+    text, member = text_of(units, done), member_of(rig, "dc_motor_smc")
+    changes = (" - p_w)", " + p_w)", "differing"), ("discarded := TRUE", "discarded := FALSE", "wrong_status")
+    for old, new, what in changes:
+        assert old in text
+        assert getattr(executed(text.replace(old, new), done, member), what) > 0
+
+
+def test_names_are_fit_for_a_language_without_case(law):
+    _, units, done = law
+    text = text_of(units, done)
+    names = [line.split(" : ")[0].strip() for line in text.splitlines() if " : " in line and " := " not in line]
+    assert len(names) > 50
+    assert not [n for n in names if "__" in n or n.endswith("_") or n.lower() in ("in", "out", "s", "r", "step")]
+    assert {"state_shaft_velocity", "command_armature_effort", "has_reference"} <= set(names)
+    assert "(* motor/command/armature/effort, V *)" in text
+
+
+def test_files_of_twincat_and_plcopen_have_the_same_text(law):
+    _, units, done = law
+    own = written(units, done.name, "tcpou")
+    block = ElementTree.fromstring(own["FB_dc_motor_smc.TcPOU"])
+    assert block.find("POU").attrib["Name"] == "FB_dc_motor_smc"
+    assert len(own) == len(units)
+    body = block.find("POU/Implementation/ST").text
+    assert body.strip() == "\n".join(units[-1].body).strip()
+    project = ElementTree.fromstring(written(units, done.name, "plcopen")["dc_motor_smc.xml"])
+    pous = project.findall(f"{TC6}types/{TC6}pous/{TC6}pou")
+    assert [p.attrib["pouType"] for p in pous] == ["function"] * (len(pous) - 1) + ["functionBlock"]
+    assert "".join(pous[-1].find(f"{TC6}body/{TC6}ST").itertext()).strip() == body.strip()
+    inputs = [v.attrib["name"] for v in pous[-1].findall(f"{TC6}interface/{TC6}inputVars/{TC6}variable")]
+    assert inputs[:2] == ["t_ns", "state_shaft_velocity"]
+    assert written(units, done.name, "plcopen") == written(units, done.name, "plcopen")
+
+
+@pytest.mark.long
+def test_blark_reads_the_files_of_twincat(law, tmp_path):
+    parse = pytest.importorskip("blark.parse")
+    _, units, done = law
+    for name, text in written(units, done.name, "tcpou").items():
+        (tmp_path / name).write_text(text)
+        assert [one.exception for one in parse.parse(tmp_path / name)] == [None]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "node", "words"),
+    [
+        ("dc_motor_smc_b2", "dc_motor_plant", "for controllers"),
+        ("dc_motor_smc_b2", "dc_motor_metrics", "bytes has no type"),
+    ],
+)
+def test_what_has_no_structured_text_is_refused_by_its_reason(scenario, node, words):
+    with pytest.raises(ScenarioError, match=words):
+        st_of(rig_of(scenario), node, rows=50, drawn=50)
+
+
+def test_the_verb_writes_and_checks(tmp_path, capsys):
+    assert main(["dc_motor_smc_b2", "dc_motor_smc", "--out", str(tmp_path), "--check"]) == 0
+    assert "the numbers of Python" in capsys.readouterr().out
+    assert (tmp_path / "dc_motor_smc.st").read_text().count("FUNCTION_BLOCK") == 2
+
+
+LIBRARY = (resources.files(st_files.__package__) / "softrig.st").read_text()
+NUMBERS = [0.0, -0.0, 0.5, -0.5, 1.5, 2.5, -2.5, 1e-300, 0.9999999999999999, 4503599627370497.0, -7.25, 3.0, 1e18]
+
+
+def test_the_library_has_the_functions_of_ieee_754():
+    block = "FUNCTION_BLOCK FB\nVAR\n    x : LREAL;\nEND_VAR\n    x := 1.0;\nEND_FUNCTION_BLOCK\n"
+    scope = Program(LIBRARY + block).scope
+    draw = random.Random(1)
+    xs = NUMBERS + [draw.uniform(-1, 1) * 10.0 ** draw.uniform(-5, 15) for _ in range(300)]
+    for x in xs:
+        assert scope["SR_FLOOR"](x) == math.floor(x)
+        assert scope["SR_CEIL"](x) == math.ceil(x)
+        assert scope["SR_TRUNC"](x) == math.trunc(x)
+        assert scope["SR_RINT"](x) == round(x)
+        for y in (0.1, -3.7, 1e-3, 7e12):
+            assert scope["SR_FMOD"](x, y) == math.fmod(x, y)
+            if x != 0.0:  # zeros of both signs count as one
+                assert scope["SR_ATAN2"](x, y) == pytest.approx(math.atan2(x, y), abs=1e-15)
+    assert scope["SR_FLOOR"](math.inf) == math.inf
+
+
+BLOCK = """TYPE PAIR :
+STRUCT
+    a : LREAL;
+    row : ARRAY [0..2] OF LINT;
+END_STRUCT
+END_TYPE
+FUNCTION FILL : BOOL
+VAR_IN_OUT
+    whole : PAIR;
+END_VAR
+VAR_INPUT
+    own : PAIR;
+    p : POINTER TO LINT;
+END_VAR
+    whole.a := own.a;
+    own.a := 7.0;
+    p[1] := -7 / 2;
+    p[2] := -7 MOD 2;
+    RETURN;
+    p[0] := 9;
+END_FUNCTION
+FUNCTION_BLOCK FB
+VAR
+    x : PAIR;
+    y : PAIR;
+    k : LINT := 3;
+    ok : BOOL;
+    q : LREAL;
+END_VAR
+    y.a := 2.0;
+    x := y;
+    y.a := 5.0;
+    ok := FILL(whole := x, own := y, p := ADR(x.row));
+    WHILE TRUE DO
+        k := k - 1;
+        IF (k = 1) AND NOT FALSE THEN
+            EXIT;
+        ELSIF k <> 2 THEN
+            k := 100;
+        END_IF
+    END_WHILE
+    q := -1.0 / 0.0;
+END_FUNCTION_BLOCK
+"""
+
+
+def test_the_reader_has_the_rules_of_the_language():
+    program = Program(BLOCK)
+    block = program.block()
+    program.call(block)
+    assert (block.x.a, block.y.a) == (5.0, 5.0)  # by reference; what is handed by value stays
+    assert block.x.row == [0, -3, -1]
+    assert block.y.row == [0, 0, 0]
+    assert (block.k, block.ok, block.q) == (1, False, -math.inf)
+    with pytest.raises(ValueError, match="no statement"):
+        Program(BLOCK.replace("q := -1.0 / 0.0;", "q := 1.0"))
