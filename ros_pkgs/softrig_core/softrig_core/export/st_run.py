@@ -81,7 +81,7 @@ def _quiet(function: Callable[..., float]) -> Callable[..., float]:
 
 
 FUNCTIONS: Mapping[str, Any] = {
-    **{name.upper(): _quiet(getattr(math, name)) for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp")},
+    **{f.upper(): _quiet(getattr(math, f)) for f in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp")},
     "ABS": abs, "LN": _quiet(math.log), "LOG": _quiet(math.log10), "EXPT": _quiet(math.pow), "LINT_TO_LREAL": float,
     "LREAL_TO_LINT": lambda x: round(x) if math.isfinite(x) and abs(x) < 9.2e18 else -(1 << 63),
     "BOOL_TO_LREAL": float, "BOOL_TO_LINT": int, "UDINT_TO_LINT": int, "DINT_TO_LINT": int, "ADR": pointer,
