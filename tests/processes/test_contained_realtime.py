@@ -13,7 +13,8 @@ from simulated import _Sink
 from softrig_core import Block, Recording, Rig, Signals, command, load_scenario, rig_of
 from softrig_core.rig.options import RunOptions
 from softrig_nodes import container as container_module
-from softrig_nodes.adapter import adapter as adapter_module
+from softrig_nodes.adapter import account
+from softrig_nodes.adapter.account import Account
 from softrig_nodes.adapter.adapter import Adapter
 from softrig_nodes.container import Container
 from softrig_nodes.group import Group
@@ -25,7 +26,6 @@ from softrig_nodes.ros.contained import ContainedMiddleware
 from softrig_nodes.ros.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
 from softrig_nodes.seam import exchange as exchange_module
 from softrig_nodes.seam.exchange import Exchange
-from softrig_nodes.seam.health import StatusFile
 from softrig_nodes.seam.monitor import Monitor
 
 SECOND = 1_000_000_000
@@ -321,20 +321,20 @@ def test_a_status_is_whole_while_it_is_changed_in_its_place(tmp_path, monkeypatc
     plant = run.adapters["im_plant"]
     path = tmp_path / "im_plant.status"
     object.__setattr__(plant.options, "status", str(path))
-    plant._status = StatusFile(str(path))
-    plant.write_status()
+    plant.account = Account(plant)
+    plant.account.write_status()
     number, before = path.stat().st_ino, json.loads(path.read_text())
     plant.error, plant.step.t = RuntimeError("x" * 3000), 7
-    plant.write_status()  # longer
+    plant.account.write_status()  # longer
     assert json.loads(path.read_text())["error"] == "x" * 3000
     plant.error = None
-    plant.write_status()  # shorter
+    plant.account.write_status()  # shorter
     assert json.loads(path.read_text()) == before | {"t": 7, "cpu_s": json.loads(path.read_text())["cpu_s"]}
     assert path.stat().st_ino == number
     plant.state, worked = "done", []
-    monkeypatch.setattr(adapter_module, "figures", lambda step: worked.append(step) or {"figures": {"a": [1.0, ""]}})
+    monkeypatch.setattr(account, "figures", lambda step: worked.append(step) or {"figures": {"a": [1.0, ""]}})
     for _ in range(3):
-        plant.write_status()
+        plant.account.write_status()
     assert path.stat().st_ino != number
     assert json.loads(path.read_text())["missed_deadlines"] == 0
     assert json.loads(path.read_text())["figures"] == {"a": [1.0, ""]}

@@ -79,7 +79,7 @@ def test_while_nobody_has_a_part_native_code_answers(name, duration, tmp_path, m
     told = container.ends_as_in_process()
     ticks = rig.clock.schedule.ticks
     assert told[rig.clock.name] == (ticks - 1, "")  # the first and the last are Python's
-    assert container.clock.status()["tick_p50_ms"] > 0.0
+    assert container.clock.account.status()["tick_p50_ms"] > 0.0
 
 
 def test_it_is_compiled_while_python_goes_on(tmp_path, monkeypatch):
@@ -150,7 +150,7 @@ def test_who_holds_or_changes_is_obeyed(tmp_path, monkeypatch):
     changed = law.step.t
     container.on()
     events = Recording((t, p.msgtype) for t, p in rig.topics.items())
-    law.shard.close()
+    law.record.shard.close()
     events.read_shard(tmp_path / "dc_motor_smc.shard")
     (t,) = events.topics[EVENTS].times
     assert changed < t <= changed + 200_000

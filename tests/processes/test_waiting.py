@@ -53,7 +53,7 @@ def test_a_controller_on_a_wrong_topic_is_told_which_one_it_should_be():
     guests = Guests(with_guests("basic", ("gain",)), said.append)
 
     def look():
-        guests.look({name: a.status() for name, a in run.adapters.items()})
+        guests.look({name: a.account.status() for name, a in run.adapters.items()})
 
     look()
     assert said == []
