@@ -872,3 +872,45 @@ def test_sweep_on_a_local_cluster():
         first = workers._client
         assert workers.map(abs, [-1]) == [1]
         assert workers._client is first
+
+
+FORKED = """
+import json, os, sys
+from softrig_optim import sweep
+from softrig_optim.sweep import Workers
+made = []  # by this process alone, which a process of its own start would lack
+
+def told(case):
+    private = [line.split()[1] for line in open("/proc/self/smaps_rollup") if line.startswith("Private_Dirty")]
+    return made, os.getppid(), sum(map(int, private)) / 1024, case
+
+if __name__ == "__main__":
+    made.append(os.getpid())
+    with Workers(2) as workers:
+        found = workers.map(told, range(6))
+    assert {tuple(own) for own, *_ in found} == ({tuple(made)} if len(sys.argv) < 2 else {()}), found
+    assert {parent for _, parent, *_ in found} == {os.getpid()}
+    assert [case for *_, case in found] == list(range(6))
+    assert len(sys.argv) > 1 or max(private for _, _, private, _ in found) < 35.0, found
+"""
+
+
+@pytest.mark.parametrize("threads", [[], ["a thread"]])
+def test_workers_are_forked_where_nothing_would_be_lost(tmp_path, threads):
+    """They share what their parent has imported: 35 MB of their own at most; beside a thread they start anew."""
+    script = FORKED
+    if threads:
+        script = FORKED.replace(
+            "    made.append", "    import threading; threading.Thread(target=input).start()\n    made.append"
+        )
+    (tmp_path / "study.py").write_text(script)
+    done = subprocess.run(
+        [sys.executable, "study.py", *threads],
+        input="\n" * bool(threads),
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=PATIENCE,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )
+    assert done.returncode == 0, done.stderr[-2000:]

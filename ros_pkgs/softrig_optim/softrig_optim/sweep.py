@@ -38,8 +38,9 @@ LARGEST = 1000  # cases of a chunk
 class Workers:
     """Processes of this machine, or a Dask cluster, that evaluate functions; they stay from batch to batch.
 
-    They start with the first case. What one has imported or compiled serves all that follow; when the block that they
-    are used in ends with an exception, so do they, whatever they work on.
+    What one has imported or compiled serves all that follow; when the block that they are used in ends with an
+    exception, so do they, whatever they work on. Where this process has a single thread they are forked from it when
+    the block begins, and share all that it has imported; else they are started anew with the first case.
 
     Parameters
     ----------
@@ -57,6 +58,11 @@ class Workers:
         self._frozen = False
 
     def __enter__(self) -> Workers:
+        if self._count > 1 and not self._scheduler and _has_one_thread():
+            gc.freeze()  # a collection in a worker would touch, and so copy, all that they share
+            self._pool = ProcessPoolExecutor(self._count, get_context("fork"), _end_with_parent)
+            self._pool.submit(_freeze)  # starts them, before a progress bar has a thread
+            gc.unfreeze()
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
@@ -244,6 +250,14 @@ def sweep(
         return pool.map(function, cases, advance)
 
 
+def _has_one_thread() -> bool:
+    """Return whether a copy of this process would have all of it: of threads it has the one that copied."""
+    try:
+        return len(os.listdir("/proc/self/task")) == 1
+    except OSError:  # a system without /proc
+        return False
+
+
 def cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
@@ -265,6 +279,7 @@ def _own_imports() -> Iterator[None]:
 def _end_with_parent() -> None:
     """End this worker when its parent has gone, whatever killed it: nobody would ever give it another case."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's; it ends us
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a fork has the handler of its parent
     parent = multiprocessing.parent_process()
     assert parent is not None
 
