@@ -5,8 +5,10 @@ import os
 import pty
 import random
 import shutil
+import statistics
 import struct
 import subprocess
+import time
 import tty
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +21,7 @@ from softrig_core.board import line as line_module, link as link_module
 from softrig_core.board.entry import LinkEntry
 from softrig_core.board.frames import Kind, Splitter, decoded, encoded, read, written
 from softrig_core.board.line import Line
+from softrig_core.board.wires import opened
 from softrig_core.errors import RunError
 from softrig_core.export.check import FLAGS
 from softrig_core.export.golden import golden_calls, member_of
@@ -287,3 +290,39 @@ def test_a_port_that_cannot_be_opened_ends_the_run_by_a_line(firmware):
     pytest.importorskip("serial", reason="needs pyserial (scripts/softrig setup hardware)")
     with pytest.raises(RunError, match=r"the port /dev/nowhere cannot be opened: .*No such file"):
         simulate(linked_rig(firmware, "/dev/nowhere", timeout=0.01))
+
+
+@pytest.mark.long
+def test_a_link_costs_little_beside_the_bare_port(firmware):
+    serial = pytest.importorskip("serial", reason="needs pyserial (scripts/softrig setup hardware)")
+    folder, name, layout, steps, answers = firmware
+    here, there = pty.openpty()
+    tty.setraw(there)
+    board = subprocess.Popen([folder / name], stdin=here, stdout=here)
+    build, params = build_of(firmware)
+    rounds = []
+    try:
+        line = Line("pty", lambda: opened(os.ttyname(there), 115200), build, 0.5)
+        line.begin(params)
+        line.ask(Kind.STEP, steps[0])
+        bare = serial.Serial(os.ttyname(there), 115200, timeout=1.0)
+        for _ in range(7):
+            begun = time.perf_counter()
+            for step in steps:
+                line.ask(Kind.STEP, step)
+            ours = time.perf_counter() - begun
+            # the same bytes: the newest frame again, whose answer the board still has
+            frame = written(line._number, Kind.STEP, steps[-1], line._session)
+            size = len(written(line._number, Kind.ANSWER, answers[-1], line._session)) - 1
+            begun = time.perf_counter()
+            for _ in steps:
+                bare.write(frame)
+                assert len(bare.read(size)) == size
+            rounds.append(ours / (time.perf_counter() - begun))
+    finally:
+        board.kill()
+        board.wait()
+        os.close(here)
+        os.close(there)
+    print(f"{statistics.median(rounds):.2f} times the bare port; {layout.step.size} bytes of values to the board")
+    assert statistics.median(rounds) <= 1.5
