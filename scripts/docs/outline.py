@@ -15,7 +15,7 @@ KINDS = {
     "tutorials": (
         "Tutorials",
         "From nothing to a result, a quarter of an hour each. A test types every command that ends by itself.",
-        ("first_run", "own_controller", "own_package", "tune", "test_bench", "realtime", "question"),
+        ("first_run", "own_controller", "own_package", "tune", "test_bench", "realtime", "question", "board_tutorial"),
     ),
     "how-to": (
         "How-to guides",
@@ -70,6 +70,7 @@ KEYWORDS = {
     "linear_view": "bode, nyquist, poles, margin, linearize, eigenvalues",
     "file_formats": "urdf, comtrade, fmu, csv, tags, columns, mimic, damping, friction",
     "outside_tools": "plotjuggler, foxglove, rviz, gif, video, animation",
+    "board_tutorial": "arduino, uno, firmware, serial, simavr, hil",
     "boards": "serial, arduino, uno, link, loop, simavr, qemu, hil",
     "hardware": "c, embedded, arduino, microcontroller, export, firmware, misra",
     "plc": "plc, iec 61131, structured text, codesys, twincat, plcopen, function block",
