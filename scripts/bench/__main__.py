@@ -15,6 +15,7 @@ from . import (
     gupfc,
     induction,
     loop,
+    machines,
     native,
     optimal_control,
     reading,
@@ -33,7 +34,8 @@ PARTS: dict[str, Callable[[], None]] = {
     "processes": loop.processes, "bags": recorder.recorder_rate, "rigs": rigs.rigs, "native": native.print_table,
     "containers": rigs.containers, "reading": reading.reading,
     "realtime": realtime.realtime, "view": view.view,
-    "systems": systems.print_table, "induction": induction.print_table, "fault_location": fault_location.print_table,
+    "systems": systems.print_table, "induction": induction.print_table, "machines": machines.print_table,
+    "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
     "falsify": falsification_table.print_table, "environment": environment.print_table,
 }  # fmt: skip

@@ -41,6 +41,11 @@ def switching(seconds: float) -> tuple[list[int], Signals]:
     return [LEGS.index(tuple(row)) for row in legs.tolist()], signals
 
 
+def clean_environment() -> dict[str, str]:
+    """Give the environment for another Python: without what is set for ours."""
+    return {k: v for k, v in os.environ.items() if k not in _OURS}
+
+
 def peer(name: str, vectors: list[int], python: str = sys.executable) -> Mapping[str, float] | None:
     """Run one case of `induction_peers` with the given Python.
 
@@ -49,13 +54,12 @@ def peer(name: str, vectors: list[int], python: str = sys.executable) -> Mapping
     mapping or None
         What it printed; None when that Python does not have the simulator.
     """
-    clean = {k: v for k, v in os.environ.items() if k not in _OURS}
     done = subprocess.run(
         [python, str(Path(__file__).with_name("induction_peers.py")), name],
         input=json.dumps(vectors),
         text=True,
         capture_output=True,
-        env=clean,
+        env=clean_environment(),
         check=False,
     )
     if done.returncode and "ModuleNotFoundError" in done.stderr:

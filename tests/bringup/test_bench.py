@@ -9,7 +9,7 @@ from shutil import which
 from types import SimpleNamespace
 
 import pytest
-from bench import induction, native, realtime, rectifier, systems
+from bench import induction, machines, native, realtime, rectifier, systems
 from bench.__main__ import PARTS, main
 from softrig_core import ScenarioError, bits
 from softrig_drives.induction_dtc.switching import VECTORS
@@ -97,6 +97,28 @@ def test_the_induction_motor_beside_its_peers(monkeypatch, capsys):
     assert [line.split()[-2] for line in table[2:4]] == ["1.0", "4.0"]
     assert table[4].endswith("not installed")
     assert "1.0e-09 Wb and 2.0e-08 rad/s" in table[5]
+
+
+def test_drives_beside_their_peer(monkeypatch, capsys):
+    found = {"pmsm_foc": machines.Beside(0.01, 4.0, 1e-9, 2e-9)}
+    monkeypatch.setattr(machines, "beside", lambda name, *_: found.get(name))
+    assert main(["machines"]) == 0
+    table = capsys.readouterr().out
+    assert "400 x; apart by 1.0e-09 A and 2.0e-09 rad/s" in table
+    assert "im_foc       motulator is not installed" in table
+
+
+def test_the_duty_ratios_of_a_drive_are_those_of_its_periods():
+    given, signals = machines.duty_ratios("pmsm_foc", 0.003)
+    assert len(given["duties"]) == len(given["load"]) == 30
+    assert given["duties"][5] == [signals[f"applied_duty/{leg}/effort"].x[6] for leg in "abc"]
+
+
+@pytest.mark.skipif(find_spec("motulator") is None, reason="motulator is not installed")
+def test_drives_are_those_of_motulator():
+    for name in machines.MACHINES:
+        found = machines.beside(name, sys.executable, 0.05)
+        assert max(found.current, found.speed) < 1e-8
 
 
 def test_a_peer_that_is_missing_or_fails(tmp_path):

@@ -14,7 +14,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from softrig_bringup.verbs.new_native import new_native
+from softrig_bringup.new.native import new_native
 from softrig_control.c_member.nodes import CController, CParams
 from softrig_core import (
     ByHand,

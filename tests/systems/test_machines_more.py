@@ -191,8 +191,9 @@ def test_each_sector_drives_the_flat_tops():
     assert "hall" in held.reports
 
 
-def test_the_brushless_drive_meets_what_it_expects():
-    assert not simulate("bldc_six_step").missed
+@pytest.mark.parametrize("name", ["bldc_six_step", "bldc_six_step_1kw"])
+def test_the_brushless_drive_meets_what_it_expects(name):
+    assert not simulate(name).missed
 
 
 # sensors ----------------------------------------------------------------------------------------------------------
@@ -240,11 +241,19 @@ def test_currents_are_converted():
     assert abs(np.corrcoef(np.array(rows[0]).T)[0, 1]) < 0.06
 
 
-def test_a_machine_published_as_a_t_circuit():
-    p = load_scenario("im_foc_4kw").nodes["induction_plant"].parameters
-    circuit = inverse_gamma(1.395, 0.005839, 0.005839, 0.1722)
-    assert (p["R_R"], p["L_sigma"], p["L_M"]) == pytest.approx(circuit, rel=1e-6)
-    assert not simulate("im_foc_4kw").missed
+@pytest.mark.parametrize(
+    ("name", "circuit", "w"),
+    [
+        ("im_foc_4kw", (1.395, 0.005839, 0.005839, 0.1722), 1.0),
+        ("im_foc_krause", (0.816, 0.754, 0.754, 26.13), 120 * math.pi),  # reactances at 60 Hz
+    ],
+)
+def test_a_machine_published_as_a_t_circuit(name, circuit, w):
+    p = load_scenario(name).nodes["induction_plant"].parameters
+    R_r, *inductances = circuit
+    wanted = inverse_gamma(R_r, *(x / w for x in inductances))
+    assert (p["R_R"], p["L_sigma"], p["L_M"]) == pytest.approx(wanted, rel=1e-6)
+    assert not simulate(name).missed
 
 
 # data sheets ------------------------------------------------------------------------------------------------------

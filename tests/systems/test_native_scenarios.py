@@ -80,12 +80,12 @@ def scenario(name: str, **more: Any) -> Scenario:
 # scenarios that go natively, by system; the others by what is in the way
 GOES = {
     "arm_computed_torque": 5,
-    "bldc_six_step": 3,
+    "bldc_six_step": 4,
     "buck_pi": 4,
     "dc_motor_fsfb": 40,
     "dc_motor_smc": 44,
     "gupfc": 7,
-    "im_foc": 4,
+    "im_foc": 5,
     "im_vhz": 1,
     "induction_dtc": 20,
     "lsrm_fuzzy": 40,

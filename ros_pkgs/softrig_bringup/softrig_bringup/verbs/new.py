@@ -19,8 +19,8 @@ from softrig_core import ScenarioError
 from softrig_core.guard import naming
 from softrig_core.scenario.scenario_file import find
 
-from .new_native import new_native, told
-from .new_rated import from_data_sheet
+from ..new.native import new_native, told
+from ..new.rated import from_data_sheet
 
 # template, and where it goes; $name below stands for the package's name
 FILES = {"package.xml": "package.xml", "setup.py": "setup.py", "setup.cfg": "setup.cfg", "README.md": "README.md"}

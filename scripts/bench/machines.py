@@ -1,0 +1,94 @@
+"""Drives of three-phase machines beside motulator on the same duty ratios: how far apart, how much faster."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from softrig_core import Recording, Signals, load_scenario, rig_of, run_inprocess
+
+from .induction import MANY, clean_environment
+from .timing import cpu
+
+MACHINES = {"pmsm_foc": "pmsm_plant", "im_foc": "induction_plant"}
+ROUNDS = 3
+TIGHT = 1e-11  # relative tolerance of motulator's solver where trajectories are compared
+
+
+class Beside(NamedTuple):
+    """CPU (s) of a simulated second: ours with control and record, motulator's plant as it is; largest distances."""
+
+    ours: float
+    theirs: float
+    current: float
+    speed: float
+
+
+def duty_ratios(name: str, seconds: float) -> tuple[dict[str, Any], Signals]:
+    """Run a drive; give what its machine saw, and its signals."""
+    rig = rig_of(load_scenario(name, {f"{MACHINES[name]}.substeps": 8}).model_copy(update={"duration": seconds}))
+    recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+    run_inprocess(rig, 1, recording)
+    signals = Signals(recording)
+    applied = np.column_stack([signals[f"applied_duty/{leg}/effort"].x for leg in "abc"])
+    when, load = signals["load_torque/shaft/effort"]
+    begins = 1e-4 * np.arange(len(applied) - 1)
+    held = load[np.searchsorted(when, begins + 1e-9, side="right") - 1]
+    return {"machine": name, "duties": applied[1:].tolist(), "period": 1e-4, "load": held.tolist()}, signals
+
+
+def peer(given: dict[str, Any], python: str) -> dict[str, Any] | None:
+    """Run `machines_peers` with another Python; None when that does not have motulator."""
+    done = subprocess.run(
+        [python, str(Path(__file__).with_name("machines_peers.py"))],
+        input=json.dumps(given),
+        text=True,
+        capture_output=True,
+        env=clean_environment(),
+        check=False,
+    )
+    if done.returncode and "ModuleNotFoundError" in done.stderr:
+        return None
+    if done.returncode:
+        raise RuntimeError(f"motulator: {done.stderr.strip().splitlines()[-1]}")
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def beside(name: str, python: str, seconds: float) -> Beside | None:
+    """Hold a drive against motulator; None where that is not installed."""
+    given, signals = duty_ratios(name, seconds)
+    tight = peer({**given, "rtol": TIGHT}, python)
+    plain = peer({**given, "rtol": 0.0}, python)
+    if tight is None or plain is None:
+        return None
+    theirs = np.array(tight["rows"])[: len(given["duties"])]
+    found = [signals[s].x[: len(theirs)] for s in ("currents/x", "currents/y", "joint_states/shaft/velocity")]
+    apart = np.abs(np.column_stack(found) - theirs).max(axis=0)
+    rig = rig_of(load_scenario(name).model_copy(update={"duration": seconds}))
+    topics = [(t, p.msgtype) for t, p in rig.topics.items()]
+    run_inprocess(rig, 1, Recording(topics), runs=MANY)
+    ours = min(cpu(lambda: run_inprocess(rig, 1, Recording(topics), runs=MANY)) for _ in range(ROUNDS))
+    return Beside(ours / seconds, plain["cpu_s"] / seconds, float(max(apart[:2])), float(apart[2]))
+
+
+def print_table() -> None:
+    """Field-oriented drives beside motulator on the same duty ratios, where it is installed.
+
+    ``SOFTRIG_PEERS`` in the environment: an interpreter that has it.
+    """
+    python = os.environ.get("SOFTRIG_PEERS", sys.executable)
+    for name in MACHINES:
+        found = beside(name, python, 0.5)
+        if found is None:
+            print(f"{name:12} motulator is not installed")
+            continue
+        print(
+            f"{name:12} {found.ours:8.4f} s natively with its law and record, motulator's plant {found.theirs:7.2f} s, "
+            f"{found.theirs / found.ours:6.0f} x; apart by {found.current:.1e} A and {found.speed:.1e} rad/s"
+        )
