@@ -437,10 +437,10 @@ STUB = """#!/bin/bash
 echo "$(basename "$0") $*" >>"$HOME/calls"
 case "$*" in
 *-m" "venv*) mkdir -p "${@: -1}/bin"; cp "$0" "${@: -1}/bin/python" ;;
-*uv.lock) [ -n "$NO_UV" ] && exit 1; cp "$0" "$HOME/.venv/bin/uv" ;;
-*layout.py*) sleep "${SETUP_S:-0}"; mkdir -p .ws/install/lib/softrig_bringup
-    echo 'export PYTHONPATH=/built AMENT_PREFIX_PATH=/built' >.ws/install/setup.sh
-    install -m 755 /dev/null .ws/install/lib/softrig_bringup/softrig ;;
+*uv.lock) [ -n "$NO_UV" ] && exit 1; cp "$0" "$(dirname "$0")/uv" ;;
+*layout.py*) sleep "${SETUP_S:-0}"; mkdir -p "${@: -1}/lib/softrig_bringup"
+    echo 'export PYTHONPATH=/built AMENT_PREFIX_PATH=/built' >"${@: -1}/setup.sh"
+    install -m 755 /dev/null "${@: -1}/lib/softrig_bringup/softrig" ;;
 esac
 """
 
@@ -516,6 +516,34 @@ def test_pip_does_it_where_uv_cannot_be_had_and_a_shared_environment_is_not_inst
         gone()  # .venv removed by hand; the Python that it was made of uninstalled
         said = softrig("setup", "run")
         assert (said.returncode, python.is_file()) == (0, True), said.stderr
+
+
+def test_kilteds_wheels_are_set_up_beside_jazzys_and_remembered(bare, tmp_path):
+    def softrig(*arguments, **variables):
+        command = [tmp_path / "scripts" / "softrig", *arguments]
+        return subprocess.run(
+            command, env=bare | variables, timeout=60, stdin=subprocess.DEVNULL, capture_output=True, text=True
+        )
+
+    (tmp_path / "scripts" / "locks" / "distro").mkdir()
+    shutil.copy(SCRIPTS / "locks/distro/kilted.lock", tmp_path / "scripts/locks/distro")
+    assert softrig("setup", "--distro", "humble").returncode == 2
+    assert softrig("setup", SOFTRIG_DISTRO="rolling").returncode == 2
+    assert softrig("setup", "--distro", "kilted").returncode == 0
+    wanted = (tmp_path / ".kilted" / ".ws" / "run.txt").read_text()
+    pinned = dict(re.findall(r"^([\w-]+)==(\S+)", wanted, re.M))  # the last where a package differs by Python
+    lines = re.findall(r"^([\w-]+==\S+) ; .*", (SCRIPTS / "locks/distro/kilted.lock").read_text(), re.M)
+    assert all(wanted.count(f"\n{line} ;") == 1 for line in lines)
+    assert "ros-kilted-rclpy" in pinned
+    assert "ros-jazzy-rclpy" not in pinned
+    jazzys = dict(re.findall(r"^([\w-]+)==(\S+)", (SCRIPTS / "locks/run.lock").read_text(), re.M))
+    others = {name: version for name, version in pinned.items() if not name.startswith("ros-")}
+    assert others == {name: version for name, version in jazzys.items() if not name.startswith("ros-")}
+    assert not (tmp_path / ".ws").exists()
+    assert f"VIRTUAL_ENV={tmp_path}/.kilted/.venv" in softrig("env").stdout  # later calls, too
+    assert f"VIRTUAL_ENV={tmp_path}/.venv" in softrig("env", SOFTRIG_DISTRO="jazzy").stdout
+    assert softrig("setup", "--distro", "jazzy").returncode == 0
+    assert f"VIRTUAL_ENV={tmp_path}/.venv" in softrig("env").stdout
 
 
 READ_ONLY = 'mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" "$1" || exit 77; exec "$1/scripts/softrig" setup'

@@ -134,7 +134,10 @@ def test_what_is_asked_for_is_pinned_with_its_hashes():
         assert names(requirements) <= pinned[extra] | pinned["run"]
         assert pinned[extra] <= pinned["test"]
     assert names(PROJECT["dependency-groups"]["test"]) <= pinned["test"]
-    for lock in LOCKS.values():
+    kilted = (ROOT / "scripts/locks/distro/kilted.lock").read_text()
+    asked = {name.replace("jazzy", "kilted") for name in names(PROJECT["project"]["dependencies"]) if "jazzy" in name}
+    assert asked <= names(re.findall(r"^[^ \n]+==\S+", kilted, re.M))
+    for lock in (*LOCKS.values(), kilted):
         entries = re.split(r"\n(?=\S)", lock.strip())
         assert all(re.match(r"\S+==\S+.*( \\\n    --hash=sha256:[0-9a-f]{64})+$", entry) for entry in entries)
 
