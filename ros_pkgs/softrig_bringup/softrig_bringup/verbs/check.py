@@ -50,7 +50,7 @@ def main(options: argparse.Namespace) -> int:
         print(f"{suite.name}: {verdict}")
         for case in suite.failures:
             print(f"  {case.name}: {case.failure}")
-        for note in outcome["notes"]:
+        for note in outcome.get("notes", ()):
             print(f"  {note}")
         if outcome["differs"]:
             print(f"  differs from {options.against}: {', '.join(outcome['differs'])}")
