@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from rclpy.utilities import remove_ros_args
 from softrig_core.block.block import Block, Plant
 from softrig_core.block.params import Declaration, build, declarations, flatten
 from softrig_core.block.port import require_distinct
+from softrig_core.board.clocked import ClockEntry, clocked
 from softrig_core.board.entry import LinkEntry
 from softrig_core.board.link import linked
 from softrig_core.guard import secure_streams, tell
@@ -97,7 +99,7 @@ def make_adapter(node: ServingNode, block_class: type[Block], middleware: Middle
     params, options = _parameters(node, block_class)
     require_distinct(*block_class.ports(params))
     if options.link:
-        block_class = linked(block_class, LinkEntry.model_validate_json(options.link), params, node.get_name())
+        block_class = _answered(block_class, options.link, params, node.get_name())
     rehearse(block_class, params, node.get_name(), always=options.mode == "realtime")
     block = block_class(params, node.get_name())
     block.reset(options.seed)
@@ -105,6 +107,13 @@ def make_adapter(node: ServingNode, block_class: type[Block], middleware: Middle
     Faces(node, adapter)
     Tuning(node, adapter)
     return adapter
+
+
+def _answered(block_class: type[Block], entry: str, params: Any, name: str) -> type[Block]:
+    """Return the class of a node whose ticks a board answers, or a node of somebody else."""
+    if "answers" in json.loads(entry):
+        return clocked(block_class, ClockEntry.model_validate_json(entry), params, name)
+    return linked(block_class, LinkEntry.model_validate_json(entry), params, name)
 
 
 def introduction(block: Block, options: RunOptions) -> str:

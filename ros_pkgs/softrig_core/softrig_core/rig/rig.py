@@ -13,6 +13,7 @@ from ..block.codec import selection
 from ..block.params import ParameterError, build, flatten
 from ..block.port import Port, Refused, require_distinct
 from ..block.schedule import schedule_of
+from ..board.clocked import ClockEntry, clocked
 from ..board.entry import require_own_ports
 from ..board.link import linked
 from ..errors import ScenarioError
@@ -191,6 +192,8 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
     entry = scenario.nodes[name]
     where = f"{scenario.name}: node {name}"
     params: Any = parameters(name)  # its errors name the node already
+    if isinstance(entry.external, ClockEntry):
+        block = clocked(block, entry.external, params, where)
     try:
         inputs, outputs = _ports(block, params)
     except ValueError as error:
@@ -216,7 +219,7 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
         params,
         inputs,
         outputs,
-        entry.external,
+        entry.external is True,
         dict(entry.remap),
         {},
         schedule_of(params.period),

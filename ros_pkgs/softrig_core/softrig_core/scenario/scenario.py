@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
 
+from ..board.clocked import ClockEntry
 from ..board.entry import LinkEntry
 from ..entry import Entry
 from ..errors import ScenarioError, closest
@@ -47,7 +48,9 @@ class NodeEntry(Entry):
     executable: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")
     parameters: dict[str, Any] = {}
     remap: dict[str, TopicName] = {}
-    external: bool = Field(False, description="somebody else starts it; our executable only tells its ports")
+    external: bool | ClockEntry = Field(
+        False, description="somebody else starts it; our executable only tells its ports"
+    )
     link: LinkEntry | None = Field(None, description="a board with its exported firmware answers its ticks")
 
 

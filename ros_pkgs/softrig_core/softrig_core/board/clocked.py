@@ -1,0 +1,152 @@
+"""A block whose ticks a node of somebody else answers, which goes by /clock and copies no stamp."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from ..block.block import Block, Plant
+from ..block.port import Port
+from ..entry import Entry
+from ..errors import RunError, ScenarioError
+from ..runners import find_runner
+from .link import LinkState
+
+
+class ClockEntry(Entry):
+    """How a node of somebody else answers: by its own timer, or once for each message.
+
+    Parameters
+    ----------
+    answers : {"clock"}
+        One message an output and period, without the stamp of what it answers.
+    first : float, optional
+        Time of its first message, s: of a timer one period (by default), of a node that answers each message 0.
+    reads : list of str, optional
+        The topics that it subscribes, in the order in which they are handed over at each tick: a node that answers a
+        message gets that one last. All of the executable when absent.
+    publishes : list of str, optional
+        The topics that it publishes; all of the executable when absent.
+    timeout : float
+        Wall-clock time in s after which a message that does not come ends the run.
+    start_timeout : float
+        The same for the start of the node.
+    """
+
+    answers: Literal["clock"]
+    first: float | None = Field(None, ge=0.0)
+    reads: tuple[str, ...] | None = None
+    publishes: tuple[str, ...] | None = None
+    timeout: float = Field(10.0, gt=0.0, le=1e6)
+    start_timeout: float = Field(300.0, gt=0.0, le=1e6)
+
+
+class Clocked(Block):
+    """Answers each tick by what a node publishes when its clock is advanced to it."""
+
+    ENTRY: ClassVar[ClockEntry]
+    SCRATCH = frozenset({"_guests"})  # the connection to the node, of which there is one at most
+
+    @classmethod
+    def ports(cls, params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Return those of the executable that the node has."""
+        inputs, outputs = super().ports(params)
+        return _chosen(inputs, cls.ENTRY.reads), _chosen(outputs, cls.ENTRY.publishes)
+
+    def setup(self) -> None:
+        """Prepare; the node is waited for with the first tick."""
+        super().setup()
+        self._guests: list[Any] = []
+
+    def first(self) -> LinkState:
+        """Begin before the first tick."""
+        return LinkState()
+
+    def go_on(self, x: LinkState, before: Any) -> LinkState:
+        """Go on; the node has its own parameters."""
+        return x
+
+    def params(self, x: LinkState) -> Any:
+        """Return the parameters as they were set."""
+        return self.p
+
+    def save(self, x: LinkState) -> Any:
+        """Refuse: the state is in the node.
+
+        Raises
+        ------
+        RunError
+        """
+        raise RunError(f"{self.name}: its state is in the node in namespace /{self.name} and cannot be saved")
+
+    def health(self, x: LinkState) -> Mapping[str, str]:
+        """Return who answers."""
+        return {"answers": self._guests[0].who if self._guests else "not there yet"}
+
+    def markers(self, x: LinkState) -> tuple[()]:
+        """Draw nothing: what the block knows is in the node."""
+        return ()
+
+    def update(self, x: LinkState, t: int, **inputs: Any) -> tuple[LinkState, Mapping[str, Any]]:
+        """Hand the inputs over, advance the node's clock to t, and return its answer.
+
+        Raises
+        ------
+        RunError
+            It publishes nothing, twice, or what cannot be read; names it and the topic.
+        """
+        if self.realtime:
+            raise RunError("answers: clock is for lockstep; in real time use external: true")
+        if not self._guests:
+            reads, says = self.ports(self.p)
+            self._guests.append(find_runner("guest")(self.name, reads, says, self.ENTRY))
+        period = self.p.period
+        begins = period if self.ENTRY.first is None else self.ENTRY.first
+        answers = t / 1e9 >= begins - 0.5 * period
+        found = self._guests[0].ask(t, inputs, answers)
+        safe = {p.name: p.safe for p in self.ports(self.p)[1] if not p.sporadic}
+        return LinkState(x.k + 1), found if answers else safe
+
+
+def clocked(block: type[Block], entry: ClockEntry, params: Any, where: str) -> type[Block]:
+    """Return the class of a node whose ticks a node of somebody else answers.
+
+    Raises
+    ------
+    ScenarioError
+        It is a plant, or has ports of kinds that such a node cannot have, or `reads` names what is no input.
+    """
+    if issubclass(block, Clocked):  # of a rig that is made again, with other parameters
+        return block
+    inputs, outputs = block.ports(params)
+    if issubclass(block, Plant):
+        raise ScenarioError(f"{where}: external: a plant owns the clock and cannot go by it; expected external: true")
+    used = (*_used(inputs, entry.reads), *_used(outputs, entry.publishes))
+    if odd := [p.topic for p in used if p.delayed or p.sporadic or p.partial or p.dims]:
+        raise ScenarioError(
+            f"{where}: external: {odd[0]} is delayed, sporadic, partial or an array, which a node that answers by the "
+            "clock cannot have"
+        )
+    for word, chosen, ports in (("reads", entry.reads, inputs), ("publishes", entry.publishes, outputs)):
+        topics = [p.topic for p in ports]
+        if wrong := [topic for topic in chosen or () if topic not in topics]:
+            raise ScenarioError(f"{where}: external: {word} {wrong[0]!r}, but the executable has {', '.join(topics)}")
+    return _class(block, entry)  # type: ignore[arg-type]  # mypy: a class has no hash
+
+
+def _used(ports: tuple[Port, ...], topics: tuple[str, ...] | None) -> list[Port]:
+    return [port for port in ports if topics is None or port.topic in topics]
+
+
+def _chosen(ports: tuple[Port, ...], topics: tuple[str, ...] | None) -> tuple[Port, ...]:
+    by_topic = {port.topic: port for port in ports}
+    return ports if topics is None else tuple(by_topic[topic] for topic in topics)
+
+
+@lru_cache(maxsize=64)
+def _class(block: type[Block], entry: ClockEntry) -> type[Block]:
+    body = {"ENTRY": entry, "__module__": block.__module__, "__doc__": block.__doc__}
+    return type(block.__name__, (Clocked, block), body | {"__qualname__": block.__qualname__})

@@ -1,0 +1,204 @@
+"""A node of somebody else that goes by a clock of its own: handed its inputs, its clock advanced, its answer awaited.
+
+It is started in the namespace of the rig's node, so that it reads and publishes there and not among the rig, and with
+/clock remapped into it. Before its clock moves, its executor has answered a question that was asked after the inputs
+of the tick: what one process sends to another arrives in order, so its callbacks of the tick have run, whatever the
+load. (An acknowledgement by DDS would say less, and comes with a heartbeat, up to seconds later.)
+"""
+
+from __future__ import annotations
+
+import atexit
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import rclpy
+from rcl_interfaces.srv import GetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from softrig_core.block.codec import Decoder
+from softrig_core.block.port import CLOCK, Port, Refused
+from softrig_core.board.clocked import ClockEntry
+from softrig_core.errors import RunError
+from softrig_core.guard import tell
+
+from .messages import message_class
+
+QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+LOOK = 0.05  # s between two looks at the graph
+SAY_AFTER = 1.0  # s after which it is said what is waited for
+
+
+class Guest:
+    """The other node.
+
+    Parameters
+    ----------
+    name : str
+        Of the rig's node; the other one is in the namespace of this name.
+    inputs, outputs : sequence of Port
+        What it reads and publishes.
+    entry : ClockEntry
+        How long it is waited for.
+
+    Attributes
+    ----------
+    who : str
+        Full name of the other node.
+    """
+
+    def __init__(self, name: str, inputs: Sequence[Port], outputs: Sequence[Port], entry: ClockEntry) -> None:
+        self._name, self._inputs, self._outputs, self._seconds = name, inputs, outputs, entry.timeout
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node(f"{name}_gate", namespace=name, context=self._context, start_parameter_services=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._publishers = {p.name: self._offer(p) for p in inputs}
+        self._clock = self._offer(CLOCK)
+        self._come: dict[str, list[bytes]] = {p.name: [] for p in outputs}
+        self._decoders = {p.name: Decoder(p) for p in outputs}
+        for port in outputs:
+            self._node.create_subscription(
+                message_class(port.msgtype), self._topic(port), self._come[port.name].append, QOS, raw=True
+            )
+        self.who = f"/{name}/?"
+        atexit.register(self.close)
+        self._meet(entry.start_timeout)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        if self._context.ok():
+            self._executor.shutdown(0)
+            self._node.destroy_node()
+            rclpy.shutdown(context=self._context)
+
+    def ask(self, t: int, inputs: Mapping[str, Any], answers: bool) -> Mapping[str, tuple[float, ...]]:
+        """Hand over the inputs of a tick, advance the clock to it, and wait for one message on each output.
+
+        Parameters
+        ----------
+        t : int
+            ns.
+        answers : bool
+            Whether it publishes at this tick.
+
+        Raises
+        ------
+        RunError
+            It has gone, publishes nothing, twice, or what cannot be read.
+        """
+        for port in self._inputs:
+            value = inputs[port.name]
+            if value is not None:
+                self._publishers[port.name].publish(port.layout().encode(t, value))
+                self._settle(t)  # one after the other: which of them it answers is its own matter
+        if not answers:
+            self._clock.publish(CLOCK.layout().encode(t, ()))
+            self._settle(t)
+            self._check_silent(t)
+            return {}
+        self._clock.publish(CLOCK.layout().encode(t, ()))
+        self._wait(lambda: all(self._come.values()), t)
+        self._settle(t)
+        return {port.name: self._taken(port, t) for port in self._outputs}
+
+    def _taken(self, port: Port, t: int) -> tuple[float, ...]:
+        come = self._come[port.name]
+        if len(come) != 1:
+            raise RunError(
+                f"{self.who} has published {len(come)} messages on {self._topic(port)} at t = {t / 1e9:.9g} s, "
+                "expected exactly one a period; set the node's period and that of its timer alike"
+            )
+        try:
+            return self._decoders[port.name](come.pop())[1]
+        except Refused as error:
+            raise RunError(f"{self.who} publishes on {self._topic(port)} at t = {t / 1e9:.9g} s: {error}") from None
+
+    def _check_silent(self, t: int) -> None:
+        for port in self._outputs:
+            if self._come[port.name]:
+                raise RunError(
+                    f"{self.who} has published on {self._topic(port)} at t = {t / 1e9:.9g} s, before its first message "
+                    "is due; a node that answers each message has first: 0.0"
+                )
+
+    # the graph ------------------------------------------------------------------------------------------------------
+
+    def _topic(self, port: Port) -> str:
+        return f"/{self._name}/{port.topic.lstrip('/')}"
+
+    def _offer(self, port: Port) -> Any:
+        return self._node.create_publisher(message_class(port.msgtype), self._topic(port), QOS)
+
+    def _meet(self, limit: float) -> None:
+        """Wait until the other node is there whole, spins, and goes by the clock."""
+        wanted: dict[str, Callable[[], int]] = {
+            f"a subscription of {self._topic(p)}": self._publishers[p.name].get_subscription_count for p in self._inputs
+        }
+        for topic in map(self._topic, self._outputs):
+            wanted[f"a publisher of {topic}"] = partial(self._node.count_publishers, topic)
+        wanted["a subscription of its clock"] = self._clock.get_subscription_count
+        how = (
+            f"start the node with --ros-args -r __ns:=/{self._name} -r /clock:=/{self._name}/clock "
+            "-p use_sim_time:=true"
+        )
+        since, said = time.monotonic(), False
+        while lacking := [what for what, count in wanted.items() if not count()]:
+            self._executor.spin_once(LOOK)
+            if not said and time.monotonic() - since > SAY_AFTER:
+                said = True
+                tell(self._name, f"waits for {', '.join(lacking)}; {how}")
+            if time.monotonic() - since > limit:
+                raise RunError(f"no node with {' and '.join(lacking)} within {limit:g} s; {how}")
+        self._wait(lambda: "UNKNOWN" not in self._named(), 0)  # the graph has endpoints before the names of their nodes
+        self.who = self._named()
+        self._parameters = self._node.create_client(GetParameters, f"{self.who}/get_parameters")
+        self._wait(self._parameters.service_is_ready, 0)
+        found = self._asked("use_sim_time", 0)
+        if not (found.values and found.values[0].bool_value):
+            raise RunError(f"{self.who} does not go by the clock; start it with -p use_sim_time:=true")
+
+    def _named(self) -> str:
+        writers = self._node.get_publishers_info_by_topic(self._topic(self._outputs[0]))
+        return f"{writers[0].node_namespace.rstrip('/')}/{writers[0].node_name}" if writers else "UNKNOWN"
+
+    def _settle(self, t: int) -> None:
+        """Wait until its executor has come through what it has got; take what it has published by then."""
+        self._asked("use_sim_time", t)
+        while any(self._spun() for _ in self._outputs):
+            pass
+
+    def _asked(self, parameter: str, t: int) -> Any:
+        future = self._parameters.call_async(GetParameters.Request(names=[parameter]))
+        self._wait(future.done, t, "answers no call of its parameter service: its executor does not spin")
+        return future.result()
+
+    def _spun(self) -> bool:
+        """Take what has come; whether anything has."""
+        before = sum(map(len, self._come.values()))
+        self._executor.spin_once(0)
+        return sum(map(len, self._come.values())) != before
+
+    def _wait(self, done: Callable[[], bool], t: int, what: str = "") -> None:
+        end = time.monotonic() + self._seconds
+        while not done():
+            self._executor.spin_once(LOOK)
+            gone = [p for p in self._outputs if not self._node.count_publishers(self._topic(p))]
+            if gone and not done():
+                raise RunError(f"{self.who} has gone at t = {t / 1e9:.9g} s")
+            if time.monotonic() > end and not done():
+                silent = [self._topic(p) for p in self._outputs if not self._come[p.name]]
+                raise RunError(
+                    f"{self.who} at t = {t / 1e9:.9g} s: "
+                    + (
+                        what
+                        or f"no message on {', '.join(silent)} within {self._seconds:g} s of its clock, expected one "
+                        "a period"
+                    )
+                )

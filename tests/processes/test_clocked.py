@@ -1,0 +1,137 @@
+"""Nodes that go by /clock and copy no stamp, in lockstep: real rclpy, in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from softrig_core import Rig, RunError, Scenario, ScenarioError, load_scenario, rig_of, simulate
+from softrig_nodes.processes.domain import free_domain
+
+NODE = Path(__file__).parents[1] / "clocked_node.py"
+READS = ["motor/reference", "motor/state"]
+KP, KI, PERIOD, LIMIT = 0.8, 0.2, 0.01, 12.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _domain() -> Iterator[None]:
+    with free_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(domain))
+        yield
+
+
+@contextmanager
+def started(kind: str, sim_time: bool = True) -> Iterator[None]:
+    ros = ["--ros-args", "-r", "__ns:=/dc_motor_smc", "-r", "/clock:=/dc_motor_smc/clock"]
+    node = subprocess.Popen([sys.executable, str(NODE), kind, *ros, "-p", f"use_sim_time:={str(sim_time).lower()}"])
+    try:
+        yield
+    finally:
+        node.kill()
+        node.wait()
+
+
+def rig(duration: float = 0.3, **external: Any) -> Rig:
+    found = load_scenario("dc_motor_smc_b2").model_dump(exclude={"name"})
+    found["nodes"]["dc_motor_smc"]["external"] = {
+        "answers": "clock",
+        "reads": READS,
+        "publishes": ["motor/command"],
+        "timeout": 3.0,
+    } | external
+    del found["nodes"]["dc_motor_metrics"]
+    found["nodes"]["dc_motor_smc"]["parameters"] = {"period": PERIOD}
+    found |= {"figures": {}, "expect": {}, "plots": [], "claims": {}, "requirements": {}, "duration": duration}
+    return rig_of(Scenario(name="clocked", **found))
+
+
+def expected(run: Any, delay: int) -> list[float]:
+    """The law by hand on what the rig has published: a timer's first message is at one period."""
+    speeds = run.signals["motor/state/shaft/velocity"][1].tolist()
+    reference = run.signals["motor/reference/shaft/velocity"][1][0]
+    integral, found = 0.0, [0.0] * delay
+    for speed in speeds[delay:]:
+        error = reference - speed
+        u = KP * error + KI * integral
+        if abs(u) <= LIMIT or u * error < 0.0:
+            integral += PERIOD * error
+        found.append(min(max(u, -LIMIT), LIMIT))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("kind", "more"), [("timer", {}), pytest.param("message", {"first": 0.0}, marks=pytest.mark.long)]
+)
+def test_its_answers_are_those_of_the_inputs_of_the_tick(kind: str, more: dict[str, Any]) -> None:
+    runs = []
+    for _ in range(2):
+        with started(kind):
+            runs.append(simulate(rig(**more)))
+    command = runs[0].signals["motor/command/armature/effort"]
+    assert command[1].tolist() == expected(runs[0], int(kind == "timer"))[: len(command[1])]
+    assert len(set(command[1].tolist())) > 5
+    assert runs[0].recording.topics == runs[1].recording.topics  # stamped by order: the same bytes
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("kind", "more", "message"),
+    [
+        (
+            "twice",
+            {},
+            r"/dc_motor_smc/pi has published 2 messages on /dc_motor_smc/motor/command at t = 0\.06 s",
+        ),
+        (
+            "slow",
+            {"timeout": 1.0},
+            r"/dc_motor_smc/pi at t = 0\.01 s: no message on /dc_motor_smc/motor/command",
+        ),
+        ("wrong", {}, r"/dc_motor_smc/pi publishes on .* at t = 0\.06 s: armature/effort is nan"),
+        ("message", {}, r"before its first message is due; a node that answers each message has first:"),
+    ],
+)
+def test_what_it_does_otherwise_ends_the_run_by_name(kind: str, more: dict[str, Any], message: str) -> None:
+    with started(kind), pytest.raises(RunError, match=message):
+        simulate(rig(**more))
+
+
+@pytest.mark.long
+def test_one_that_does_not_go_by_the_clock_is_told() -> None:
+    # without use_sim_time it has no subscription of /clock, so it is what is waited for
+    with started("timer", sim_time=False), pytest.raises(RunError, match=r"a subscription of its clock"):
+        simulate(rig(start_timeout=2.5))
+
+
+@pytest.mark.parametrize(
+    ("external", "message"),
+    [
+        ({"reads": ["motor/stat"]}, r"reads 'motor/stat', but the executable has motor/state, "),
+        ({"answers": "order"}, r"answers"),
+    ],
+)
+def test_what_does_not_fit_is_refused(external: dict[str, Any], message: str) -> None:
+    with pytest.raises((ScenarioError, ValueError), match=message):
+        rig(**external)
+
+
+@pytest.mark.long
+def test_ten_runs_under_load_are_byte_equal() -> None:
+    load = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2 * (os.cpu_count() or 1))]
+    try:
+        for kind, more in (("timer", {}), ("message", {"first": 0.0})):
+            runs = []
+            for _ in range(10):
+                with started(kind):
+                    runs.append(simulate(rig(timeout=30.0, **more)).recording.topics)
+            assert all(topics == runs[0] for topics in runs)
+    finally:
+        for one in load:
+            one.kill()
+            one.wait()
