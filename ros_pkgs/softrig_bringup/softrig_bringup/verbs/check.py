@@ -76,7 +76,7 @@ def load_name(word: str) -> str:
 def judge(work: Judged) -> dict[str, Any]:
     """Run one scenario in this process and give what is to be said of it, as plain data; bad input is said there."""
     started = time.perf_counter()
-    about: dict[str, Any] = {"scenario": work.name, "metrics": [], "claims": [], "kind": "", "differs": [], "notes": []}
+    about: dict[str, Any] = {"scenario": work.name, "metrics": [], "claims": [], "kind": "", "differs": []}
     try:
         scenario = load_scenario(work.scenario)
         if work.against:
@@ -85,7 +85,8 @@ def judge(work: Judged) -> dict[str, Any]:
             scenario = scenario.having(**{key: getattr(reference, key) for key in KEPT})
         run = simulate(scenario, thorough=True)
         about |= outcome_of(run, time.perf_counter() - started)
-        about["notes"] = [f"{name}: {b.reports[HIDDEN][1]}" for name, b in run.blocks.items() if HIDDEN in b.reports]
+        notes = [f"{name}: {b.reports[HIDDEN][1]}" for name, b in run.blocks.items() if HIDDEN in b.reports]
+        about |= {"notes": notes} if notes else {}
     except RunError as error:
         about |= {"error": str(error), "kind": "broke"}
     except ScenarioError as error:
