@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfilt
 from softrig_bags.write import write_bag
-from softrig_core import Level, ParameterError, Recording, RunError, ScenarioError
+from softrig_core import Level, ParameterError, Recording, RunError, ScenarioError, load_scenario, simulate
 from softrig_core.block.params import build
 from softrig_power.fault_location import figures, locate_tool, pictures, study, study_tool
 from softrig_power.fault_location.cases import Case
@@ -1711,3 +1711,24 @@ def test_what_is_missing_of_a_line_is_told(tmp_path):
     (tmp_path / "l.yaml").write_text("length: -1\n")
     with pytest.raises(ParameterError, match="length"):
         line_data(str(tmp_path / "l.yaml"), {})
+
+
+def test_a_fault_may_change_while_the_line_runs():
+    """Before it begins that is the same as from the start; while it lasts the current falls from then on."""
+    bare = {"figures": {}, "expect": {}, "claims": {}, "requirements": {}, "plots": ()}
+    scenario = load_scenario("fault_location").changed(duration=0.035).having(**bare)
+
+    def current(**fault):
+        at = fault.pop("at", None)
+        values = {f"line_plant.fault.{name}": value for name, value in fault.items()}
+        changes = ({"at": at, "set": values},) if at else ()
+        run = simulate(scenario.having(changes=changes) if at else scenario, overrides={} if at else values)
+        return run.signals["line/fault_current/x"]
+
+    t, plain = current()
+    assert np.array_equal(current(at=0.01, rf_ohm=20.0).x, current(rf_ohm=20.0).x)
+    assert np.array_equal(current(at=0.01, t_on=0.03, t_off=0.04).x, current(t_on=0.03).x)
+    later = current(at=0.03, rf_ohm=20.0).x
+    assert np.array_equal(later[t < 0.03], plain[t < 0.03])
+    assert np.abs(later[t > 0.031]).max() < 0.8 * np.abs(plain[t > 0.031]).max()
+    assert not current(at=0.025, t_off=0.026).x[t > 0.0345].any()

@@ -28,6 +28,7 @@ CASES = {  # scenario: duration, time of the change; what is there to change mus
     "rectifier_mpc_n1_qp1": (0.03, 0.02),
     "rectifier_mpc_l2": (0.03, 0.02),
     "pv_mppt_de": (0.3, 0.2),
+    "fault_location": (0.03, 0.015),
     "gupfc_s2_short": (0.012, 0.008),
     "rehab_impedance_r6": (0.1, 0.05),
     "manipulator_adsmc_s2": (0.1, 0.05),

@@ -17,6 +17,7 @@ from ..terminal.listing import console
 DEGREES = 180.0 / math.pi
 SHOWN = 8  # modes
 NOTABLE = 1e-6  # of what an output does, how far it may be off without being named
+ANY = 1e-9  # gain margin downwards that is rounding: the loop is stable with any smaller gain
 ANOTHER = 0.5  # variation above which poles and margins are of something else
 
 
@@ -104,7 +105,10 @@ def linearise(options: argparse.Namespace) -> int:
         rows += [
             ("opened at", f"{view.link} = {value}"),
             ("closed", "stable" if view.stable else "unstable: the margins say where that changes"),
-            ("gain margin", f"{m.gain:.4g}" + (f", down to {m.gain_down:.4g}" if m.gain_down else "")),
+            (
+                "gain margin",
+                f"{m.gain:.4g}, down to {m.gain_down:.4g}" if m.gain_down > ANY else f"{m.gain:.4g}, down to any gain",
+            ),
             ("phase margin", f"{m.phase * DEGREES:.4g} degrees"),
             ("delay margin", f"{m.delay:.4g} s, {m.delay / view.period:.4g} periods"),
             ("disk margin", f"{m.disk:.4g}"),

@@ -87,10 +87,17 @@ class FaultParams(Params):
     type: FaultType = param("AG", "faulted phases, with G connected to ground; none: no fault")
     x_km: float = param(50.0, "distance of the fault from bus S", "km", gt=0.0, le=3000.0)
     rf_ohm: float = param(
-        0.0, "resistance of each faulted phase to the star point, at least 1 mohm acts", "ohm", ge=0.0, le=1e6
+        0.0,
+        "resistance of each faulted phase to the star point, at least 1 mohm acts",
+        "ohm",
+        ge=0.0,
+        le=1e6,
+        live=True,
     )
-    t_on: float = param(0.020, "all phases close", "s", gt=0.0, le=3600.0)
-    t_off: float = param(0.040, "each phase opens at its next current zero after this", "s", gt=0.0, le=3600.0)
+    t_on: float = param(0.020, "all phases close", "s", gt=0.0, le=3600.0, live=True)
+    t_off: float = param(
+        0.040, "each phase opens at its next current zero after this", "s", gt=0.0, le=3600.0, live=True
+    )
 
     @model_validator(mode="after")
     def _order(self) -> Self:
