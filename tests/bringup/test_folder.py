@@ -242,3 +242,29 @@ def test_a_folder_of_pages_and_one_of_a_golden_bag_have_one_writer(tmp_path, cap
         with alone_in(place):
             assert main(words) == 2
         assert f"{place}: process {os.getpid()} is writing there" in capsys.readouterr().err
+
+
+def test_a_fork_does_not_hold_the_folder_of_its_parent(tmp_path):
+    """A worker of a study ends a little after it: the next writer need not wait for that."""
+    folder, other = ResultsFolder(tmp_path / "a"), ResultsFolder(tmp_path / "a")
+    (tmp_path / "a").mkdir()
+    assert folder.hold() is None
+    ready, tell = os.pipe()
+    wait, end = os.pipe()
+    child = os.fork()
+    if not child:
+        os.close(end)
+        os.write(tell, b"1")
+        os.read(wait, 1)
+        os._exit(0)
+    try:
+        assert os.read(ready, 1) == b"1"
+        assert other.hold() is not None  # its end in the child lets nobody else in
+        folder.let_go()
+        assert other.hold() is None
+        other.let_go()
+    finally:
+        os.close(end)
+        os.waitpid(child, 0)
+        for pipe in (ready, tell, wait):
+            os.close(pipe)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
+from weakref import WeakSet
 
 from softrig_core import RunError, ScenarioError
 from softrig_core.guard import keep_traceback, naming
@@ -29,6 +30,18 @@ FALSIFICATION = re.compile(
     r"|softrig_files\.json|\.new"
 )
 MARKS = {"metrics.json": "run", "study.json": "study", "falsification.json": "falsification"}
+
+
+_held: WeakSet[ResultsFolder] = WeakSet()
+
+
+def _let_go_of_all() -> None:
+    """Close what a fork has got of its parent's locks: a worker that ends later would hold the folder for as long."""
+    for folder in list(_held):
+        folder.let_go()
+
+
+os.register_at_fork(after_in_child=_let_go_of_all)
 
 
 class ResultsFolder:
@@ -100,6 +113,7 @@ class ResultsFolder:
             if isinstance(lock, str):
                 return lock
             self._lock = lock
+            _held.add(self)
         return None
 
     def let_go(self) -> None:
