@@ -74,6 +74,7 @@ EXEMPT = {
     "softrig_power.fault_location.locator.FaultLocator.setup": SCALAR,
     "softrig_power.fault_location.method.search.brent": SCALAR,
     "softrig_power.gupfc.steady.start": "numpy's Fourier transform: one build for all x86-64, another for arm64",
+    "softrig_robots.arm.model.compile_arm": CASADI,
     "softrig_robots.driven_robot._equations": CASADI,
     "softrig_robots.rehab.stability": CHECK,
     "softrig_robots.urdf_file._check_body": CHECK,

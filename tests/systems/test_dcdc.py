@@ -1,6 +1,7 @@
 """Buck and boost converters and the PID controller: by text-book ratios, scipy with events, and linear loops."""
 
 import math
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -188,6 +189,28 @@ def test_a_loop_is_the_linear_loop():
     den = np.polyadd(np.polymul([1.0, -a], [1.0, -1.0]), num)
     wanted = dstep(dlti(num, den, dt=T), n=100)[1][0][:, 0]
     assert rows == pytest.approx(wanted, abs=1e-9)
+
+
+@pytest.mark.skipif(find_spec("control") is None, reason="python-control is not installed: pip install control")
+def test_a_loop_is_that_of_python_control():
+    """The ideal form with a filtered derivative on a double pole, both sampled by python-control; within 1e-8."""
+    import control
+
+    T, K, t_i, t_d, N = 0.02, 1.2, 0.8, 0.15, 30.0
+    plant = control.ss(control.c2d(control.tf([1.0], [0.3, 1.1, 1.0]), T, "zoh"))
+    A, B, C = (np.asarray(m) for m in (plant.A, plant.B, plant.C))
+    block = controller(form="ideal", kp=K, t_i=t_i, t_d=t_d, n_filter=N, period=T, set_point=1.0)
+    x, rows = np.zeros(2), []
+    command(block, -1, 1.0)  # an error of zero before the step, so that the first sample has a derivative
+    for k in range(300):
+        y = (C @ x).item()
+        rows.append(y)
+        x = A @ x + B[:, 0] * command(block, k, y)
+    law = control.tf([K], [1.0], T) + control.tf([K * T / t_i], [1.0, -1.0], T)
+    law += control.tf([K * t_d * N, -K * t_d * N], [1.0 + N * T, -1.0], T)
+    closed = control.feedback(law * control.tf(plant), 1)
+    wanted = control.step_response(closed, np.arange(300) * T).outputs
+    assert rows == pytest.approx(wanted, abs=1e-8)
 
 
 @pytest.mark.parametrize(
