@@ -11,6 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from . import (
     environment,
+    exported,
     fault_location,
     gupfc,
     induction,
@@ -32,6 +33,7 @@ from .falsification import table as falsification_table
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop.loop, "tick": loop.tick, "recording": loop.recording, "inprocess": rigs.inprocess,
     "processes": loop.processes, "bags": recorder.recorder_rate, "rigs": rigs.rigs, "native": native.print_table,
+    "exported": exported.print_table,
     "containers": rigs.containers, "reading": reading.reading,
     "realtime": realtime.realtime, "view": view.view,
     "systems": systems.print_table, "induction": induction.print_table, "machines": machines.print_table,

@@ -1,8 +1,10 @@
 """Exported C against Python, call by call: the golden rows are Python's answers, the replay is compiled C."""
 
 import json
+import re
 import shutil
 import subprocess
+from graphlib import TopologicalSorter
 
 import pytest
 from softrig_core import ScenarioError, rig_of
@@ -199,6 +201,26 @@ def test_files_say_what_they_are_and_are_the_same_again(law, tmp_path):
     ]
     assert about["digest"] in done.files["dc_motor_smc.h"]
     assert {"malloc", "alloca", "longjmp"}.isdisjoint(done.files["dc_motor_smc.c"].split())
+
+
+def calls(text):
+    """Each function of a C text, with the names that it calls."""
+    function = r"^(?:static )?[\w* ]*?\b(\w+)\([^;{]*\)\n\{\n(.*?)^\}$"
+    parts = re.findall(function, text, re.DOTALL | re.MULTILINE)
+    return {head: set(re.findall(r"\b(\w+)\(", body)) for head, body in parts}
+
+
+def test_there_is_no_recursion_no_dynamic_memory_and_no_compiler_warning(law):
+    _, folder, done = law
+    text = done.files[f"{done.name}.c"]
+    graph = calls(text)
+    assert {f"{done.name}_step", f"{done.name}_init"} <= graph.keys()
+    order = list(TopologicalSorter({f: {c for c in own if c in graph} for f, own in graph.items()}).static_order())
+    assert order[-1] in graph  # a CycleError else
+    assert not {"malloc", "calloc", "realloc", "free", "alloca", "setjmp"} & set().union(*graph.values())
+    assert not re.search(r"\b(while|goto|do) *\(|\bfor \(;;\)", text)  # each loop has its bound in its head
+    warnings = ["-Wall", "-Wextra", "-Wconversion", "-pedantic", "-std=c99", "-Werror", "-fsyntax-only"]
+    subprocess.run(["cc", *warnings, f"{done.name}.c", f"{done.name}_main.c"], cwd=folder, check=True)
 
 
 @pytest.mark.parametrize(

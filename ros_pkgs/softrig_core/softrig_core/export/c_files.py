@@ -186,6 +186,7 @@ class _Files:
             **{f"{name}.c": _CASADI.format(n=self.name) + text for name, text in self.unit.sources.items()},
             f"{self.name}_rows.txt": self.rows(),
             f"{self.name}_replay.c": self.replay(),
+            f"{self.name}_main.c": self.example(),
             f"{self.name}.json": self.description(digest),
         }
         return Exported(
@@ -577,6 +578,17 @@ class _Files:
         words = {"n": n, "upper": n.upper(), "channels": channels}
         return _REPLAY.format(sets="\n".join(sets), cases="\n".join(cases), **words)
 
+    def example(self) -> str:
+        """Return a program that calls the node at its first ticks."""
+        n, (num, den) = self.name, (self.member.schedule.period * 10**9).as_integer_ratio()
+        time = f"k * INT64_C({num})" if den == 1 else f"(k * INT64_C({num})) / INT64_C({den})"
+        calls = {"update": "step(&node, &in, &out, t)", "outputs": "outputs(&node, &out, t)"}
+        calls["advance"] = "advance(&node, &in, t)"
+        port = next((p for p in self.outputs if p.size), None)
+        shown = f"(double)out.{identifier(port.name)}[0]" if port is not None else "0.0"
+        acts = " || ".join(f"({n}_{calls[m]} != SR_DONE)" for m in self.methods)
+        return _MAIN.format(n=n, time=time, acts=acts, shown=shown)
+
     def description(self, digest: str) -> str:
         """Return the JSON description."""
         m, p = self.member, flatten(self.block.p)
@@ -625,6 +637,31 @@ class _Files:
         }
         return json.dumps(found, indent=1, default=str) + "\n"
 
+
+_MAIN = """/* Example: the first ticks with all inputs zero and held ones absent. Written by `softrig export c`. */
+#include "{n}.h"
+
+#include <stddef.h>
+#include <stdio.h>
+#include <string.h>
+
+static {n} node;
+
+int main(void)
+{{
+    {n}_in in;
+    {n}_out out;
+    memset(&in, 0, sizeof in);
+    memset(&out, 0, sizeof out);
+    {n}_init(&node, NULL);
+    for (int64_t k = 0; k < 3; k++) {{
+        const int64_t t = {time};
+        const int gave_up = ({acts}) ? 1 : 0;
+        printf("%.9f s: %s %.17g\\n", (double)t * 1e-9, gave_up ? "gave up" : "answered", {shown});
+    }}
+    return 0;
+}}
+"""
 
 _CASADI = """/* Written by CasADi, called by the node. Written by `softrig export c`. */
 #include "{n}.h"
