@@ -152,7 +152,7 @@ def _steps(rows: str, layout: Layout) -> Iterator[bytes | None]:
                 return
             continue
         method, _, t, *numbers = line.split()
-        row = _inputs(numbers, layout)
+        row = [] if layout.plant and method == "0" else _inputs(numbers, layout)
         if layout.plant and method == "1":
             moved = [int(t), *row]
             continue
@@ -172,11 +172,8 @@ def _inputs(numbers: Sequence[str], layout: Layout) -> list[Any]:
     found: list[Any] = []
     at = iter(numbers)
     for port in layout.inputs:
-        try:
-            found += [int(next(at)) for _ in range(port.held + port.delayed)]
-            found += [float.fromhex(next(at)) for _ in range(port.size)]
-        except StopIteration:  # a row of a plant's outputs has no inputs
-            return []
+        found += [int(next(at)) for _ in range(port.held + port.delayed)]
+        found += [float.fromhex(next(at)) for _ in range(port.size)]
     return found
 
 
