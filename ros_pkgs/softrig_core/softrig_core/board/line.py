@@ -211,7 +211,8 @@ class Line:
             self._join(end)
             if not self.joined:
                 return None
-            self.counts.rejoined += 1
+            self.counts.rejoined += self._known
+            self._known = True
             self._heard = self._clock()
         number = self._next()
         self._send(number, kind, values)
@@ -305,6 +306,7 @@ class Line:
     _doubled = False
     _why = ""
     _tries = 0
+    _known = False  # whether the board has joined before, in real time
 
     def _new_session(self) -> int:
         """Return a session that is not the one before, and not none."""

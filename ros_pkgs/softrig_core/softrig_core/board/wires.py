@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import select
 import shutil
+import signal
 import socket
 import subprocess
 import tempfile
@@ -86,7 +88,9 @@ class Simulated(FileWire):
         with there:
             end = there.fileno()
             self._said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the port
-            self._process = subprocess.Popen(command, stdin=end, stdout=end, stderr=self._said)
+            self._process = subprocess.Popen(
+                command, stdin=end, stdout=end, stderr=self._said, preexec_fn=_end_with_parent
+            )
         super().__init__(here, here.fileno())
 
     def told(self) -> dict[str, int]:
@@ -106,6 +110,15 @@ class Simulated(FileWire):
         self._process.terminate()
         self._process.wait()
         self._said.close()
+
+
+_LIBC = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1
+
+
+def _end_with_parent() -> None:
+    """Have Linux end the simulator with this process: qemu does not end when its input does."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def opened(port: str, baud: int) -> Wire:
