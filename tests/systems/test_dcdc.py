@@ -191,6 +191,7 @@ def test_a_loop_is_the_linear_loop():
     assert rows == pytest.approx(wanted, abs=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(find_spec("control") is None, reason="python-control is not installed: pip install control")
 def test_a_loop_is_that_of_python_control():
     """The ideal form with a filtered derivative on a double pole, both sampled by python-control; within 1e-8."""

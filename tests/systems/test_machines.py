@@ -58,7 +58,7 @@ def in_phases(p, duty, x, t_end):
 
 
 def test_the_plant_is_the_machine_in_phases():
-    """Another form of the equations, another solver: 60 periods of other duty ratios, within 1e-8."""
+    """Another form of the equations, another solver: 20 periods of other duty ratios, within 1e-8."""
     p = PmsmPlantParams(
         delay=0, trip_current=1e3, substeps=8, C_dc=2e-4, R_dc=0.5, J=0.005, J_load=0.01, K_shaft=700.0, C_shaft=0.5,
         B=0.01, T_coulomb=0.3, T_static=0.5, w_stribeck=2.0, w_stick=0.5, load_square=1e-3, load_torques=(2.0,),
@@ -67,11 +67,11 @@ def test_the_plant_is_the_machine_in_phases():
     block = ByHand(PmsmPlant(p))
     draw = np.random.default_rng(1)
     y = [0.0, 0.0, 5.0, 0.0, 5.0, 0.0, p.U_dc]
-    for k in range(60):
-        duty = tuple((0.5 + 0.3 * np.cos(0.1 * k - THIRD * np.arange(3)) + 0.05 * draw.standard_normal(3)).tolist())
+    for k in range(20):
+        duty = tuple((0.5 + 0.3 * np.cos(0.3 * k - THIRD * np.arange(3)) + 0.05 * draw.standard_normal(3)).tolist())
         block.advance(k * 100_000, duty=duty, load_torque=None)
         y = in_phases(p, duty, y, p.period)
-    found = block.outputs(60 * 100_000)
+    found = block.outputs(20 * 100_000)
     i_a, i_b, i_c = found["currents"]
     wanted = [y[0], y[1], y[2], y[3], y[4], y[5], y[6]]
     have = [i_a, (i_b - i_c) / 3**0.5, found["joint_states"][1], found["joint_states"][0]]
@@ -311,7 +311,10 @@ def loop(alpha_s, alpha_c, J):
     return [k, alpha_s * k], [J / alpha_c, J, 2.0 * k, alpha_s * k]
 
 
-@pytest.mark.parametrize(("name", "alpha_s", "J"), [("pmsm_foc", 25.0, 0.015), ("pmsm_foc_servo", 100.0, 7.061552e-6)])
+@pytest.mark.parametrize(
+    ("name", "alpha_s", "J"),
+    [("pmsm_foc", 25.0, 0.015), pytest.param("pmsm_foc_servo", 100.0, 7.061552e-6, marks=pytest.mark.long)],
+)
 def test_the_drive_is_its_linear_loop(name, alpha_s, J):
     """Rise and dip of the closed form in scipy; what is left are sampling and delay."""
     from scipy.signal import lti
@@ -348,6 +351,9 @@ def test_a_refused_measurement_leaves_zero_voltage():
     assert law.x == before
 
 
-@pytest.mark.parametrize("name", ["pmsm_foc_switched", "pmsm_foc_two_mass", "pmsm_foc_traction", "pmsm_foc_synrm"])
+LATER = [pytest.param(f"pmsm_foc_{n}", marks=pytest.mark.long) for n in ("two_mass", "traction", "synrm")]
+
+
+@pytest.mark.parametrize("name", ["pmsm_foc_switched", *LATER])
 def test_scenarios_meet_what_they_expect(name):
     assert not simulate(name).missed

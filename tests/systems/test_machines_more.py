@@ -21,7 +21,7 @@ THIRD = 2.0 * math.pi / 3.0
 
 
 def test_the_induction_machine_is_its_t_circuit():
-    """Currents of stator and rotor as states, mutual inductances: within 1e-8 after 60 periods of other voltages."""
+    """Currents of stator and rotor as states, mutual inductances: within 1e-8 after 20 periods of other voltages."""
     R_s, R_r, L_ls, L_lr, L_m, p, J = 1.405, 1.395, 0.005839, 0.004, 0.1722, 2, 0.0131
     R_R, L_sigma, L_M = inverse_gamma(R_r, L_ls, L_lr, L_m)
     block = ByHand(InductionPlant(InductionPlantParams(
@@ -37,8 +37,8 @@ def test_the_induction_machine_is_its_t_circuit():
         return [di[0].real, di[0].imag, di[1].real, di[1].imag, (torque - 1.0) / J]
 
     y = [0.0, 0.0, 0.0, 0.0, 3.0]
-    for k in range(60):
-        duty = tuple((0.5 + 0.4 * np.cos(0.05 * k - THIRD * np.arange(3))).tolist())
+    for k in range(20):
+        duty = tuple((0.5 + 0.4 * np.cos(0.15 * k - THIRD * np.arange(3))).tolist())
         u = 540.0 * complex((2 * duty[0] - duty[1] - duty[2]) / 3, (duty[1] - duty[2]) / 3**0.5)
         block.advance(k * 100_000, duty=duty, load_torque=(1.0,))
         y = solve_ivp(slope, (0.0, 1e-4), y, args=(u,), method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
@@ -47,6 +47,7 @@ def test_the_induction_machine_is_its_t_circuit():
     assert have == pytest.approx([y[0], y[1], y[4]], rel=1e-8, abs=1e-8)
 
 
+@pytest.mark.long
 def test_voltage_over_frequency_slips_as_the_circuit_says():
     """The steady state of the T circuit without rotor leakage: the slip at which the torque is the load."""
     R_s, R_R, L_sigma, L_M, p = 3.7, 2.1, 0.021, 0.224, 2
@@ -78,7 +79,11 @@ def loop(alpha_s, alpha_c, J, sensor=None):
 
 @pytest.mark.parametrize(
     ("name", "sensor", "within"),
-    [("im_foc", None, 0.01), ("pmsm_foc_encoder", 600.0, 0.015), ("pmsm_foc_sensorless", 250.0, 0.02)],
+    [
+        ("im_foc", None, 0.01),
+        pytest.param("pmsm_foc_encoder", 600.0, 0.015, marks=pytest.mark.long),
+        pytest.param("pmsm_foc_sensorless", 250.0, 0.02, marks=pytest.mark.long),
+    ],
 )
 def test_drives_are_their_linear_loops(name, sensor, within):
     run = simulate(name)
@@ -191,7 +196,7 @@ def test_each_sector_drives_the_flat_tops():
     assert "hall" in held.reports
 
 
-@pytest.mark.parametrize("name", ["bldc_six_step", "bldc_six_step_1kw"])
+@pytest.mark.parametrize("name", ["bldc_six_step", pytest.param("bldc_six_step_1kw", marks=pytest.mark.long)])
 def test_the_brushless_drive_meets_what_it_expects(name):
     assert not simulate(name).missed
 
@@ -253,6 +258,11 @@ def test_a_machine_published_as_a_t_circuit(name, circuit, w):
     R_r, *inductances = circuit
     wanted = inverse_gamma(R_r, *(x / w for x in inductances))
     assert (p["R_R"], p["L_sigma"], p["L_M"]) == pytest.approx(wanted, rel=1e-6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["im_foc_4kw", "im_foc_krause", "bldc_six_step_anaheim", "pmsm_foc_servo"])
+def test_other_machines_meet_what_they_expect(name):
     assert not simulate(name).missed
 
 
