@@ -52,6 +52,7 @@ def test_a_cortex_m_has_the_bits_of_python(tmp_path):
 
 
 @avr
+@pytest.mark.long
 def test_what_does_not_fit_an_uno_is_refused_with_its_sizes(tmp_path):
     name, layout = export_firmware(rig_of("dc_motor_smc_b2"), "dc_motor_smc", tmp_path, "arduino", rows=20, drawn=5)
     main = next(tmp_path.glob("*.ino"))
