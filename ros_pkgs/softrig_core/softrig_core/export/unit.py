@@ -75,6 +75,7 @@ class Unit:
     functions: list[str] = field(default_factory=list)
     done: dict[Any, Signature] = field(default_factory=dict)
     under_way: set[Any] = field(default_factory=set)
+    count: int = 0  # of functions that were begun
     libm: set[str] = field(default_factory=set)
     places: dict[int, str] = field(default_factory=dict)  # of arrays of Python that are tables of C
     by_name: dict[str, Any] = field(default_factory=dict)
@@ -172,7 +173,8 @@ class Unit:
         self.under_way.add(key)
         try:
             reader = self.reader(self, function, kinds, tables, python)
-            text, signature = reader.whole(f"{self.prefix}_{reader.title}{len(self.done)}")
+            self.count += 1  # a function may call another one of the same title
+            text, signature = reader.whole(f"{self.prefix}_{reader.title}_{self.count}")
         finally:
             self.under_way.discard(key)
         self.functions.append(text)
