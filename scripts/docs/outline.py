@@ -43,7 +43,7 @@ KINDS = {
     "lab": (
         "Laboratory",
         "Measurements of single days: speed, starts, the strength of the tests.",
-        ("placements_measured", "tests"),
+        ("placements_measured", "native_measured", "tests"),
     ),
 }  # fmt: skip
 
