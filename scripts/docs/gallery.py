@@ -14,7 +14,7 @@ from softrig_bringup.film.svg import still
 from softrig_core import list_scenarios, load_scenario, rig_of
 from softrig_core.drawing import drawing_for
 
-from .outline import GALLERY, KINDS, ROOT, SYSTEMS, opening, pages, title
+from .outline import GALLERY, GUIDES, KINDS, ROOT, SYSTEMS, opening, pages, title
 
 _ROW = re.compile(r"\]\(ros_pkgs/[^)]*/doc/(\w+)\.md\)[^`|]*`(\w+)`\s*\|\s*([^|]*?)\s*\|")
 
@@ -110,8 +110,12 @@ def write_indices(site: Path) -> None:
         made = sorted(p.stem for p in (site / kind).glob("*.*") if p.stem not in names)
         made.sort(key=lambda name: (name.startswith("softrig_"), name != "softrig_core", name != "verbs"))
         lines = [f"# {head}", "", text, ""]
-        for name in (*names, *made):
-            (page,) = (site / kind).glob(f"{name}.*")
-            lines += [f"- [{title(page)}]({page.name})  ", f"  {opening(page)}"]
-        lines += ["", "```{toctree}", ":hidden:", "", *names, *made, "```", ""]
+        groups = {"": (*names, *made)} if kind != "how-to" else GUIDES | ({"More": tuple(made)} if made else {})
+        for group, members in groups.items():
+            lines += [f"## {group}", ""] if group else []
+            for name in members:
+                (page,) = (site / kind).glob(f"{name}.*")
+                lines += [f"- [{title(page)}]({page.name})  ", f"  {opening(page)}"]
+            caption = [f":caption: {group}"] if group else []
+            lines += ["", "```{toctree}", ":hidden:", *caption, "", *members, "```", ""]
         (site / kind / "index.md").write_text("\n".join(lines), encoding="utf-8")

@@ -10,6 +10,16 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 
+# how-to guides by what one wants to do
+GUIDES = {
+    "Set up and keep up to date": ("set_up", "wheel", "workspace", "upgrade", "distribution"),
+    "Run, watch and compare": ("view", "studies", "linear_view", "reports", "ends", "two_machines"),
+    "Connect what is yours": ("node", "cpp_node", "c_law", "own_robot", "learning"),
+    "Go to hardware": ("hardware", "boards", "plc"),
+    "Use results elsewhere": ("paper_figures", "bags", "bags_pandas", "outside_tools", "python", "notebooks"),
+    "Hand on, teach and keep correct": ("send", "strangers", "classroom", "continuous_integration"),
+}
+
 # folder of the site: title, what one finds there, pages in order (by file name, wherever a package has them)
 KINDS = {
     "tutorials": (
@@ -20,10 +30,7 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "wheel", "upgrade", "view", "studies", "send", "strangers", "reports", "continuous_integration",
-         "python", "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools",
-         "hardware", "boards", "plc", "node", "cpp_node", "c_law", "classroom", "workspace", "ends", "two_machines",
-         "distribution"),
+        tuple(name for names in GUIDES.values() for name in names),
     ),
     "notebooks": (
         "Notebooks",
@@ -65,6 +72,7 @@ KEYWORDS = {
     "studies": "sweep, monte, carlo, grid, batch, parallel, statistics, confidence, sobol, slurm, dask",
     "c_law": "c, c++, rust, fortran, static, shared library, drive, dll",
     "cpp_node": "c++, cmake, rclcpp, colcon, qos",
+    "own_robot": "urdf, xacro, arm, manipulator, robot description",
     "classroom": "course, students, teaching, lecturer, marks, grading, windows, wsl",
     "learning": "gym, gymnasium, reinforcement, agent, rl",
     "linear_view": "bode, nyquist, poles, margin, linearize, eigenvalues",

@@ -275,6 +275,8 @@ METRICS = [
     Result(name="settles", unit="s", at_most=1.0, value=None, error="never", **{"pass": False}),
     Result(name="late_one", unit="s", at_most=1.0, value=None, error="no sample after 2 s", **{"pass": False}),
     Result(name="cost", unit="", value=12345.678, **{"pass": True}),
+    Result(name="stays", unit="m", at_least=0.0, value=-0.5, settled=True, **{"pass": False}),
+    Result(name="starts", unit="m", at_least=0.0, value=0.5, settled=True, **{"pass": True}),
 ]
 STATUS = {
     "tank": {"state": "running", "ticks": 41, "missed_deadlines": 3, "late_messages": 0, "dropped_ticks": 2},

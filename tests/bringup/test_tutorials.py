@@ -21,6 +21,7 @@ from softrig_nodes.processes.domain import free_domain
 GUIDES = (
     "bags_pandas",
     "linear_view",
+    "own_robot",
     "paper_figures",
     "reports",
     "send",

@@ -14,6 +14,7 @@ import pytest
 from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.view import beside as beside_module, here as here_module, remote, serve, sources
 from softrig_bringup.view.beside import Beside, page
+from softrig_bringup.view.control import Control
 from softrig_bringup.view.here import Here, here
 from softrig_bringup.view.serve import Pages, Watched, _Token, free_address, new_token
 from softrig_bringup.view.sources import Growing, Live, Recorded
@@ -591,7 +592,8 @@ def test_figures_are_measured_now_and_then_while_a_run_goes_on(pages, monkeypatc
     clock.monotonic = lambda: clock.now
     monkeypatch.setattr(serve, "time", clock)
     measured = []
-    monkeypatch.setattr(serve, "evaluate", lambda rig, pane: measured.append(len(pane)) or ["a result"])
+    one = SimpleNamespace(not_judged=lambda why: "a result")
+    monkeypatch.setattr(serve, "evaluate", lambda rig, pane, under_way: measured.append(len(pane)) or [one])
     pages.measure()
     assert not measured  # of a recording
     pages._source.live = True
@@ -956,3 +958,17 @@ def test_a_page_that_ends_with_its_run_is_not_started_again(tmp_path, monkeypatc
     page_of._keep()
     assert len(made) == starts
     assert capsys.readouterr().err.count("the page has broken (status 5)") == (0 if ends else 4)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "node", "used", "idle"),
+    [  # by the words before the colon of a description, by nested names, by words in backquotes
+        ("tcp_aqm_smc", "aqm_controller", {"k1", "boundary", "anti_windup"}, {"l1", "pid_gain", "a"}),
+        ("manipulator_adsmc", "vcs_controller", {"v_max", "adsmc.a1"}, {"dsmc.a1", "smc.rho"}),
+        ("dc_motor_smc_faults", "noise", {"value", "active"}, {"points", "delay"}),
+    ],
+)
+def test_knobs_of_laws_that_are_not_chosen_are_idle(scenario, node, used, idle):
+    control = Control(rig_of(load_scenario(scenario)), lambda *_: None, lambda: 0.0, lambda: "")
+    found = {knob.name: knob.idle for knob in control.knobs.values() if knob.node == node}
+    assert {name for name in used | idle if found[name]} == idle

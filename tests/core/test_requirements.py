@@ -142,6 +142,25 @@ def test_of_a_record_that_ends_early_what_it_decides_is_judged():
     assert not figure_of(rig_of(sure_of_half), run.signals).passed  # it may yet be more
 
 
+@pytest.mark.parametrize(
+    ("formula", "settled"),
+    [
+        ("always[0, inf] state <= 0.3", True),  # violated, and stays so
+        ("always[0, inf] state <= 100", False),
+        ("always[0, 0.5] state <= 100", True),
+        ("eventually[0, inf] state >= 100", False),  # may come
+        ("eventually[0, inf] state >= 0.3", True),
+        ("eventually[0, 0.5] state >= 100", True),
+    ],
+)
+def test_a_verdict_of_a_run_under_way_is_settled_where_nothing_to_come_changes_it(formula, settled):
+    rig = wired(formula)
+    signals = simulate(rig).signals
+    (found,) = (r for r in evaluate(rig, signals, under_way=True) if r.name == "it")
+    assert found.settled == settled
+    assert not figure_of(rig, signals).settled  # of a run that is over nobody asks
+
+
 @pytest.mark.parametrize("live", [False, True])
 def test_the_last_window_hides_no_violation_beside_it(live):
     """In the last second nothing is known of what follows within one, but of what is there."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from softrig_core import Rig, ScenarioError
 from softrig_core.block.change import changeable
-from softrig_core.block.params import LARGEST, declarations, flatten
+from softrig_core.block.params import LARGEST, Params, declarations, flatten
 from softrig_core.rig.members import Member
 from softrig_core.scenario.faults import EXECUTABLE, PACKAGE
 from softrig_core.scenario.yaml_file import read_yaml
@@ -34,6 +35,8 @@ class Knob:
     kind : type
     bounds : (float, float)
         As declared; infinite where nothing was.
+    idle : bool
+        Whether it belongs to a law or kind that is not the chosen one.
     """
 
     node: str
@@ -43,6 +46,7 @@ class Knob:
     value: Any
     kind: type
     bounds: tuple[float, float]
+    idle: bool = False
 
     @property
     def key(self) -> str:
@@ -249,13 +253,37 @@ def _before(member: Member) -> set[Member]:
 
 def _knobs(member: Member) -> list[Knob]:
     live, values = changeable(type(member.params)), flatten(member.params)
+    choices = _choices(type(member.params))
+    known = {choice for name, of in choices.items() for choice in of if isinstance(values[name], str)}
+    chosen = {values[name] for name in choices}
     found = []
     for d in declarations(type(member.params)):
         if d.name in live:
             low = -math.inf if d.lower is None or d.lower <= -LARGEST else float(d.lower)
             high = math.inf if d.upper is None or d.upper >= LARGEST else float(d.upper)
-            found.append(Knob(member.name, d.name, d.unit, d.doc, values[d.name], d.type, (low, high)))
+            of = _owners(d.name, d.doc) & known
+            idle = bool(of) and not of & chosen
+            found.append(Knob(member.name, d.name, d.unit, d.doc, values[d.name], d.type, (low, high), idle))
     return found
+
+
+def _choices(model: type[Params], prefix: str = "") -> dict[str, tuple[str, ...]]:
+    """Return the parameters that choose one of some words, as a law, by dotted name."""
+    found: dict[str, tuple[str, ...]] = {}
+    for name, field in model.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, Params):
+            found |= _choices(kind, f"{prefix}{name}.")
+        elif get_origin(kind) is Literal:
+            found[prefix + name] = get_args(kind)
+    return found
+
+
+def _owners(name: str, doc: str) -> set[str]:
+    """Return what may be the choices a parameter belongs to: ``smc.k``, ``ideal, series: ...``, ``of `delay`, ...``."""
+    before = re.match(r"([\w ,]+): ", doc)
+    words = re.split(r", | and ", before[1]) if before else re.findall(r"`(\w+)`", doc)
+    return {*words, *name.split(".")[:-1]}
 
 
 def _shown(value: Any) -> str:

@@ -87,7 +87,7 @@ th { color: var(--soft); font-weight: normal; }
 .soft { color: var(--soft); } .wrong { color: var(--wrong); } .good { color: var(--good); }
 svg { width: 100%; height: auto; max-height: 46vh; }
 .bk-description > .bk-icon { background-color: var(--soft); }
-.over { color: var(--wrong); font-weight: 600; }
+.over { font-weight: 600; }
 @media (max-width: 800px) { svg { max-height: 24vh; } }
 """
 

@@ -227,12 +227,17 @@ class Page:
             found.append(("buttons", buttons, "Buttons", "", True))
         first = next(iter(control.roles.values()), "")
         for node, role in control.roles.items():
-            keys = [key for key, knob in control.knobs.items() if knob.node == node]
-            widgets = [w for key in keys for w in (self._knobs[key], self._sliders.get(key)) if w is not None]
-            what = f"{WHAT.get(role, role)} {len(keys)}".strip()
-            group = column(*widgets, sizing_mode="stretch_width")
-            found.append((f"knobs {node}", group, node, what, role in (first, "law", "fault")))
+            own = [knob for knob in control.knobs.values() if knob.node == node]
+            used, idle = [k for k in own if not k.idle], [k for k in own if k.idle]
+            what = f"{WHAT.get(role, role)} {len(used)}".strip()
+            found.append((f"knobs {node}", self._group(used), node, what, role in (first, "law", "fault")))
+            if idle:
+                found.append((f"idle {node}", self._group(idle), node, f"not used by this choice {len(idle)}", False))
         return found
+
+    def _group(self, knobs: Sequence[Knob]) -> Any:
+        widgets = [w for k in knobs for w in (self._knobs[k.key], self._sliders.get(k.key)) if w is not None]
+        return column(*widgets, sizing_mode="stretch_width")
 
     def _knob(self, knob: Knob) -> Any:
         """Give the widget of a parameter; what is no number, switch or text is written as YAML."""

@@ -18,6 +18,8 @@ from ..plots.style import MANY, axis_title, quantity
 from .look import CHANGED, COLOURS, INK, SOFT
 from .tracks import Pane
 
+DASHED = ([6, 4], [2, 3], [11, 3, 2, 3])  # of references, as in printed pictures
+AXIS = 84  # pixels left of all pictures: their times are below one another
 COLUMNS = 500  # pixel columns of a picture: a curve has at most four points in each
 LOW = "@media (max-width: 800px) { :host { height: 230px !important; } }"  # knobs below it stay in sight
 LEGEND = 3  # curves beside each other in it: more are two lines on a narrow page
@@ -128,18 +130,22 @@ class Picture:
         return found
 
     def _lines(self, found: Any, names: Sequence[str], named: dict[str, Curve]) -> list[Any]:
-        lines, colours = [], iter(COLOURS[self._look] * len(names))
+        lines, colours, dashes = [], iter(COLOURS[self._look] * len(names)), iter(DASHED * len(names))
+        alone = all(named[name].reference for name in names)
         for name in sorted(names, key=lambda n: named[n].reference):  # references on top
             curve = named[name]
-            style: dict[str, Any] = {"line_color": next(colours), "line_width": 1.4}
+            dark = curve.reference and not alone
+            style: dict[str, Any] = {"line_color": INK[self._look] if dark else next(colours)}
+            style["line_width"] = 1.2 if dark else 1.4
             if curve.reference:
-                style = {"line_color": INK[self._look], "line_dash": [6, 4], "line_width": 1.2}
+                style["line_dash"] = next(dashes)
             source = self.sources[name] = ColumnDataSource({"x": [], "y": []}, name=f"{self._entry.title}: {name}")
             lines.append(found.line("x", "y", source=source, legend_label=curve.label, name=curve.label, **style))
         found.legend.orientation, found.legend.click_policy, found.legend.ncols = "horizontal", "hide", "auto"
         if len(lines) > LEGEND:
             found.legend.ncols = LEGEND
         found.legend.location = "left"
+        found.min_border_left = AXIS
         found.add_layout(found.legend[0], "above")
         found.toolbar.autohide = True
         found.stylesheets = [InlineStyleSheet(css=LOW)]

@@ -268,7 +268,7 @@ class Pages:
             why = changed_from(source.rig) or turned
             self._results = [result.not_judged(why) for result in found.result()]
 
-        future = self._worker.submit(evaluate, source.rig, pane)
+        future = self._worker.submit(evaluate, source.rig, pane, under_way=True)
         future.add_done_callback(lambda found: self.server.io_loop.add_callback(done, found))
 
     def close(self) -> None:

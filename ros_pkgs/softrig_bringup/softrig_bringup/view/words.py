@@ -31,7 +31,7 @@ def head(source: Source, how: str, control: Control) -> str:
     state, look = f"{source.end:.6g} s, {source.outcome}", "soft"
     if source.outcome and source.live:
         after = "its knobs act no more" if not control.goes_back else "go back and turn a knob"
-        state, look = f"the run is over: {state}; {after}", "over"
+        state, look = f"the run is over: {state}; {after}", "over wrong" if source.outcome[:5] == "broke" else "over"
     elif not source.outcome:
         state = f"{source.end:.6g} of {scenario.duration:g} s, {_going(source, control)}"
     note = "; of what is old only the extremes are kept" if source.thinned else ""
@@ -63,22 +63,27 @@ def figures(results: Iterable[Result], so_far: bool) -> str:
     """Give the table of figures and of the margins of requirements."""
     rows = []
     for f in results:
-        mark = '<span class="good">pass</span>' if f.judged and f.passed else ""
-        if f.judged and not f.passed:
-            there = measured_here(f)
-            mark = "" if so_far and not there else f'<span class="wrong">{"not yet" if so_far else "miss"}</span>'
-        if f.published_for:
-            mark = f'<span title="published for {html.escape(f.published_for)}">not judged</span>'
         value = "-" if f.value is None else f"{f.value:.5g}"
         unit = pretty_unit(f.unit)
         said = unit if f.value is not None or (so_far and not measured_here(f)) else in_words(f)
         look = 'class="u"' if said == unit else ""
         rows.append(
             f'<tr><td>{_broken(f.name)}</td><td class="n">{value}</td><td {look}>{html.escape(said)}</td>'
-            f'<td>{html.escape(accepted(f))}</td><td class="n">{mark}</td></tr>'
+            f'<td>{html.escape(accepted(f))}</td><td class="n">{_mark(f, so_far)}</td></tr>'
         )
     first = '<tr><th>name</th><th class="n">value</th><th></th><th>expected</th><th></th></tr>'
     return _section("Figures and margins" + (", so far" if so_far else ""), first, rows)
+
+
+def _mark(f: Result, so_far: bool) -> str:
+    """Return the verdict on a figure; without colour where what comes may change it."""
+    if f.published_for:
+        return f'<span title="published for {html.escape(f.published_for)}">not judged</span>'
+    if not f.judged or (so_far and not measured_here(f)):
+        return ""
+    if so_far and not f.settled:
+        return f'<span class="soft">{"inside" if f.passed else "outside"}</span>'
+    return '<span class="good">pass</span>' if f.passed else '<span class="wrong">miss</span>'
 
 
 def health(status: Mapping[str, Mapping[str, Any]]) -> str:

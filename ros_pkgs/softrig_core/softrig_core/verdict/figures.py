@@ -68,6 +68,8 @@ class Result(BaseModel):
         It is not judged then.
     follows : bool
         Whether what is expected of it follows the machine: it is taken from the nodes, or measured against them.
+    settled : bool
+        Of a run under way: whether the verdict stays as it is, whatever comes.
     passed : bool
         Written as ``pass``. A figure for information passes, whatever it is, unless it is impossible; so does one that
         is not judged.
@@ -90,6 +92,7 @@ class Result(BaseModel):
     open_from_s: float | None = None
     published_for: str = ""
     follows: bool = Field(False, exclude=True)
+    settled: bool = Field(False, exclude=True)
     number: float = Field(math.nan, exclude=True)  # as measured: infinity too, which JSON cannot hold
 
     @property
@@ -259,7 +262,9 @@ def figures_in(text: str) -> list[Figure]:
         raise ValueError(f"figures: {error}; expected a JSON list of name, function, arguments, unit, scale") from None
 
 
-def evaluate(rig: Members, signals: SignalMap, figures: Sequence[Figure] | None = None) -> list[Result]:
+def evaluate(
+    rig: Members, signals: SignalMap, figures: Sequence[Figure] | None = None, *, under_way: bool = False
+) -> list[Result]:
     """Measure the figures of a rig's scenario and judge them.
 
     A figure that cannot be computed has value None and the reason; it passes only if nothing is expected of it.
@@ -272,6 +277,8 @@ def evaluate(rig: Members, signals: SignalMap, figures: Sequence[Figure] | None 
         Of a run of this rig.
     figures : sequence of Figure, optional
         What `figures_of` gives of it, where that is known.
+    under_way : bool
+        Whether more of the run will come: `Result.settled` is set.
     """
     published = {c.figure or k: c.published for k, c in rig.scenario.claims.items() if c.published is not None}
     results = []
@@ -281,6 +288,7 @@ def evaluate(rig: Members, signals: SignalMap, figures: Sequence[Figure] | None 
         about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}
         about |= (limits or Expectation()).model_dump(exclude={"text"})
         about["follows"] = follows(figure, limits)
+        about["settled"] = under_way and isinstance(figure.function, Judge) and figure.function.settled(signals)
         impossible = False
         try:
             if isinstance(figure.function, Judge):

@@ -82,8 +82,24 @@ class Judge:
         """Measure the margin; a ValueError says why it cannot be judged."""
         return self.margin(signals).value
 
-    def margin(self, signals: SignalMap) -> Margin:
+    def settled(self, signals: SignalMap) -> bool:
+        """Return whether the verdict on a run under way stays as it is, whatever comes."""
+        if self.figures or self.timed:  # their values change with what comes
+            return False
+        try:
+            self.margin(signals, ended=False)
+        except ValueError:
+            return False
+        return True
+
+    def margin(self, signals: SignalMap, *, ended: bool = True) -> Margin:
         """Measure the margin, and find where it is least and where the formula is violated.
+
+        Parameters
+        ----------
+        signals : mapping of str to Signal
+        ended : bool
+            Whether nothing will come after the record.
 
         Raises
         ------
@@ -111,7 +127,7 @@ class Judge:
             else:
                 held[name], late[name] = now, none
         after = self.clock.next(int(grid[-1]))
-        return Record(grid, held, truths=truths, late=late, after=after).margin(tree)
+        return Record(grid, held, truths=truths, late=late, after=after, ended=ended).margin(tree)
 
 
 def _measured(name: str, figure: Measured, signals: SignalMap) -> float:
