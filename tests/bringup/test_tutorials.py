@@ -64,8 +64,10 @@ def script(found: list[Block]) -> str:
     lines += [f"cd {shlex.quote(str(ROOT))}", 'eval "$(scripts/softrig env)"', 'cd "$FOLDER"']
     for number, block in enumerate(found):
         if block.kind == "file":
-            name = block.text.split("\n")[0][2:]
-            lines += [f"cat > {name} <<'@@ end'", block.text.rstrip("\n"), "@@ end"]
+            first, _, rest = block.text.partition("\n")
+            name = first[2:]
+            text = rest if name.endswith(".urdf") else block.text  # no comment of XML
+            lines += [f"cat > {name} <<'@@ end'", text.rstrip("\n"), "@@ end"]
         elif block.kind == "commands":
             lines += [f"echo '{MARK} {number}'", block.text.rstrip("\n")]
     return "\n".join([*lines, f"echo '{MARK} end'", ""])
