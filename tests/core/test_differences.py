@@ -195,11 +195,11 @@ def test_states_are_moved_off_in_turn_of_sign_to_see_whether_they_stay_linear():
     found.states()
     m.asked.clear()
     assert found.view().variation == 0.0
-    offs = [x - 1.0 for x in m.asked[-20:]]
+    offs = [(x - 1.0).tolist() for x in m.asked]
     step = np.array([found.steps[k] for k in range(4)]) / 256.0
     assert step.tolist() == [2.0**-16 * s for s in (1.0, 2.0, 4.0, 8.0)]
-    assert offs[0].tolist() == (step * [1.0, -1.0, 1.0, 1.0]).tolist()
-    assert offs[10].tolist() == (-step * [1.0, -1.0, 1.0, 1.0]).tolist()
+    assert (step * [1.0, -1.0, 1.0, 1.0]).tolist() in offs
+    assert (-step * [1.0, -1.0, 1.0, 1.0]).tolist() in offs
 
 
 def test_what_rests_at_zero_gets_the_size_by_which_others_move_it():
