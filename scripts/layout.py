@@ -32,7 +32,7 @@ if __name__ == "__main__":  # processes that it starts import it
 
 
 def packages(root: Path = ROOT, places: Sequence[str] = OURS) -> Iterator[tuple[str, Path, ConfigParser]]:
-    """Give each package's name, folder and setup.cfg."""
+    """Yield each package's name, folder and setup.cfg."""
     files = (file for place in places for file in root.glob(place))
     for file in sorted(file for file in files if file.with_name("package.xml").is_file()):
         config = ConfigParser(delimiters=("=",))
@@ -42,7 +42,7 @@ def packages(root: Path = ROOT, places: Sequence[str] = OURS) -> Iterator[tuple[
 
 
 def share(folder: Path, config: ConfigParser) -> Tree:
-    """Give the data files of a package: its marker in the ament index, package.xml, launch files and the like."""
+    """Return the data files of a package: its marker in the ament index, package.xml, launch files and the like."""
     found: Tree = {}
     for place, patterns in config.items("options.data_files") if config.has_section("options.data_files") else ():
         for pattern in patterns.replace("\n", ",").split(","):
@@ -52,7 +52,7 @@ def share(folder: Path, config: ConfigParser) -> Tree:
 
 
 def executables(name: str, config: ConfigParser) -> Iterator[tuple[str, str]]:
-    """Give each executable's place and what it does, without its first line."""
+    """Yield each executable's place and what it does, without its first line."""
     for line in config.get("options.entry_points", "console_scripts", fallback="").split("\n"):
         executable, _, target = (part.strip() for part in line.partition("="))
         if target:
@@ -64,7 +64,7 @@ def executables(name: str, config: ConfigParser) -> Iterator[tuple[str, str]]:
 
 
 def metadata(name: str, config: ConfigParser) -> Tree:
-    """Give what importlib.metadata reads of a package."""
+    """Return what importlib.metadata reads of a package."""
     version = config["metadata"].get("version", "0")
     groups = config["options.entry_points"].items() if config.has_section("options.entry_points") else ()
     about = config["metadata"].get("description", name)
@@ -76,12 +76,12 @@ def metadata(name: str, config: ConfigParser) -> Tree:
 
 
 def library() -> str:
-    """Give the place of Python packages below a prefix."""
+    """Return the place of Python packages below a prefix."""
     return f"lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages"
 
 
 def lay_out(prefix: Path, root: Path = ROOT, places: Sequence[str] = OURS) -> None:
-    """Make a prefix whose files are links to those of the checkout, so that editing a Python file needs no new one.
+    """Create a prefix whose files are links to those of the checkout, so that editing a Python file needs no new one.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ class Files(BuildHookInterface):  # type: ignore[type-arg]
     """Adds them to what hatchling puts in."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Say which file goes where; those that exist nowhere are written first."""
+        """Report which file goes where; those that exist nowhere are written first."""
         root = Path(self.root)
         spec = importlib.util.spec_from_file_location("layout", root / "scripts" / "layout.py")
         assert spec is not None

@@ -44,7 +44,7 @@ PARTS: dict[str, Callable[[], None]] = {
 
 
 def about(part: str) -> str:
-    """What a part measures: the first line of what its function says."""
+    """Return what a part measures: the first line of what its function says."""
     return (PARTS[part].__doc__ or "").splitlines()[0]
 
 

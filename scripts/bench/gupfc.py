@@ -18,7 +18,7 @@ PERIODS = 4320  # 1.5 s
 
 
 def steady(waveform: str) -> Callable[[], None]:
-    """Give a call that simulates 1.5 s of the plant alone under steady commands, compiled already."""
+    """Return a call that simulates 1.5 s of the plant alone under steady commands, compiled already."""
     held = ByHand(GupfcPlant(waveform=waveform))
     shunt, first, second = ShuntController(), SeriesController(circuit=1), SeriesController(circuit=2)
     turn = NetworkParams().omega * held.block.p.period

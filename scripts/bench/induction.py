@@ -27,12 +27,12 @@ PEERS = {
 
 
 def drive(seconds: float) -> Rig:
-    """Give the headline scenario, its duration changed."""
+    """Return the headline scenario, its duration changed."""
     return rig_of(load_scenario("induction_dtc").model_copy(update={"duration": seconds}))
 
 
 def switching(seconds: float) -> tuple[list[int], Signals]:
-    """Run the headline scenario; give the number of the voltage vector of every period, and the signals."""
+    """Run the headline scenario; return the number of the voltage vector of every period, and the signals."""
     rig = drive(seconds)
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     run_inprocess(rig, 1, recording)
@@ -42,7 +42,7 @@ def switching(seconds: float) -> tuple[list[int], Signals]:
 
 
 def clean_environment() -> dict[str, str]:
-    """Give the environment for another Python: without what is set for ours."""
+    """Return the environment for another Python: without what is set for ours."""
     return {k: v for k, v in os.environ.items() if k not in _OURS}
 
 
@@ -71,7 +71,7 @@ def peer(name: str, vectors: list[int], python: str = sys.executable) -> Mapping
 
 
 def agreement(python: str = sys.executable, seconds: float = 0.75) -> tuple[float, float] | None:
-    """Give how far motulator (rtol 1e-8) ends from ours under the same switching: stator flux (Wb), speed (rad/s)."""
+    """Return how far motulator (rtol 1e-8) ends from ours under the same switching: stator flux (Wb), speed (rad/s)."""
     vectors, signals = switching(seconds)
     found = peer("motulator-tight", vectors, python)
     if found is None:
@@ -110,7 +110,7 @@ def simulated_second(python: str = sys.executable) -> dict[str, float | None]:
 
 
 def _natively(rig: Rig, topics: list[tuple[str, str]]) -> float:
-    """Give the CPU time (s) of a run of many, by native code that is there, with its wiring."""
+    """Return the CPU time (s) of a run of many, by native code that is there, with its wiring."""
     run_inprocess(rig, 1, Recording(topics), runs=MANY)
     return _median(lambda: run_inprocess(rig, 1, Recording(topics), runs=MANY))
 

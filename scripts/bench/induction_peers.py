@@ -25,7 +25,7 @@ class Replay:
         self._vectors = iter(vectors)
 
     def __call__(self, model: Any) -> tuple[float, Sequence[float]]:
-        """Give the sampling period and the duty ratios; past the end, V0."""
+        """Return the sampling period and the duty ratios; past the end, V0."""
         return T_S, [float(s) for s in LEGS[next(self._vectors, 0)]]
 
     def post_process(self) -> None:

@@ -140,7 +140,7 @@ def tick() -> None:
 
 
 def _time(function: Callable[[], object], calls: int = 20_000) -> float:
-    """Give the time of one call in us, the best of three passes."""
+    """Return the time of one call in us, the best of three passes."""
     best = float("inf")
     for _ in range(3):
         start = time.perf_counter()

@@ -24,7 +24,7 @@ class Replay:
         self.rows: list[tuple[float, ...]] = []
 
     def __call__(self, model: Any) -> tuple[float, Sequence[float]]:
-        """Give the sampling period and the duty ratios; past the end, zero voltage."""
+        """Return the sampling period and the duty ratios; past the end, zero voltage."""
         i_a, i_b, _ = model.machine.meas_currents()
         self.rows.append((float(i_a), float(i_b), float(model.mechanics.state.w_M.real)))
         self.torque = next(self._load, 0.0)
@@ -35,7 +35,7 @@ class Replay:
 
 
 def machine(name: str) -> Any:
-    """Make the machine of motulator's examples that our scenario has."""
+    """Create the machine of motulator's examples that our scenario has."""
     from motulator.drive import model, utils
 
     if name == "pmsm_foc":

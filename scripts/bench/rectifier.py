@@ -30,7 +30,7 @@ PLANTS: dict[str, dict[str, Any]] = {
 
 
 def percentiles(call: Callable[[int], object], n: int) -> tuple[float, float]:
-    """Give median and 99th percentile of the time of a call in us."""
+    """Return median and 99th percentile of the time of a call in us."""
     times = []
     for k in range(n):
         begin = time.perf_counter()

@@ -128,7 +128,7 @@ def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
 
 
 def in_memory(name: str, duration: float) -> float:
-    """Give the ticks a second of a scenario in this process, made ready, recorded and counted as in a container."""
+    """Return the ticks a second of a scenario in this process, made ready, recorded and counted as in a container."""
     rig = rig_of(name, duration=duration)
     for member in rig.members:
         rehearse(member.block_class, member.params, member.name)
@@ -152,7 +152,7 @@ class Timed(Recording):
             self.spoke.append(time.perf_counter())
 
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
-        """Give what appends one message of each of some topics."""
+        """Return what appends one message of each of some topics."""
         add = super().row(layouts)
         if self.clock not in layouts:
             return add
@@ -171,7 +171,7 @@ def _one_by_one(rig: Rig) -> None:
 
 
 def _timed(member: Member, spent: dict[str, int]) -> None:
-    """Make a member's block add up the time of its calls."""
+    """Create a member's block add up the time of its calls."""
     make, key, clock = member.block, "plant" if member.is_plant else "laws", time.process_time_ns
 
     def timed(function: Callable[..., Any]) -> Callable[..., Any]:

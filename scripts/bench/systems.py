@@ -64,7 +64,7 @@ def yardstick() -> float:
 
 
 def works() -> Iterator[Work]:
-    """Give the works of all systems, one after the other."""
+    """Yield the works of all systems, one after the other."""
     yield from _core()
     yield from _rectifier()
     yield from _gupfc()

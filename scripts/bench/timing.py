@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 
 def cpu(call: Callable[[], object]) -> float:
-    """Give the CPU time of a call in s."""
+    """Return the CPU time of a call in s."""
     begin = time.process_time()
     call()
     return time.process_time() - begin
 
 
 def least(call: Callable[[], object], rounds: int = 5) -> float:
-    """Give the least CPU time of several calls in s, after one that sets up and compiles."""
+    """Return the least CPU time of several calls in s, after one that sets up and compiles."""
     call()
     return min(cpu(call) for _ in range(rounds))

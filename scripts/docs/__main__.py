@@ -42,7 +42,7 @@ def main() -> int:
 
 
 def build(out: Path, sources_only: bool = False) -> int:
-    """Write the sources to ``out/source`` and the site to ``out/html``; gives the exit status."""
+    """Write the sources to ``out/source`` and the site to ``out/html``; returns the exit status."""
     from . import collect, gallery, reference
 
     source = out / "source"
@@ -82,7 +82,7 @@ def _say(what: str) -> None:
 
 
 def accessible(page: str) -> str:
-    """Give a page as Sphinx has made it without what keeps some readers out.
+    """Return a page as Sphinx has made it without what keeps some readers out.
 
     A cell without text is no head, what scrolls can be reached by keys, landmarks of one kind have names, a page has a
     head, long names break between their words.

@@ -37,7 +37,7 @@ def collect(site: Path) -> None:
 
 
 def notebook(text: str, page: Path, place: str, site: Path) -> str:
-    """Give a notebook for its place on the site: the text of its cells moved, the file as it is to be had."""
+    """Return a notebook for its place on the site: the text of its cells moved, the file as it is to be had."""
     found = json.loads(text)
     shutil.copyfile(page, _folder(site / "pictures") / page.name)
     for cell in found["cells"]:
@@ -48,7 +48,7 @@ def notebook(text: str, page: Path, place: str, site: Path) -> str:
 
 
 def moved(text: str, page: Path, place: str, site: Path) -> str:
-    """Give the text of a page for its place on the site; copies its pictures.
+    """Return the text of a page for its place on the site; copies its pictures.
 
     Raises
     ------

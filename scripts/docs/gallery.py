@@ -37,7 +37,7 @@ scripts/softrig run dc_motor_smc --mode container
 
 
 def sentences() -> dict[str, tuple[str, str]]:
-    """Give of each system what to run and what comes out, as the table of the README says it."""
+    """Return of each system what to run and what comes out, as the table of the README says it."""
     table = (ROOT / "README.md").read_text(encoding="utf-8")
     return {name: (scenario, text) for name, scenario, text in _ROW.findall(table)}
 

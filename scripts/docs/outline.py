@@ -134,7 +134,7 @@ def pages() -> dict[str, Path]:
 
 @cache
 def places() -> dict[Path, str]:
-    """Say where on the site each page goes, without suffix; a page that nobody has put anywhere is a how-to guide.
+    """Describe where on the site each page goes, without suffix; a page that nobody has put anywhere is a how-to guide.
 
     Raises
     ------
@@ -150,14 +150,14 @@ def places() -> dict[Path, str]:
 
 
 def title(page: Path) -> str:
-    """Give the title of a page or notebook."""
+    """Return the title of a page or notebook."""
     found = re.search(r"^# (.+)$", _beginning(page), re.M)
     assert found, f"{page} has no title"
     return found[1]
 
 
 def opening(page: Path) -> str:
-    """Give the first sentence of a page or notebook; empty when it begins with none."""
+    """Return the first sentence of a page or notebook; empty when it begins with none."""
     paragraphs = re.split(r"\n\s*\n", _beginning(page).partition("\n")[2].partition("\n## ")[0])
     texts = (" ".join(p.split()) for p in paragraphs if re.match(r"\s*(?!```)[A-Z`*]", p))
     first = next((re.split(r"(?<=[.:!?]) (?=[A-Z(`*]|softrig)", text)[0] for text in texts), "")

@@ -74,7 +74,7 @@ class _Found(BaseException):
 
 
 def _parser_of(main: Callable[[list[str]], int]) -> argparse.ArgumentParser:
-    """Give the parser that a command makes when it is called."""
+    """Return the parser that a command makes when it is called."""
 
     def caught(self: argparse.ArgumentParser, *_: object, **__: object) -> None:
         raise _Found(self)
@@ -176,7 +176,7 @@ def figures() -> str:
 
 
 def faults() -> str:
-    """What a fault can do, from its declaration."""
+    """Return what a fault can do, from its declaration."""
     doc = inspect.cleandoc((Fault.__doc__ or "").partition("Notes\n")[0])
     parts = [
         "# Faults",

@@ -20,7 +20,7 @@ FOLDED = "<details><summary>{count} classes, {c} as C, {st} as structured text</
 
 
 def exported(names: list[str]) -> str:
-    """Give the table: of each class the first scenario that has it."""
+    """Return the table: of each class the first scenario that has it."""
     seen: dict[str, tuple[str, Rig]] = {}
     for name in names or list_scenarios():
         rig = rig_of(name)
@@ -58,7 +58,7 @@ def _structured(done: Exported, node: str, rig: Rig) -> str:
 
 
 def _short(reason: str) -> str:
-    """Give a reason without paths and line numbers."""
+    """Return a reason without paths and line numbers."""
     reason = reason.partition("cannot be exported as C: ")[2] or reason
     found = re.fullmatch(r"[\w.]*?(\w+\.\w+|\w+), line \d+: (.*)", reason)
     return (f"{found[1]}: {found[2]}" if found else reason).replace("|", "/")

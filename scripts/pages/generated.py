@@ -61,7 +61,7 @@ _VERDICTS = re.compile(r"(<!-- verdicts: ([^>]*?) -->)[^\n]*?(<!-- end -->)")
 
 
 def generate(page: str, runs: bool = False) -> str:
-    """Give a page with its generated parts made anew; what is measured stays unless `runs`, which simulates."""
+    """Return a page with its generated parts made anew; what is measured stays unless `runs`, which simulates."""
 
     def part(found: re.Match[str]) -> str:
         if found[2] in ("exported", "measured", "licences") and not runs:
@@ -99,7 +99,7 @@ def nodes(package: str, executables: Sequence[str]) -> str:
 
 
 def node(package: str, executable: str) -> tuple[str, str]:
-    """Say what an executable is, and give its topics and parameters as tables."""
+    """Describe what an executable is, and give its topics and parameters as tables."""
     block = load_block(package, executable)
     inputs, outputs = block.ports(block.Params())
     text = ["| topic | | type | values |", "|---|---|---|---|"]
@@ -124,7 +124,7 @@ def _topic(port: Port, direction: str) -> str:
 
 
 def parameters(model: type[Params]) -> list[str]:
-    """Give the lines of a table of parameters."""
+    """Return the lines of a table of parameters."""
     head = "| parameter | default | unit | bounds | live: may change while running |"
     return [head, "|---|---|---|---|---|", *(_parameter(d) for d in declarations(model))]
 
@@ -253,7 +253,7 @@ def measured(what: str) -> str:
 
 
 def untrue(page: str, path: Path, runs: bool = False) -> list[str]:
-    """Say which numbers of the text of a page at `path` have no source or are not as it says."""
+    """Describe which numbers of the text of a page at `path` have no source or are not as it says."""
     tests = next((f / "tests" for f in path.resolve().parents if (f / "tests").is_dir()), path.parent)
     run = (lambda name: {r.name: r.number for r in results(name)}) if runs else None
     others = (p.read_text(encoding="utf-8") for p in sorted(tests.parent.glob("ros_pkgs/*/doc/**/*.md")))

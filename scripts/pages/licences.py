@@ -100,5 +100,5 @@ def inside_casadi() -> str:
 
 
 def licences(what: str) -> str:
-    """Give a part of the page: ``casadi``, or names of lock files."""
+    """Return a part of the page: ``casadi``, or names of lock files."""
     return inside_casadi() if what == "casadi" else table(what.split())

@@ -70,16 +70,16 @@ class Tie:
         return 0.5 * 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
 
     def near(self, value: float, slack: float = 0.0) -> bool:
-        """Whether it is `value` as far as it is rounded."""
+        """Return whether it is `value` as far as it is rounded."""
         return math.isfinite(value) and abs(value - self.value) <= self.half * (1.0 + 1e-6) + slack
 
     def is_one_of(self, values: Iterable[float]) -> bool:
-        """Whether it is exactly one of some numbers, but for the sign."""
+        """Return whether it is exactly one of some numbers, but for the sign."""
         return any(math.isclose(abs(self.value), abs(x), rel_tol=1e-12) for x in values)
 
 
 def faults(page: str, tests: Path, run: Runs | None = None, others: str = "") -> Iterator[str]:
-    """Say which numbers of a page have no source, which are wrong, and which sources have no number any more.
+    """Describe which numbers of a page have no source, which are wrong, and which sources have no number any more.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def faults(page: str, tests: Path, run: Runs | None = None, others: str = "") ->
 
 
 def digits(number: str) -> int:
-    """Give the significant digits of a number as written; zeros at the end of a whole number are none."""
+    """Return the significant digits of a number as written; zeros at the end of a whole number are none."""
     mantissa = number.partition("e")[0].lstrip("+-").replace(",", "")
     plain = mantissa.replace(".", "").lstrip("0")
     return len(plain if "." in mantissa else plain.rstrip("0"))
@@ -149,7 +149,7 @@ def _measured(page: str) -> dict[tuple[str, str], float]:
 
 
 def _wrong(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs | None) -> str:
-    """Say what is wrong with a number, or nothing."""
+    """Describe what is wrong with a number, or nothing."""
     try:
         return _differs(tie, table, tests, run)
     except (ArithmeticError, NameError, SyntaxError, TypeError, ValueError) as error:
@@ -175,7 +175,7 @@ def _differs(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Ru
 def _unlike(
     tie: Tie, factor: float, what: tuple[str, str], table: dict[tuple[str, str], float], run: Runs | None
 ) -> str:
-    """Say how a number differs from the figure of a scenario or of a study, or nothing."""
+    """Describe how a number differs from the figure of a scenario or of a study, or nothing."""
     name, figure = what
     if name in list_studies():
         expect, figures = load_study(name).expect, set(load_study(name).expect)

@@ -14,7 +14,7 @@ from softrig_core.scenario.scenario import PlotEntry
 
 
 def picture(scenario: str, number: int) -> str:
-    """Give the Markdown of a picture.
+    """Return the Markdown of a picture.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def draw(scenario: str, number: int, directory: Path) -> None:
 
 
 def animation(scenario: str) -> str:
-    """Give the Markdown of a scenario's plant in motion.
+    """Return the Markdown of a scenario's plant in motion.
 
     Raises
     ------

@@ -35,7 +35,7 @@ class Room:
 
 
 def rooms(package: str) -> dict[str, Room]:
-    """Give the rooms of a package by name, from the ground up."""
+    """Return the rooms of a package by name, from the ground up."""
     root = PACKAGES / package / package
     found = {}
     for file in sorted(root.glob("**/__init__.py")):

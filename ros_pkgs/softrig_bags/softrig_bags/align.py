@@ -100,11 +100,11 @@ class Alignment:
 
     @property
     def equal(self) -> bool:
-        """Whether both have the same signals, and all were compared and agree within their tolerance."""
+        """Return whether both have the same signals, and all were compared and agree within their tolerance."""
         return not (self.lacking or self.extra or self.unread) and all(d.agrees for d in self.deviations)
 
     def to_json(self) -> str:
-        """Give everything as JSON; NaN and infinity as text."""
+        """Return everything as JSON; NaN and infinity as text."""
         return json.dumps(plain({"equal": self.equal, **asdict(self), "span": list(self.span)}), indent=2)
 
     def __str__(self) -> str:

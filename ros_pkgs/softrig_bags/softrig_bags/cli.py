@@ -26,7 +26,7 @@ Main = Callable[[Sequence[str] | None], int]
 
 
 def _command(function: Callable[[list[str]], int]) -> Main:
-    """Make a main function: errors become one line and an exit status."""
+    """Create a main function: errors become one line and an exit status."""
 
     @wraps(function)
     def main(argv: Sequence[str] | None = None) -> int:
@@ -64,7 +64,7 @@ def _ros_arguments(argv: list[str]) -> tuple[list[str], list[str]]:
 
 
 def _parameters(parser: Parser, options: argparse.Namespace) -> list[tuple[Declaration, Any]]:
-    """Give the options as ROS parameters, for whoever asks the node what it is doing."""
+    """Return the options as ROS parameters, for whoever asks the node what it is doing."""
     from softrig_core.block.params import Declaration  # with pydantic, which only nodes need
 
     found = []
@@ -89,7 +89,7 @@ def _namespace_argument(parser: argparse.ArgumentParser, text: str) -> None:
 
 
 def _bag(text: str) -> Path:
-    """Give the bag of an argument; that of a run whose folder is named."""
+    """Return the bag of an argument; that of a run whose folder is named."""
     path = Path(text)
     inside = path / "bag"
     return inside if (path / "metrics.json").is_file() and inside.exists() else path

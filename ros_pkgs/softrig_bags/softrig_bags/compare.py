@@ -83,7 +83,7 @@ class TopicComparison:
 
     @property
     def equal(self) -> bool:
-        """Whether nothing is missing, extra or different."""
+        """Return whether nothing is missing, extra or different."""
         return not (self.missing or self.extra or self.differing)
 
     def note(self, stamp: int, name: str, a: Any, b: Any) -> None:
@@ -113,12 +113,12 @@ class Comparison:
 
     @property
     def unrelated(self) -> bool:
-        """Whether both have messages on common topics, but not one with a stamp of the other's."""
+        """Return whether both have messages on common topics, but not one with a stamp of the other's."""
         return not self.paired and any(t.count_a and t.count_b for t in self.topics)
 
     @property
     def equal(self) -> bool:
-        """Whether the bags agree."""
+        """Return whether the bags agree."""
         return all(t.equal for t in self.topics)
 
     @property
@@ -128,7 +128,7 @@ class Comparison:
         return min(found, key=lambda d: d.stamp, default=None)
 
     def to_json(self) -> str:
-        """Give everything as JSON; NaN and infinity as text."""
+        """Return everything as JSON; NaN and infinity as text."""
         content = {
             "equal": self.equal,
             "first": self.first and asdict(self.first),
@@ -406,7 +406,7 @@ def _show(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Give what JSON can say: bytes as hex, NaN and infinity as text."""
+    """Return what JSON can say: bytes as hex, NaN and infinity as text."""
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list):

@@ -17,7 +17,7 @@ ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 
 
 def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[str, Mapping[str, Any]]) -> Recording:
-    """Give a recording with what the nodes say beside their signals.
+    """Return a recording with what the nodes say beside their signals.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from .read import WALL_CLOCK
 
 
 def describe(path: Path | str) -> str:
-    """Give files, times, topics and the writer's notes of a bag.
+    """Return files, times, topics and the writer's notes of a bag.
 
     Raises
     ------

@@ -131,7 +131,7 @@ def epoch_of(bag: BagReader) -> tuple[int, bool]:
 
 
 def signals(path: Path | str, namespace: str = "") -> BagSignals:
-    """Give the signals of a bag as named float64 arrays with time.
+    """Return the signals of a bag as named float64 arrays with time.
 
     Parameters
     ----------
@@ -170,6 +170,6 @@ def signals(path: Path | str, namespace: str = "") -> BagSignals:
 
 
 def say_left_out(path: Path | str, columns: Columns) -> None:
-    """Say what of a bag has not become numbers."""
+    """Report what of a bag has not become numbers."""
     for line, lost in columns.lines():
         (incomplete if lost else say)(f"{path}: {line}")

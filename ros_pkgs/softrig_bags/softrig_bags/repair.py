@@ -73,7 +73,7 @@ class Repair:
 
     @property
     def complete(self) -> bool:
-        """Whether everything that was found or claimed is in the new bag."""
+        """Return whether everything that was found or claimed is in the new bag."""
         return not self.differing and not any(f.lost or f.left_out for f in self.files)
 
     def __str__(self) -> str:

@@ -20,7 +20,7 @@ LATCHED = ("robot_description", "tf_static", "markers")
 
 
 def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording:
-    """Give a recording with what a viewer needs beside it.
+    """Return a recording with what a viewer needs beside it.
 
     Parameters
     ----------
@@ -76,12 +76,12 @@ def add(recording: Recording, name: str, msgtype: str, t: int, **fields: Any) ->
 
 
 def make(msgtype: str, **fields: Any) -> Any:
-    """Make a message of rosbags' own."""
+    """Create a message of rosbags' own."""
     return typestore().types[msgtype](**fields)
 
 
 def header(t: int, frame: str) -> Any:
-    """Make a header of a time in ns."""
+    """Create a header of a time in ns."""
     stamp = make("builtin_interfaces/msg/Time", sec=t // SECOND, nanosec=t % SECOND)
     return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 

@@ -125,7 +125,7 @@ class Columns:
                 left.reason = left.damage
 
     def lines(self) -> Iterator[tuple[str, bool]]:
-        """Say what was left out; each line with whether messages are lost of a topic that is there otherwise."""
+        """Describe what was left out; each line with whether messages are lost of a topic that is there otherwise."""
         for topic, left in sorted(self.left.items()):
             name = self._bag.topics[topic].name
             if left.reason:

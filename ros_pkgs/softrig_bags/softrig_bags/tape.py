@@ -27,7 +27,7 @@ def written(port: Port) -> str:
 
 
 def port_of(text: str) -> Port:
-    """Make the output that says what a port has read; `text` is from `written`."""
+    """Create the output that says what a port has read; `text` is from `written`."""
     found = {name: _tuples(value) for name, value in json.loads(text).items()}
     return replace(Port(**found), held=False, partial=False, sporadic=True)
 
@@ -55,7 +55,7 @@ class TapeParams(BlockParams):
 
 @lru_cache(maxsize=2)
 def _loaded(bag: str) -> tuple[Recording, int]:
-    """Give the record, and what its stamps count from, ns."""
+    """Return the record, and what its stamps count from, ns."""
     with BagReader(Path(bag)) as reader:
         epoch = int(reader.custom_data.get("epoch", "0"))
     return read_bag(Path(bag)), epoch
@@ -88,7 +88,7 @@ class Tape(Block[TapeParams]):
             self._rows[port.name] = list(self._read(Port(**{n: _tuples(v) for n, v in json.loads(text).items()})))
 
     def _read(self, port: Port) -> Iterable[tuple[int, Any]]:
-        """Give (ns from t = 0, values) of each message that a port takes."""
+        """Return (ns from t = 0, values) of each message that a port takes."""
         recording, epoch = _loaded(self.p.bag)
         topic = recording.topics[port.topic]
         decode = Decoder(port)
@@ -108,7 +108,7 @@ class Tape(Block[TapeParams]):
         return State((0,) * len(self._rows))
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, Any]]:
-        """Say what counts from this tick on."""
+        """Describe what counts from this tick on."""
         found, said = {}, []
         for (name, rows), before in zip(self._rows.items(), x.said, strict=True):
             k = bisect_right(rows, t, before, key=lambda row: row[0])

@@ -147,7 +147,7 @@ def _check_verb(word: str) -> None:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Make the parser of all verbs; those with a command line of their own, or of scripts/softrig, only by name."""
+    """Create the parser of all verbs; those with a command line of their own, or of scripts/softrig, only by name."""
     parser = Parser(
         prog="softrig",
         description="Closed loops over ROS 2 topics that come out the same every time.",
@@ -219,7 +219,7 @@ def _late(target: str, options: argparse.Namespace) -> int:
 
 
 def _of_the_script(arguments: list[str]) -> bool:
-    """Whether a command is one of scripts/softrig, with whatever words follow."""
+    """Return whether a command is one of scripts/softrig, with whatever words follow."""
     word, *more = arguments or [""]
     if word == "env":
         return bool(more) and not more[0].startswith("-")  # `env COMMAND`

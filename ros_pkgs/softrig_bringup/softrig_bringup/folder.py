@@ -85,7 +85,7 @@ class ResultsFolder:
         self.replaced = _what(path) if self._old & set(_files(path)) else ""
 
     def begin(self, once: str = "") -> None:
-        """Make the folder, and write down that something is under way in it.
+        """Create the folder, and write down that something is under way in it.
 
         What is killed, or refused by one of its nodes, must not stop the next one, unless it cannot be made again.
 
@@ -127,14 +127,14 @@ class ResultsFolder:
 
     @property
     def broke(self) -> bool:
-        """Whether the run that is there broke."""
+        """Return whether the run that is there broke."""
         try:
             return bool(json.loads((self.path / "metrics.json").read_text())["error"])
         except (OSError, ValueError, KeyError, TypeError):
             return False
 
     def once(self, broken_off: Callable[[Iterable[Path]], Iterable[str]]) -> str:
-        """Say why what a former run left there cannot be made again; empty if it can.
+        """Describe why what a former run left there cannot be made again; empty if it can.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class ResultsFolder:
 
     @contextmanager
     def anew(self) -> Iterator[Path]:
-        """Give a folder for new files; they take the places of the old ones when all are written, or none does.
+        """Yield a folder for new files; they take the places of the old ones when all are written, or none does.
 
         Raises
         ------
@@ -259,7 +259,7 @@ def alone_in(path: Path) -> Iterator[None]:
 
 
 def _lock(path: Path) -> int | str:
-    """Make and lock a folder: the descriptor that holds it, or who has it."""
+    """Create and lock a folder: the descriptor that holds it, or who has it."""
     path.mkdir(parents=True, exist_ok=True)
     lock = os.open(path, os.O_RDONLY)  # the end of this process, whatever its kind, lets go
     try:
@@ -286,7 +286,7 @@ def replace(path: Path, text: str | bytes) -> None:
 
 
 def _holder(path: Path) -> str:
-    """Say which process holds a folder, as the kernel lists its locks."""
+    """Describe which process holds a folder, as the kernel lists its locks."""
     inode = str(path.stat().st_ino)
     with suppress(OSError):
         for line in Path("/proc/locks").read_text().splitlines():
@@ -301,7 +301,7 @@ def _foreign(path: Path) -> str:
 
 
 def _files(path: Path) -> Iterator[str]:
-    """Give every file below a folder by its relative path; links are files, and not followed."""
+    """Yield every file below a folder by its relative path; links are files, and not followed."""
     for folder, folders, files in os.walk(path):
         links = [name for name in folders if (Path(folder) / name).is_symlink()]
         for name in [*files, *links]:
@@ -318,7 +318,7 @@ def _listed(path: Path) -> set[str]:
 
 
 def _inside(path: Path, place: Path) -> bool:
-    """Whether the folder of a file is really below `path`, no link in between."""
+    """Return whether the folder of a file is really below `path`, no link in between."""
     return place.parent.resolve().is_relative_to(path.resolve())
 
 

@@ -46,11 +46,11 @@ class SecondOrderFilter:
 
     @staticmethod
     def first(start: T) -> Filtered[T]:
-        """Give the state of rest at `start`."""
+        """Return the state of rest at `start`."""
         return Filtered(start, start - start)
 
     def __call__(self, x: Filtered[T], sample: T) -> tuple[Filtered[T], T]:
-        """Take a sample in; give the state, and y."""
+        """Take a sample in; return the state, and y."""
         y, rate = x
         rate = rate + (self._stiffness * (sample - y) - self._decay * rate)
         y = y + self._period * rate

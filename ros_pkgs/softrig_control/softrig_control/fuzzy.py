@@ -76,7 +76,7 @@ class TakagiSugeno:
         self._product = conjunction == "product"
 
     def __call__(self, x: float, y: float) -> float:
-        """Give the output for two inputs."""
+        """Return the output for two inputs."""
         i, x_low, x_high = _terms(self._first, x)
         j, y_low, y_high = _terms(self._second, y)
         if self._product:
@@ -91,7 +91,7 @@ class TakagiSugeno:
 
 
 def _terms(peaks: tuple[float, ...], x: float) -> tuple[int, float, float]:
-    """Give the index of the lower active term and the memberships of the lower and the upper one."""
+    """Return the index of the lower active term and the memberships of the lower and the upper one."""
     x = min(max(x, peaks[0]), peaks[-1])
     i = min(bisect_right(peaks, x), len(peaks) - 1) - 1
     low, high = peaks[i], peaks[i + 1]

@@ -75,11 +75,11 @@ class SteadyKalman:
         ]
 
     def first(self) -> tuple[float, ...]:
-        """Give the estimate zero."""
+        """Return the estimate zero."""
         return (0.0,) * len(self._rows)
 
     def __call__(self, x: Sequence[float], u: Sequence[float], y: Sequence[float]) -> tuple[float, ...]:
-        """Give the estimate of x_k.
+        """Return the estimate of x_k.
 
         Parameters
         ----------

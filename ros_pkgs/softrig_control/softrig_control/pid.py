@@ -64,13 +64,13 @@ class Pid:
         self._limit = gains.u_max if gains.anti_windup else float("inf")
 
     def go_on(self, x: PidState, before: PidParams) -> PidState:
-        """Give the state with which these gains follow those of before, without a bump."""
+        """Return the state with which these gains follow those of before, without a bump."""
         if self._ki_ts and self._kp != before.kp:
             return x._replace(integral=x.integral + (before.kp - self._kp) * x.error)
         return x
 
     def __call__(self, x: PidState, error: float) -> tuple[PidState, float]:
-        """Give the state after the error e_k, and u_k."""
+        """Return the state after the error e_k, and u_k."""
         integral, d, last = x
         d = (d + self._kd_n * (error - last)) / self._decay
         u = self._kp * error + integral + d

@@ -55,11 +55,11 @@ class CommandReplay:
         self._capacity = capacity
 
     def nothing(self) -> Commands:
-        """Give the commands known before the first."""
+        """Return the commands known before the first."""
         return Commands(History(step=1.0, longest=self._capacity), 0)
 
     def record(self, history: Commands, u: float) -> Commands:
-        """Give the commands known with that of this period, as issued (after saturation)."""
+        """Return the commands known with that of this period, as issued (after saturation)."""
         return Commands(history.line.put((u,)), min(history.known + 1, self._capacity))
 
     def present(self, history: Commands, x: Sequence[float], late: int) -> tuple[float, ...]:

@@ -39,11 +39,11 @@ class StepProfile(Generic[T]):
         self._values = list(values)
 
     def at(self, t: int) -> T:
-        """Give the value at t (ns); a change at t itself has happened."""
+        """Return the value at t (ns); a change at t itself has happened."""
         return self._values[max(0, bisect_right(self._times, t) - 1)]
 
     def next_change(self, t: int) -> int:
-        """Give the time in ns of the first change after t, `NEVER` when there is none."""
+        """Return the time in ns of the first change after t, `NEVER` when there is none."""
         later = max(1, bisect_right(self._times, t))
         return self._times[later] if later < len(self._times) else NEVER
 

@@ -50,7 +50,7 @@ def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
 
 
 def _solves(X: Array, A: Array, G: Array, H: Array) -> bool:
-    r"""Whether X is a solution, by :math:`A^T (1 + X G)^{-1} X A + H`: another form than the doubling's."""
+    r"""Return whether X is a solution, by :math:`A^T (1 + X G)^{-1} X A + H`: another form than the doubling's."""
     XA = product(X, A)
     right = product(A.T, solve(np.eye(len(A)) + product(X, G), XA)) + H
     sizes = np.sqrt(np.abs(np.diag(X)))  # of a solution without negative eigenvalues, no entry is beyond two of them

@@ -84,7 +84,7 @@ def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[com
 def _has_poles(
     a: Matrix, b: Sequence[float], k: Sequence[float], wanted: Sequence[float], poles: Sequence[complex]
 ) -> bool:
-    """Whether A - b k has the wanted characteristic polynomial, relative to one whose poles are as large."""
+    """Return whether A - b k has the wanted characteristic polynomial, relative to one whose poles are as large."""
     if not all(map(math.isfinite, k)):
         return False
     rows, (column,), (gains,) = exact.fractions(a), exact.fractions((b,)), exact.fractions((k,))
@@ -177,11 +177,11 @@ class StateFeedback:
         self._anti_windup = anti_windup
 
     def settle(self, x: Sequence[float], r: float = 0.0) -> float:
-        """Give the integral xi with which the command at state x is zero: a start without a bump."""
+        """Return the integral xi with which the command at state x is zero: a start without a bump."""
         return -self._unlimited(0.0, r, x) / self._ki if self._ki else 0.0
 
     def go_on(self, xi: float, before: StateFeedback, x: Sequence[float], r: float = 0.0) -> float:
-        """Give the integral that follows a law with other gains without a bump: the command at x and r stays.
+        """Return the integral that follows a law with other gains without a bump: the command at x and r stays.
 
         The integral takes the difference up; without one the command jumps with the gains.
         """
@@ -190,7 +190,7 @@ class StateFeedback:
         return xi
 
     def __call__(self, xi: float, r: float, x: Sequence[float], y: float) -> tuple[float, float]:
-        """Give the integral after this period and its saturated command.
+        """Return the integral after this period and its saturated command.
 
         Parameters
         ----------

@@ -34,7 +34,7 @@ OF_TWO = ("pow", "atan2", "hypot")
 
 
 def cpu_has_avx512(cpuinfo: str = "/proc/cpuinfo") -> bool:
-    """Whether numpy and OpenBLAS would choose kernels here that a CPU without AVX-512 has not."""
+    """Return whether numpy and OpenBLAS would choose kernels here that a CPU without AVX-512 has not."""
     try:
         with open(cpuinfo) as file:
             return "avx512f" in next((line for line in file if line.startswith("flags")), "").split()
@@ -67,7 +67,7 @@ def kernels() -> dict[str, str]:
 
 @cache
 def blas_core() -> str:
-    """Give the kernels that numpy's OpenBLAS has chosen (``Haswell``); empty where numpy has another BLAS."""
+    """Return the kernels that numpy's OpenBLAS has chosen (``Haswell``); empty where numpy has another BLAS."""
     import ctypes
 
     from numpy.linalg import _umath_linalg
@@ -84,7 +84,7 @@ def blas_core() -> str:
 
 @cache
 def simd_level() -> str:
-    """Give what numpy's functions of arrays may use of the CPU beyond its baseline (``X86_V3``)."""
+    """Return what numpy's functions of arrays may use of the CPU beyond its baseline (``X86_V3``)."""
     from importlib import import_module
 
     core = import_module("numpy._core._multiarray_umath")
@@ -94,7 +94,7 @@ def simd_level() -> str:
 
 @cache
 def math_digest() -> str:
-    """Give a digest of the functions that decide numbers: the bits of their results at `ARGUMENTS` arguments each.
+    """Return a digest of the functions that decide numbers: the bits of their results at `ARGUMENTS` arguments each.
 
     They are those that plants, laws and searches call (`FUNCTIONS`; a test finds them in the sources), and the products
     and quotients of complex numbers, which a compiler may fuse. The name of a library does not tell: Debian changed

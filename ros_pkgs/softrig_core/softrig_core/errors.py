@@ -23,7 +23,7 @@ _OURS = str(Path(__file__).parent)
 
 
 def describe(error: BaseException) -> str:
-    """Say what an exception is and where in its author's code it came up, in one line.
+    """Describe what an exception is and where in its author's code it came up, in one line.
 
     The place is the last one outside Python's libraries and softrig_core; of a syntax error, the line itself.
     """

@@ -130,7 +130,7 @@ def quietly() -> Iterator[None]:
 
 
 def is_quiet() -> bool:
-    """Whether nobody wants to read of progress (`quietly`)."""
+    """Return whether nobody wants to read of progress (`quietly`)."""
     return _quiet
 
 
@@ -205,7 +205,7 @@ def _flush() -> None:
 
 
 def keep_traceback(folder: Path | None = None) -> str:
-    """Write the traceback under way into a file of its own; gives its name.
+    """Write the traceback under way into a file of its own; returns its name.
 
     Parameters
     ----------

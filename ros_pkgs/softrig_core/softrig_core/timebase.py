@@ -9,7 +9,7 @@ def to_ns(seconds: float) -> int:
 
 
 def to_s(ns: int) -> float:
-    """Give a time in ns as s."""
+    """Return a time in ns as s."""
     return ns / SECOND
 
 
@@ -55,7 +55,7 @@ class Pace:
         self._mark = None
 
     def reach(self, now: float, t: int) -> int | None:
-        """Give the ns up to which a run that is at `t` may go without asking again; None: it has to wait there."""
+        """Return the ns up to which a run that is at `t` may go without asking again; None: it has to wait there."""
         rate = self.pace * SECOND
         since, first = self._mark = self._mark or (now, t)
         reached = first + round((now - since) * rate)

@@ -10,7 +10,7 @@ THIRD = 2.0 * math.pi / 3.0
 
 
 def belt(slot: int) -> tuple[int, int]:
-    """Give phase and sense of a slot: a current out of the page a quarter turn after its axis makes flux along it."""
+    """Return phase and sense of a slot: a current out of the page a quarter turn after its axis makes flux along it."""
     angle = 2.0 * math.pi * (slot + 0.5) / SLOTS
     turns = [math.sin(angle - k * THIRD) for k in range(3)]  # 1 a quarter turn after the axis of phase k
     phase = max(range(3), key=lambda k: abs(turns[k]))

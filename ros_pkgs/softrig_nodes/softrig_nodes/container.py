@@ -50,7 +50,7 @@ class Container:
         self.adapters: list[Adapter] = []
 
     def add(self, group: Sequence[str]) -> None:
-        """Make one node; `group` is its package, executable and ROS arguments."""
+        """Create one node; `group` is its package, executable and ROS arguments."""
         package, executable, *arguments = group
         node = ServingNode(executable, cli_args=arguments, use_global_arguments=False)
         self.nodes.append(node)
@@ -65,7 +65,7 @@ class Container:
                 Group(alike)
 
     def run(self) -> int:
-        """Run until all nodes have finished, one has failed, or the process is stopped; gives the exit status."""
+        """Run until all nodes have finished, one has failed, or the process is stopped; returns the exit status."""
         executor = uses.executor()
         for node in self.nodes:
             executor.add_node(node)

@@ -117,7 +117,7 @@ def _answered(block_class: type[Block], entry: str, params: Any, name: str) -> t
 
 
 def introduction(block: Block, options: RunOptions) -> str:
-    """Say in one line what a node that somebody has started by hand is, and what it waits for."""
+    """Describe in one line what a node that somebody has started by hand is, and what it waits for."""
     inputs, outputs = block.ports(block.p)
     what = (type(block).__doc__ or type(block).__name__).strip().splitlines()[0].rstrip(".")
     wanted = [p.topic for p in inputs if not p.held]
@@ -127,7 +127,7 @@ def introduction(block: Block, options: RunOptions) -> str:
 
 
 def usage(name: str, block_class: type[Block]) -> str:
-    """Give the help text of a node: what it is, its topics, its parameters."""
+    """Return the help text of a node: what it is, its topics, its parameters."""
     lines = [f"{name}: {(block_class.__doc__ or '').strip().splitlines()[0]}", ""]
     try:
         inputs, outputs = block_class.ports(block_class.Params())

@@ -47,7 +47,7 @@ def rehearse(block_class: type[Block], params: Any, name: str, always: bool = Fa
 
 
 def _native(block_class: type[Block]) -> bool:
-    """Whether a module of the class, or one that it has a function or class from, has such functions."""
+    """Return whether a module of the class, or one that it has a function or class from, has such functions."""
     seen: set[str] = set()
     for cls in block_class.__mro__:
         for value in vars(sys.modules[cls.__module__]).values():

@@ -46,7 +46,7 @@ def make(
     *,
     maximise: bool,
 ) -> Search:
-    """Make a search.
+    """Create a search.
 
     Raises
     ------

@@ -61,7 +61,7 @@ class FallingCurve:
         return change * change - 1.0, FallingCurve(n, v, i, below, above)
 
     def native(self) -> FallingRows:
-        """Give it as native code takes it."""
+        """Return it as native code takes it."""
         counts = np.array([len(self.v), len(self.below), len(self.above)])
         last, corners = np.zeros((self.n, 2)), np.zeros((2, 2 * max(counts[1:]) + ROOM, 3))
         last[: counts[0]] = np.array([self.v, self.i]).T
@@ -71,7 +71,7 @@ class FallingCurve:
 
 
 def _rise(corners: tuple[Corner, ...], x: float, y: float) -> float:
-    """Give the most by which a corner exceeds (x, y) in both at once: one next to the line from 0 through it."""
+    """Return the most by which a corner exceeds (x, y) in both at once: one next to the line from 0 through it."""
     k = bisect(corners, (x / y,))
     most = 0.0
     for _, a, b in corners[max(k - 1, 0) : k + 1]:
@@ -106,7 +106,7 @@ class FallingRows(NamedTuple):
         return change * change - 1.0, self
 
     def python(self) -> FallingCurve:
-        """Give it as Python has it."""
+        """Return it as Python has it."""
         count, *sizes = self.counts.tolist()
         v, i = map(tuple, self.last[:count].T.tolist())
         below, above = (tuple(map(tuple, rows[:n].tolist())) for rows, n in zip(self.corners, sizes, strict=True))
@@ -117,7 +117,7 @@ class FallingRows(NamedTuple):
 def _taken(
     counts: NDArray[np.int64], last: NDArray[np.float64], corners: NDArray[np.float64], v: float, i: float
 ) -> float:
-    """Take a measurement; give the share of voltage and of current by which it proves a change, 1: by none."""
+    """Take a measurement; return the share of voltage and of current by which it proves a change, 1: by none."""
     if counts[0] == len(last):
         last[:-1] = last[1:]
     else:
@@ -160,7 +160,7 @@ def _rise_in(corners: NDArray[np.float64], x: float, y: float) -> float:
 
 @jit
 def _kept_in(corners: NDArray[np.float64], size: int, x: float, y: float) -> int:
-    """As `_kept`, in place; give how many there are then."""
+    """As `_kept`, in place; return how many there are then."""
     k = _place(corners[:size], x / y)
     for j in range(max(k - 1, 0), min(k + 1, size)):
         if corners[j, 1] >= x and corners[j, 2] >= y:

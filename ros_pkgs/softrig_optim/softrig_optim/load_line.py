@@ -21,10 +21,10 @@ class Matching(Protocol):
     """How a converter's command turns the load resistance into the one that the source sees."""
 
     def load(self, command: float, seen: float) -> float:
-        """Give the load (ohm) that makes the source see `seen` ohm under this command."""
+        """Return the load (ohm) that makes the source see `seen` ohm under this command."""
 
     def command(self, seen: float, load: float) -> float:
-        """Give the command under which this load makes the source see `seen` ohm."""
+        """Return the command under which this load makes the source see `seen` ohm."""
 
 
 class LoadLineSearch(Search):
@@ -72,7 +72,7 @@ class LoadLineSearch(Search):
         return self.peak[0] * self.peak[1]
 
     def learn(self, d: float) -> tuple[float, float]:
-        """Take the measurement made under the command d; give (v, i)."""
+        """Take the measurement made under the command d; return (v, i)."""
         v, i = self.sample[:2]
         if v > 0.0 and i > 0.0:
             self._load = self.matching.load(d, v / i)
@@ -84,7 +84,7 @@ class LoadLineSearch(Search):
             self.peak = (v, i)
 
     def command(self, v: float, i: float) -> float:
-        """Give the command that brings the source to the load line through (v, i)."""
+        """Return the command that brings the source to the load line through (v, i)."""
         low, high = float(self.lower[0]), float(self.upper[0])
         if math.isnan(self._load):  # no power yet in any steady measurement
             return 0.5 * (low + high)

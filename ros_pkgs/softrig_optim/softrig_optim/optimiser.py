@@ -63,7 +63,7 @@ class SearchParams(AlgorithmParams, BlockParams):
         return self
 
     def search(self, rng: np.random.Generator) -> Search:
-        """Make a search."""
+        """Create a search."""
         raise NotImplementedError
 
 
@@ -146,12 +146,12 @@ class State(NamedTuple):
 
 
 def buttons(prefix: str) -> tuple[Port, ...]:
-    """Give the held buttons of a search; each acts when it goes down."""
+    """Return the held buttons of a search; each acts when it goes down."""
     return tuple(button(name, f"{prefix}/{name}", held=True) for name in ("start", "stop", "restart"))
 
 
 def state_port(topic: str, channels: Mapping[str, str]) -> Port:
-    """Give the state output of a search over the channels (name to unit)."""
+    """Return the state output of a search over the channels (name to unit)."""
     units = {"phase": "", "iteration": "", "evaluations": "", "restarts": "", "best_value": "", "bound": ""}
     return scalars("state", topic, units | {f"best_{name}": unit for name, unit in channels.items()})
 
@@ -194,18 +194,18 @@ class CommandSearch(Block[P], ABC):
 
     @abstractmethod
     def objective(self, sample: Point) -> float:
-        """Give the objective of a measurement."""
+        """Return the objective of a measurement."""
 
     @abstractmethod
     def slew(self) -> float:
-        """Give the most change of a command in a second; 0: no limit."""
+        """Return the most change of a command in a second; 0: no limit."""
 
     def no_signal(self, sample: Point, value: float) -> bool:
         """Tell whether a measurement during a search shows that there is nothing to search on: not above `floor`."""
         return self.p.floor is not None and value <= self.p.floor
 
     def characteristic(self, n: int) -> FallingCurve | None:
-        """Make what sees in measurements that the plant is another one, n of them a corner; None: nothing can."""
+        """Create what sees in measurements that the plant is another one, n of them a corner; None: nothing can."""
         return None
 
     def setup(self) -> None:
@@ -226,7 +226,7 @@ class CommandSearch(Block[P], ABC):
         return self._note(x)
 
     def decides(self, x: State, t: int) -> bool:
-        """Whether the search is told something: it is a generator."""
+        """Return whether the search is told something: it is a generator."""
         if x.phase != Phase.SEARCH or x.waiting or x.looking != NEVER or x.since == NEVER:
             return False
         return x.search.watches or t - x.since >= self._wait(x)
@@ -397,7 +397,7 @@ class CommandSearch(Block[P], ABC):
         return self._note(x._replace(void=True))
 
     def _refuted(self, x: State, t: int, value: float) -> tuple[State, bool]:
-        """Whether the value held calls for a new search, now; plan one for later when that has been tried."""
+        """Return whether the value held calls for a new search, now; plan one for later when that has been tried."""
         free = BROKEN if x.broken else 1
         unconfirmed = x.unconfirmed
         if not x.broken:
@@ -430,7 +430,7 @@ class CommandSearch(Block[P], ABC):
         return x
 
     def _changed(self, x: State, t: int, value: float, held: int) -> tuple[State, bool]:
-        """Whether the value held calls for a new search."""
+        """Return whether the value held calls for a new search."""
         if self.p.floor is not None and value <= self.p.floor:
             self.report(Level.WARN, "no signal", "the value held fell to the floor: waiting for it")
             return x._replace(lost=True), False
@@ -503,7 +503,7 @@ class OptimiserParams(SearchParams):
         return self
 
     def search(self, rng: np.random.Generator) -> Search:
-        """Make a search over the channels."""
+        """Create a search over the channels."""
         return make(self.algorithm, self.lower, self.upper, rng, self, maximise=self.maximise)
 
 

@@ -132,7 +132,7 @@ class Search(ABC):
 
     @property
     def done(self) -> bool:
-        """Whether the search has ended."""
+        """Return whether the search has ended."""
         return self._done
 
     @property
@@ -142,7 +142,7 @@ class Search(ABC):
 
     @property
     def result(self) -> Point:
-        """What to apply when the search has ended: the best candidate.
+        """Return what to apply when the search has ended: the best candidate.
 
         Raises
         ------
@@ -174,7 +174,7 @@ class Search(ABC):
         """See a measurement on the way to the pending candidate; only searches that can use a transient do."""
 
     def ask(self) -> Point:
-        """Give the next candidate, the same one until its value is told.
+        """Return the next candidate, the same one until its value is told.
 
         Raises
         ------
@@ -269,7 +269,7 @@ class Population(Search):
 
 
 def points(x: Array) -> list[Point]:
-    """Give the rows of an array as candidates."""
+    """Return the rows of an array as candidates."""
     return [tuple(row) for row in x.tolist()]
 
 
@@ -339,11 +339,11 @@ class Told:
         return math.nan if self.now.best is None else float(self.now.expected)
 
     def tell(self, value: float, sample: Sequence[float] = ()) -> Told:
-        """Give it as after `Search.tell`."""
+        """Return it as after `Search.tell`."""
         return self._after("tell", (value, sample))
 
     def watch(self, sample: Sequence[float]) -> Told:
-        """Give it as after `Search.watch`."""
+        """Return it as after `Search.watch`."""
         return self._after("watch", (sample,))
 
     def _after(self, method: str, values: tuple[Any, ...]) -> Told:
@@ -354,7 +354,7 @@ class Told:
         return told
 
     def native(self) -> ToldNow:
-        """Give it as native code takes it, which only reads it."""
+        """Return it as native code takes it, which only reads it."""
         _handed[id(self)] = self
         return ToldNow(id(self), self.low, self.high, self.settle, self.watches, self.gap, self.expected)
 
@@ -381,7 +381,7 @@ class ToldNow(NamedTuple):
     expected: float
 
     def python(self) -> Told:
-        """Give it as Python has it."""
+        """Return it as Python has it."""
         return _handed[self.number]
 
 

@@ -109,7 +109,7 @@ class Workers:
             yield from self._on_cores(function, numbered)
 
     def map(self, function: Callable[[C], R], cases: Sequence[C], done: Callable[[], object] = bool) -> list[R]:
-        """Evaluate a function for every case; gives the results in the order of the cases. See `stream`.
+        """Evaluate a function for every case; returns the results in the order of the cases. See `stream`.
 
         Parameters
         ----------
@@ -132,7 +132,7 @@ class Workers:
             yield taken[first : first + size]
 
     def _told(self, chunk: Chunk[C], answer: tuple[list[R], float]) -> Iterator[tuple[int, R]]:
-        """Give the results of a chunk, with the numbers of its cases."""
+        """Return the results of a chunk, with the numbers of its cases."""
         found, seconds = answer
         mean = seconds / len(chunk)
         self._mean = mean if self._mean == math.inf else (self._mean + mean) / 2
@@ -204,7 +204,7 @@ class Workers:
 
 
 def _each(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R], float]:
-    """Evaluate a function for the cases of a chunk, in a worker; gives the results and how long they took, s."""
+    """Evaluate a function for the cases of a chunk, in a worker; returns the results and how long they took, s."""
     started = time.perf_counter()
     return [function(case) for case in cases], time.perf_counter() - started
 
@@ -291,7 +291,7 @@ def _end_with_parent() -> None:
 
 
 def _connected(scheduler: str) -> Any:
-    """Give a client of a Dask scheduler."""
+    """Return a client of a Dask scheduler."""
     import distributed
     from distributed.comm import connect
 
@@ -312,14 +312,14 @@ def _connected(scheduler: str) -> Any:
 
 
 def _made_of() -> dict[str, str]:
-    """Say what decides numbers on this host; runs on workers too."""
+    """Describe what decides numbers on this host; runs on workers too."""
     from importlib.metadata import version
 
     return {"Python": ".".join(map(str, sys.version_info[:2]))} | {n: version(n) for n in ("softrig_core", "numpy")}
 
 
 def _check_peers(client: Any, scheduler: str) -> None:
-    """Make sure that scheduler and workers can import softrig, in the versions of this host.
+    """Ensure that scheduler and workers can import softrig, in the versions of this host.
 
     Raises
     ------
@@ -348,7 +348,7 @@ def _check_peers(client: Any, scheduler: str) -> None:
 
 @contextmanager
 def progress(title: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar, a line now and then where there is no terminal; gives a function to call for each case."""
+    """Show a progress bar, a line now and then where there is no terminal; returns a function to call for each case."""
     if is_quiet():
         yield lambda: None
         return

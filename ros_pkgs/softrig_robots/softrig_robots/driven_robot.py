@@ -49,7 +49,7 @@ class Motors(Params):
         return self
 
     def table(self, joints: int) -> dict[str, Vector]:
-        """Give every parameter with one value a joint.
+        """Return every parameter with one value a joint.
 
         Raises
         ------
@@ -121,19 +121,19 @@ class DrivenRobot(Plant[P]):
 
     @classmethod
     def robot(cls, params: Any) -> str:
-        """Give the URDF text of the robot with these parameters."""
+        """Return the URDF text of the robot with these parameters."""
         raise NotImplementedError
 
     def initial(self) -> tuple[Vector, Vector]:
-        """Give positions (rad) and velocities (rad/s) at t = 0; currents start at zero."""
+        """Return positions (rad) and velocities (rad/s) at t = 0; currents start at zero."""
         raise NotImplementedError
 
     def joints(self) -> tuple[str, ...]:
-        """Give the names of the joints."""
+        """Return the names of the joints."""
         raise NotImplementedError
 
     def friction(self) -> Friction:
-        """Give the friction at the joints beside that of the rotors."""
+        """Return the friction at the joints beside that of the rotors."""
         none = (0.0,) * self.n
         return Friction(none, none, none, 1.0, 1.0)
 
@@ -142,22 +142,22 @@ class DrivenRobot(Plant[P]):
         return False
 
     def loads(self, t: int) -> tuple[Vector, Vector]:
-        """Give voltage drops d (V) and load torques tau_d (N m) of the sub-step that begins at t (ns)."""
+        """Return voltage drops d (V) and load torques tau_d (N m) of the sub-step that begins at t (ns)."""
         raise NotImplementedError
 
     @classmethod
     def scene(cls, params: Any) -> Scene:
-        """Give URDF and frames of the links."""
+        """Return URDF and frames of the links."""
         from .scene import RobotScene
 
         return RobotScene(cls.robot(params), cls.TIP)
 
     def latched(self) -> Mapping[str, str]:
-        """Give the text for late joiners: the URDF under the name that every viewer expects."""
+        """Return the text for late joiners: the URDF under the name that every viewer expects."""
         return {"robot_description": self.robot(self.p)}
 
     def torque_constants(self, table: Mapping[str, Vector]) -> Vector:
-        """Give the torque constants on the joint side of the gears, K_m/r, N m/A."""
+        """Return the torque constants on the joint side of the gears, K_m/r, N m/A."""
         return tuple(K / r for K, r in zip(table["torque_constant"], table["gear"], strict=True))
 
     def setup(self) -> None:
@@ -175,7 +175,7 @@ class DrivenRobot(Plant[P]):
         self.nowhere = (0.0, 0.0, 0.0)
 
     def motors(self, resistance: float, constants: float) -> tuple[Vector, Vector]:
-        """Give K_m/r (N m/A), and all numbers of the compiled step, with R, K_m and K_b at these multiples."""
+        """Return K_m/r (N m/A), and all numbers of the compiled step, with R, K_m and K_b at these multiples."""
         table = self._table
         torque_per_ampere = tuple(constants * K for K in self.torque_constants(table))
         return torque_per_ampere, (
@@ -255,7 +255,7 @@ class DrivenRobot(Plant[P]):
         return flat[:n], speeds, flat[2 * n :]
 
     def gear_torques(self, x: Any, t: int, force: Vector, plant: Vector) -> Vector:
-        """Give what the gears hand to the links, T_r = K_m I/r - (J_m q'' + B_m q')/r^2, N m."""
+        """Return what the gears hand to the links, T_r = K_m I/r - (J_m q'' + B_m q')/r^2, N m."""
         _, torque = self.loads(t)
         return self._torque((*x.q, *x.v, *x.i, *torque, *force, *plant))
 
@@ -265,7 +265,7 @@ class DrivenRobot(Plant[P]):
         return State(*self.move(x, t, voltages, self.nowhere, self._plant), saturated)
 
     def outputs(self, x: Any, t: int) -> Mapping[str, Vector]:
-        """Give joint and motor states; efforts are the motors' torques on the joint side, K_m I/r, and currents."""
+        """Return joint and motor states; efforts are the motors' torques on the joint side, K_m I/r, and currents."""
         q, v, i, _ = x
         gear = self._gear
         torques = [k * a for k, a in zip(self.torque_per_ampere, i, strict=True)]

@@ -152,7 +152,7 @@ class RobotDynamics(Block[RobotDynamicsParams]):
         return x, {}
 
     def latched(self) -> Mapping[str, str]:
-        """Give the text for late joiners: the URDF under the name that every viewer expects."""
+        """Return the text for late joiners: the URDF under the name that every viewer expects."""
         return {"robot_description": self._urdf}
 
     def markers(self, x: State) -> tuple[Marker, ...]:

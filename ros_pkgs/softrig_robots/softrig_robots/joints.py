@@ -19,7 +19,7 @@ PerJoint = Annotated[tuple[float, ...], BeforeValidator(_as_sequence)]
 
 
 def spread(name: str, values: Sequence[float], joints: int) -> tuple[float, ...]:
-    """Give one value a joint.
+    """Return one value a joint.
 
     Raises
     ------
@@ -55,7 +55,7 @@ class JointGains(Params):
         return self
 
     def of_joint(self, prefix: str, joint: int, joints: int) -> SimpleNamespace:
-        """Give the gains of one joint, a number each, by their names.
+        """Return the gains of one joint, a number each, by their names.
 
         Raises
         ------
@@ -67,5 +67,5 @@ class JointGains(Params):
 
 
 def motor_names(joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Give the channel names of the motors, motor1 on."""
+    """Return the channel names of the motors, motor1 on."""
     return tuple(f"motor{i + 1}" for i in range(len(joints)))

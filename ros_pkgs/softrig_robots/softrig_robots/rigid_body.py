@@ -122,7 +122,7 @@ def ties(urdf: str, names: Sequence[str]) -> list[tuple[int, int, float, float]]
 
 
 def frame_id(model: pin.Model, frame: str) -> int:
-    """Give pinocchio's number of a link frame.
+    """Return pinocchio's number of a link frame.
 
     Raises
     ------

@@ -59,17 +59,17 @@ class RobotScene:
         return Pose(frames[parent].name, frames[child].name, (x, y, z), (qx, qy, qz, qw))
 
     def fixed(self) -> list[Pose]:
-        """Give the frames that never move in their parents'."""
+        """Return the frames that never move in their parents'."""
         self._place([0.0] * self._model.nq)
         return self._poses(self._fixed)
 
     def moving(self, q: Sequence[float]) -> list[Pose]:
-        """Give the frames behind the joints at positions q (rad or m)."""
+        """Return the frames behind the joints at positions q (rad or m)."""
         self._place(q)
         return self._poses(self._moving)
 
     def tip(self, q: Sequence[float]) -> Point:
-        """Give the place of the tip in the base frame, m."""
+        """Return the place of the tip in the base frame, m."""
         self._place(q)
         x, y, z = self._data.oMf[self._tip].translation.tolist()
         return x, y, z

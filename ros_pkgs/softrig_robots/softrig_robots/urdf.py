@@ -180,7 +180,7 @@ def read_urdf(source: str) -> str:
 
 
 def root_link(urdf: str) -> str:
-    """Give the name of the link that is no other's child: the frame in which poses are given.
+    """Return the name of the link that is no other's child: the frame in which poses are given.
 
     Parameters
     ----------

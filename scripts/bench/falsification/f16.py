@@ -273,7 +273,7 @@ def fly(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def signals(inputs: Array) -> dict[str, Array]:
-    """Give the signal of the requirement for a start of shape (3,)."""
+    """Return the signal of the requirement for a start of shape (3,)."""
     return {"altitude": fly(*inputs)}
 
 

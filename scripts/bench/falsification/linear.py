@@ -15,7 +15,7 @@ SHARE = 0.99  # of the worst deviation
 
 
 def linear_loop(times: list[float], torques: list[float], bound: float = 0.0) -> Scenario:
-    """Make the motor with a load torque in steps; bounded speed is required."""
+    """Create the motor with a load torque in steps; bounded speed is required."""
     plant = {"period": 0.01, "load_times": times, "load_torques": torques}
     gains = {"period": 0.01, "kp": 1.0, "ki": 10.0, "kd": 0.0}
     nodes = {
@@ -43,7 +43,7 @@ def linear_loop(times: list[float], torques: list[float], bound: float = 0.0) ->
 
 
 def worst_linear_loop() -> Problem:
-    """Give the loop with its bound; the worst load is the sign of the response, piece by piece, from the end."""
+    """Return the loop with its bound; the worst load is the sign of the response, piece by piece, from the end."""
     times = [0.1 * k for k in range(PIECES)]
     response = simulate(linear_loop([0.0, 0.1], [LOAD, 0.0])).signals["motor/state/shaft/velocity"].x
     bound = max(float(np.abs(response[k::10]).sum()) for k in range(10))  # of loads that change each 0.1 s

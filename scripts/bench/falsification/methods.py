@@ -84,7 +84,7 @@ METHODS: dict[str, Callable[[Problem, Margin, int, int], None]] = {
 
 
 def runs_to_violation(problem: Problem, method: str, budget: int, seed: int) -> float:
-    """Give the number of runs that a method needs; infinite when the budget is not enough."""
+    """Return the number of runs that a method needs; infinite when the budget is not enough."""
     runs = 0
 
     def margin(point: Point) -> float:

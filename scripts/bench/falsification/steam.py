@@ -103,7 +103,7 @@ def condense(steam: Array) -> Array:
 
 
 def signals(inputs: Array) -> dict[str, Array]:
-    """Give the signals of the requirement for inputs of shape (SEGMENTS,)."""
+    """Return the signals of the requirement for inputs of shape (SEGMENTS,)."""
     return {"pressure": condense(inputs)}
 
 

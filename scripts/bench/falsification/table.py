@@ -22,7 +22,7 @@ SCALE = {"rpm": 100.0}  # rpm, beside mph, so that margins can be compared
 
 
 def problems() -> list[Problem]:
-    """Give all problems, from the own linear loop to the public ones."""
+    """Return all problems, from the own linear loop to the public ones."""
     found = [worst_linear_loop()]
     for model in (transmission, cars, steam, f16):
         low, high = (np.concatenate([np.full(i[3], i[k]) for i in model.INPUTS]) for k in (1, 2))

@@ -137,7 +137,7 @@ def drive(throttles: Array, brakes: Array) -> Array:
 
 
 def signals(inputs: Array) -> dict[str, Array]:
-    """Give the signals of the requirements for inputs of shape (2 * SEGMENTS,)."""
+    """Return the signals of the requirements for inputs of shape (2 * SEGMENTS,)."""
     found = drive(inputs[:SEGMENTS], inputs[SEGMENTS:])
     return {"speed": found[:, 0], "rpm": found[:, 1]}
 

@@ -16,7 +16,7 @@ LAWS = {"sgn": "dc_motor_smc_b1", "softened, delta 5": "dc_motor_smc_b2"}
 
 
 def trace(scenario: str) -> np.ndarray:
-    """Give time, voltage at the motor, current and speed each 10 us, shape (n, 4)."""
+    """Return time, voltage at the motor, current and speed each 10 us, shape (n, 4)."""
     p = DcMotorUnoParams(scenario=scenario)
     with tempfile.NamedTemporaryFile(suffix=".txt") as file:
         command = [str(simulator_of(p)), str(firmware_of(p)), file.name]

@@ -69,7 +69,7 @@ def draw(folder: Path) -> None:
 
 
 def _typed(*words: str) -> list[str]:
-    """Give the lines that a command prints, what it says of itself last."""
+    """Return the lines that a command prints, what it says of itself last."""
     out, error = StringIO(), StringIO()
     with mock.patch.dict(os.environ, COLUMNS="100"), redirect_stdout(out), redirect_stderr(error):
         status = main(words)
@@ -176,7 +176,7 @@ def _dot(track: tuple[tuple[float, float], ...], role: str) -> Element:
 
 
 def _terminal(lines: list[tuple[str, str]], top: float) -> list[Element]:
-    """What was typed and printed; a prompt before the one, the answer in its own colour."""
+    """Return what was typed and printed; a prompt before the one, the answer in its own colour."""
     made = [
         e(
             "rect",

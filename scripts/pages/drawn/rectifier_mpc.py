@@ -65,7 +65,7 @@ def waveform(scenario: str, substep: float = 2e-6) -> tuple[Array, dict[str, Arr
 
 
 def spectrum(t: Array, x: Array, cycles: int, f: float) -> tuple[Array, Array]:
-    """Give frequencies (Hz) and amplitudes (peak) over the last whole cycles."""
+    """Return frequencies (Hz) and amplitudes (peak) over the last whole cycles."""
     h = float(t[1] - t[0])
     n = round(cycles / f / h)
     return np.asarray(np.fft.rfftfreq(n, h), dtype=np.float64), np.abs(np.fft.rfft(x[-n:])) * 2.0 / n

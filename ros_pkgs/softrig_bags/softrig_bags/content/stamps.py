@@ -26,6 +26,6 @@ def _is_constant(words: list[str]) -> bool:
 
 
 def stamp(data: bytes, at: int = 4) -> int:
-    """Give the stamp in ns of a message that begins with one, or the time or duration at another byte."""
+    """Return the stamp in ns of a message that begins with one, or the time or duration at another byte."""
     seconds, nanoseconds = (_LITTLE if data[1] & 1 else _BIG).unpack_from(data, at)
     return seconds * SECOND + nanoseconds

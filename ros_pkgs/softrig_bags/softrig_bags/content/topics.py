@@ -21,7 +21,7 @@ FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
 
 
 def qos(durability: QosDurability = QosDurability.VOLATILE, depth: int = 10) -> Qos:
-    """Give an offered QoS profile: keep last, reliable, no deadline, no lifespan, automatic liveliness."""
+    """Return an offered QoS profile: keep last, reliable, no deadline, no lifespan, automatic liveliness."""
     reliable, alive = QosReliability.RELIABLE, QosLiveliness.AUTOMATIC
     return Qos(QosHistory.KEEP_LAST, depth, reliable, durability, FOREVER, FOREVER, alive, FOREVER, False)
 
@@ -58,13 +58,13 @@ class BagTopic:
 
     @classmethod
     def known(cls, name: str, msgtype: str, offered: Sequence[Qos] = (), digest: str = "") -> BagTopic:
-        """Give a topic with the definition and hash of this ROS distribution, both empty for an unknown type."""
+        """Return a topic with the definition and hash of this ROS distribution, both empty for an unknown type."""
         definition, computed = _definition(msgtype)
         return cls(name, msgtype, definition, digest or computed, tuple(offered))
 
 
 def absolute(name: str) -> str:
-    """Give a topic's name as ROS and a bag write it."""
+    """Return a topic's name as ROS and a bag write it."""
     return "/" + name.lstrip("/")
 
 
@@ -107,7 +107,7 @@ def _definition(msgtype: str) -> tuple[str, str]:
 
 
 def _register(msgtype: str) -> bool:
-    """Make sure that a type and all types in it are in the store, from the .msg files of the ament prefixes."""
+    """Ensure that a type and all types in it are in the store, from the .msg files of the ament prefixes."""
     if msgtype in typestore().fielddefs:
         return True
     package, _, name = msgtype.partition("/msg/")

@@ -39,7 +39,7 @@ class StorageFile(Protocol):
         """Append one message."""
 
     def flush(self) -> None:
-        """Make safe against a crash what was written so far."""
+        """Create safe against a crash what was written so far."""
 
     def discard(self) -> int:
         """Drop what is not flushed and give the number of messages lost."""
@@ -139,7 +139,7 @@ class BagWriter:
         self._open = True
 
     def add_topic(self, topic: BagTopic) -> int:
-        """Declare a topic; give the number for `write`."""
+        """Declare a topic; return the number for `write`."""
         self.topics.append(topic)
         self._file.add_topic(len(self.topics), topic)
         return len(self.topics)
@@ -182,7 +182,7 @@ class BagWriter:
         self._open_file()
 
     def flush(self) -> None:
-        """Make safe against a crash what was written so far."""
+        """Create safe against a crash what was written so far."""
         self._file.flush()
 
     @property
@@ -223,7 +223,7 @@ class BagWriter:
         self._file.abort()
 
     def _metadata(self) -> dict[str, Any]:
-        """Give the fields that rosbag2's parser of version 9 demands, in its order."""
+        """Return the fields that rosbag2's parser of version 9 demands, in its order."""
         files = [
             {
                 "path": f.path.name,

@@ -28,13 +28,13 @@ SUFFIXES = (".mcap", ".db3")
 
 
 def plain(path: Path) -> Path:
-    """Give the name of a storage file without the suffix of its compression."""
+    """Return the name of a storage file without the suffix of its compression."""
     return path.with_suffix("") if path.suffix == ".zstd" else path
 
 
 @contextmanager
 def expanded(path: Path, scratch: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Give a storage file that is not compressed, and in words what of it could not be expanded.
+    """Yield a storage file that is not compressed, and in words what of it could not be expanded.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, b
 
 
 def expanded_message(data: bytes) -> bytes | None:
-    """Give the bytes of a message, of one that is compressed what it stands for; None when it is damaged."""
+    """Return the bytes of a message, of one that is compressed what it stands for; None when it is damaged."""
     if data[:4] != _MAGIC:
         return data
     whole, complete = inflate(data, "zstd")

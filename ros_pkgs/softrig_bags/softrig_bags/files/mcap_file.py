@@ -186,13 +186,13 @@ class McapFile:
         self._end += len(data)
 
     def _metadata_record(self, text: str) -> bytes:
-        """Give the record to be written next, and note it in the index."""
+        """Return the record to be written next, and note it in the index."""
         record = _record(METADATA, _text("rosbag2") + _map({"serialized_metadata": text}))
         self._metadata_index.append(_record(METADATA_INDEX, pack("<QQ", self._end, len(record)) + _text("rosbag2")))
         return record
 
     def discard(self) -> int:
-        """Drop the open chunk (after a failed write); give the number of messages in it."""
+        """Drop the open chunk (after a failed write); return the number of messages in it."""
         lost = sum(len(entries) // 2 for entries in self._index.values())
         self._start_chunk()
         return lost

@@ -23,7 +23,7 @@ _CHUNK_CODE = 0x06
 
 
 def whole_records(content: bytes) -> tuple[list[McapRecord], int]:
-    """Give the records in a chunk's content up to the first that is not whole, and the bytes they take."""
+    """Return the records in a chunk's content up to the first that is not whole, and the bytes they take."""
     file, good = BytesIO(content), 0
     records: list[McapRecord] = []
     # there is no footer in a chunk, hence the end of file; the others come of damage that no checksum shows
@@ -102,7 +102,7 @@ class Recovery:
 
 
 def _chunk_head(body: bytes) -> tuple[int, int, str, int, int] | None:
-    """Give (size uncompressed, checksum, compression, start and length of the data); None when it is cut."""
+    """Return (size uncompressed, checksum, compression, start and length of the data); None when it is cut."""
     if len(body) < _CHUNK.size:
         return None
     _, _, size, checksum, letters = _CHUNK.unpack_from(body)

@@ -181,7 +181,7 @@ class BagReader:
         raise Damaged(f"{file.name} is neither an MCAP file nor one of SQLite")
 
     def _map_topics(self) -> None:
-        """Make one topic of all that have a name and a type, whichever file or channel they are in."""
+        """Create one topic of all that have a name and a type, whichever file or channel they are in."""
         for stated in self.metadata.topics:
             found = SourceTopic(stated.name, stated.msgtype, "", "", stated.digest, stated.offered, "")
             self._add(found)
@@ -254,17 +254,17 @@ class BagReader:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the files have no message."""
+        """Return whether the files have no message."""
         return all(s.first == LATEST for s in self._sources)
 
     @property
     def custom_data(self) -> dict[str, str]:
-        """What the writer left in the metadata; a single file has a copy of it."""
+        """Return what the writer left in the metadata; a single file has a copy of it."""
         return self.metadata.custom_data
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing that was read so far differs from what was claimed."""
+        """Return whether nothing that was read so far differs from what was claimed."""
         return not self._said
 
     @property
@@ -380,7 +380,7 @@ class BagReader:
                 self._report(line)
 
     def differences(self, counted: list[Counter[int]]) -> Iterator[str]:
-        """Say where what was read is not what metadata.yaml and the statistics of the files claim."""
+        """Describe where what was read is not what metadata.yaml and the statistics of the files claim."""
         assert self._counts is not None
         for source, file, found in zip(self._sources, self.files, counted, strict=True):
             for number, described in source.topics.items():

@@ -14,7 +14,7 @@ from ruamel.yaml.resolver import implicit_resolvers
 
 
 def qos_dicts(offered: Sequence[Qos]) -> list[dict[str, Any]]:
-    """Give profiles as rosbag2's metadata version 9 writes them: policies by name."""
+    """Return profiles as rosbag2's metadata version 9 writes them: policies by name."""
     return [
         {
             "history": q.history.name.lower(),

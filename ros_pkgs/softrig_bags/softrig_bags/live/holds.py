@@ -37,7 +37,7 @@ class Holds:
         self._last = self._clock()
 
     def wake(self, messages: Callable[[], int]) -> bool:
-        """Note that the process runs; gives whether it was held before, asks then how many messages it has."""
+        """Note that the process runs; returns whether it was held before, asks then how many messages it has."""
         now = self._clock()
         gap, self._last = now - self._last, now
         if gap > self.limit:
@@ -49,7 +49,7 @@ class Holds:
 
 
 def patience() -> float:
-    """Give the longest silence in s after which no publisher forgets this process: its lease less an announcement.
+    """Return the longest silence in s after which no publisher forgets this process: its lease less an announcement.
 
     Raises
     ------

@@ -52,7 +52,7 @@ class Join:
 
     @property
     def from_start(self) -> bool:
-        """Whether the first message has the first stamp of simulated time."""
+        """Return whether the first message has the first stamp of simulated time."""
         return self._stamps[:1] == [0]
 
     @property

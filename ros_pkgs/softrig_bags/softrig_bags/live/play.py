@@ -20,7 +20,7 @@ from .selection import Selection
 
 
 def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequence[tuple[Declaration, Any]]) -> int:
-    """Play as the options of `cli.main_play` say; give the exit status.
+    """Play as the options of `cli.main_play` say; return the exit status.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def _obstacle(topic: BagTopic, live: str, named: bool) -> str:
 
 
 def installed(msgtype: str) -> bool:
-    """Whether messages of a type can be published here."""
+    """Return whether messages of a type can be published here."""
     try:
         message_class(msgtype)
     except (ImportError, AttributeError):

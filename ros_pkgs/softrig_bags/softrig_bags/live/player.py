@@ -129,7 +129,7 @@ class Span:
 
 
 def span(bag: BagReader, offset: float, duration: float | None) -> Span:
-    """Give the span that begins `offset` s after the first message and lasts `duration` s.
+    """Return the span that begins `offset` s after the first message and lasts `duration` s.
 
     Raises
     ------
@@ -276,7 +276,7 @@ class Answers:
 
     @property
     def missing(self) -> bool:
-        """Whether an answer is awaited."""
+        """Return whether an answer is awaited."""
         return len(self.data) < len(self.ticks)
 
     def _check(self, i: int) -> None:
@@ -288,7 +288,7 @@ class Answers:
 
 
 def _changes(bag: BagReader) -> Iterator[tuple[int, str, dict[str, Any]]]:
-    """Give the changes of parameters in a bag: tick (ns), node, new values."""
+    """Yield the changes of parameters in a bag: tick (ns), node, new values."""
     if any(topic.name == CHANGES for topic in bag.topics):
         for _, _, data in bag.messages([CHANGES], 0):
             t, node, values = decode(data)
@@ -423,7 +423,7 @@ class LockstepPlayer:
         return absent + [f"{name} is not matched" for name in self._publishers.unheard(sorted(wanted))]
 
     def _untuned(self, name: str, namespace: str) -> list[str]:
-        """Make ready to set parameters of a node of which the bag has changes; describe what is not matched yet."""
+        """Create ready to set parameters of a node of which the bag has changes; describe what is not matched yet."""
         if not any(node == name for _, node, _ in self._changes):
             return []
         full = f"{namespace.rstrip('/')}/{name}"
@@ -495,7 +495,7 @@ class LockstepPlayer:
                     answer.expect(tick, tick)
 
     def _ticks(self) -> Iterator[tuple[int, list[tuple[int, bytes]]]]:
-        """Give the messages of each tick, played and answers, in their recorded order."""
+        """Yield the messages of each tick, played and answers, in their recorded order."""
         part, wanted = self._part, {*self._publishers.names, *self._names}
         stamped = [is_stamped(t) for t in self._bag.topics]
         messages: Iterator[tuple[int, int, bytes]]

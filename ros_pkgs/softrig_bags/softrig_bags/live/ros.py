@@ -152,7 +152,7 @@ class EventPoll:
 
 
 def offered(profile: QoSProfile) -> Qos:
-    """Give a publisher's profile as a bag stores it."""
+    """Return a publisher's profile as a bag stores it."""
 
     def time(duration: Duration) -> QosTime:
         return QosTime(*divmod(duration.nanoseconds, SECOND))
@@ -171,7 +171,7 @@ def offered(profile: QoSProfile) -> Qos:
 
 
 def subscription_profile(publishers: Sequence[QoSProfile]) -> QoSProfile:
-    """Give the strongest profile that all publishers satisfy.
+    """Return the strongest profile that all publishers satisfy.
 
     History is keep all: with keep last, a message that comes while the reader's queue is full replaces another
     without a trace; with keep all it is refused, the publisher repeats it, and a loss is reported.

@@ -53,7 +53,7 @@ class Falsification(Entry):
 
 
 def list_falsifications() -> dict[str, Path]:
-    """Give every falsification's name and file."""
+    """Return every falsification's name and file."""
     found: dict[str, Path] = {}
     for folder in study_folders():
         for path in sorted(folder.glob(f"*{SUFFIX}")):

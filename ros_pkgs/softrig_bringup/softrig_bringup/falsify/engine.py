@@ -191,14 +191,14 @@ def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
 
 
 def _sizes(nominal: Mapping[str, float | None]) -> dict[str, float]:
-    """What a margin is divided by before it is compared with those of other requirements."""
+    """Return what a margin is divided by before it is compared with those of other requirements."""
     if len(nominal) == 1:
         return dict.fromkeys(nominal, 1.0)
     return {n: abs(m) if m is not None and 0.0 < abs(m) < LARGE else 1.0 for n, m in nominal.items()}
 
 
 def margin(margins: Mapping[str, float | None], sizes: Mapping[str, float]) -> float:
-    """Give the least of several margins, each in its size; NaN where one could not be measured."""
+    """Return the least of several margins, each in its size; NaN where one could not be measured."""
     found = [m / sizes[n] for n, m in margins.items() if m is not None]
     return min(found) if len(found) == len(margins) else math.nan
 

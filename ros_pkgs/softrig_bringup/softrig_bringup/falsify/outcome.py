@@ -58,7 +58,7 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool, also: str) -> dict[str, Path]:
-    """Write the runs that matter, their scenario files and the page; give the files."""
+    """Write the runs that matter, their scenario files and the page; return the files."""
     files: dict[str, Path] = {}
     nominal = outcome.space.scenario.having(faults=_kept(outcome))
     runs = {"nominal": _record(task, nominal, out / "nominal", plots, also)}
@@ -154,7 +154,7 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
 
 
 def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
-    """Give the outcome as data."""
+    """Return the outcome as data."""
     return {
         "falsification": task.name,
         "scenario": task.scenario,
@@ -200,7 +200,7 @@ def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Pa
 
 
 def verdict(outcome: Outcome) -> str:
-    """Say in words what was found."""
+    """Describe in words what was found."""
     runs, found = outcome.found.runs, outcome.found
     if outcome.case is None:
         return f"none of {runs} runs could be judged"

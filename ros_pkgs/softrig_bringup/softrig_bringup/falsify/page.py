@@ -27,7 +27,7 @@ MEANING = (
 
 
 def lead(task: Falsification, outcome: Outcome, units: Mapping[str, str], files: Mapping[str, Path]) -> list[Element]:
-    """Make the head of the page.
+    """Create the head of the page.
 
     Parameters
     ----------

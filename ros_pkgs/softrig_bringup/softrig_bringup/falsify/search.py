@@ -170,7 +170,7 @@ def _cmaes(
 
 
 def _cma_class() -> Any:
-    """Give CMA-ES without what other optimisers of its package want.
+    """Return CMA-ES without what other optimisers of its package want.
 
     Those look for ``scipy.stats``, half a second of import, and do without where it is not there.
     """
@@ -232,7 +232,7 @@ def _corner(size: int, rng: np.random.Generator) -> Point:
 def _climb(
     point: Point, known: Mapping[Point, float], tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool]
 ) -> int:
-    """Try each coordinate of a point at both ends, round after round, until a round finds nothing; give the runs.
+    """Try each coordinate of a point at both ends, round after round, until a round finds nothing; return the runs.
 
     The worst input of a linear loop is at its bounds all the time, so is that of many that are not linear.
     """

@@ -14,7 +14,7 @@ HALVINGS = 12  # of the way of a parameter back to its nominal value: it is foun
 
 
 def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], bool], budget: int) -> tuple[Case, int]:
-    """Make a violation small while it stays one.
+    """Create a violation small while it stays one.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def _fewer_steps(space: Space, case: Case) -> Iterator[Case]:
 
 
 def _levelled(points: list[float], i: int, value: float) -> list[float]:
-    """Give both steps that meet at `i` one value, for as long as each lasts."""
+    """Return both steps that meet at `i` one value, for as long as each lasts."""
     first = last = i
     while first > 0 and points[first - 1] == points[i - 1]:
         first -= 1
@@ -133,7 +133,7 @@ def _levelled(points: list[float], i: int, value: float) -> list[float]:
 
 
 def _zeroed(over: Over, target: str, case: Case) -> Iterator[Case]:
-    """What is added, nothing in one step."""
+    """Return what is added, nothing in one step."""
     scenario, overrides = case
     points = overrides[target]
     if over.low <= 0.0 <= over.high:

@@ -34,7 +34,7 @@ class Over(Span):
 
     @property
     def on_signal(self) -> bool:
-        """Whether it is a profile on a signal."""
+        """Return whether it is a profile on a signal."""
         return "/" in self.key
 
     @property
@@ -51,7 +51,7 @@ class Over(Span):
         return self.low + (self.high - self.low) * u
 
     def place(self, value: float) -> float:
-        """Give the number from 0 to 1 that a value of the range comes from."""
+        """Return the number from 0 to 1 that a value of the range comes from."""
         if self.low == self.high:
             return 0.0
         if self.log:
@@ -109,7 +109,7 @@ class Space:
         return [f"{o.key}.{i}" if o.count else o.key for o in self.overs for i in range(o.size)]
 
     def overrides(self, point: Sequence[float]) -> dict[str, Any]:
-        """Give what a point of the unit cube changes."""
+        """Return what a point of the unit cube changes."""
         found: dict[str, Any] = {}
         at = 0
         for over, target, whole in zip(self.overs, self.targets, self.whole, strict=True):
@@ -178,7 +178,7 @@ def _parameter(params: Mapping[str, Mapping[str, Any]], key: str) -> Any:
 
 
 def _profile(rig: Rig, over: Over) -> dict[str, Any]:
-    """Make the fault that lays a profile on a signal."""
+    """Create the fault that lays a profile on a signal."""
     known = signal_units(rig)
     if over.key not in known:
         raise ScenarioError(f"no signal {over.key!r}{closest(over.key, known)}; the rig has {', '.join(known)}")

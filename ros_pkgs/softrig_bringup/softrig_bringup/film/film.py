@@ -52,7 +52,7 @@ class Film:
 
 
 def comfortable(span: float) -> float:
-    """Give the speed, of the series 1, 2, 5, at which so many simulated seconds fit into a loop to be watched.
+    """Return the speed, of the series 1, 2, 5, at which so many simulated seconds fit into a loop to be watched.
 
     Examples
     --------
@@ -130,7 +130,7 @@ def _with_time(
 
 
 def said(speed: float) -> str:
-    """Say how fast a film goes.
+    """Describe how fast a film goes.
 
     Examples
     --------

@@ -14,7 +14,7 @@ FONT = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', 'DejaVu Sans', sans-ser
 
 
 def sheet(dark: bool | None = None) -> str:
-    """Give the style sheet: a class a role for strokes, one for fills.
+    """Return the style sheet: a class a role for strokes, one for fills.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def sheet(dark: bool | None = None) -> str:
 
 
 def element(shape: Shape) -> Element:
-    """Give a shape as an element of SVG."""
+    """Return a shape as an element of SVG."""
     if isinstance(shape, Text):
         x, y = shape.at
         anchor = {} if shape.anchor == "start" else {"text-anchor": shape.anchor}
@@ -56,7 +56,7 @@ def element(shape: Shape) -> Element:
 
 
 def root(bounds: tuple[float, float, float, float], title: str, *content: Element, dark: bool | None = None) -> Element:
-    """Give an SVG document with its own ground."""
+    """Return an SVG document with its own ground."""
     x, y, width, height = bounds
     ground = e("rect", x=number(x), y=number(y), width=number(width), height=number(height), class_="f-paper")
     return e(

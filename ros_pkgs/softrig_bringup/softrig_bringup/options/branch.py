@@ -13,7 +13,7 @@ from .like import Recalled, compared, tape
 
 
 def continued(scenario: Scenario, run: Recalled, at: float, values: Mapping[str, Any]) -> Scenario:
-    """Give the scenario of a run up to a time (s), with other parameters from there on.
+    """Return the scenario of a run up to a time (s), with other parameters from there on.
 
     Raises
     ------

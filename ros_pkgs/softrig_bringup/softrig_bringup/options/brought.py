@@ -26,7 +26,7 @@ if __name__ == "__main__":  # processes that it starts import it
 
 
 def bring(digest: str, packages: Iterable[Package]) -> None:
-    """Make packages importable, here and in every process that is started from here.
+    """Create packages importable, here and in every process that is started from here.
 
     Their folder holds nothing but them, and comes last: no module that is here is replaced.
 

@@ -298,7 +298,7 @@ def _check_offers(name: str, offers: Mapping[str, Mapping[str, str]]) -> None:
 
 
 def _share(name: str, files: Mapping[str, Path], config: configparser.ConfigParser) -> Iterator[tuple[str, Path]]:
-    """Give the data files by their places below the prefix: those of the package itself, and nowhere else."""
+    """Yield the data files by their places below the prefix: those of the package itself, and nowhere else."""
     for place, patterns in config.items("options.data_files") if config.has_section("options.data_files") else ():
         parts = place.strip().split("/")
         if place == "share/ament_index/resource_index/packages":

@@ -64,7 +64,7 @@ def _plain(value: Any) -> Any:
 
 
 def strangers(content: Mapping[str, Any], bag: Mapping[str, str], recording: Recording | None) -> list[str]:
-    """Say what of a run does not belong together; nothing where all does, or where it is of an older version.
+    """Describe what of a run does not belong together; nothing where all does, or where it is of an older version.
 
     Parameters
     ----------

@@ -80,12 +80,12 @@ class Recalled:
 
 
 def _reached(recording: Recording, epoch: int) -> int:
-    """Give the newest tick in a recording, ns from t = 0."""
+    """Return the newest tick in a recording, ns from t = 0."""
     return max((t.times[-1] for t in recording.topics.values() if t.times), default=epoch) - epoch
 
 
 def lateness(status: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int]]:
-    """Say of each node of a run in real time what it has counted that lockstep does not know."""
+    """Describe of each node of a run in real time what it has counted that lockstep does not know."""
     found = {name: {key: int(s[key]) for key in LATE if s.get(key)} for name, s in status.items()}
     return {name: counts for name, counts in found.items() if counts}
 
@@ -162,7 +162,7 @@ def _content(metrics: Path) -> Mapping[str, Any]:
 
 
 def repeated(scenario: Scenario, run: Recalled) -> Scenario:
-    """Give the scenario of a run with what was changed while it ran, and a node that says what came from outside.
+    """Return the scenario of a run with what was changed while it ran, and a node that says what came from outside.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
 
 
 def tape(rig: Rig, run: Recalled, until: float = 0.0) -> dict[str, Any]:
-    """Give the node that says what came from outside, up to a time (s; 0: all), if anything has."""
+    """Return the node that says what came from outside, up to a time (s; 0: all), if anything has."""
     inputs = from_outside(rig, run.recording)
     parameters = {
         "period": str(rig.clock.schedule.period),
@@ -195,7 +195,7 @@ def tape(rig: Rig, run: Recalled, until: float = 0.0) -> dict[str, Any]:
 
 
 def from_outside(rig: Rig, recording: Recording) -> list[Port]:
-    """Give the first port that reads each topic that came from outside, if something has come."""
+    """Return the first port that reads each topic that came from outside, if something has come."""
     found: dict[str, Port] = {}
     for member in rig.members:
         for port in member.inputs:
@@ -242,7 +242,7 @@ def compared(before: Recalled, run: Run, made_with: Mapping[str, Any]) -> tuple[
 
 
 def _differences(before: Recalled, run: Run) -> tuple[list[str], int, int]:
-    """Say where topics begin to differ; how many messages on how many topics were compared."""
+    """Describe where topics begin to differ; how many messages on how many topics were compared."""
     lines, messages, topics = [], 0, 0
     for topic, digest in digests(run).items() if before.digests else ():
         if (old := before.digests.get(topic)) is not None:
@@ -270,12 +270,12 @@ def _differences(before: Recalled, run: Run) -> tuple[list[str], int, int]:
 
 
 def _said(run: Run) -> Iterable[tuple[Member, Port]]:
-    """Give what nodes say, the one that says what came from outside left out."""
+    """Return what nodes say, the one that says what came from outside left out."""
     return ((m, port) for m in run.rig.members if m.name != TAPE for port in m.outputs)
 
 
 def digests(run: Run) -> dict[str, Digest]:
-    """Give the digest of each topic that a node of a run has spoken on."""
+    """Return the digest of each topic that a node of a run has spoken on."""
     found = {}
     for _, port in _said(run):
         rows = list(_values(port, run.recording.topics[port.topic], run.epoch))
@@ -287,7 +287,7 @@ def digests(run: Run) -> dict[str, Digest]:
 
 
 def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
-    """Say what of what makes two runs differs first: code of people's own, of softrig, files, libraries."""
+    """Describe what of what makes two runs differs first: code of people's own, of softrig, files, libraries."""
 
     def pairs(key: str, names: Iterable[str]) -> Iterable[tuple[str, Any, Any]]:
         a, b = there.get(key, {}), here.get(key, {})
@@ -309,14 +309,14 @@ def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
 
 
 def words(late: Mapping[str, Mapping[str, int]]) -> str:
-    """Say what nodes have counted."""
+    """Describe what nodes have counted."""
     return "; ".join(
         f"{node} {', '.join(f'{n} {LATE.get(key, key)}' for key, n in counts.items())}" for node, counts in late.items()
     )
 
 
 def _values(port: Port, topic: Topic, epoch: int) -> Iterable[tuple[int, int, tuple[float, ...]]]:
-    """Give tick, stamp (ns) and values of each message; bytes that a port would refuse as no values."""
+    """Return tick, stamp (ns) and values of each message; bytes that a port would refuse as no values."""
     decode = Decoder(port)
     for t, data in zip(topic.times, topic.data, strict=True):
         try:

@@ -37,7 +37,7 @@ def check_names(draft: Draft, given: Iterable[str]) -> None:
 
 
 def _parameters(node: object) -> set[str]:
-    """Give the names of a node's parameters; none where it is not one that can be found, which is said elsewhere."""
+    """Return the names of a node's parameters; none where it is not one that can be found, which is said elsewhere."""
     about = node if isinstance(node, dict) else {}
     try:
         return {d.name for d in declarations(load_block(str(about["package"]), str(about["executable"])).Params)}

@@ -15,7 +15,7 @@ from softrig_core.scenario.scenario_file import locate, scenario_folders
 
 @cache
 def workspace(package: str) -> Path | None:
-    """Give the workspace of a package: in which colcon has built it, or which --workspace named."""
+    """Return the workspace of a package: in which colcon has built it, or which --workspace named."""
     for prefix in prefixes():
         if (prefix / "share" / "ament_index" / "resource_index" / "packages" / package).exists():
             if (prefix / "workspace").is_file():
@@ -26,12 +26,12 @@ def workspace(package: str) -> Path | None:
 
 
 def _ours(prefix: Path) -> bool:
-    """Whether a prefix is that of the suite itself, which scripts/softrig sources."""
+    """Return whether a prefix is that of the suite itself, which scripts/softrig sources."""
     return (prefix / "share" / "ament_index" / "resource_index" / "packages" / "softrig_bringup").exists()
 
 
 def words(packages: Iterable[str], *verb: str) -> list[str]:
-    """Give the beginning of a command: ours by its whole path, with the workspace of people's own packages.
+    """Return the beginning of a command: ours by its whole path, with the workspace of people's own packages.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def words(packages: Iterable[str], *verb: str) -> list[str]:
 
 
 def scenario_word(name: str) -> str:
-    """Give a scenario as any folder finds it: by name, or by the whole path of a file that only this one does."""
+    """Return a scenario as any folder finds it: by name, or by the whole path of a file that only this one does."""
     try:
         found, path = locate(name)
     except ScenarioError:
@@ -60,7 +60,7 @@ def scenario_word(name: str) -> str:
 
 
 def for_reader(command: str) -> str:
-    """Give a command that repeats a run as others can type it: without the folders of whoever ran it.
+    """Return a command that repeats a run as others can type it: without the folders of whoever ran it.
 
     Parameters
     ----------

@@ -147,7 +147,7 @@ class Again(argparse.ArgumentParser):
 
 
 def scenario_of(options: argparse.Namespace) -> Scenario:
-    """Give the scenario with what the options change of it."""
+    """Return the scenario with what the options change of it."""
     from softrig_core import ScenarioError, load_scenario
     from softrig_core.scenario.scenario import merge
 
@@ -222,7 +222,7 @@ def begun(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def placement_of(options: argparse.Namespace) -> Placement:
-    """Give where the nodes live and what they go by."""
+    """Return where the nodes live and what they go by."""
     from softrig_nodes.processes.placement import Placement
 
     return Placement(
@@ -238,7 +238,7 @@ def placement_of(options: argparse.Namespace) -> Placement:
 
 
 def changed_words(options: argparse.Namespace) -> list[str]:
-    """Say what of a scenario was changed on the command line, in words."""
+    """Describe what of a scenario was changed on the command line, in words."""
     found = [str(options.params_file)] if options.params_file is not None else []
     found += [f"like {options.like}"] if options.like is not None else []
     found += [f"from {options.origin[0]} at {options.origin[1]:.9g} s"] if options.origin is not None else []

@@ -42,7 +42,7 @@ def inside() -> bool:
 
 
 def command(options: argparse.Namespace) -> list[str] | None:
-    """Make the command that repeats this call in bubblewrap; None where there is none that works.
+    """Create the command that repeats this call in bubblewrap; None where there is none that works.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def command(options: argparse.Namespace) -> list[str] | None:
 
 
 def _results(options: argparse.Namespace) -> Path:
-    """Give the folder for the results, which exists from now on; another one than any that is there, unless named."""
+    """Return the folder for the results, which exists from now on; another one than any that is there, unless named."""
     if options.out is not None:
         out: Path = options.out.absolute()
     else:
@@ -85,7 +85,7 @@ def _results(options: argparse.Namespace) -> Path:
 
 
 def _rights(out: Path, options: argparse.Namespace) -> Iterator[str]:
-    """Say what the sandbox may."""
+    """Describe what the sandbox may."""
     here = os.getcwd()
     hidden = [folder for folder in dict.fromkeys([*_HIDDEN, os.path.expanduser("~")]) if folder != "/"]
     yield from ("--die-with-parent", "--unshare-all", "--cap-drop", "ALL", "--ro-bind", "/", "/")
@@ -120,7 +120,7 @@ def _read(source: Path, hidden: Iterable[str]) -> list[str]:
 
 
 def run(words: list[str]) -> int:
-    """Run a command, whose lines are shown without what a terminal would obey; give its exit status."""
+    """Run a command, whose lines are shown without what a terminal would obey; return its exit status."""
     process = subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         errors="replace", process_group=0,

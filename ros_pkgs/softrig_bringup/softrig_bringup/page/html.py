@@ -19,7 +19,7 @@ def write_page(output: Path, title: str, body: Sequence[Element]) -> None:
 
 
 def page(title: str, body: Sequence[Element]) -> str:
-    """Make the text of a page from the elements of its main part."""
+    """Create the text of a page from the elements of its main part."""
     head = e(
         "head",
         e("meta", charset="utf-8"),
@@ -33,7 +33,7 @@ def page(title: str, body: Sequence[Element]) -> str:
 
 
 def e(tag: str, *content: Element | str, **attributes: str) -> Element:
-    """Make an element; text is escaped when the tree is written. ``class_`` stands for class."""
+    """Create an element; text is escaped when the tree is written. ``class_`` stands for class."""
     element = Element(tag, {name.rstrip("_"): value for name, value in attributes.items() if value})
     for item in content:
         if isinstance(item, Element):
@@ -46,7 +46,7 @@ def e(tag: str, *content: Element | str, **attributes: str) -> Element:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Element | str]], numbers: str = "") -> Element:
-    """Make a table; `numbers` has an ``n`` for each column of numbers, right-aligned.
+    """Create a table; `numbers` has an ``n`` for each column of numbers, right-aligned.
 
     It scrolls by itself; on a narrow screen each row becomes a list of its cells with their headings.
     """
@@ -66,7 +66,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Element | str]], number
 
 
 def picture(content: bytes | str, title: str) -> Element:
-    """Make an image that stands in the page itself, with its size, so that nothing moves while the page is read.
+    """Create an image that stands in the page itself, with its size, so that nothing moves while the page is read.
 
     Parameters
     ----------

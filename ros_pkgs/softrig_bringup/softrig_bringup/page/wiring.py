@@ -60,7 +60,7 @@ class Wiring(BaseModel):
 
 
 def wiring_of(rig: Rig) -> Wiring:
-    """Give the wiring of a rig; a clock that is no plant has no wires and is left out."""
+    """Return the wiring of a rig; a clock that is no plant has no wires and is left out."""
     members = [m for m in rig.members if m.inputs or m.outputs]
     nodes = {
         m.name: Node(

@@ -27,7 +27,7 @@ def short(value: float | None) -> str:
 
 
 def in_words(metric: Result) -> str:
-    """What stands in place of a value that is none: it never happens, or was not measured; empty for a value."""
+    """Return what stands in place of a value that is none: it never happens, or was not measured; empty for a value."""
     if metric.value is not None:
         return ""
     word, *rest = metric.error.split(" ")
@@ -35,7 +35,7 @@ def in_words(metric: Result) -> str:
 
 
 def measured_here(metric: Result) -> bool:
-    """Whether the run says anything of it: a value, that it never happens, that a requirement holds."""
+    """Return whether the run says anything of it: a value, that it never happens, that a requirement holds."""
     return in_words(metric) != "not measured"
 
 

@@ -53,7 +53,7 @@ def draw(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
 
 
 def is_logic(curves: Sequence[Curve]) -> bool:
-    """Whether the curves are switches or buttons: several, all of them 0 or 1."""
+    """Return whether the curves are switches or buttons: several, all of them 0 or 1."""
     return 1 < len(curves) <= look.MANY and all(len(c.y) and np.isin(c.y, (0.0, 1.0)).all() for c in curves)
 
 
@@ -69,7 +69,7 @@ def draw_logic(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
 
 
 def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Artist, str]]:
-    """Draw what passes as a band and what the paper prints as a line; gives the entries of the legend.
+    """Draw what passes as a band and what the paper prints as a line; returns the entries of the legend.
 
     What lies far outside of the curves is left out: it would press them flat.
 
@@ -115,7 +115,7 @@ def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Arti
 
 
 def _near(value: float, low: float, high: float) -> bool:
-    """Whether a level is at most half the height of the picture away from the curves."""
+    """Return whether a level is at most half the height of the picture away from the curves."""
     return math.isfinite(value) and low - 0.5 * (high - low) <= value <= high + 0.5 * (high - low)
 
 
@@ -161,7 +161,7 @@ def _names(ax: Axes, marks: Sequence[Mark], scale: float) -> None:
 
 
 def _quantised(y: Array) -> bool:
-    """Whether a signal jumps between few values, as an encoder's speed or a switch does."""
+    """Return whether a signal jumps between few values, as an encoder's speed or a switch does."""
     return 8 * len(np.unique(y)) < len(y)
 
 

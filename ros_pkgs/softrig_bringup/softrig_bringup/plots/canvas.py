@@ -622,7 +622,7 @@ class Figure:
         return found
 
     def subplots(self) -> Axes:
-        """Make one axes of the whole."""
+        """Create one axes of the whole."""
         axes = Axes(self, Grid(1, 1)[0, 0])
         self.axes.append(axes)
         self.calls.append(Call(self, "subplots", (), {}, axes))
@@ -635,7 +635,7 @@ class Figure:
         return grid
 
     def add_subplot(self, place: Place, sharex: Axes | None = None) -> Axes:
-        """Make an axes of a part of a grid."""
+        """Create an axes of a part of a grid."""
         axes = Axes(self, place, sharex)
         self.axes.append(axes)
         self.calls.append(Call(self, "add_subplot", (place,), {"sharex": sharex}, axes))

@@ -46,7 +46,7 @@ class Curve:
 
 
 def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[float] | None) -> Rig:
-    """Give a rig with one plot of some signals, or its scenario's own when none are named, in a window of time.
+    """Return a rig with one plot of some signals, or its scenario's own when none are named, in a window of time.
 
     Raises
     ------
@@ -160,7 +160,7 @@ class Source:
         self.end = max((signals.table(t).t[-1] for t in self.published), default=0.0)
 
     def curve(self, name: str, label: str = "") -> Curve:
-        """Give a signal over time; without points when nothing was published."""
+        """Return a signal over time; without points when nothing was published."""
         topic = self.topic(name)
         table = self.signals.table(topic)
         x, y = table.t, table.columns.get(name[len(topic) + 1 :], table.t[:0])
@@ -174,7 +174,7 @@ class Source:
         )
 
     def difference(self, first: str, second: str, label: str = "") -> Curve:
-        """Give a signal less the newest value of another, at the samples of the first."""
+        """Return a signal less the newest value of another, at the samples of the first."""
         a, b = self.curve(first), self.curve(second)
         n = len(self.signals.table(self.topic(first)).t)  # without the end to which a held signal is drawn
         newest = np.searchsorted(b.x, a.x[:n], side="right") - 1
@@ -187,25 +187,25 @@ class Source:
         )
 
     def short(self, name: str) -> str:
-        """Give the shortest name of a signal."""
+        """Return the shortest name of a signal."""
         return short_name(name, self.units)
 
     def topic(self, name: str) -> str:
-        """Give the topic of a signal."""
+        """Return the topic of a signal."""
         return topic_of(name, self.topics)
 
     def names(self, topic: str) -> list[str]:
-        """Give the signals of a topic."""
+        """Return the signals of a topic."""
         return [f"{topic}/{label}" for label in self.topics[topic].labels]
 
     def axis(self, name: str) -> str:
-        """Give what to call a signal beside its topic: the axis letter of its frame, or its label."""
+        """Return what to call a signal beside its topic: the axis letter of its frame, or its label."""
         topic = self.topic(name)
         label = name[len(topic) + 1 :]
         return dict(zip(XYZ, _AXES.get(self.topics[topic].frame_id, ()), strict=False)).get(label, label)
 
     def shown(self, entry: PlotEntry, name: str) -> Curve:
-        """Give a signal of a plot entry inside the entry's window."""
+        """Return a signal of a plot entry inside the entry's window."""
         first, minus, second = name.partition(" - ")
         if minus:
             curve = self.difference(first, second, entry.signals[name])
@@ -214,7 +214,7 @@ class Source:
         return inside(replace(curve, unit=entry.unit or curve.unit), entry.window)
 
     def against(self, entry: PlotEntry, name: str) -> tuple[str, Curve]:
-        """Give the signal of the x axis and the curve over it."""
+        """Return the signal of the x axis and the curve over it."""
         over = f"{self.topic(name)}/{entry.x}"
         x, y = self.curve(over), self.curve(name, entry.signals[name])
         x, y = inside(x, entry.window), inside(y, entry.window)
@@ -222,7 +222,7 @@ class Source:
 
 
 def _reference(port: Port, label: str) -> bool:
-    """Whether a signal is a reference: by its message, or by what its label says."""
+    """Return whether a signal is a reference: by its message, or by what its label says."""
     said = label.startswith(("reference", "set point")) or label.endswith((" reference", " set point"))
     return said or port.msgtype.startswith("trajectory_msgs")
 
@@ -258,7 +258,7 @@ def shown(rig: Rig) -> dict[str, Shown]:
 
 
 def by_unit(curves: Sequence[Curve]) -> dict[str, list[Curve]]:
-    """Give the curves of each unit."""
+    """Return the curves of each unit."""
     rows: dict[str, list[Curve]] = {}
     for curve in curves:
         rows.setdefault(curve.unit, []).append(curve)

@@ -48,17 +48,17 @@ class Mark:
 
     @property
     def judged(self) -> bool:
-        """Whether anything is expected."""
+        """Return whether anything is expected."""
         return not math.isnan(self.low)
 
     def at(self, place: Callable[[float], float], axis: Literal["value", "time"]) -> Mark:
-        """Give the mark of figures at the places of the picture that stand for them."""
+        """Return the mark of figures at the places of the picture that stand for them."""
         low, high = sorted((place(self.low), place(self.high)))
         return replace(self, axis=axis, low=low, high=high, published=place(self.published))
 
 
 def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
-    """Give the marks of each signal that figures of the scenario are measured of.
+    """Return the marks of each signal that figures of the scenario are measured of.
 
     Only figures of `softrig_core.judge.measures` that have a place in a picture over time: levels (final value, mean,
     extremes, overshoot, peak against a constant) and instants (rise, settling, reaching).
@@ -91,7 +91,7 @@ def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
 
 
 def _violated(name: str, judge: Judge, signals: SignalMap) -> Iterator[Mark]:
-    """Give the intervals in which a requirement does not hold, those next to each other as one."""
+    """Yield the intervals in which a requirement does not hold, those next to each other as one."""
     try:
         spans = judge.margin(signals).violated
     except (KeyError, ValueError):  # not judged: its line in the table says so

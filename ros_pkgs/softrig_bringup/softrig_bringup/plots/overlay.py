@@ -92,7 +92,7 @@ def _figures(runs: Sequence[Overlay], width: int) -> Iterator[tuple[PlotEntry, F
 
 
 def _shared(runs: Sequence[Overlay]) -> list[PlotEntry]:
-    """Give the plots over time that show the same signals in at least two runs, each once."""
+    """Return the plots over time that show the same signals in at least two runs, each once."""
     every = [entry for run in runs for entry in run.plots if not entry.x and set(entry.signals) <= set(run.shown)]
     same: dict[tuple[Any, ...], list[PlotEntry]] = {}
     for entry in every:
@@ -136,7 +136,7 @@ def _curve(run: Overlay, name: str, window: tuple[float, float] | None) -> Curve
 
 
 def _common(curves: Sequence[Curve], label: str) -> Curve | None:
-    """Give a reference that is the same in all runs, as far as each of them goes."""
+    """Return a reference that is the same in all runs, as far as each of them goes."""
     if not curves:
         return None
     longest = max(curves, key=lambda c: len(c.x))
@@ -146,7 +146,7 @@ def _common(curves: Sequence[Curve], label: str) -> Curve | None:
 
 
 def _overlaid(ax: Axes, found: Drawn, references: Sequence[Curve], scale: float) -> list[Curve]:
-    """Draw runs one by one, and groups of draws as their median in a band; gives what was drawn, in order."""
+    """Draw runs one by one, and groups of draws as their median in a band; returns what was drawn, in order."""
     groups: dict[str, list[Curve]] = {}
     for run, curve in found:
         groups.setdefault(run.group, []).append(curve)
@@ -179,7 +179,7 @@ def _overlaid(ax: Axes, found: Drawn, references: Sequence[Curve], scale: float)
 
 
 def band(curves: Sequence[Curve]) -> tuple[Array, Array, Array, Array]:
-    """Give median and quantiles of draws of one signal.
+    """Return median and quantiles of draws of one signal.
 
     Parameters
     ----------

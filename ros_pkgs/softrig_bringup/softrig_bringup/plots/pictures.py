@@ -201,7 +201,7 @@ def _value_title(row: Sequence[Curve], unit: str, given: str = "") -> str:
 
 
 def note(figure: Figure, text: str) -> None:
-    """Say below a picture what is not in it."""
+    """Report below a picture what is not in it."""
     figure.supxlabel(text, fontsize=9, color=look.SOFT, x=0.008, ha="left")
 
 

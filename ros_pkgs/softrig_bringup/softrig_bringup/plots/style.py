@@ -50,7 +50,7 @@ SERIF: dict[Any, Any] = {"font.family": "STIXGeneral", "mathtext.fontset": "stix
 
 
 def style() -> dict[Any, Any]:
-    """Give matplotlib's settings for every picture of the suite."""
+    """Return matplotlib's settings for every picture of the suite."""
     from matplotlib.rcsetup import cycler
 
     return FONTS | {
@@ -88,7 +88,7 @@ _QUANTITIES = {unit: name for name, units in _UNITS.items() for unit in units.sp
 
 
 def quantity(unit: str) -> str:
-    """Give the quantity that a unit of the suite stands for; empty where it may be several."""
+    """Return the quantity that a unit of the suite stands for; empty where it may be several."""
     return _QUANTITIES.get(unit, "")
 
 

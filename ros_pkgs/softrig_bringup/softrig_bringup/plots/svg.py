@@ -67,7 +67,7 @@ def svg(figure: Figure) -> str:
 
 
 def described(figure: Figure) -> Iterator[str]:
-    """Say what can be seen, for those who cannot: of each axes its titles, of each curve its range and its end."""
+    """Describe what can be seen, for those who cannot: of each axes its titles, of each curve its range and its end."""
     for axes in figure.axes:
         if not axes.on:
             continue
@@ -501,7 +501,7 @@ def _dashes(line: Dashes) -> Sequence[float]:
 
 
 def _rows_of(entries: Sequence[tuple[Artist, str]], ncols: int) -> tuple[list[Sequence[tuple[Artist, str]]], int]:
-    """Part the entries of a legend into columns; gives them and how many lines of text the longest has."""
+    """Part the entries of a legend into columns; returns them and how many lines of text the longest has."""
     each = -(-len(entries) // max(1, min(ncols, len(entries)))) if entries else 0
     columns = [entries[k : k + each] for k in range(0, len(entries), each)] if each else []
     lines = max((sum(name.count("\n") + 1 for _, name in column) for column in columns), default=0)

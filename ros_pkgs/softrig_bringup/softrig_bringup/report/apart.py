@@ -60,7 +60,7 @@ def _tails(paths: Sequence[Path]) -> list[str]:
 
 
 def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Give what differs between runs, by what it is: its value in each of them, as text; empty where it is not there.
+    """Return what differs between runs, by what it is: its value in each of them, as text; empty where it is not there.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def _said(text: str) -> tuple[str, str]:
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Give each value below a name as text; what is JSON in a parameter is taken apart, too."""
+    """Yield each value below a name as text; what is JSON in a parameter is taken apart, too."""
     if isinstance(value, str) and value[:1] in ("{", "["):
         with suppress(ValueError):
             value = json.loads(value)

@@ -21,7 +21,7 @@ class _Column(Port):
 
 
 def rig_of_bag(path: Path, found: BagSignals) -> Rig:
-    """Make a rig that publishes what a bag holds, in no unit.
+    """Create a rig that publishes what a bag holds, in no unit.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ SAME = 1e-9  # of a figure that other libraries have computed from the same bag
 
 
 def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:
-    """Give the rig of an unpacked pack's run and its signals; one that brings packages is shown from its bag alone.
+    """Return the rig of an unpacked pack's run and its signals; one that brings packages is shown from its bag alone.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def _seed(content: Mapping[str, Any], rig: Rig) -> int:
 
 
 def doubts(directory: Path) -> tuple[str, ...]:
-    """Say what in the folder of a run does not belong together."""
+    """Describe what in the folder of a run does not belong together."""
     try:
         content = json.loads((directory / METRICS).read_text())
         with BagReader(directory / BAG) as reader:
@@ -91,7 +91,7 @@ def doubts(directory: Path) -> tuple[str, ...]:
 
 
 def differing(said: Any, measured: Sequence[Result]) -> list[str]:
-    """Say which figures a metrics.json has otherwise than a bag gives them."""
+    """Describe which figures a metrics.json has otherwise than a bag gives them."""
     there = {m.get("name"): m for m in said if isinstance(m, Mapping)} if isinstance(said, list) else {}
     found = []
     for result in measured:
@@ -129,7 +129,7 @@ def _content(folder: Path) -> dict[str, Any]:
 
 
 def _shown(scenario: Scenario, folder: Path, found: BagSignals) -> Rig:
-    """Make a rig of one node that says what the bag has; of the scenario only the plots stay that it can show."""
+    """Create a rig of one node that says what the bag has; of the scenario only the plots stay that it can show."""
     units = {name: str(one.get("unit", "")) for name, one in _units(folder).items()}
     ports = [written(port) for port in _ports(scenario, found, units)]
     if not ports:
@@ -157,7 +157,7 @@ def _units(folder: Path) -> Mapping[str, Mapping[str, Any]]:
 
 
 def _ports(scenario: Scenario, found: BagSignals, units: Mapping[str, str]) -> Iterator[Port]:
-    """Give a port for each topic that was recorded: as a node of ours has it, or as its messages are."""
+    """Yield a port for each topic that was recorded: as a node of ours has it, or as its messages are."""
     known: dict[str, Port] = {}
     if ours := {n: e for n, e in scenario.nodes.items() if e.package.startswith("softrig_")}:
         alone = scenario.having(nodes=ours, changes=(), containers=(), trips=(), faults={})
@@ -171,7 +171,7 @@ def _ports(scenario: Scenario, found: BagSignals, units: Mapping[str, str]) -> I
 
 
 def _port(name: str, msgtype: str, labels: Sequence[str], units: Mapping[str, str]) -> Port | None:
-    """Make a port that fits the messages of a topic; None where none does."""
+    """Create a port that fits the messages of a topic; None where none does."""
     kind = TYPES[msgtype]
     parts = [label.rpartition("/") for label in labels]
     channels = tuple(dict.fromkeys(p[0] for p in parts)) if kind.named else XYZ

@@ -40,7 +40,7 @@ MM = 25.4  # in an inch
 
 
 def rig_of_run(directory: Path, namespace: str = "") -> tuple[Rig, BagSignals]:
-    """Give the rig of a run and its signals.
+    """Return the rig of a run and its signals.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def _as_it_ran(command: str) -> Rig:
 
 
 def draw_missing(directory: Path, into: Path) -> list[Path]:
-    """Draw the pictures of a run that has none; gives their files."""
+    """Draw the pictures of a run that has none; returns their files."""
     rig, found = rig_of_run(directory)
     return plot_run(found, rig, into)
 
@@ -159,7 +159,7 @@ def _is_run(word: str) -> bool:
 
 
 def _look(options: argparse.Namespace, named: bool) -> Look:
-    """Give what the options ask for; what a publisher asks for stands behind what is said beside it."""
+    """Return what the options ask for; what a publisher asks for stands behind what is said beside it."""
     paper = PAPERS.get(options.style)
     width = options.width or (paper.widths[int(options.columns) - 1] if paper else None)
     title = not (options.no_title or named or paper)

@@ -32,7 +32,7 @@ ELSEWHERE = (
 
 
 def run_section(directory: Path, run: RunRecord, title: str, heading: str, anchor: str) -> Element:
-    """Make the section about a run.
+    """Create the section about a run.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def _facts(run: RunRecord) -> Element:
 
 
 def verdict(run: RunRecord) -> Element:
-    """Say in a few words how a run did."""
+    """Describe in a few words how a run did."""
     if run.error:
         return mark(False, "broke")
     others = sum(bool(m.published_for) for m in run.metrics)
@@ -212,7 +212,7 @@ def _parameters(run: RunRecord) -> Iterator[Element]:
 
 
 def _changes(run: RunRecord) -> Iterator[Element]:
-    """What was changed while it ran; the parameters above are those of the start."""
+    """Return what was changed while it ran; the parameters above are those of the start."""
     rows: list[list[Element | str]] = [
         [
             f"{change.at_s:.9g}",

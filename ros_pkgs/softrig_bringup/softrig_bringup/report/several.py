@@ -27,7 +27,7 @@ APART = 4.0  # runs of which one is so many times longer than the other have no 
 
 
 def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
-    """Say of each run which draws it belongs to: those of equal code, parameters and machine that all ended.
+    """Describe of each run which draws it belongs to: those of equal code, parameters and machine that all ended.
 
     Parameters
     ----------

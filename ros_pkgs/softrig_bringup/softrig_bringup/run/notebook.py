@@ -26,7 +26,7 @@ MOST = 4  # pictures in a cell
 
 
 def html(run: Run) -> str:
-    """Give the title, the table of figures and the first pictures of a run, which need no style sheet."""
+    """Return the title, the table of figures and the first pictures of a run, which need no style sheet."""
     record = RunRecord.model_validate(summary(run, run.results, ""))
     with TemporaryDirectory() as folder:
         found = plot_run(run.signals, run.rig, Path(folder), most=MOST)

@@ -91,7 +91,7 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
 
 
 def status_of(step: Step) -> dict[str, Any]:
-    """What a block says of itself at the end of a run in process, as a node's status file does."""
+    """Return what a block says of itself at the end of a run in process, as a node's status file does."""
     status: dict[str, Any] = {
         "reports": {k: [int(level), text, n] for k, (level, text, n) in step.reports.items()},
         "native": step.native,
@@ -102,7 +102,7 @@ def status_of(step: Step) -> dict[str, Any]:
 
 
 def tripped(rig: Rig, status: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Give the nodes whose protection has acted though the scenario does not expect it, and what each said."""
+    """Return the nodes whose protection has acted though the scenario does not expect it, and what each said."""
     return {
         m.name: text
         for m in rig.members
@@ -122,7 +122,7 @@ def checked(scenario: Scenario) -> Rig:
 
 
 def gaps(rig: Rig, recording: Recording) -> str:
-    """Say which topics of a lockstep run lack or double a tick; empty when none does."""
+    """Describe which topics of a lockstep run lack or double a tick; empty when none does."""
     found = []
     expected = {} if rig.clock.external else {CLOCK.topic: rig.clock.schedule}
     for member in rig.members:
@@ -146,7 +146,7 @@ def gaps(rig: Rig, recording: Recording) -> str:
 
 
 def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") -> dict[str, Any]:
-    """Make the content of metrics.json; `label` is what the run is to be called."""
+    """Create the content of metrics.json; `label` is what the run is to be called."""
     scenario = run.rig.scenario
     own = [m for m in run.rig.members if not m.external]  # what is outside is not ours to tell
     return {
@@ -188,7 +188,7 @@ def _changes(run: Run) -> list[dict[str, Any]]:
 
 
 def _once(run: Run) -> list[str]:
-    """Say why a run cannot be made again as it was from its scenario; nothing when it can."""
+    """Describe why a run cannot be made again as it was from its scenario; nothing when it can."""
     outside = [m.name for m in run.rig.members if m.external]
     found = [f"{', '.join(outside)} from outside"] if outside else []
     found += [CHANGED] if turned(run) or any(b["left"] for b in run.branched) else []
@@ -197,7 +197,7 @@ def _once(run: Run) -> list[str]:
 
 
 def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
-    """Say why a run in lockstep that was killed cannot be made again, from its shards; nothing when it can.
+    """Describe why a run in lockstep that was killed cannot be made again, from its shards; nothing when it can.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
 
 
 def turned(run: Run) -> list[str]:
-    """Say in words what somebody changed while it ran, the scenario's own changes left out."""
+    """Describe in words what somebody changed while it ran, the scenario's own changes left out."""
     scripted = {
         (m.schedule.next(c.at - 1), m.name, name): value
         for m in run.rig.members
@@ -233,7 +233,7 @@ def _plant_ticks(run: Run) -> int:
 
 
 def versions() -> dict[str, str]:
-    """Give what a run depends on: versions, the C library's functions by their results, the kernels in use."""
+    """Return what a run depends on: versions, the C library's functions by their results, the kernels in use."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
     machine = {
         "libc": " ".join(platform.libc_ver()).strip(),
@@ -319,13 +319,13 @@ def _writing(folder: ResultsFolder) -> Iterator[Path]:
 
 
 def _texts(rig: Rig) -> dict[str, str]:
-    """Give topic to text of what the nodes of the rig latch."""
+    """Return topic to text of what the nodes of the rig latch."""
     own = [m for m in rig.members if not m.external and m.block_class.latched is not Block.latched]
     return {topic: text for m in own for topic, text in m.block(rig.scenario.seed).latched().items()}
 
 
 def _scenes(rig: Rig) -> dict[str, Scene]:
-    """Give what viewers can be shown of the rig, by the topic that it moves with."""
+    """Return what viewers can be shown of the rig, by the topic that it moves with."""
     found = {}
     for member in rig.members:
         scene = member.block_class.scene(member.params)

@@ -52,7 +52,7 @@ class Batch:
         self._open.__exit__(*error)
 
     def run(self, works: Iterable[Work]) -> Iterator[dict[str, Any]]:
-        """Give the rows of those that had none, in the order in which they end."""
+        """Yield the rows of those that had none, in the order in which they end."""
 
         def left() -> Iterator[Work]:
             for work in works:
@@ -67,7 +67,7 @@ class Batch:
             yield row
 
     def rows(self, works: Sequence[Work]) -> list[dict[str, Any]]:
-        """Give the rows of all, in their order, those of earlier calls among them."""
+        """Return the rows of all, in their order, those of earlier calls among them."""
         known = self._known
         known |= {row["number"]: row for row in self.run(works)}
         return [known[work.case.number] for work in works]
@@ -125,7 +125,7 @@ class Log:
         return len(self._known)
 
     def knows(self, case: Case) -> bool:
-        """Whether the row of a case is there.
+        """Return whether the row of a case is there.
 
         Raises
         ------
@@ -192,6 +192,6 @@ def _row(line: bytes) -> dict[str, Any] | None:
 
 
 def _content(run: Mapping[str, Any]) -> bytes:
-    """Give a digest of what a run is."""
+    """Return a digest of what a run is."""
     what = json.dumps([run["scenario"], run["case"], run["seed"], run["overrides"]])
     return hashlib.blake2b(what.encode(), digest_size=16).digest()

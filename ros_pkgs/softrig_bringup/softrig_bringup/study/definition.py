@@ -181,7 +181,7 @@ class Study(Entry):
         return self
 
     def each_case(self, summary: Summary) -> bool:
-        """Whether a summary is a number of each case."""
+        """Return whether a summary is a number of each case."""
         return len(self.cases) > 1 and not {"case", "scenario"} & summary.where.keys()
 
 
@@ -193,7 +193,7 @@ def study_folders() -> list[Path]:
 
 
 def list_studies() -> dict[str, Path]:
-    """Give every study's name and file."""
+    """Return every study's name and file."""
     found: dict[str, Path] = {}
     for folder in study_folders():
         for path in sorted(folder.glob("*.yaml")):

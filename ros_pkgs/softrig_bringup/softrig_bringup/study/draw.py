@@ -35,12 +35,12 @@ def drafts_of(study: Study) -> dict[str, Draft]:
 
 
 def seeds_of(study: Study, draft: Draft) -> list[int]:
-    """Give the seeds of the runs of a scenario."""
+    """Return the seeds of the runs of a scenario."""
     return study.seeds or [draft.filled().seed]
 
 
 def cases(study: Study, drafts: Mapping[str, Draft] | None = None) -> Iterator[Case]:
-    """Give the runs of a study one by one: cases outermost, then grid, draws, seeds.
+    """Yield the runs of a study one by one: cases outermost, then grid, draws, seeds.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def cases(study: Study, drafts: Mapping[str, Draft] | None = None) -> Iterator[C
 
 
 def count(study: Study) -> int:
-    """Give the number of runs."""
+    """Return the number of runs."""
     grid = math.prod(len(v) for v in study.grid.values())
     points = max(1, len(study.cases)) * grid * points_of(study)
     number = (study.search.count if study.search else points) * len(study.seeds or [0])
@@ -74,7 +74,7 @@ def count(study: Study) -> int:
 
 
 def points_of(study: Study) -> int:
-    """Give the number of drawn points."""
+    """Return the number of drawn points."""
     if study.draws is None:
         return 1
     numbers = sum(map(size, study.draws.parameters.values()))

@@ -78,7 +78,7 @@ def run_study(
 
 
 def content_of(study: Study, drafts: Mapping[str, Draft], rigs: Iterable[Rig]) -> dict[str, Any]:
-    """Give what the rows of a study depend on."""
+    """Return what the rows of a study depend on."""
     free = {"title", "source", "require", "summaries", "expect", "claims", "name"}
     scenarios = {name: draft.filled() for name, draft in drafts.items()}
     return study.model_dump(mode="json", exclude=free) | {"figures": _kept(study)} | made_of(scenarios, rigs)
@@ -121,7 +121,7 @@ def _work(study: Study, case: Case, drafts: Mapping[str, Draft]) -> Work:
 
 
 def _kept(study: Study) -> list[str]:
-    """Give the figures that a row keeps; all when empty."""
+    """Return the figures that a row keeps; all when empty."""
     sought = [study.search.figure, *study.search.subject_to] if study.search else []
     sought += [*study.require, *(summary.figure for summary in study.summaries.values())]
     return list(dict.fromkeys([*study.figures, *sought])) if study.figures else []
@@ -132,7 +132,7 @@ class OtherContentError(ScenarioError):
 
 
 def made_of(scenarios: Mapping[str, Scenario], rigs: Iterable[Rig]) -> dict[str, Any]:
-    """Give what rows depend on besides the words of a study: its scenarios, their code, files that blocks read."""
+    """Return what rows depend on besides the words of a study: its scenarios, their code, files that blocks read."""
     # of which a run in process knows nothing
     free = {"title", "source", "cites", "claims", "plots", "timeout", "start_timeout", "containers", "record"}
     rigs = list(rigs)
@@ -148,7 +148,7 @@ def made_of(scenarios: Mapping[str, Scenario], rigs: Iterable[Rig]) -> dict[str,
 
 
 def same(content: dict[str, Any], file: Path, what: str) -> str:
-    """Make sure that a folder holds this content or none, whose rows are taken over by their number; give its text.
+    """Ensure that a folder holds this content or none, whose rows are taken over by their number; return its text.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def same(content: dict[str, Any], file: Path, what: str) -> str:
 
 
 def _changed(there: dict[str, Any], here: dict[str, Any]) -> str:
-    """Say what has changed since a study of the same words; nothing when its words are others."""
+    """Describe what has changed since a study of the same words; nothing when its words are others."""
     parts = {"scenarios": "scenario", "code": "the code of", "files": "a file of"}
     if any(there.get(key) != value for key, value in here.items() if key not in parts):
         return ""
@@ -181,7 +181,7 @@ def _changed(there: dict[str, Any], here: dict[str, Any]) -> str:
 
 
 def check_study(study: Study, drafts: Mapping[str, Draft]) -> list[Rig]:
-    """Build the rig of the first run of each case, so that what is misspelt is said at once; give them."""
+    """Build the rig of the first run of each case, so that what is misspelt is said at once; return them."""
     rigs = []
     for case in _firsts(study, drafts):
         check_names(drafts[case.scenario], case.overrides)
@@ -205,7 +205,7 @@ def check_study(study: Study, drafts: Mapping[str, Draft]) -> list[Rig]:
 
 
 def _firsts(study: Study, drafts: Mapping[str, Draft]) -> Iterator[Case]:
-    """Give the first run of each case."""
+    """Yield the first run of each case."""
     seen = set()
     for case in _first(study, study.search, drafts) if study.search else cases(study, drafts):
         if case.case not in seen:

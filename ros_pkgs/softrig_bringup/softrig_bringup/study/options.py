@@ -22,7 +22,7 @@ DRAWN, BALANCED = 100, 128  # draws by default; of methods that need a power of 
 
 
 def study_of(options: Namespace) -> Study:
-    """Give the study of a name or file, with the command line's changes; or make one of a scenario.
+    """Return the study of a name or file, with the command line's changes; or make one of a scenario.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def _drawn_points(options: Namespace, drawn: Mapping[str, Any]) -> dict[str, Any
 
 
 def _cases(options: Namespace) -> dict[str, dict[str, Any]]:
-    """Give the cases: the scenario as it is, and what it is held against."""
+    """Return the cases: the scenario as it is, and what it is held against."""
     found: dict[str, dict[str, Any]] = {_slug(options.study): {}}
     for text in options.against:
         change = settings([text]) if "=" in text else {"scenario": text}

@@ -47,7 +47,7 @@ def of_folder(folder: Path) -> Study:
 
 
 def standing_alone(study: Study) -> tuple[Study, dict[str, dict[str, Any]]]:
-    """Give a study that names its scenarios as the file has them, and the content of these by name."""
+    """Return a study that names its scenarios as the file has them, and the content of these by name."""
     drafts = drafts_of(study)
     names = {name: locate(name)[0] for name in drafts}
     if len({*names.values()}) < len(names):

@@ -121,7 +121,7 @@ def units_of(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def best(study: Study, rows: Sequence[Row]) -> list[Row]:
-    """Give the runs of the best candidate of a search, one a seed: of least (or greatest) mean, within its limits."""
+    """Return the runs of the best candidate of a search, one a seed: of least (or greatest) mean, within its limits."""
     search = study.search
     if search is None:
         return []

@@ -97,7 +97,7 @@ class Statistics(NamedTuple):
     notes: Sequence[str] = ()
 
     def content(self) -> dict[str, Any]:
-        """Give it as JSON holds it: what is not finite is None."""
+        """Return it as JSON holds it: what is not finite is None."""
         return {
             key: [_plain(entry) if isinstance(entry, tuple) else entry for entry in entries]
             for key, entries in self._asdict().items()
@@ -132,7 +132,7 @@ class Sample:
         self.one_run = self.seeds > 1 and all(said[k] == said[k - k % self.seeds] for k in range(len(said)))
 
     def table(self, value: Callable[[Row], float], one_run: bool | None = None) -> Array:
-        """Give a number of each run, shape (independent runs, runs that belong to one of them)."""
+        """Return a number of each run, shape (independent runs, runs that belong to one of them)."""
         values = np.array([value(row) for row in self.rows], float).reshape(-1, self.seeds)
         values = values[:, :1] if (self.one_run if one_run is None else one_run) else values
         return values.T if len(values) == 1 else values  # of a single draw the seeds are independent
@@ -172,7 +172,7 @@ def statistics(
 
 
 def samples_of(study: Study, rows: Sequence[Row]) -> dict[str, Sample]:
-    """Give the runs of each case and grid point, those that are independent draws."""
+    """Return the runs of each case and grid point, those that are independent draws."""
     seeds = len(study.seeds or [0])
     sets = 2 * study.draws.count * seeds if study.draws and study.draws.method == "sensitivity" else None
     return {group: Sample(own[:sets], seeds) for group, own in _groups(study, rows).items()}
@@ -296,7 +296,7 @@ def _indices(study: Study, rows: Sequence[Row], figures: Sequence[str]) -> Itera
 
 
 def _notes(study: Study, samples: Mapping[str, Sample], found: Statistics) -> Iterator[str]:
-    """Say what n counts, and what the intervals assume."""
+    """Describe what n counts, and what the intervals assume."""
     seeds = len(study.seeds or [0])
     if same := [group for group, sample in samples.items() if sample.one_run]:
         where = "" if len(same) == len(samples) else f" of {', '.join(same)}"
@@ -313,7 +313,7 @@ def _notes(study: Study, samples: Mapping[str, Sample], found: Statistics) -> It
 
 
 def _needed(found: Statistics, widths: Mapping[str, float]) -> Iterator[str]:
-    """Say how many runs intervals of given widths need."""
+    """Describe how many runs intervals of given widths need."""
     known = {line.figure for line in found.lines} | {share.requirement for share in found.shares}
     for name, width in widths.items():
         if name not in known:

@@ -22,7 +22,7 @@ ALL = "all runs"  # label of a run of a study without cases and grid
 
 
 def without_signals(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Give the rows by number, without what is only drawn."""
+    """Return the rows by number, without what is only drawn."""
     return sorted(({k: v for k, v in row.items() if k != "signals"} for row in rows), key=lambda r: int(r["number"]))
 
 
@@ -54,12 +54,12 @@ def _column(values: list[Any]) -> list[Any]:
 
 
 def command(row: Row, duration: float | None = None) -> str:
-    """Give the command that repeats a run."""
+    """Return the command that repeats a run."""
     return next(_commands([row], duration))
 
 
 def _commands(rows: Iterable[Row], duration: float | None) -> Iterator[str]:
-    """Give that of each run; the scenario of many is looked at once."""
+    """Yield that of each run; the scenario of many is looked at once."""
     begins: dict[str, list[str]] = {}
     for row in rows:
         if (name := row["scenario"]) not in begins:
@@ -73,7 +73,7 @@ def _commands(rows: Iterable[Row], duration: float | None) -> Iterator[str]:
 
 
 def label(study: Study, row: Row) -> str:
-    """Say what was changed in a run, but its seed and what was drawn at random."""
+    """Describe what was changed in a run, but its seed and what was drawn at random."""
     drawn = study.draws.parameters if study.draws else {}
     changes = [
         f"{k.rpartition('.')[2]} {in_short(v, 10)}"
@@ -120,7 +120,7 @@ def _number(value: float | None) -> float:
 
 
 def each_case(study: Study) -> Iterator[tuple[str, str, Summary]]:
-    """Give name, entry and content of each summary; one that chooses from no case is one of each."""
+    """Yield name, entry and content of each summary; one that chooses from no case is one of each."""
     for name, summary in study.summaries.items():
         if not study.each_case(summary):
             yield name, name, summary

@@ -70,7 +70,7 @@ def tables(found: Statistics) -> list[Tabled]:
 
 
 def for_paper(found: Statistics) -> tuple[list[str], list[Column]]:
-    """Give means and half widths of their intervals, a row a case and a column a figure."""
+    """Return means and half widths of their intervals, a row a case and a column a figure."""
     groups, figures = (
         [*dict.fromkeys(key)] for key in ([x.group for x in found.lines], [x.figure for x in found.lines])
     )

@@ -46,7 +46,7 @@ class Work(NamedTuple):
 def trial(
     scenario: Scenario, overrides: dict[str, Any], requirements: Iterable[str], number: int = -1, runs: int = 1
 ) -> Work:
-    """Give a run of which the margins of requirements are wanted, and nothing else is measured or judged."""
+    """Return a run of which the margins of requirements are wanted, and nothing else is measured or judged."""
     case, names = Case(number, scenario.name, "", overrides, scenario.seed), tuple(requirements)
     asked = {
         kind: {name: entry for name, entry in getattr(scenario, kind).items() if name in names}
@@ -154,13 +154,13 @@ def _margins(done: Run, names: Collection[str]) -> dict[str, Any]:
 
 
 def value_of(row: Mapping[str, Any], figure: str) -> float:
-    """Give a figure of a row: infinity for what never happens, NaN for what was not measured."""
+    """Return a figure of a row: infinity for what never happens, NaN for what was not measured."""
     value = row["figures"].get(figure)
     return float(value) if value is not None else np.inf if figure in row.get("never", ()) else np.nan
 
 
 def absent(values: Iterable[float]) -> str:
-    """Say of how many runs there is no value: ``1 of 3 never``; empty when all have one."""
+    """Describe of how many runs there is no value: ``1 of 3 never``; empty when all have one."""
     found = np.array(list(values), float)
     never, lost = int(np.isposinf(found).sum()), int(np.isnan(found).sum())
     parts = [f"{never} of {found.size} never"] if never else []

@@ -24,13 +24,13 @@ FOLDED = 1  # levels of variants that are shown of all systems
 
 
 def console(**options: Any) -> Console:
-    """Make a console as wide as the terminal or as COLUMNS says; in a pipe, lines are as long as they are."""
+    """Create a console as wide as the terminal or as COLUMNS says; in a pipe, lines are as long as they are."""
     narrow = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
     return _Console(**{"width": None if narrow else 1000, "highlight": False, "markup": False} | options)
 
 
 def styled(*parts: str | tuple[str, str]) -> Text:
-    """Make a line of texts and of (text, style): no text has a style by itself, whoever wrote it."""
+    """Create a line of texts and of (text, style): no text has a style by itself, whoever wrote it."""
     return Text.assemble(*(plain(p) if isinstance(p, str) else (plain(p[0]), p[1]) for p in parts))
 
 
@@ -47,7 +47,7 @@ class _Console(Console):
 
 
 def main(options: argparse.Namespace) -> int:
-    """Print scenarios, or signals of one, or figure functions, as the options say; gives the exit status."""
+    """Print scenarios, or signals of one, or figure functions, as the options say; returns the exit status."""
     if options.signals is not None:
         return list_signals(options.signals)
     return list_scenarios_of(options.filter) if options.figures is None else list_figures(options.figures)
@@ -83,7 +83,7 @@ def list_scenarios_of(part: str) -> int:
 
 
 def _tree(system: str, scenarios: list[Scenario], depth: int) -> Tree:
-    """Give the scenarios of a system, variants below what they are variants of; those below `depth` as a number."""
+    """Return the scenarios of a system, variants below what they are variants of; those below `depth` as a number."""
     sources = {s.source for s in scenarios}
     tree = Tree(styled((system, "bold"), *(("  ", (sources.pop(), "dim")) if len(sources) == 1 else ())))
     branches: list[tuple[str, Tree]] = []

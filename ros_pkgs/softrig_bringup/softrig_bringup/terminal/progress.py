@@ -60,7 +60,7 @@ def progress(title: str, duration: float) -> Iterator[Tell]:
 
 @contextmanager
 def busy(what: str) -> Iterator[None]:
-    """Say what is done within the block if that takes longer than `SILENT`."""
+    """Describe what is done within the block if that takes longer than `SILENT`."""
     if is_quiet():
         yield
         return
@@ -74,7 +74,7 @@ def busy(what: str) -> Iterator[None]:
 
 
 def _notebook() -> Any:
-    """Give the function of IPython that shows something, when there is a notebook to show it."""
+    """Return the function of IPython that shows something, when there is a notebook to show it."""
     ipython: Any = sys.modules.get("IPython")  # loaded by whoever serves the notebook, never by us
     shell = ipython.get_ipython() if ipython is not None else None
     if shell is None or not hasattr(shell, "kernel"):

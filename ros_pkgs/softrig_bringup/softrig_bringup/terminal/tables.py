@@ -16,12 +16,12 @@ WORDS = ("unit", "")  # heads of what stands to the left
 
 
 def fits(console: Console, table: Table) -> bool:
-    """Whether a table is no wider than the terminal without a line of it broken."""
+    """Return whether a table is no wider than the terminal without a line of it broken."""
     return Measurement.get(console, console.options.update(max_width=10_000), table).maximum <= console.width
 
 
 def table_of(heads: Sequence[str], rows: Sequence[Sequence[Cell]], folded: bool = False) -> Table:
-    """Make a table, its heads folded at underscores and dots or not; what is no word stands to the right."""
+    """Create a table, its heads folded at underscores and dots or not; what is no word stands to the right."""
     found = Table(box=None, pad_edge=False)
     for k, head in enumerate(heads):
         room = max((len(row[k]) for row in rows), default=0) if folded else len(head)

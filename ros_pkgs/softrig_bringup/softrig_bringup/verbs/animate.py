@@ -18,7 +18,7 @@ FORMS = ("svg", "gif", "webp", "png")
 
 
 def animate(options: argparse.Namespace) -> int:
-    """Write the film; gives the exit status."""
+    """Write the film; returns the exit status."""
     out: Path | None = options.out
     if out is not None and out.suffix[1:] not in FORMS:
         raise ScenarioError(f"{out}: expected a file that ends with .{', .'.join(FORMS)}")
@@ -31,7 +31,7 @@ def animate(options: argparse.Namespace) -> int:
 
 
 def film_of(what: str, start: float = 0.0, end: float | None = None, speed: float | None = None) -> Film:
-    """Make the film of a run or of a scenario.
+    """Create the film of a run or of a scenario.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def _window(start: float, end: float | None, length: float) -> tuple[float, floa
 
 
 def write(made: Film, out: Path) -> str:
-    """Write a film in the form that the file's name ends with, whole or not at all; gives what it was reduced to."""
+    """Write a film in the form that the file's name ends with, whole or not at all; returns what it was reduced to."""
     if out.suffix == ".svg":
         replace(out, animated(made))
         return ""

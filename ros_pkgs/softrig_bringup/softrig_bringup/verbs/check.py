@@ -69,7 +69,7 @@ def _called(word: str) -> str:
 
 
 def load_name(word: str) -> str:
-    """Give the name of a scenario; the word itself where there is none."""
+    """Return the name of a scenario; the word itself where there is none."""
     return locate(word)[0] if find(word) is not None else word
 
 
@@ -125,7 +125,7 @@ def _marks(suites: Sequence[Suite]) -> str:
 
 
 def outcome_of(run: Run, wall_s: float) -> dict[str, Any]:
-    """Give what is to be said of a run, as plain data."""
+    """Return what is to be said of a run, as plain data."""
     return {
         "scenario": run.rig.scenario.name,
         "wall_s": round(wall_s, 3),
@@ -140,7 +140,7 @@ def _claim(finding: Finding) -> dict[str, Any]:
 
 
 def suite_of(outcome: dict[str, Any]) -> Suite:
-    """Give an outcome as a suite of cases: what is judged, and the claims whose verdict was held against the run."""
+    """Return an outcome as a suite of cases: what is judged, and the claims whose verdict was held against the run."""
     results = [Result.model_validate(r) for r in outcome["metrics"]]
     cases = [Case(r.name, "" if r.passed else _missed(r), _measured(r)) for r in results if r.judged]
     cases += [

@@ -141,7 +141,7 @@ class Golden:
 
     @property
     def made_here(self) -> bool:
-        """Whether all that decides the bits is as it was when the bag was made: then bytes are compared."""
+        """Return whether all that decides the bits is as it was when the bag was made: then bytes are compared."""
         return not self.others
 
     @property
@@ -154,7 +154,7 @@ class Golden:
         return ", ".join(f"{name} {there} there, {here} here" for name, (there, here) in self.others.items())
 
     def check(self) -> tuple[Comparison, str]:
-        """Run it once more and compare; gives the comparison, and how far they agree.
+        """Run it once more and compare; returns the comparison, and how far they agree.
 
         Where not all is as it was when the bag was made, every byte may be the same nonetheless: then that is said.
         """
@@ -189,7 +189,7 @@ class Golden:
         return self.compare(answers, list(answers.topics))
 
     def make(self) -> Comparison | None:
-        """Write the golden bag anew; gives the comparison of the new with the old, if there was one.
+        """Write the golden bag anew; returns the comparison of the new with the old, if there was one.
 
         The old one is there until the new one is written.
 
@@ -214,13 +214,13 @@ class Golden:
 
 
 def _era(python: str) -> int:
-    """Say which `sum` a version of Python has; -1 when that is not known."""
+    """Describe which `sum` a version of Python has; -1 when that is not known."""
     found = re.match(r"(\d+)\.(\d+)", python)
     return sum((int(found[1]), int(found[2])) >= era for era in ERAS) if found else -1
 
 
 def line(others: Iterable[str]) -> str:
-    """Say which line of the table of doc/bits.md a machine is.
+    """Describe which line of the table of doc/bits.md a machine is.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def line(others: Iterable[str]) -> str:
 
 
 def _ours(bag: Path) -> None:
-    """Make sure that a folder holds a bag and nothing else, if it is there.
+    """Ensure that a folder holds a bag and nothing else, if it is there.
 
     Raises
     ------
@@ -251,7 +251,7 @@ def _ours(bag: Path) -> None:
 
 
 def _allowed(rig: Rig, name: str, value: float) -> bool:
-    """Whether a changed parameter is still within its bounds."""
+    """Return whether a changed parameter is still within its bounds."""
     try:
         rig_of(rig, overrides={name: value})
     except ScenarioError:
@@ -285,7 +285,7 @@ def _read(folder: Path, changes: dict[str, Any]) -> Recipe:
 
 
 def create(folder: Path, scenario: str, duration: float | None = None, seed: int = 0) -> Golden:
-    """Make the recipe of a new golden bag; it lasts as long as the scenario when no duration is given."""
+    """Create the recipe of a new golden bag; it lasts as long as the scenario when no duration is given."""
     file = folder / "golden.yaml"
     duration = load_scenario(scenario).duration if duration is None else duration
     recipe = _recipe(file, {"scenario": scenario, "duration": duration, "seed": seed})
@@ -322,7 +322,7 @@ def _write(file: Path, recipe: Recipe) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Regenerate golden bags (all of the folder when none is named), or only check them; gives the exit status.
+    """Regenerate golden bags (all of the folder when none is named), or only check them; returns the exit status.
 
     A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
     """
@@ -365,7 +365,7 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _one(work: tuple[Path, dict[str, Any], bool]) -> tuple[dict[str, Any], bool, set[str]]:
-    """Make or check a golden bag: give what is to be said of it, whether there was none before, its `others`."""
+    """Create or check a golden bag: give what is to be said of it, whether there was none before, its `others`."""
     started = time.perf_counter()
     folder, changes, check = work
     there = check or (folder / "golden.yaml").is_file()

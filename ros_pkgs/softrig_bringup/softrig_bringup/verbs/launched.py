@@ -54,7 +54,7 @@ ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
 
 
 def strange(words: Sequence[str]) -> str:
-    """Say which of the words of a `ros2 launch` of our file is no argument of it; launch itself takes any.
+    """Describe which of the words of a `ros2 launch` of our file is no argument of it; launch itself takes any.
 
     Empty when none is, or when the file is included by another one, whose arguments they may be.
     """
@@ -197,7 +197,7 @@ class Launched:
             return stopped_by(interrupt)
 
     def _over(self) -> str:
-        """Do what is to be done when all have ended; gives why the launch is to end with a failure."""
+        """Do what is to be done when all have ended; returns why the launch is to end with a failure."""
         rig, options = self._rig, self._options
         names = [m.name for m in rig.members if not m.external]
         with undisturbed() as came:  # what was recorded is not lost while it is gathered
@@ -216,7 +216,7 @@ class Launched:
         return f"judged: status {found}" if found and (self._judge or found > 1) else ""
 
     def _conclude(self, recording: Recording, status: dict[str, dict[str, Any]]) -> tuple[int, str]:
-        """Write, print and judge; gives the exit status of `softrig run` and how far a run that was stopped came."""
+        """Write, print and judge; returns the exit status of `softrig run` and how far a run that was stopped came."""
         rig, options = self._rig, self._options
         epoch = int(read_status(self._log / f"{starter(rig).name}.status").get("epoch", 0))
         told = [f"{name}: {s['error']}" for name, s in status.items() if s.get("error")]
@@ -231,7 +231,7 @@ class Launched:
 
 
 def _options(given: Mapping[str, str]) -> argparse.Namespace:
-    """Give the options of `softrig run` that say the same."""
+    """Return the options of `softrig run` that say the same."""
     words = [given["scenario"], "--mode", given["place"], *(["--realtime"] if given["mode"] == "realtime" else [])]
     for name, option in (("duration", "duration"), ("seed", "seed"), ("params_file", "params-file"), ("out", "out")):
         words += [f"--{option}={given[name]}"] if given[name] else []

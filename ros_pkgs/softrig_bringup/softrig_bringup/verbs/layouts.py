@@ -25,7 +25,7 @@ _STREAM = "ROS2 Topic Subscriber"
 
 
 def layouts(options: argparse.Namespace) -> int:
-    """Write the files; gives the exit status."""
+    """Write the files; returns the exit status."""
     made = {name: text for scenario in options.scenarios for name, text in files(rig_of(scenario)).items()}
     options.out.mkdir(parents=True, exist_ok=True)
     for name, text in made.items():
@@ -35,7 +35,7 @@ def layouts(options: argparse.Namespace) -> int:
 
 
 def files(rig: Rig) -> dict[str, str]:
-    """Give the layouts of a rig by file name.
+    """Return the layouts of a rig by file name.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def _column(names: Sequence[str]) -> Any:
 
 
 def _path(topic: str, port: Port, label: str, said: str) -> Mapping[str, Any]:
-    """Give a message path, with the time of the header where there is one."""
+    """Return a message path, with the time of the header where there is one."""
     stamp = "headerStamp" if port.stamped else "receiveTime"
     return {
         "value": f"/{topic}.{_place(port, label)}",
@@ -182,7 +182,7 @@ def _path(topic: str, port: Port, label: str, said: str) -> Mapping[str, Any]:
 
 
 def _place(port: Port, label: str) -> str:
-    """Give where a value is in its message: ``position[0]``, ``points[0].velocities[0]``, ``vector.x``."""
+    """Return where a value is in its message: ``position[0]``, ``points[0].velocities[0]``, ``vector.x``."""
     head, _, last = label.rpartition("/")
     if port.type.named:
         index = port.channels.index(head)
@@ -197,7 +197,7 @@ def _place(port: Port, label: str) -> str:
 
 
 def _series(topic: str, port: Port, label: str) -> str:
-    """Give the name of PlotJuggler's series: channel before field of a JointState, else the place in the message."""
+    """Return the name of PlotJuggler's series: channel before field of a JointState, else the place in the message."""
     if port.type.named and port.msgtype != _TRAJECTORY:
         return f"/{topic}/{label}"
     return f"/{topic}/{_place(port, label).replace('.', '/')}"

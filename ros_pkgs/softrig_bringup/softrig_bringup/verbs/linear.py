@@ -22,7 +22,7 @@ ANOTHER = 0.5  # variation above which poles and margins are of something else
 
 
 def numbers(view: LinearView) -> dict[str, Any]:
-    """Give a linear view as plain data; None where a margin is infinite."""
+    """Return a linear view as plain data; None where a margin is infinite."""
     found: dict[str, Any] = {
         "scenario": view.rig, "at_s": view.at, "period_s": view.period, "error": view.error, "worst": view.worst,
         "variation": view.variation, "heard": dict(view.heard),

@@ -52,12 +52,12 @@ KINDS = {
 
 
 def command() -> str:
-    """Give what a person types to get the command line, for instructions."""
+    """Return what a person types to get the command line, for instructions."""
     return shlex.quote(os.environ.get("SOFTRIG_COMMAND") or "softrig")
 
 
 def first(place: str) -> str:
-    """Give how a command begins that uses the package in a relative folder: a wheel's knows what is installed."""
+    """Return how a command begins that uses the package in a relative folder: a wheel's knows what is installed."""
     folder = place if place.startswith((".", "/")) else f"./{place}"
     return f"{command()} --workspace {place}" if _checkout() else f"pip install {folder} && softrig"
 
@@ -126,7 +126,7 @@ def new_package(name: str, parent: Path, kind: str = "both") -> Path:
 
 
 def folder_of(name: str, parent: Path) -> Path:
-    """Check that a name is free and that its folder is not there yet; give that folder.
+    """Check that a name is free and that its folder is not there yet; return that folder.
 
     Raises
     ------

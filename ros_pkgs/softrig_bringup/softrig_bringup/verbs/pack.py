@@ -66,7 +66,7 @@ class _Pack(NamedTuple):
 
 
 def main(options: argparse.Namespace) -> int:
-    """Write the file and say what is in it; gives the exit status."""
+    """Write the file and say what is in it; returns the exit status."""
     if (options.run / "study.json").is_file():
         return _pack_study(options)
     packed = collect(options.run, bag=not options.no_bag)
@@ -285,7 +285,7 @@ def _unchanged(run: Path, rig: Rig, content: Mapping[str, Any]) -> None:
 
 
 def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Give the digests that stand for a bag, where scenario and changes alone make it again."""
+    """Return the digests that stand for a bag, where scenario and changes alone make it again."""
     if before.digests:
         return before.digests
     rig = rig_of(scenario.having(changes=[]))
@@ -365,7 +365,7 @@ def _named(manifest: Path) -> str:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Give the files of a package: no hidden ones, nothing that was made from the others, no links to elsewhere."""
+    """Yield the files of a package: no hidden ones, nothing that was made from the others, no links to elsewhere."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or path.name in _BUILT or path.suffix in (".pyc", ".egg-info"):
             continue

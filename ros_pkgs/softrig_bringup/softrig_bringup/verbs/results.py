@@ -103,7 +103,7 @@ def _kept(place: Path, key: str) -> Measured | None:
 
 
 def claiming(systems: Sequence[str] = ()) -> list[Scenario]:
-    """Give the scenarios with claims, all or those of some systems.
+    """Return the scenarios with claims, all or those of some systems.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def study_findings(
 
 
 def suites(rows: Sequence[Finding], measured: Mapping[str, Measured]) -> list[Suite]:
-    """Give each scenario's claims as a suite of cases."""
+    """Return each scenario's claims as a suite of cases."""
     found: dict[str, list[Case]] = {}
     for row in rows:
         case = Case(
@@ -203,7 +203,7 @@ def suites(rows: Sequence[Finding], measured: Mapping[str, Measured]) -> list[Su
 
 
 def left_out(systems: Sequence[str]) -> str:
-    """Say which claims are held by `--studies` alone; empty for none."""
+    """Describe which claims are held by `--studies` alone; empty for none."""
     found = [s for s in map(load_study, list_studies()) if s.claims]
     found = [s for s in found if not systems or any(_belongs(load_scenario(s.scenario), name) for name in systems)]
     more = sum(len(s.claims) for s in found)

@@ -29,7 +29,7 @@ AGREES = (
 
 
 def counts(rows: Sequence[Finding]) -> str:
-    """Say how many claims have which verdict, and how many verdicts are false; what is said twice counts once."""
+    """Describe how many claims have which verdict, and how many verdicts are false; what is said twice counts once."""
     found = Counter(verdict for verdict in _said(rows).values())
     text = ", ".join(f"{found[v]} {v.replace('_', ' ')}" for v in VERDICTS if found[v])
     false = sum(not row.holds for row in rows)
@@ -44,14 +44,14 @@ def _said(rows: Sequence[Finding]) -> dict[tuple[str, ...], str]:
 def by_system(
     scenarios: Sequence[Scenario], rows: Sequence[Finding]
 ) -> Iterator[tuple[str, list[Scenario], list[Finding]]]:
-    """Give system, scenarios and findings, the systems by name."""
+    """Yield system, scenarios and findings, the systems by name."""
     system = {s.name: s.system for s in scenarios}
     for name, group in groupby(sorted(rows, key=lambda r: system[r.scenario]), lambda r: system[r.scenario]):
         yield name, [s for s in scenarios if s.system == name], list(group)
 
 
 def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = "", out: Path | None = None) -> str:
-    """Make the HTML page.
+    """Create the HTML page.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = 
 
 
 def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = "") -> str:
-    """Make the Markdown page; see `html`."""
+    """Create the Markdown page; see `html`."""
     lines = ["# What the papers say, and what holds", "", f"{counts(rows)}. Made by `scripts/softrig results`.", ""]
     lines += [f"{without}.", ""] if without else []
     lines += ["| system | " + " | ".join(v.replace("_", " ") for v in VERDICTS) + " |", "|---" * 6 + "|"]
@@ -144,7 +144,7 @@ def _cited(scenarios: Sequence[Scenario]) -> tuple[Citation, ...]:
 
 
 def command(scenario: str) -> str:
-    """Give the command that repeats the measurement of a scenario or study."""
+    """Return the command that repeats the measurement of a scenario or study."""
     if scenario in list_studies():
         return joined(words((), "study", scenario))
     nodes = load_scenario(scenario).nodes.values()

@@ -42,7 +42,7 @@ MISSED = 10.0  # per cent of missed deadlines that are worth a word
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run a scenario; gives the exit status."""
+    """Run a scenario; returns the exit status."""
     # before anything of an earlier run is replaced: two runs in one domain would read each other's messages
     begun: list[ResultsFolder] = []
     try:
@@ -104,7 +104,7 @@ def _check_view(options: argparse.Namespace) -> None:
 
 
 def _how_to_connect(domain: int, directory: Path) -> str:
-    """Say what nodes outside need in their environment."""
+    """Describe what nodes outside need in their environment."""
     found = environment(domain, directory)
     names = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION")
     return "to connect: export " + " ".join(f"{name}={found[name]}" for name in names)
@@ -139,7 +139,7 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
 
 
 def _kept_beside(folder: ResultsFolder, rig: Rig) -> ResultsFolder:
-    """Move a run that broke, and that cannot be made again, out of the way of the next try; give the folder."""
+    """Move a run that broke, and that cannot be made again, out of the way of the next try; return the folder."""
     if not folder.once(lambda shards: once_broken_off(rig, shards)):
         return folder
     number = 1
@@ -152,7 +152,7 @@ def _kept_beside(folder: ResultsFolder, rig: Rig) -> ResultsFolder:
 
 
 def _kept(folder: ResultsFolder, rig: Rig, force: bool) -> str:
-    """Say why the folder is not to be written into; empty if it may be."""
+    """Describe why the folder is not to be written into; empty if it may be."""
     if (other := folder.hold()) is not None:
         return f"{other} is writing there"
     if folder.replaced and not force and (once := folder.once(lambda shards: once_broken_off(rig, shards))):
@@ -202,7 +202,7 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
 
 
 def _lacking(options: argparse.Namespace, folder: ResultsFolder | None) -> str:
-    """Say what there is not of a run whose end was interrupted, and how to make it.
+    """Describe what there is not of a run whose end was interrupted, and how to make it.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
 
 
 def _writing(done: Run, folder: ResultsFolder) -> str:
-    """Say what is written, and what there is of it if this process is killed."""
+    """Describe what is written, and what there is of it if this process is killed."""
     messages = sum(len(topic.ticks()) for topic in done.recording.topics.values())
     log = folder.path / "log"
     kept = f"; if it is killed, softrig bag repair {_shown(log)} makes the bag" if any(log.glob("*.shard")) else ""
@@ -280,7 +280,7 @@ def _write_junit(options: argparse.Namespace, done: Run) -> None:
 
 
 def _doubts(like: Path) -> list[str]:
-    """Say what a pack or a run says of itself that its own bag does not bear out."""
+    """Describe what a pack or a run says of itself that its own bag does not bear out."""
     from ..report.looked import doubts, record_of_pack
 
     if not is_pack(like):
@@ -305,7 +305,7 @@ def _speak(kept: _Kept, done: Run, out: Path | None) -> None:
 
 
 def _judged(options: argparse.Namespace, kept: _Kept, done: Run) -> int:
-    """Give the exit status."""
+    """Return the exit status."""
     if done.error:
         return 3
     if done.stopped:
@@ -324,7 +324,7 @@ def too_slow(
     broken: bool = False,
     container: str = "--mode container",
 ) -> str:
-    """Say that the machine did not keep up, in ticks or in a solver's work.
+    """Report that the machine did not keep up, in ticks or in a solver's work.
 
     Of a rig that has tripped or broken every missed deadline counts.
     """
@@ -354,7 +354,7 @@ def _missed(status: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 
 
 def _announce(text: str) -> None:
-    """Say what a run waits for, whole and with its lines: they are instructions."""
+    """Report what a run waits for, whole and with its lines: they are instructions."""
     with suppress(OSError):
         print(f"softrig: {plain(text)}", file=sys.stderr, flush=True)
 
@@ -392,7 +392,7 @@ def _print_table(console: Console, run: Run) -> None:
 
 
 def _print_remarks(console: Console, run: Run) -> None:
-    """Say what figures, requirements and claims have to say beside the table."""
+    """Report what figures, requirements and claims have to say beside the table."""
     if any(f.published_for for f in run.results):
         console.print(f"not judged: published for {run.published_for} (--strict judges them)")
     for f in run.results:
@@ -408,7 +408,7 @@ def _print_remarks(console: Console, run: Run) -> None:
 
 
 def _print_nodes(console: Console, run: Run) -> None:
-    """Say what nodes reported, refused and missed."""
+    """Report what nodes reported, refused and missed."""
     for name, status in run.status.items():
         for _, text, count in status.get("reports", {}).values():
             console.print(f"{name}: {text} ({count} x)")
@@ -420,6 +420,6 @@ def _print_nodes(console: Console, run: Run) -> None:
 
 
 def _shown(path: Path) -> str:
-    """Give a path as the reader would type it."""
+    """Return a path as the reader would type it."""
     relative = os.path.relpath(path)
     return str(path) if relative.startswith("..") else relative

@@ -45,7 +45,7 @@ class Process:
 
 
 def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
-    """Give RViz with its file: the first robot, and what blocks draw.
+    """Return RViz with its file: the first robot, and what blocks draw.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
 
 
 def rviz_file(rig: Rig, namespace: str = "") -> str:
-    """Give the text of a configuration of RViz for a rig.
+    """Return the text of a configuration of RViz for a rig.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def rviz_file(rig: Rig, namespace: str = "") -> str:
 
 
 def seen(rig: Rig) -> tuple[bool, list[str]]:
-    """Tell whether a rig has a robot, and name its nodes that draw markers."""
+    """Describe whether a rig has a robot, and name its nodes that draw markers."""
     robot = any(m.block_class.scene(m.params) is not None for m in rig.members)
     return robot, [m.name for m in rig.members if m.block_class.markers is not Block.markers]
 
@@ -94,7 +94,7 @@ def _parameters(file: Path, values: Mapping[str, Any]) -> str:
 
 
 def _rviz(description: str, markers: Sequence[str]) -> dict[str, Any]:
-    """Give a configuration of RViz 2."""
+    """Return a configuration of RViz 2."""
 
     def display(kind: str, name: str, **keys: Any) -> dict[str, Any]:
         return {"Class": f"rviz_default_plugins/{kind}", "Name": name, "Enabled": True, "Value": True} | keys

@@ -81,7 +81,7 @@ class Beside:
             remote.ask({"node": rig.clock.name, "call": "resume"}, lambda done, reason: remote.close())
 
     def over(self, run: Run, folder: Path) -> None:
-        """Tell the pages that the run is over, and wait until nobody looks any more; Ctrl-C ends the wait."""
+        """Notify the pages that the run is over, and wait until nobody looks any more; Ctrl-C ends the wait."""
         self._ends = True
         if self._process is None or self._process.poll() is not None or self._process.stdin is None:
             return
@@ -106,7 +106,7 @@ class Beside:
 
 @contextmanager
 def page(scenario: Scenario, directory: Path, placement: Placement, address: str) -> Iterator[Beside]:
-    """Give a page that can be opened beside a run; see `Beside`."""
+    """Yield a page that can be opened beside a run; see `Beside`."""
     found = Beside(scenario, directory, placement, address)
     try:
         yield found

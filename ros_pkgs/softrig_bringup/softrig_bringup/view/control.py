@@ -55,11 +55,11 @@ class Knob:
 
     @property
     def number(self) -> bool:
-        """Whether it is one number."""
+        """Return whether it is one number."""
         return self.kind in (int, float) and isinstance(self.value, int | float | None)
 
     def read(self, text: str) -> Any:
-        """Give what somebody has typed as a value.
+        """Return what somebody has typed as a value.
 
         Raises
         ------
@@ -226,7 +226,7 @@ class Control:
 
 
 def role(rig: Rig, member: Member) -> str:
-    """Say what a node is to somebody who tunes: a law where it lies on a loop of the plant; one of `ROLES`."""
+    """Describe what a node is to somebody who tunes: a law where it lies on a loop of the plant; one of `ROLES`."""
     if (member.package, member.executable) == (PACKAGE, EXECUTABLE):
         return "fault"
     if member.is_plant:
@@ -241,7 +241,7 @@ def role(rig: Rig, member: Member) -> str:
 
 
 def _before(member: Member) -> set[Member]:
-    """Give the nodes whose messages a node depends on, those of others included."""
+    """Return the nodes whose messages a node depends on, those of others included."""
     found: set[Member] = set()
     left = [member]
     while left:

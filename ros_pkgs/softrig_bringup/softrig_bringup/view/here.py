@@ -155,7 +155,7 @@ class Here(Growing):
     # ticks ---------------------------------------------------------------------------------------------------------
 
     def turn(self) -> float:
-        """Take the ticks that are due, for a while; gives how long the next ones may wait, s."""
+        """Take the ticks that are due, for a while; returns how long the next ones may wait, s."""
         session, until = self.session, time.monotonic() + SLICE
         while not session.over and not self.control.held:
             now = time.monotonic()
@@ -314,7 +314,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
 
 
 def _beside(path: Path) -> ResultsFolder:
-    """Give a folder of its own for what went back from the run in this one."""
+    """Return a folder of its own for what went back from the run in this one."""
     number = 2
     while (place := path.with_name(f"{path.name}-{number}")).exists():
         number += 1

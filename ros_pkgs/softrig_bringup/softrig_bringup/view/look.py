@@ -17,7 +17,7 @@ CHANGED = {"light": "#882255", "dark": "#ee88bb"}
 
 
 def theme(name: str) -> dict[str, Any]:
-    """Give Bokeh's attributes of a picture in ``light`` or ``dark``."""
+    """Return Bokeh's attributes of a picture in ``light`` or ``dark``."""
     ink, soft, lines, paper = INK[name], SOFT[name], LINES[name], PAPER[name]
     text = {"text_color": ink}
     return {"attrs": {

@@ -220,7 +220,7 @@ class Page:
         return [*([] if self._source.live else [self._values]), *self._tables.values()]
 
     def _groups(self) -> list[tuple[str, Any, str, str, bool]]:
-        """Give the buttons, and the knobs by node: name of the root, root, title, what else, whether it is open."""
+        """Return the buttons, and the knobs by node: name of the root, root, title, what else, whether it is open."""
         control, found = self._control, []
         if control.buttons:
             buttons = row(*(self._press(*b) for b in control.buttons), styles={"flex-wrap": "wrap"})
@@ -240,7 +240,7 @@ class Page:
         return column(*widgets, sizing_mode="stretch_width")
 
     def _knob(self, knob: Knob) -> Any:
-        """Give the widget of a parameter; what is no number, switch or text is written as YAML."""
+        """Return the widget of a parameter; what is no number, switch or text is written as YAML."""
         title = f"{knob.name}{f', {knob.unit}' if knob.unit else ''}"
         about: dict[str, Any] = {"name": knob.key, "stylesheets": [self._sheet], "sizing_mode": "stretch_width"}
         if knob.kind is bool:
@@ -256,7 +256,7 @@ class Page:
         return found
 
     def _slider_of(self, knob: Knob, low: float, high: float) -> Slider:
-        """Give what moves a number; it counts when it is let go."""
+        """Return what moves a number; it counts when it is let go."""
         step = max(1, round((high - low) / 1000)) if knob.kind is int else (high - low) / 1000
         found = Slider(
             start=low,
@@ -285,7 +285,7 @@ class Page:
         self._texts = ()
 
     def _aim(self) -> float:
-        """Give the time to go back to, s; NaN if what is typed is none."""
+        """Return the time to go back to, s; NaN if what is typed is none."""
         try:
             t = float(self._to.value)
         except ValueError:
@@ -351,7 +351,7 @@ class Page:
             self._drawn.text = f"<p class=wrong>{drawing.title}: no drawing: {html.escape(repr(error))}</p>"
 
     def _moving(self) -> float:
-        """Give the time of the drawing, s: what has come in one piece is shown in as many frames as it took."""
+        """Return the time of the drawing, s: what has come in one piece is shown in as many frames as it took."""
         end = self._source.end
         if end != self._ahead:
             self._speed, self._ahead = max(0.0, end - self._at) * FRAME / EVERY, end
@@ -461,7 +461,7 @@ def bare(document: Document, control: Control, who: str, error: Exception) -> No
 
 
 def reach(knob: Knob) -> tuple[float, float] | None:
-    """Give the ends of a slider: those declared, or near the value where they are far; None: no slider."""
+    """Return the ends of a slider: those declared, or near the value where they are far; None: no slider."""
     low, high, value = *knob.bounds, knob.value
     if value is None or math.isinf(high - low):
         return None

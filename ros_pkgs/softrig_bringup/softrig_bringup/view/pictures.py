@@ -167,7 +167,7 @@ class Picture:
             source.data = {"x": x, "y": y}
 
     def values(self, pane: Pane) -> dict[str, tuple[float | None, str]]:
-        """Give the newest value and the unit of each signal, by its label; nothing of what is over another signal."""
+        """Return the newest value and the unit of each signal, by its label; nothing of what is over another signal."""
         self._curves.signals, self._curves.end = pane, 0.0  # type: ignore[assignment]
         found: dict[str, tuple[float | None, str]] = {}
         for name in () if self._entry.x else self.sources:
@@ -177,7 +177,7 @@ class Picture:
 
 
 def plots_of(rig: Rig) -> tuple[PlotEntry, ...]:
-    """Give the plots of a rig's scenario; where it names none, one of each topic.
+    """Return the plots of a rig's scenario; where it names none, one of each topic.
 
     Where the reader chooses the window, one that is a part of another is that other once more.
     """

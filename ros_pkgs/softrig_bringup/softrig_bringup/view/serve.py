@@ -145,7 +145,7 @@ class _ToPage(RequestHandler):
 
 
 def free_address(address: str) -> tuple[str, int]:
-    """Give host and port of a page, a free one for port 0.
+    """Return host and port of a page, a free one for port 0.
 
     Raises
     ------

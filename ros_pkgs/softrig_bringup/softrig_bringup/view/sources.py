@@ -101,7 +101,7 @@ class Growing:
 
     @property
     def thinned(self) -> bool:
-        """Whether only extremes are left of what is old."""
+        """Return whether only extremes are left of what is old."""
         return any(track.thinned for track in self._tracks.values())
 
     def take(self, recording: Recording, epoch: int = 0) -> None:
@@ -129,7 +129,7 @@ class Growing:
         self.version += 1
 
     def pane(self, first: float, last: float) -> Pane:
-        """Give the signals within a window of time, s."""
+        """Return the signals within a window of time, s."""
         return Pane({topic: track.table(first, last) for topic, track in self._tracks.items() if len(track)})
 
 
@@ -211,7 +211,7 @@ class Recorded:
         self.version = 1
 
     def pane(self, first: float, last: float) -> Pane:
-        """Give the signals within a window of time, s."""
+        """Return the signals within a window of time, s."""
         return Pane({topic: _cut(table, first, last) for topic, table in self._tables.items()})
 
 

@@ -26,7 +26,7 @@ COUNTS = {
 
 
 def head(source: Source, how: str, control: Control) -> str:
-    """Say what is shown, how far it is, and what was last said."""
+    """Describe what is shown, how far it is, and what was last said."""
     scenario = source.rig.scenario
     state, look = f"{source.end:.6g} s, {source.outcome}", "soft"
     if source.outcome and source.live:
@@ -60,7 +60,7 @@ def _going(source: Source, control: Control) -> str:
 
 
 def figures(results: Iterable[Result], so_far: bool) -> str:
-    """Give the table of figures and of the margins of requirements."""
+    """Return the table of figures and of the margins of requirements."""
     rows = []
     for f in results:
         value = "-" if f.value is None else f"{f.value:.5g}"
@@ -87,7 +87,7 @@ def _mark(f: Result, so_far: bool) -> str:
 
 
 def health(status: Mapping[str, Mapping[str, Any]]) -> str:
-    """Give the table of the nodes: state, what was missed, refused or reported."""
+    """Return the table of the nodes: state, what was missed, refused or reported."""
     rows = []
     for name, s in status.items():
         counts = [f"{s[key]} {word}" for key, word in COUNTS.items() if s.get(key)]
@@ -105,7 +105,7 @@ def health(status: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def log(lines: Iterable[Said]) -> str:
-    """Give what was done and said, newest first."""
+    """Return what was done and said, newest first."""
     rows = [
         f'<tr><td class="n">{s.t:.6g} s</td><td>{html.escape(s.who)}</td>'
         f'<td class="{"wrong" if s.wrong else ""}">{html.escape(s.text)}</td></tr>'
@@ -115,7 +115,7 @@ def log(lines: Iterable[Said]) -> str:
 
 
 def values(names: Mapping[str, tuple[float | None, str]], t: float) -> str:
-    """Give the table of the values at a time (s): value and unit by label."""
+    """Return the table of the values at a time (s): value and unit by label."""
     rows = [
         f'<tr><td>{html.escape(label)}</td><td class="n">{"-" if v is None or math.isnan(v) else f"{v:.6g}"}</td>'
         f"<td>{html.escape(pretty_unit(unit))}</td></tr>"
@@ -125,7 +125,7 @@ def values(names: Mapping[str, tuple[float | None, str]], t: float) -> str:
 
 
 def _broken(name: str) -> str:
-    """Give a name as HTML that a narrow table breaks between its words."""
+    """Return a name as HTML that a narrow table breaks between its words."""
     return html.escape(name).replace("_", "_<wbr>")
 
 

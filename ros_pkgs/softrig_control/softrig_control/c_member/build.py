@@ -116,7 +116,7 @@ def compiled(sources: Sequence[Path], flags: Sequence[str]) -> Path:
 
 
 def built(library: Path, header: Path, prefix: str, plant: bool, flags: Sequence[str] = ()) -> Built:
-    """Make the shim of a library and its header.
+    """Create the shim of a library and its header.
 
     Raises
     ------

@@ -35,7 +35,7 @@ class History:
         return self.shared[: self.length]
 
     def is_same(self, other: History | None) -> bool:
-        """Whether another one is this one, or a copy of the same list."""
+        """Return whether another one is this one, or a copy of the same list."""
         return other is not None and other.shared is self.shared and other.length == self.length
 
     def __reduce__(self) -> tuple[type[History], tuple[list[Told], int]]:

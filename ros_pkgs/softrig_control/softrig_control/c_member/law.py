@@ -195,7 +195,7 @@ def _ended(process: subprocess.Popen[bytes], *descriptors: int) -> None:
 
 
 def wrong(status: float, method: str, names: Sequence[str]) -> str:
-    """Say what the status of a call means; empty where the user's function has answered by itself."""
+    """Describe what the status of a call means; empty where the user's function has answered by itself."""
     if SIGNAL <= status < RANGE:
         return f"crashed ({signal.Signals(int(status - SIGNAL)).name}) in {method}"
     if RANGE <= status < CONSTANT:

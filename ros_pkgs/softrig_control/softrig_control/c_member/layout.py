@@ -39,7 +39,7 @@ class Leaf(NamedTuple):
 
     @property
     def whole(self) -> bool:
-        """Whether it is a whole number."""
+        """Return whether it is a whole number."""
         return self.kind != "real"
 
 

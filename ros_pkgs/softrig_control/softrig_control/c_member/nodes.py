@@ -53,7 +53,7 @@ class CParams(BlockParams):
 
     @property
     def named(self) -> bool:
-        """Whether anything is named: without, a node has no ports."""
+        """Return whether anything is named: without, a node has no ports."""
         return bool(self.library or self.sources or self.header)
 
     @model_validator(mode="after")
@@ -78,7 +78,7 @@ class CParams(BlockParams):
 
     @property
     def plant(self) -> bool:
-        """Whether it is a plant."""
+        """Return whether it is a plant."""
         return False
 
     @property
@@ -88,12 +88,12 @@ class CParams(BlockParams):
 
     @cached_property
     def node(self) -> str:
-        """What the names in the header begin with."""
+        """Return what the names in the header begin with."""
         return self.prefix or (self.described.node if self.described else Path(self.header).stem)
 
     @cached_property
     def described(self) -> Described | None:
-        """What its NODE.json says."""
+        """Return what its NODE.json says."""
         return described(resource(self.description, "description")) if self.description else None
 
     @cached_property
@@ -145,12 +145,12 @@ class CPlantParams(CParams):
 
     @property
     def plant(self) -> bool:
-        """Whether it is a plant."""
+        """Return whether it is a plant."""
         return True
 
 
 def _whole(flag: str) -> str:
-    """Make the folder of -I whole: the compiler runs elsewhere."""
+    """Create the folder of -I whole: the compiler runs elsewhere."""
     return f"-I{Path(flag[2:]).resolve()}" if flag.startswith("-I") else flag
 
 
@@ -175,7 +175,7 @@ class _C(Block[CParams]):
 
     @classmethod
     def ports(cls, params: CParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Give the ports that the parameters name."""
+        """Return the ports that the parameters name."""
         return (params.reads.ports, params.says.ports) if params.named else ((), ())
 
     @classmethod
@@ -223,7 +223,7 @@ class _C(Block[CParams]):
         self._advance: Any = called.get("advance")
 
     def first(self) -> Any:
-        """Give the state that NODE_init makes; report what of it hides state."""
+        """Return the state that NODE_init makes; report what of it hides state."""
         if self._hidden:
             self.report(Level.WARN, HIDDEN, self._hint())
             return Secret(History())
@@ -249,15 +249,15 @@ class _C(Block[CParams]):
     # a tick in this process ---------------------------------------------------------------------------------------
 
     def _next(self, found: Row) -> Any:
-        """Give the state of what a call gave."""
+        """Return the state of what a call gave."""
         return self._state(*(int(found[1 + k]) if w else found[1 + k] for k, w in enumerate(self._wholes)))
 
     def _values(self, inputs: Mapping[str, Any]) -> Row:
-        """Give the members of NODE_in, in their order."""
+        """Return the members of NODE_in, in their order."""
         return tuple(_value(inputs[name], i) for name, i in self._reads)
 
     def _answer(self, found: Row, at: int) -> dict[str, Row]:
-        """Give the outputs of what a call gave, NODE_out beginning at a place."""
+        """Return the outputs of what a call gave, NODE_out beginning at a place."""
         return {name: tuple(found[at + k] for k in places) for name, places in self._says}
 
     # a tick in another process ------------------------------------------------------------------------------------
@@ -307,7 +307,7 @@ class _C(Block[CParams]):
 
 
 def _rows(side: Side) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Give of each port the members of its values, in their order."""
+    """Return of each port the members of its values, in their order."""
     found = []
     for k, port in enumerate(side.ports):
         places = {i: at for at, (of, i) in enumerate(side.places) if of == k}
@@ -316,7 +316,7 @@ def _rows(side: Side) -> tuple[tuple[str, tuple[int, ...]], ...]:
 
 
 def _value(given: Any, i: int) -> float:
-    """Give a member of NODE_in: a value of a port, or whether it has one."""
+    """Return a member of NODE_in: a value of a port, or whether it has one."""
     if i < 0:
         return 0.0 if given is None else 1.0
     return 0.0 if given is None else given[i]
@@ -347,7 +347,7 @@ class CPlant(_C, Plant[CPlantParams]):
     """A plant in C: `NODE_outputs` at t_k, then `NODE_advance` over one period with the inputs held."""
 
     def outputs(self, x: Any, t: int) -> Mapping[str, Row]:
-        """Give the outputs."""
+        """Return the outputs."""
         if self._apart:
             found = self._told(x, "outputs", t, ())[1]
         else:

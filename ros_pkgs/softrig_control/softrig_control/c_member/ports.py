@@ -129,7 +129,7 @@ def table(
     frames: Mapping[str, str],
     held: Sequence[str],
 ) -> Side:
-    """Make the ports of one side from entries ``TOPIC/CHANNEL/FIELD [UNIT] = MEMBER``.
+    """Create the ports of one side from entries ``TOPIC/CHANNEL/FIELD [UNIT] = MEMBER``.
 
     Raises
     ------

@@ -49,7 +49,7 @@ class Unit:
 
     @staticmethod
     def of(name: str) -> Unit:
-        """Give a unit that is known by its name alone."""
+        """Return a unit that is known by its name alone."""
         factor, parts = base(name)
         return Unit(name, factor, 0.0, tuple(sorted(parts.items())))
 
@@ -99,7 +99,7 @@ class Variable:
         return math.prod(self.dims)
 
     def at(self, indices: Sequence[int]) -> Variable:
-        """Give one value of an array, by its indices, counted from 1 as in Modelica.
+        """Return one value of an array, by its indices, counted from 1 as in Modelica.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class Variable:
         return replace(self, name=f"{self.name}[{','.join(map(str, indices))}]", element=element)
 
     def starts(self) -> list[Any]:
-        """Give the start values of all elements."""
+        """Return the start values of all elements."""
         given: list[Any] = [_number(self.kind, text) for text in (self.start or "0").split()]
         return given if len(given) == self.count else given[:1] * self.count
 
@@ -200,7 +200,7 @@ def describe(source: str) -> Description:
 
 
 def unpacked(path: Path) -> Path:
-    """Give the folder with the content of an FMU, in the cache: nothing is left behind by a node that is killed.
+    """Return the folder with the content of an FMU, in the cache: nothing is left behind by a node that is killed.
 
     Raises
     ------
@@ -333,7 +333,7 @@ def _unit(found: object) -> Unit:
 
 
 def conversion(found: Variable, wanted: str) -> tuple[float, float]:
-    """Give how values of a variable become those of a port: ``scale * x + offset``.
+    """Return how values of a variable become those of a port: ``scale * x + offset``.
 
     Parameters
     ----------

@@ -86,13 +86,13 @@ def export(rig: Rig, node: str, folder: Path, native: int = 0) -> Path:
 
 
 def _can(member: Member) -> tuple[str, ...]:
-    """Give what the FMU can do beside its steps: keep its state and write it, where nothing in it is opaque."""
+    """Return what the FMU can do beside its steps: keep its state and write it, where nothing in it is opaque."""
     plain = member.block_class.save is Block.save
     return ("canGetAndSetFMUstate", "canSerializeFMUstate") if plain else ()
 
 
 def _first(rig: Rig, member: Member) -> dict[str, list[float]]:
-    """Give what each input of a member is first in the scenario, where something is said at its first tick."""
+    """Return what each input of a member is first in the scenario, where something is said at its first tick."""
     bare = rig.scenario.having(figures={}, expect={}, claims={}, requirements={}, plots=())
     classes = {m.name: m.block_class for m in rig.members}
     short = rig_of(bare, duration=float(rig.clock.schedule.period), classes=classes)

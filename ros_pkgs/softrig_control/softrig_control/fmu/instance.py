@@ -80,7 +80,7 @@ class Instance:
         self._told(self._tune, values)
 
     def keep(self) -> bytes:
-        """Give the whole state as bytes; of the same FMU in another process, too."""
+        """Return the whole state as bytes; of the same FMU in another process, too."""
         return self._told(self._keep)
 
     def restore(self, state: bytes) -> Numbers:
@@ -318,7 +318,7 @@ def _grouped(cells: Sequence[Cell]) -> dict[str, Cells]:
 
 
 def _typed(name: str, x: float) -> Any:
-    """Give a number as the type of a variable has it."""
+    """Return a number as the type of a variable has it."""
     if name == "Boolean":
         return x != 0.0
     if name in REAL:

@@ -27,11 +27,11 @@ class Place(NamedTuple):
     offset: float
 
     def out(self, x: float) -> float:
-        """Give the port's value of the FMU's; the same bits where the units are the same."""
+        """Return the port's value of the FMU's; the same bits where the units are the same."""
         return x if self.scale == 1.0 and not self.offset else self.scale * x + self.offset
 
     def into(self, x: float) -> float:
-        """Give the FMU's value of the port's."""
+        """Return the FMU's value of the port's."""
         return x if self.scale == 1.0 and not self.offset else (x - self.offset) / self.scale
 
 
@@ -49,7 +49,7 @@ def mapped(
     trajectories: Sequence[str] = (),
     frames: Mapping[str, str] | None = None,
 ) -> Mapped:
-    """Make the ports of one side of an FMU.
+    """Create the ports of one side of an FMU.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def _port(
 
 
 def _safe(cell: tuple[str, Variable, tuple[float, float]]) -> float:
-    """Give the start value as the port has it: what an input has before anybody spoke."""
+    """Return the start value as the port has it: what an input has before anybody spoke."""
     _, variable, (scale, offset) = cell
     if variable.start is None:
         return 0.0

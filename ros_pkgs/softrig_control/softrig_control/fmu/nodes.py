@@ -62,7 +62,7 @@ class FmuParams(BlockParams):
 
     @cached_property
     def unit(self) -> Description:
-        """What the FMU says of itself."""
+        """Return what the FMU says of itself."""
         return describe(self.fmu)
 
     @cached_property
@@ -92,7 +92,7 @@ def _cell(variable: Variable) -> Cell:
 def _values(
     given: Sequence[tuple[Variable, Any]], only: Set[int] | None = None
 ) -> tuple[tuple[str, int, tuple[Any, ...]], ...]:
-    """Give type, reference and values of what is set; of an array also those that keep their start."""
+    """Return type, reference and values of what is set; of an array also those that keep their start."""
     found: dict[int, tuple[Variable, list[Any]]] = {}
     for variable, value in given:
         if variable.element is None:
@@ -113,7 +113,7 @@ class Told:
 
 
 def told_before(told: Told | None) -> Iterator[Told]:
-    """Give the calls of a chain, the newest first."""
+    """Yield the calls of a chain, the newest first."""
     while told is not None:
         yield told
         told = told.before
@@ -162,12 +162,12 @@ class _Fmu(Block[FmuParams]):
 
     @classmethod
     def ports(cls, params: FmuParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Give the ports that the parameters name."""
+        """Return the ports that the parameters name."""
         return (params.reads.ports, params.says.ports) if params.fmu else ((), ())
 
     @classmethod
     def fixed(cls, params: FmuParams) -> Any:
-        """What the FMU does not call tunable stays as it is."""
+        """Return what the FMU does not call tunable stays as it is."""
         given = start_values(params.unit, params.values) if params.fmu else ()
         return {v.name: value for v, value in given if not v.tunable}, {v.name for v, _ in given}
 
@@ -225,7 +225,7 @@ class _Fmu(Block[FmuParams]):
         return State(k, self._checked(k, found), x.told)
 
     def _call(self, x: State, name: str, *arguments: Any) -> tuple[State, Any]:
-        """Call the FMU; give the state that remembers it, and the answer."""
+        """Call the FMU; return the state that remembers it, and the answer."""
         found = self._asked(x.k, self._running.call, name, *arguments)
         return x if x.told is None else State(x.k, x.found, Told(x.told, name, arguments)), found
 
@@ -258,7 +258,7 @@ class _Fmu(Block[FmuParams]):
         return f"{self.name or type(self).__name__}: the FMU {self.p.unit.path.name}"
 
     def save(self, x: State) -> tuple[State, bytes | None]:
-        """Give also what the FMU writes of its state; one that cannot is told again all that it was told.
+        """Return also what the FMU writes of its state; one that cannot is told again all that it was told.
 
         Raises
         ------
@@ -290,7 +290,7 @@ class FmuPlant(_Fmu, Plant[FmuParams]):
     """
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give the outputs."""
+        """Return the outputs."""
         return self._said(x)
 
     def advance(self, x: State, t: int, **inputs: tuple[float, ...]) -> State:

@@ -148,7 +148,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
             )
 
     def to_xml(self, model_options: Any = None) -> Element:
-        """Give the model description, with the units and bounds that PythonFMU does not know of."""
+        """Return the model description, with the units and bounds that PythonFMU does not know of."""
         root = super().to_xml(model_options or {})
         for found in unit_definitions({e["unit"] for e in self._extra.values() if "unit" in e}):
             root.insert(1, found)
@@ -176,7 +176,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
             self._step.say(self._schedule.time(self._k))
 
     def _get_fmu_state(self) -> dict[str, Any]:
-        """Give all that decides how it goes on, as PythonFMU keeps and writes it."""
+        """Return all that decides how it goes on, as PythonFMU keeps and writes it."""
         kept = self._step.save(), self._k, self._numbers
         return {"kept": base64.b64encode(pickle.dumps(kept)).decode()}
 
@@ -249,7 +249,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
 
 
 def content(member: Any, seed: int, start: dict[str, list[float]]) -> dict[str, Any]:
-    """Give what ``node.json`` says of a member of a rig, and of what its inputs begin with."""
+    """Return what ``node.json`` says of a member of a rig, and of what its inputs begin with."""
     return {
         "node": member.name,
         "package": member.package,

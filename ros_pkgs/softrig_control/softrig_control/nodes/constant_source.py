@@ -54,7 +54,7 @@ class ScalarSource(Block[P]):
         self._answers = StepProfile(self.p.times, [{self.NAME: row} for row in self.p.rows("values")])
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
-        """Give the values at t."""
+        """Return the values at t."""
         return x, self._answers.at(t)
 
 

@@ -62,7 +62,7 @@ class Line:
         self._size, self._blocks = size, blocks
 
     def put(self, due: int, stamp: int, message: Any) -> Line:
-        """Give the line with one message more, which arrives at `due`, ns."""
+        """Return the line with one message more, which arrives at `due`, ns."""
         blocks, item = self._blocks, (due, stamp, message)
         k = len(blocks) - 1
         while k > 0 and item < blocks[k][0]:
@@ -75,7 +75,7 @@ class Line:
         return Line(self._size, (*blocks[:k], *parts, *blocks[k + 1 :]))
 
     def taken(self, t: int, since: int, message: Any) -> tuple[Line, int, Any]:
-        """Take off what has arrived at `t`; give the newest, stamp before message, of those from `since` (ns) on.
+        """Take off what has arrived at `t`; return the newest, stamp before message, of those from `since` (ns) on.
 
         Where none of them is, that is `since` and `message`.
         """
@@ -92,7 +92,7 @@ class Line:
         return Line(self._size, blocks), since, message
 
     def native(self) -> Line | LineRow:
-        """Give it as native code takes it."""
+        """Return it as native code takes it."""
         if not self._size:
             return self
         import numpy as np
@@ -106,13 +106,13 @@ class Line:
         return LineRow((0.0,) * self._size, 0, len(items), dues, stamps, values.ravel())
 
     def numbers(self) -> NDArray[np.float64]:
-        """Give the numbers of all messages in one row: what a linear view takes for states."""
+        """Return the numbers of all messages in one row: what a linear view takes for states."""
         from softrig_core.kit import floats
 
         return floats.numbers(self._blocks)
 
     def with_numbers(self, row: NDArray[np.float64]) -> Line:
-        """Give it with other numbers, in the order of `numbers`."""
+        """Return it with other numbers, in the order of `numbers`."""
         from softrig_core.kit import floats
 
         return Line(self._size, floats.put(self._blocks, floats.split(self._blocks, row)))
@@ -157,7 +157,7 @@ class LineRow(NamedTuple):
         return self._replace(begin=begin), since, message
 
     def python(self) -> Line:
-        """Give it as Python has it."""
+        """Return it as Python has it."""
         n, found = len(self.blank), Line(len(self.blank))
         for k in range(self.begin, self.end):
             row = tuple(self.values[k * n : (k + 1) * n].tolist())
@@ -221,7 +221,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
 
     @classmethod
     def ports(cls, params: FieldbusDelayParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Give both ends, of the same message type."""
+        """Return both ends, of the same message type."""
         return (params.port("sent", params.topic_in, delayed=True),), (
             params.port("arrived", params.topic_out, delayed=not params.restamp),
         )

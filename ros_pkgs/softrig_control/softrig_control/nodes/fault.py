@@ -97,7 +97,7 @@ class FaultParams(LinkParams):
         return self
 
     def concerned(self) -> tuple[int, ...]:
-        """Give the indices of the values that the fault changes.
+        """Return the indices of the values that the fault changes.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class FaultParams(LinkParams):
         return tuple(found)
 
     def range(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Give lower and upper limit of each value that `saturate` concerns."""
+        """Return lower and upper limit of each value that `saturate` concerns."""
         high = self.value * len(self.concerned()) if len(self.value) == 1 else self.value
         low = self.lower or tuple(-x for x in high)
         return low * len(high) if len(low) == 1 else low, high
@@ -185,7 +185,7 @@ class Fault(Block[FaultParams]):
 
     @classmethod
     def ports(cls, params: FaultParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Give both ends of the link, of the same message type, and the switch."""
+        """Return both ends of the link, of the same message type, and the switch."""
         switch = button("toggle", f"{params.topic_out}/toggle", held=True)
         return (params.port("sent", params.topic_in, delayed=params.delayed), switch), (
             params.port(
@@ -277,13 +277,13 @@ class Fault(Block[FaultParams]):
         return x, {"arrived": said}
 
     def _there(self, t: int) -> bool:
-        """Whether it is one of the times at which it is there."""
+        """Return whether it is one of the times at which it is there."""
         first, last = self._window
         every, lasts = self._cycle
         return first <= t < last and (not every or (t - first) % every < lasts)
 
     def _lost(self, burst: bool, draws: Sequence[float]) -> bool:
-        """Whether a message is lost while the fault is there."""
+        """Return whether a message is lost while the fault is there."""
         kind, p = self.p.kind, self.p
         chance = p.probability if not p.burst_begins else p.lost_in_burst if burst else 0.0
         return kind == "silence" or (kind == "loss" and draws[0] < chance)
@@ -297,7 +297,7 @@ class Fault(Block[FaultParams]):
         stuck: tuple[float, ...],
         draws: Sequence[float],
     ) -> Message:
-        """What a message becomes that is not lost."""
+        """Return what a message becomes that is not lost."""
         kind, p = self.p.kind, self.p
         if kind in ("loss", "repeat") or (kind in ("spike", "invalid") and draws[0] >= p.probability):
             return message

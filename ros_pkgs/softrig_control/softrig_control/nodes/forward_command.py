@@ -48,5 +48,5 @@ class ForwardCommand(Block[ForwardCommandParams]):
     def update(
         self, x: Any, t: int, commands: tuple[float, ...] | None = None
     ) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
-        """Give the newest array."""
+        """Return the newest array."""
         return x, {"command": self._initial if commands is None else commands}

@@ -35,7 +35,7 @@ class LinearPlantParams(BlockParams):
         return self
 
     def signals(self) -> tuple[Port, Port]:
-        """Give the ports (command, output)."""
+        """Return the ports (command, output)."""
         return (
             signal_port("command", self.command, self.command_unit),
             signal_port("output", self.output, self.output_unit),
@@ -70,7 +70,7 @@ class LinearPlant(Plant[LinearPlantParams]):
         return State((0.0,) * len(self._a))
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give y."""
+        """Return y."""
         return {"output": matmul((self._c,), tuple([(xi,) for xi in x.x]))[0]}
 
     def advance(self, x: State, t: int, *, command: tuple[float, ...]) -> State:

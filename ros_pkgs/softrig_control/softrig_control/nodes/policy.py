@@ -19,7 +19,7 @@ Act = Callable[[Sequence[float]], Sequence[float]]
 
 
 def linear(weights: Sequence[float], observations: int, actions: int) -> Act:
-    """Give the policy ``u = W y + b``.
+    """Return the policy ``u = W y + b``.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class Policy(Block[PolicyParams]):
 
     @classmethod
     def ports(cls, params: PolicyParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Give those of the law that it stands for."""
+        """Return those of the law that it stands for."""
         return params.come, params.go
 
     def setup(self) -> None:
@@ -201,7 +201,7 @@ class Policy(Block[PolicyParams]):
         return State(copied(saved.act))
 
     def observation(self, inputs: Mapping[str, Any]) -> tuple[float, ...]:
-        """Give the observation that the values of the ports make."""
+        """Return the observation that the values of the ports make."""
         found = []
         for port, k in self.observed:
             given = inputs[port.name]
@@ -210,7 +210,7 @@ class Policy(Block[PolicyParams]):
         return tuple(found)
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...] | Sample | None]]:
-        """Say what the policy commands."""
+        """Describe what the policy commands."""
         given = x.act(self.observation(inputs))
         if len(given) != len(self._bounds):
             raise ValueError(f"the policy gave {len(given)} actions, expected {len(self._bounds)}")

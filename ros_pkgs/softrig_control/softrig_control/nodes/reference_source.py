@@ -63,5 +63,5 @@ class ReferenceSource(Block[ReferenceSourceParams]):
         self._answers = StepProfile(self.p.times, answers)
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
-        """Give the reference at t."""
+        """Return the reference at t."""
         return x, self._answers.at(t)

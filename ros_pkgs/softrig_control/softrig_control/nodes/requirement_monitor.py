@@ -50,11 +50,11 @@ class RequirementMonitorParams(BlockParams):
         return self
 
     def inputs(self) -> tuple[Port, ...]:
-        """Give the ports that the text describes."""
+        """Return the ports that the text describes."""
         return ports_of(self.ports)
 
     def read(self) -> tuple[Any, Mapping[str, Any], str]:
-        """Give the formula, its conditions and the unit of its margin.
+        """Return the formula, its conditions and the unit of its margin.
 
         Raises
         ------
@@ -89,7 +89,7 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
 
     @classmethod
     def ports(cls, params: RequirementMonitorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Give the topics of the formula's signals, and the margin."""
+        """Return the topics of the formula's signals, and the margin."""
         unit = params.read()[2]
         bounds = {"lower": unit, "upper": unit, "decided": ""}
         return params.inputs(), (scalars("margin", params.topic, bounds, limits=(ENDLESS,) * 3),)
@@ -148,7 +148,7 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         return State(opened, before, lower, upper, decided), {"margin": said}
 
     def _tell(self, t: int, margin: float) -> None:
-        """Say that the requirement is violated, or end the run with that."""
+        """Report that the requirement is violated, or end the run with that."""
         least = f"{margin:.6g} {self._unit}".rstrip()
         text = f"{self.p.formula} is violated, its margin is at most {least}, known at t = {t / 1e9:.9g} s"
         if self.p.ends:

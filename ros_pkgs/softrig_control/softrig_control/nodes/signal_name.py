@@ -10,7 +10,7 @@ FIELDS = ("position", "velocity", "effort")
 
 
 def split(signal: str) -> tuple[str, str, str]:
-    """Give (topic, channel, field) of ``topic/channel/field``.
+    """Return (topic, channel, field) of ``topic/channel/field``.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def signal_port(
     held: bool = False,
     safe: tuple[float, ...] = (),
 ) -> Port:
-    """Make a port of one channel of a JointState; it comes first.
+    """Create a port of one channel of a JointState; it comes first.
 
     Parameters
     ----------

@@ -55,11 +55,11 @@ class LinkParams(BlockParams):
 
     @property
     def type(self) -> types.MessageType:
-        """What is known of the message type."""
+        """Return what is known of the message type."""
         return types.TYPES[self.message]
 
     def check_size(self, name: str) -> None:
-        """Make sure that a list of values, if there is one, has one for each value of the port."""
+        """Ensure that a list of values, if there is one, has one for each value of the port."""
         given, size = getattr(self, name), len(self._labels)
         if given and len(given) != size:
             raise ValueError(f"{name} has {len(given)} values, expected {size}")
@@ -76,7 +76,7 @@ class LinkParams(BlockParams):
         return self.type.labels(counts, names, tuple(zip(self.dims, self.sizes, strict=True)))
 
     def port(self, name: str, topic: str, **options: Any) -> Port:
-        """Give one end of the link."""
+        """Return one end of the link."""
         vector = self.message in (types.VECTOR.name, types.WRENCH.name)
         names = self.channels if self.type.named else XYZ if vector else ()
         return Port(
@@ -107,7 +107,7 @@ class UnitDelay(Plant[LinkParams]):
 
     @classmethod
     def ports(cls, params: LinkParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Give both ends, of the same message type."""
+        """Return both ends, of the same message type."""
         return (params.port("sent", params.topic_in),), (params.port("arrived", params.topic_out),)
 
     def first(self) -> State:
@@ -115,7 +115,7 @@ class UnitDelay(Plant[LinkParams]):
         return State(self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size)
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give what came in a tick ago."""
+        """Return what came in a tick ago."""
         return {"arrived": x.held}
 
     def advance(self, x: State, t: int, *, sent: tuple[float, ...]) -> State:

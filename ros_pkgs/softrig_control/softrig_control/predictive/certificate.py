@@ -42,13 +42,13 @@ class Certificate(NamedTuple):
 
     @property
     def valid(self) -> bool:
-        """Whether A + B K is stable, Qbar > 0 and V falls at least by the stage cost."""
+        """Return whether A + B K is stable, Qbar > 0 and V falls at least by the stage cost."""
         size = max(1.0, float(np.abs(self.terminal).max()))
         return bool(self.moduli[0] < 1.0 and self.definite > STRICT * size and self.decrease > -STRICT * size)
 
 
 def companion(model: Carima) -> tuple[Array, Array, Array]:
-    """Give A, B, C with y = C x and the characteristic polynomial in the first row of A (the form of paper eq. (29)).
+    """Return A, B, C with y = C x and the characteristic polynomial in the first row of A (the form of paper eq. (29)).
 
     A (n, n), B (n, 1), C (1, n); n is the degree of A(z), or the length of B(z) if that is longer.
     """

@@ -81,7 +81,7 @@ class CertificateNode(Block[CertificateParams]):
         return x, {}
 
     def health(self, x: State) -> Mapping[str, str]:
-        """Tell what it is a certificate of."""
+        """Describe what it is a certificate of."""
         p = self.p
         return {"model": f"num = {list(p.num)}, den = {list(p.den)}, T = {p.T:g} s, Q = {p.Q:g}, R = {p.R:g}"}
 

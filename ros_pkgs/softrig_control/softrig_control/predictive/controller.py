@@ -69,11 +69,11 @@ class GpcLawParams(BlockParams):
         return self
 
     def tuning(self) -> Tuning:
-        """Give horizons and weight."""
+        """Return horizons and weight."""
         return Tuning(self.N1, self.Np, self.Nc, self.lam)
 
     def carima(self) -> Carima:
-        """Give the model for prediction."""
+        """Return the model for prediction."""
         raise NotImplementedError
 
     @property
@@ -93,7 +93,7 @@ class GpcControllerParams(GpcLawParams):
     b: tuple[float, ...] = param((), "instead: B(z) = b0 + b1 z^-1 + ..., b0 being that of u(t-1)", max_length=200)
 
     def carima(self) -> Carima:
-        """Give A(z), B(z), or the transfer function sampled with zero-order hold."""
+        """Return A(z), B(z), or the transfer function sampled with zero-order hold."""
         if self.a or self.b:
             return Carima(self.a, self.b)
         return Carima.from_continuous(self.num, self.den, self.period)
@@ -165,7 +165,7 @@ class GpcController(Block[P]):
     def update(
         self, x: State, t: int, *, measured: tuple[float, ...], reference: tuple[float, ...] | None
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give the command for a sample."""
+        """Return the command for a sample."""
         p, y, gpc = self.p, measured[0], self.law
         law, w, last, _, failures, tripped, cycle = x
         if reference is not None:
@@ -198,7 +198,7 @@ class GpcController(Block[P]):
         return State(law, w, y, 0, failures, False, cycle), answer(law, state, active, failures)
 
     def _constrained(self, solver: MoveSolver, law: GpcState, w: float) -> tuple[GpcState, float, int]:
-        """Give the law after its move, what ``health`` says, and how many bounds are active."""
+        """Return the law after its move, what ``health`` says, and how many bounds are active."""
         p = self.p
         moves, status = solver.solve(self.law.gradient(law, w), p.u_min - law.u, p.u_max - law.u)
         if moves is None or not all(map(math.isfinite, moves)):
@@ -240,5 +240,5 @@ class GpcController(Block[P]):
 
 
 def answer(law: GpcState, state: float, active: int, failures: int) -> Mapping[str, tuple[float, ...]]:
-    """Give what the node says."""
+    """Return what the node says."""
     return {"command": (law.u,), "health": (state, float(active), float(failures))}

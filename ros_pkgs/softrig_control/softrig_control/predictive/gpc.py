@@ -104,7 +104,7 @@ class Gpc:
         return GpcState(x.u, (y, *x.y[:-1]), x.moves)
 
     def move(self, x: GpcState, w: float) -> float:
-        """Give the first move Delta u(t) of the closed form for the set point w."""
+        """Return the first move Delta u(t) of the closed form for the set point w."""
         found = self.pull * w
         for k, y in zip(self.outputs, x.y, strict=True):
             found -= k * y
@@ -113,7 +113,7 @@ class Gpc:
         return found
 
     def gradient(self, x: GpcState, w: float) -> list[float]:
-        """Give -G' (w - f), the linear term of the cost 1/2 U' H U + q' U with H = `hessian` (halved cost)."""
+        """Return -G' (w - f), the linear term of the cost 1/2 U' H U + q' U with H = `hessian` (halved cost)."""
         found = []
         for pull, outputs, past in zip(self._pull, self._outputs, self._past, strict=True):
             total = -pull * w
@@ -129,7 +129,7 @@ class Gpc:
         return GpcState(u, x.y, (u - x.u, *x.moves[:-1]) if x.moves else ())
 
     def poles(self) -> list[complex]:
-        """Give the closed loop's poles in z, with the model as its plant.
+        """Return the closed loop's poles in z, with the model as its plant.
 
         The law is R Delta u = pull w - S y with R = 1 + z^-1 past, S = outputs; with A y = z^-1 B u the characteristic
         polynomial is R A Delta + z^-1 B S.

@@ -76,7 +76,7 @@ class Now(Mapping[str, float]):
         self.said: dict[str, Any] = {}
 
     def whole(self, name: str) -> str:
-        """Give the whole name of a signal, called by its own or a shared name.
+        """Return the whole name of a signal, called by its own or a shared name.
 
         Raises
         ------
@@ -89,7 +89,7 @@ class Now(Mapping[str, float]):
         return found
 
     def __getitem__(self, name: str) -> float:
-        """Give the newest value of a signal, or a shared number; a KeyError says that nothing has come of it yet."""
+        """Return the newest value of a signal, or a shared number; a KeyError says that nothing has come of it yet."""
         if name in self._shared[0]:
             return self._shared[0][name]
         topic, k = self._known[self.whole(name)]
@@ -282,7 +282,7 @@ class RigEnv(gym.Env[Array, Array]):
     # the rig around the agent -------------------------------------------------------------------------------------
 
     def published(self) -> Callable[[Array], Array]:
-        """Give the law itself as an agent, of the episode under way; its actions are all that the law says.
+        """Return the law itself as an agent, of the episode under way; its actions are all that the law says.
 
         It reads the ports, as an observation cannot say that nothing has come yet.
 
@@ -307,7 +307,7 @@ class RigEnv(gym.Env[Array, Array]):
         return agent
 
     def scenario(self, policy: str, weights: Sequence[float], name: str = "") -> Scenario:
-        """Give the scenario with a trained policy as the node in the law's place.
+        """Return the scenario with a trained policy as the node in the law's place.
 
         Parameters
         ----------
@@ -324,7 +324,7 @@ class RigEnv(gym.Env[Array, Array]):
         return found.model_copy(update={"name": name} if name else {})
 
     def _with(self, entry: NodeEntry, terminate: Sequence[str]) -> Rig:
-        """Give the rig with another node in the law's place, and requirements that end a run."""
+        """Return the rig with another node in the law's place, and requirements that end a run."""
         scenario = self._whole.scenario
         for name in terminate:
             if name not in scenario.requirements:
@@ -344,7 +344,7 @@ class RigEnv(gym.Env[Array, Array]):
         return [float(a) for a in action]
 
     def _go_on(self) -> str | bool:
-        """Run up to the agent's next tick; give whether it was the last, or why the rig broke."""
+        """Run up to the agent's next tick; return whether it was the last, or why the rig broke."""
         assert self._ticks is not None
         try:
             for t in self._ticks:
@@ -386,7 +386,7 @@ def _without(law: Member, value: Any) -> Any:
 
 
 def _entry(rig: Rig, law: Member, observe: Signals | None, act: Signals | None) -> NodeEntry:
-    """Give the node that takes a law's place: its ports, and what else is observed."""
+    """Return the node that takes a law's place: its ports, and what else is observed."""
     now, come = Now(rig), list(law.inputs)
     observed = None if observe is None else [now.whole(name) for name in observe]
     for signal in observed or ():
@@ -415,12 +415,12 @@ def _entry(rig: Rig, law: Member, observe: Signals | None, act: Signals | None) 
 
 
 def _limits(ports: Sequence[Port]) -> dict[str, float]:
-    """Give the limit of each signal of some ports."""
+    """Return the limit of each signal of some ports."""
     return {f"{p.topic}/{label}": m for p in ports for label, m in zip(p.labels, p.limits, strict=True)}
 
 
 def _bounds(given: Signals | None, signals: Sequence[str], limits: Mapping[str, float]) -> list[tuple[float, float]]:
-    """Give the bounds of signals: what a mapping says of them in its order, or the limits of their ports."""
+    """Return the bounds of signals: what a mapping says of them in its order, or the limits of their ports."""
     if isinstance(given, Mapping):
         return [(float(low), float(high)) for low, high in given.values()]
     return [(-limits[s], limits[s]) for s in signals]

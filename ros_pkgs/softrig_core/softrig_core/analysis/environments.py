@@ -41,7 +41,7 @@ class Columns(Now):
         self.first: dict[str, int] = {}
 
     def __getitem__(self, name: str) -> Any:
-        """Give the newest values of a signal, NaN where nothing has come yet, or a shared number."""
+        """Return the newest values of a signal, NaN where nothing has come yet, or a shared number."""
         if name in self._shared[0]:
             return self._shared[0][name]
         topic, k = self._known[self.whole(name)]
@@ -186,7 +186,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
     # in Python ----------------------------------------------------------------------------------------------------
 
     def _begun(self, j: int, seed: int | None) -> Any:
-        """Begin an episode; gives its observation."""
+        """Begin an episode; returns its observation."""
         env, self._k[j], self._fits[j], self._before[j] = self.envs[j], -1, False, None
         env.over = None
         observation, _ = env.reset(seed=seed)
@@ -215,7 +215,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._t[j] = self.envs[j].clock.t / SECOND
 
     def _loaded(self, j: int) -> None:
-        """Make an instance go on in Python."""
+        """Create an instance go on in Python."""
         if self._k[j] < 0:
             return
         env, k = self.envs[j], int(self._k[j])
@@ -250,7 +250,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._k[j] = self._plan.clock.tick(env.clock.t)
 
     def _fitted(self, j: int) -> bool:
-        """Whether the text is for an instance whose episode has begun; gives that its random numbers."""
+        """Return whether the text is for an instance whose episode has begun; returns that its random numbers."""
         assert self._text is not None
         program, blocks = self._text.program, [s.block for s in self.envs[j].steps.values()]
         self._fits[j] = not program.differs(blocks) and program.constants(blocks) == self._constants
@@ -259,7 +259,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         return bool(self._fits[j])
 
     def _texted(self, steps: list[Step], agent: Step, state: Any) -> None:
-        """Make the text for the states as they are."""
+        """Create the text for the states as they are."""
         if not self._tries:
             raise NotNative("what it remembers changes its type")
         odd = [s.name for s in steps if s.doubters or s.changes or any(p.sporadic or p.delayed for p in s.outputs)]
@@ -299,7 +299,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._text = text
 
     def _places(self, steps: list[Step], agent: Step) -> list[Any]:
-        """Say where each value of an observation stands among all that is said, or what it is."""
+        """Describe where each value of an observation stands among all that is said, or what it is."""
         first = dict(zip(map(id, steps), [0, *accumulate(len(s.numbers) for s in steps)], strict=False))
         block: Any = agent.block
         found: list[Any] = []

@@ -55,7 +55,7 @@ class Linear(NamedTuple):
     """s; of a model of differences: x of the next period in place of dx. 0: a model of derivatives."""
 
     def system(self, **names: Sequence[str]) -> control.StateSpace:
-        """Give it as a system of the python-control library, for poles, margins, Bode and step figures.
+        """Return it as a system of the python-control library, for poles, margins, Bode and step figures.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class Sampled:
         self.outputs = [port for port in outputs if not port.sporadic]
 
     def __call__(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Give (dx, y)."""
+        """Return (dx, y)."""
         first = self.plant.first()
         now = put(first, split(first, x))
         given, at = {}, 0
@@ -204,7 +204,7 @@ Pair = tuple[Array, Array]
 def _derivatives(
     model: Any, n: int, m: int
 ) -> tuple[Callable[[Array, Array], Pair], Callable[[Array, Array], tuple[Pair, Pair]]]:
-    """Give what evaluates a model, (dx, y), and its Jacobians, ((A, B), (C, D))."""
+    """Return what evaluates a model, (dx, y), and its Jacobians, ((A, B), (C, D))."""
     if hasattr(model, "n_in"):  # a casadi function
         import casadi as ca
 

@@ -198,7 +198,7 @@ class LinearView:
 
     @property
     def stable(self) -> bool:
-        """Whether the loop at the link is stable; without a link, whether the rig is."""
+        """Return whether the loop at the link is stable; without a link, whether the rig is."""
         poles = self.loop_poles if self.link else np.linalg.eigvals(self.A)
         return bool(np.abs(poles).max(initial=0.0) < 1.0)
 
@@ -240,7 +240,7 @@ class LinearView:
         return whole[(whole >= low) & (whole <= top)]
 
     def at_frequencies(self, omega: Array) -> NDArray[np.complex128]:
-        """Give the opened loop L(exp(j omega T)).
+        """Return the opened loop L(exp(j omega T)).
 
         Parameters
         ----------
@@ -520,7 +520,7 @@ def linear_along(
 
 
 def _command(rig: Rig) -> str:
-    """Give the only value that a plant is commanded; empty when there are several."""
+    """Return the only value that a plant is commanded; empty when there are several."""
     commands = {
         f"{link.port.topic}/{label}": None
         for m in rig.members
@@ -533,12 +533,12 @@ def _command(rig: Rig) -> str:
 
 
 def plants_say(rig: Rig) -> list[str]:
-    """Give the signals that plants say at each of their ticks."""
+    """Return the signals that plants say at each of their ticks."""
     return [f"{p.topic}/{x}" for m in rig.members if m.is_plant for p in m.outputs if not p.sporadic for x in p.labels]
 
 
 def _sources_say(rig: Rig, said: Sequence[str]) -> list[str]:
-    """Give what sources say to those that count, and not more seldom than those are due."""
+    """Return what sources say to those that count, and not more seldom than those are due."""
     whole: dict[str, Any] = {}
     for name in said:
         upstream(place_of(rig, name).member, whole)
@@ -588,13 +588,13 @@ class Differences:
         self.steps: dict[int | str, float] = {}
 
     def _begin(self) -> dict[str, float]:
-        """Give what is said where the map's `start` is now, and keep what no float tells of it."""
+        """Return what is said where the map's `start` is now, and keep what no float tells of it."""
         _, said = self.map(self.map.start, {})
         self.others = self.map.others()
         return said
 
     def states(self) -> tuple[list[int], Array, Array]:
-        """Give the places of the states, A, and the rows of what is heard: those that what is heard depends on."""
+        """Return the places of the states, A, and the rows of what is heard: those that what is heard depends on."""
         for name in [self.link] if self.link else []:
             self._signal(name)
         self._explore()
@@ -636,7 +636,7 @@ class Differences:
         return sorted(i for i in self.columns if isinstance(i, int))
 
     def _loops(self) -> bool:
-        """Whether the link hears of itself, as far as columns tell."""
+        """Return whether the link hears of itself, as far as columns tell."""
         on, (column, direct) = self._on(), self.columns[self.link]
         c = np.array([self.columns[i][1][-1] for i in on])
         return bool(direct[-1] or _between(self._square(on), column[on], c).any())
@@ -653,7 +653,7 @@ class Differences:
         return found
 
     def again(self, kept: list[int]) -> Array:
-        """Give A where the map's `start` is now."""
+        """Return A where the map's `start` is now."""
         self._begin()
         for i in kept:
             self._number(i)
@@ -701,7 +701,7 @@ class Differences:
         )  # fmt: skip
 
     def _no_loop(self) -> str:
-        """Say why nothing small that is added at the link comes back there."""
+        """Describe why nothing small that is added at the link comes back there."""
         m, link = self.map, self.link
         member, port, _ = m.places[link]
         readers = {
@@ -965,7 +965,7 @@ def shares(seen: Array, told: Array) -> list[float]:
 
 
 def _power(size: float) -> float:
-    """Give the power of two next to a size: a step of it is added without rounding where it can be."""
+    """Return the power of two next to a size: a step of it is added without rounding where it can be."""
     return float(2.0 ** round(math.log2(size)))
 
 

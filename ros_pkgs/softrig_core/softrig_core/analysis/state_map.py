@@ -46,7 +46,7 @@ class Place(NamedTuple):
 
 
 def signal_of(rig: Rig, name: str) -> str:
-    """Give the whole name of a signal that a member says, called by its own or a shared name.
+    """Return the whole name of a signal that a member says, called by its own or a shared name.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def place_of(rig: Rig, signal: str) -> Place:
 
 
 def upstream(member: Member, seen: dict[str, Member] | None = None) -> dict[str, Member]:
-    """Give a member and all that it hears of, by name."""
+    """Return a member and all that it hears of, by name."""
     seen = {} if seen is None else seen
     if member.name not in seen:
         seen[member.name] = member
@@ -83,7 +83,7 @@ def upstream(member: Member, seen: dict[str, Member] | None = None) -> dict[str,
 
 
 def is_source(member: Member) -> bool:
-    """Whether a member hears of nobody and is no plant: a reference, a disturbance."""
+    """Return whether a member hears of nobody and is no plant: a reference, a disturbance."""
     return not member.is_plant and not member.links
 
 
@@ -250,11 +250,11 @@ class StateMap:
             )
 
     def step_names(self) -> list[str]:
-        """Give the names of the members that count."""
+        """Return the names of the members that count."""
         return list(self._steps)
 
     def _read(self) -> tuple[list[str], Array]:
-        """Give the names and values of all numbers as they are now."""
+        """Return the names and values of all numbers as they are now."""
         names: list[str] = []
         rows: list[Array] = [np.empty(0)]
         for name, step in self._steps.items():
@@ -266,11 +266,11 @@ class StateMap:
         return names, np.concatenate(rows)
 
     def _now(self) -> list[Array]:
-        """Give the values alone, those of each member."""
+        """Return the values alone, those of each member."""
         return [numbers_of(_Known(step.x, tuple(step.values.values()))) for step in self._steps.values()]
 
     def others(self) -> list[tuple[str, Any]]:
-        """Give name and value of all that is no float, after the last period: no part of a linear view."""
+        """Return name and value of all that is no float, after the last period: no part of a linear view."""
         return [
             (f"{name}.{path}" if path else name, value)
             for name, step in self._steps.items()
@@ -338,7 +338,7 @@ class StateMap:
         added: Mapping[str, float] | None = None,
         fixed: Mapping[str, float] | None = None,
     ) -> Iterator[tuple[Array, dict[str, float]]]:
-        """Go some periods on; gives what `__call__` gives after each of them."""
+        """Go some periods on; returns what `__call__` gives after each of them."""
         self._tables.go_back(self._saved)
         self._write(numbers, self._kept)
         added, fixed = added or {}, fixed or {}

@@ -69,7 +69,7 @@ class OperatingPoint:
 
     @property
     def stable(self) -> bool:
-        """Whether a run that begins near it comes to it."""
+        """Return whether a run that begins near it comes to it."""
         return self.slowest < 1.0
 
 

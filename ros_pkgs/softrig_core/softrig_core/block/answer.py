@@ -21,7 +21,7 @@ MAPPINGS = (dict, Mapping)  # the first is told at once
 
 
 def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
-    """Make sure that a block's answer may leave it: right length, plain floats, all finite and within `Port.limits`.
+    """Ensure that a block's answer may leave it: right length, plain floats, all finite and within `Port.limits`.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def flat(rows: Any) -> tuple[float, ...]:
 
 
 def usual(values: tuple[Any, ...], bound: float) -> bool:
-    """Whether values are floats the sum of whose squares is not above a bound; told fast."""
+    """Return whether values are floats the sum of whose squares is not above a bound; told fast."""
     try:
         size = sum_of_products(values, values)
         return type(size) is float and size <= bound

@@ -36,7 +36,7 @@ _RUNNERS = frozenset({"ages", "unanswered", "realtime", "_seed", "_Block__first"
 
 
 def _check_writer(block: Block, name: str, writer: FrameType) -> None:
-    """Make sure that no method of a block writes an attribute of it in a tick.
+    """Ensure that no method of a block writes an attribute of it in a tick.
 
     Who runs the block writes from outside; the outermost method of the block on the stack decides, so `setup` may call
     others. Walking the stack takes microseconds, and nobody comes here in a tick who is not refused.
@@ -162,7 +162,7 @@ class Block(Generic[P]):
 
     @classmethod
     def seeded(cls, params: P, name: str, seed: int) -> Self:
-        """Make a block with a seed, as by ``reset`` after it is made."""
+        """Create a block with a seed, as by ``reset`` after it is made."""
         block = cls.__new__(cls)
         block.__dict__["_seed"] = seed
         block.__init__(params, name)  # type: ignore[misc]
@@ -181,12 +181,12 @@ class Block(Generic[P]):
 
     @classmethod
     def ports(cls, params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Give (inputs, outputs) for these parameters; override when channels depend on them. Must stay cheap."""
+        """Return (inputs, outputs) for these parameters; override when channels depend on them. Must stay cheap."""
         return cls.INPUTS, cls.OUTPUTS
 
     @classmethod
     def agreed(cls, params: Any) -> Mapping[str, Any]:
-        """Give what must be equal in all nodes of a rig that name it: quantity (``tank/k_high``) to value.
+        """Return what must be equal in all nodes of a rig that name it: quantity (``tank/k_high``) to value.
 
         For a plant, for those that judge it (figures, monitors, certificates, proofs), and for what they say of a law.
         What a law assumes of its plant is its own: it may be wrong, that is an experiment.
@@ -195,24 +195,24 @@ class Block(Generic[P]):
 
     @classmethod
     def assumed(cls, params: Any) -> Mapping[str, Any]:
-        """Give what it takes others to be, by the names of `agreed`: a difference is an experiment, told once."""
+        """Return what it takes others to be, by the names of `agreed`: a difference is an experiment, told once."""
         return {}
 
     @classmethod
     def fixed(cls, params: Any) -> Any:
-        """Give what of its live parameters may not change all the same, to be compared."""
+        """Return what of its live parameters may not change all the same, to be compared."""
         return None
 
     @classmethod
     def contents(cls, params: Any) -> Mapping[str, str]:
-        """Give name to hash of files that decide what it does beside its code, for the record of a run."""
+        """Return name to hash of files that decide what it does beside its code, for the record of a run."""
         return {}
 
     def setup(self) -> None:
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""
 
     def first(self) -> Any:
-        """Give the state before the first tick; a block that remembers nothing has none.
+        """Return the state before the first tick; a block that remembers nothing has none.
 
         What is odd about the parameters is reported here, and in `go_on`: who holds the block gets it.
         """
@@ -228,11 +228,11 @@ class Block(Generic[P]):
         return found[0]
 
     def params(self, x: Any) -> P:
-        """Give the parameters as they stand; `p`, but for one that something in the run moves, as a button does."""
+        """Return the parameters as they stand; `p`, but for one that something in the run moves, as a button does."""
         return self.p
 
     def go_on(self, x: Any, before: P) -> Any:
-        """Give the state with which it goes on after live parameters have changed, between two ticks.
+        """Return the state with which it goes on after live parameters have changed, between two ticks.
 
         `p` and what `setup` makes are those of now. By default the state stays as it is. A block whose state means
         something else under other parameters overrides it and says in its docstring what happens to that state: where
@@ -247,7 +247,7 @@ class Block(Generic[P]):
         return x
 
     def decides(self, x: Any, t: int) -> bool:
-        """Tell whether native code is to leave a tick to Python.
+        """Describe whether native code is to leave a tick to Python.
 
         For what happens now and then and is no arithmetic, as the next step of a search. What native code cannot do it
         leaves by itself, but finds out late: it computes the ticks before that one again.
@@ -255,7 +255,7 @@ class Block(Generic[P]):
         return False
 
     def save(self, x: Any) -> Any:
-        """Give what `load` makes x of again, as often as wanted; x itself, unless part of it is opaque.
+        """Return what `load` makes x of again, as often as wanted; x itself, unless part of it is opaque.
 
         What cannot be a value (a solver, an FMU, a policy) stands in x as the object that it is; its block says here
         how it is kept.
@@ -263,7 +263,7 @@ class Block(Generic[P]):
         return x
 
     def load(self, saved: Any) -> Any:
-        """Give the x that `save` was given."""
+        """Return the x that `save` was given."""
         return saved
 
     def change(self, params: P) -> None:
@@ -290,7 +290,7 @@ class Block(Generic[P]):
         self.events.clear()
 
     def generator(self) -> np.random.Generator:
-        """Give a generator at the beginning of this block's random numbers, a function of (rig seed, block name)."""
+        """Return a generator at the beginning of this block's random numbers, a function of (rig seed, block name)."""
         import numpy as np
 
         return np.random.default_rng([self._seed, zlib.crc32(self.name.encode())])
@@ -310,19 +310,19 @@ class Block(Generic[P]):
         self.events.append((level, key, text, anew))
 
     def withdraw(self, key: str) -> None:
-        """Say that what was reported under a key is over, if anything was: it leaves /diagnostics."""
+        """Report that what was reported under a key is over, if anything was: it leaves /diagnostics."""
         self.events.append((None, key, "", False))
 
     @property
     def reports(self) -> Reports:
-        """What a block that nobody holds has reported, by key; what one that is held has, see `Held.reports`."""
+        """Return what a block that nobody holds has reported, by key; what one that is held has, see `Held.reports`."""
         found: Reports = {}
         for level, key, text, _ in self.events:
             note(found, level, key, text)
         return found
 
     def age(self, name: str) -> int | None:
-        """Give the age of an input in ns at the tick under way: how long ago its newest message was stamped.
+        """Return the age of an input in ns at the tick under way: how long ago its newest message was stamped.
 
         None when none has come yet. Outside of a run every input is new.
         """
@@ -330,29 +330,29 @@ class Block(Generic[P]):
 
     @classmethod
     def finishes(cls) -> bool:
-        """Whether the block has a last word."""
+        """Return whether the block has a last word."""
         return cls.finish is not Block.finish
 
     @classmethod
     def speaks_at_end(cls) -> bool:
-        """Whether the block has a tick at the end time of a run: plants, observers and who has a last word."""
+        """Return whether the block has a tick at the end time of a run: plants, observers and who has a last word."""
         return issubclass(cls, (Plant, Observer)) or cls.finishes()
 
     def health(self, *x: Any) -> Mapping[str, str]:
-        """Give name to text of what /diagnostics shows beside the reports, about once a second; gets x."""
+        """Return name to text of what /diagnostics shows beside the reports, about once a second; gets x."""
         return {}
 
     def latched(self) -> Mapping[str, str]:
-        """Give topic to text (such as ``robot_description``) that a node publishes once, also for late joiners."""
+        """Return topic to text (such as ``robot_description``) that a node publishes once, also for late joiners."""
         return {}
 
     @classmethod
     def scene(cls, params: Any) -> Scene | None:
-        """Give what a viewer needs to show what the block moves, with these parameters; most move nothing."""
+        """Return what a viewer needs to show what the block moves, with these parameters; most move nothing."""
         return None
 
     def markers(self, *x: Any) -> Sequence[Marker]:
-        """Give something to look at, drawn from x; a node asks a few times a second."""
+        """Return something to look at, drawn from x; a node asks a few times a second."""
         return ()
 
     def update(self, *x_t: Any, **inputs: Any) -> Any:
@@ -408,11 +408,11 @@ class Plant(Block[P]):
     AWAITS_COMMAND: ClassVar[bool] = False  # realtime, by hand: t = 0 with the first command; it cannot do without one
 
     def outputs(self, *x_t: Any) -> Any:
-        """Give the outputs at t (ns), ``outputs(x, t) -> values``."""
+        """Return the outputs at t (ns), ``outputs(x, t) -> values``."""
         raise NotImplementedError
 
     def advance(self, *x_t: Any, **inputs: Any) -> Any:
-        """Give the state at t + period with the inputs held, ``advance(x, t, *, input, ...) -> x``."""
+        """Return the state at t + period with the inputs held, ``advance(x, t, *, input, ...) -> x``."""
         raise NotImplementedError
 
 
@@ -423,7 +423,7 @@ class Observer(Block[P]):
     """
 
     def status(self, *x: Any) -> Mapping[str, tuple[float, str]]:
-        """Give name to (value, unit) of the figures so far; gets x."""
+        """Return name to (value, unit) of the figures so far; gets x."""
         raise NotImplementedError
 
     def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:

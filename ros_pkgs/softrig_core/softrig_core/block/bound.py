@@ -68,7 +68,7 @@ PLAIN = """
 
 
 def sayer(step: Step) -> Callable[[int], None]:
-    """Make the function that answers a tick (ns) of a step as it is wired by now; see `Step.say`."""
+    """Create the function that answers a tick (ns) of a step as it is wired by now; see `Step.say`."""
     fills = [*step.readers, *step.doubters]
     known: dict[str, Any] = {"respond": step.respond, "bound": min([port.bound for port in step.outputs], default=0.0)}
     for number, fill in enumerate(fills):
@@ -127,7 +127,7 @@ def _say_text(
 
 
 def mover(step: Step) -> Callable[..., None]:
-    """Make the function that moves a plant on; see `Step.advance`."""
+    """Create the function that moves a plant on; see `Step.advance`."""
     known = {"move": step.block.advance} | ({} if step.link is None else {"over": step.link.over})
     return _made("advance", _move_text(tuple(step.values), _needs_over(step)), step, known)
 
@@ -138,7 +138,7 @@ def _move_text(inputs: tuple[str, ...], ends: bool) -> str:
 
 
 def _needs_over(step: Step) -> bool:
-    """Whether any link of a step does something when a tick is over."""
+    """Return whether any link of a step does something when a tick is over."""
     link = step.link
     while link is not None and type(link).over is Link.over:
         link = link.inner

@@ -55,7 +55,7 @@ def changeable(model: type[BlockParams]) -> list[str]:
 
 
 def revise(params: BlockParams, values: Mapping[str, Any]) -> BlockParams:
-    """Give the parameters with other values.
+    """Return the parameters with other values.
 
     Raises
     ------
@@ -72,12 +72,12 @@ def revise(params: BlockParams, values: Mapping[str, Any]) -> BlockParams:
 
 
 def _told(ports: tuple[tuple[Port, ...], tuple[Port, ...]]) -> list[list[Port]]:
-    """Give what others know of ports: a held one gives nothing before its first message, whatever it calls safe."""
+    """Return what others know of ports: a held one gives nothing before its first message, whatever it calls safe."""
     return [[replace(p, safe=()) if p.held and not p.partial else p for p in side] for side in ports]
 
 
 def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, Any], name: str = "") -> BlockParams:
-    """Make sure that a block could begin with the changed parameters, and that its rig would still fit together.
+    """Ensure that a block could begin with the changed parameters, and that its rig would still fit together.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ class Decoder:
         self.kept = port.safe  # of a partial port: what channels that a message leaves out keep; its reader updates it
 
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
-        """Give (stamp in ns, values); for the stamp of what has none see `cdr.Message.mark`.
+        """Return (stamp in ns, values); for the stamp of what has none see `cdr.Message.mark`.
 
         Raises
         ------
@@ -47,7 +47,7 @@ class Decoder:
         return found
 
     def pick(self, layout: Layout) -> Picker | None:
-        """Say how the numbers of messages of a layout become those of the port; None when they are the same.
+        """Describe how the numbers of messages of a layout become those of the port; None when they are the same.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class Decoder:
         return message.mark, values
 
     def number(self, data: bytes) -> int:
-        """Give the number that a refused array says of itself; -1 when there is none or it cannot be read."""
+        """Return the number that a refused array says of itself; -1 when there is none or it cannot be read."""
         try:
             return self._parse(data).mark
         except Refused:
@@ -131,7 +131,7 @@ def _check_partial(names: Sequence[str], port: Port) -> None:
 
 
 def encoder(layout: Layout, said: int = 0) -> Callable[[int, Sequence[float]], bytes]:
-    """Give what makes one topic's messages, each from its stamp and values.
+    """Return what makes one topic's messages, each from its stamp and values.
 
     Arrays it numbers in the order of calls; `said` messages were before them.
     """
@@ -175,7 +175,7 @@ def selection(source: Port, sink: Port) -> Pick | None:
 
 
 def readable_stamp(data: bytes) -> int | None:
-    """Give the stamp (ns) of a message that is refused, where it stands at the begin; None when it cannot be read.
+    """Return the stamp (ns) of a message that is refused, where it stands at the begin; None when it cannot be read.
 
     Parameters
     ----------

@@ -57,12 +57,12 @@ class Fill(NamedTuple):
 
     @property
     def places(self) -> Pick:
-        """What each number of the input is: a place among those of the output, or the number itself."""
+        """Return what each number of the input is: a place among those of the output, or the number itself."""
         return tuple(range(self.source.outputs[self.output].size)) if self.pick is None else self.pick
 
     @property
     def silent(self) -> bool:
-        """Whether it may bring nothing at a tick of its source, or something with another stamp."""
+        """Return whether it may bring nothing at a tick of its source, or something with another stamp."""
         port = self.source.outputs[self.output]
         return port.sporadic or port.delayed
 

@@ -84,15 +84,15 @@ class Held:
         self.x = self.block.go_on(self.x, before)
 
     def status(self) -> Mapping[str, tuple[float, str]]:
-        """Give the figures of an observer, see `Observer.status`."""
+        """Return the figures of an observer, see `Observer.status`."""
         return self.block.status(self.x)  # type: ignore[attr-defined, no-any-return]
 
     def health(self) -> Mapping[str, str]:
-        """Give what /diagnostics shows, see `Block.health`."""
+        """Return what /diagnostics shows, see `Block.health`."""
         return self.block.health(self.x)
 
     def markers(self) -> Sequence[Marker]:
-        """Give something to look at, see `Block.markers`."""
+        """Return something to look at, see `Block.markers`."""
         return self.block.markers(self.x)
 
     def save(self) -> Kept:
@@ -138,7 +138,7 @@ class ByHand(Held):
         self.x = self.block.take_first()
 
     def update(self, t: int, /, **inputs: Any) -> Any:
-        """Answer a tick; give the values."""
+        """Answer a tick; return the values."""
         return self._keep(self.block.update(self.x, t, **inputs))
 
     def finish(self, t: int, /, **inputs: Any) -> Any:
@@ -150,7 +150,7 @@ class ByHand(Held):
         return self._keep(self.block.refused(self.x, t))
 
     def outputs(self, t: int) -> Any:
-        """Give what a plant shows."""
+        """Return what a plant shows."""
         found = self.block.outputs(self.x, t)  # type: ignore[attr-defined]
         self.tell()
         return found

@@ -92,7 +92,7 @@ class Params(Entry):
 
 
 def _each(field: Any) -> tuple[float, float]:
-    """Give the bounds of a field's elements."""
+    """Return the bounds of a field's elements."""
     extra = field.json_schema_extra
     low, high = (isinstance(extra, dict) and extra.get("each")) or (-LARGEST, LARGEST)
     return low, high
@@ -176,7 +176,7 @@ def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
 
 
 def flatten(params: Params, prefix: str = "") -> dict[str, Any]:
-    """Give the values of a model under dotted names."""
+    """Return the values of a model under dotted names."""
     flat: dict[str, Any] = {}
     for name in type(params).model_fields:
         value = getattr(params, name)
@@ -200,7 +200,7 @@ def known(params: Params, prefix: str = "") -> dict[str, Any]:
 
 
 def differing(params: Params) -> str:
-    """Say which parameters differ from the published ones, as the middle of a message; empty when none does."""
+    """Describe which parameters differ from the published ones, as the middle of a message; empty when none does."""
     try:
         published = flatten(type(params)())
     except ValidationError:  # no defaults: all were given
@@ -210,7 +210,7 @@ def differing(params: Params) -> str:
 
 
 def build(model: type[Params], values: Mapping[str, Any]) -> Params:
-    """Make a parameter model from dotted (or nested) names.
+    """Create a parameter model from dotted (or nested) names.
 
     Raises
     ------

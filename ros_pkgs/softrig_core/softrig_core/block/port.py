@@ -166,24 +166,24 @@ class Port:
 
     @property
     def type(self) -> MessageType:
-        """What is known of its message type."""
+        """Return what is known of its message type."""
         return TYPES[self.msgtype]
 
     @property
     def initial(self) -> tuple[float, ...] | Sample | None:
-        """What an input gives before its first message: None when held, else the safe value."""
+        """Return what an input gives before its first message: None when held, else the safe value."""
         if self.held:
             return None
         return Sample(0, self.safe) if self.delayed else self.safe
 
     @property
     def stamped(self) -> bool:
-        """Whether its messages have a header with a stamp."""
+        """Return whether its messages have a header with a stamp."""
         return self.type.stamped
 
     @property
     def frame(self) -> str:
-        """What its messages say as header.frame_id; empty of a type that has none."""
+        """Return what its messages say as header.frame_id; empty of a type that has none."""
         return (self.frame_id or WORLD) if self.type.framed else ""
 
     def layout(self) -> Layout:
@@ -198,7 +198,7 @@ class Port:
         return Layout(self.msgtype, self.frame, names, counts, self.dims, numbered=self.type.shaped)
 
     def renamed(self, topic: str) -> Port:
-        """Give the same port on another topic."""
+        """Return the same port on another topic."""
         return self if topic == self.topic else replace(self, topic=topic)
 
     def __hash__(self) -> int:
@@ -394,7 +394,7 @@ CLOCK = Port("clock", "/clock", "rosgraph_msgs/msg/Clock")
 
 
 def require_distinct(inputs: Sequence[Port], outputs: Sequence[Port]) -> None:
-    """Make sure that no two inputs and no two outputs of a block share a name, and no two outputs a topic.
+    """Ensure that no two inputs and no two outputs of a block share a name, and no two outputs a topic.
 
     Values and links are found by these names, so the second one would silently take the place of the first.
 

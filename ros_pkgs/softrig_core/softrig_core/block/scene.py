@@ -41,17 +41,17 @@ class Scene(Protocol):
     base: str
 
     def fixed(self) -> list[Pose]:
-        """Give the frames that never move in their parents'."""
+        """Return the frames that never move in their parents'."""
 
     def moving(self, q: Sequence[float]) -> list[Pose]:
-        """Give the frames behind the joints at positions q (rad or m)."""
+        """Return the frames behind the joints at positions q (rad or m)."""
 
     def tip(self, q: Sequence[float]) -> Point:
-        """Give the place in the base frame whose path is worth seeing, m."""
+        """Return the place in the base frame whose path is worth seeing, m."""
 
 
 def standing(markers: Iterable[Marker], scene: Scene | None, outputs: Iterable[Port]) -> list[Pose]:
-    """Give the frames that do not move and that a block knows: of its bodies, its drawings, and what it says.
+    """Return the frames that do not move and that a block knows: of its bodies, its drawings, and what it says.
 
     Those of drawings and of quantities without a place (abc, alpha_beta, dq) are the world's own. A force is told in
     the frame of a body, which whoever moves that body knows.
@@ -68,5 +68,5 @@ def standing(markers: Iterable[Marker], scene: Scene | None, outputs: Iterable[P
 
 
 def at_origin(frame: str) -> Pose:
-    """Give a frame that is the world's under another name."""
+    """Return a frame that is the world's under another name."""
     return Pose(WORLD, frame, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @lru_cache(maxsize=1024)
 def rational(seconds: float | str | Fraction) -> Fraction:
-    """Give the number of seconds that is meant.
+    """Return the number of seconds that is meant.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def rational(seconds: float | str | Fraction) -> Fraction:
 
 
 def _simplest(low: Fraction, high: Fraction) -> Fraction:
-    """Give the fraction with the smallest denominator between two positive or two negative numbers."""
+    """Return the fraction with the smallest denominator between two positive or two negative numbers."""
     if high < 0:
         return -_simplest(-high, -low)
     whole = math.floor(low)
@@ -144,7 +144,7 @@ class Schedule:
             self.last = self.time((ticks if self.at_end else ticks - 1) // self.every)
 
     def times(self, first: int, last: int) -> NDArray[np.int64]:
-        """Give the times of ticks first to last - 1, ns, shape (last - first,)."""
+        """Return the times of ticks first to last - 1, ns, shape (last - first,)."""
         import numpy as np
 
         if self._d == 1 and last * self._n < 1 << 62:
@@ -157,20 +157,20 @@ class Schedule:
         return (2 * t * self._d + self._n) // (2 * self._n)
 
     def due(self, t: int) -> bool:
-        """Whether `t` (ns) is one of the ticks."""
+        """Return whether `t` (ns) is one of the ticks."""
         return self.held(t) == t
 
     def before(self, t: int) -> int:
-        """Give the time of the last tick before `t`, ns; negative when there is none."""
+        """Return the time of the last tick before `t`, ns; negative when there is none."""
         return self.held(t - 1)
 
     def awaited(self, t: int) -> int:
-        """Give the stamp of the message from this block that a reader needs at time `t`."""
+        """Return the stamp of the message from this block that a reader needs at time `t`."""
         held = self.held(t)
         return held if self.last is None or held <= self.last else self.last
 
     def count(self) -> int:
-        """Give the number of ticks at which the block speaks in the run."""
+        """Return the number of ticks at which the block speaks in the run."""
         if self.last is None:
             raise ValueError("the run has no end")
         return self.tick(self.last) + 1

@@ -194,7 +194,7 @@ class Step(Held):
         return age if age > 0 else 0
 
     def held(self) -> Mapping[str, Any]:
-        """Give what was said last, at first the safe values; silence on sporadic ports."""
+        """Return what was said last, at first the safe values; silence on sporadic ports."""
         said = self.said or (None,) * len(self.outputs)
         return {
             p.name: row or (Sample(self.t, p.safe) if p.delayed else p.safe)
@@ -253,7 +253,7 @@ class Step(Held):
         return (self.block.update if last is None or t < last else self.block.finish)(x, t, **inputs)
 
     def checked(self, found: Any) -> Rows:
-        """Give what each output says, checked."""
+        """Return what each output says, checked."""
         rows = tuple([admit(found, port, self.name, self.t) for port in self.outputs])
         if self.plain and rows:
             self.numbers = flat(rows)

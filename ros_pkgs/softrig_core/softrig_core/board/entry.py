@@ -42,7 +42,7 @@ def absolute_port(port: str) -> str:
 
 
 def require_own_ports(entries: Mapping[str, LinkEntry], where: str) -> None:
-    """Make sure that no two nodes have the same port.
+    """Ensure that no two nodes have the same port.
 
     Raises
     ------

@@ -190,7 +190,7 @@ class Line:
         return f"no board answers at {self.port}" + (f" ({strays} frames are answers to others)" if strays else "")
 
     def _restarted(self) -> str:
-        """Say that the board is there and has restarted, when it is."""
+        """Report that the board is there and has restarted, when it is."""
         self.begin(self._params)
         while self._there():
             self._join(self._clock() + self.timeout)
@@ -286,7 +286,7 @@ class Line:
             self.joined = True
 
     def _check(self, frame: Frame) -> None:
-        """Make sure that the board has the build."""
+        """Ensure that the board has the build."""
         if len(frame.values) != HELLO.size:
             raise RunError(f"the board at {self.port} has firmware of another version of softrig; build it again")
         _, digest, over, under, size, step, answer, params, self.longest = HELLO.unpack(frame.values)

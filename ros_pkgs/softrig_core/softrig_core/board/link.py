@@ -239,7 +239,7 @@ def _class(block: type[Block], entry: LinkEntry, known: str) -> type[Block]:
 
 
 def _check(block: type[Block], params: Any, known: Mapping[str, Any], where: str) -> None:
-    """Make sure that firmware is of a block with these parameters."""
+    """Ensure that firmware is of a block with these parameters."""
     name = f"{block.__module__}:{block.__qualname__}"
     if known["class"] != name:
         raise ScenarioError(f"{where} is firmware of {known['class']}, expected {name}")

@@ -19,7 +19,7 @@ __all__ = ["PALETTE", "Circle", "Drawing", "Line", "Point", "Polygon", "Shape", 
 
 
 def drawing_for(rig: Rig | str) -> Drawing | None:
-    """Give the drawing of a rig's plant.
+    """Return the drawing of a rig's plant.
 
     Parameters
     ----------

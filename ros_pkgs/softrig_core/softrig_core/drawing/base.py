@@ -37,7 +37,7 @@ class Quantity:
     rest: float = 0.0
 
     def __call__(self, row: Row) -> float:
-        """Give the value, at rest where there is none."""
+        """Return the value, at rest where there is none."""
         value = row.get(self.name, math.nan)
         return value if math.isfinite(value) else self.rest
 
@@ -95,7 +95,7 @@ class Drawing:
         raise NotImplementedError
 
     def frame(self, row: Row, past: Sequence[Row] = ()) -> list[Shape]:
-        """Give the shapes of one instant.
+        """Return the shapes of one instant.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class Drawing:
         return pen.shapes
 
     def quantity(self, port: str, label: str, rest: float = 0.0) -> Quantity:
-        """Give a signal of the plant's port, or of a port of this name elsewhere in the rig.
+        """Return a signal of the plant's port, or of a port of this name elsewhere in the rig.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class Drawing:
         return self.signal(found.topic if found else "", label, rest)
 
     def signal(self, topic: str, label: str, rest: float = 0.0) -> Quantity:
-        """Give a signal by its topic, as `quantity` does."""
+        """Return a signal by its topic, as `quantity` does."""
         name = f"{topic}/{label}"
         if name not in self._units:
             return Quantity("", rest=rest)
@@ -148,7 +148,7 @@ class Drawing:
         return next(iter(fitting), None)
 
     def _linked(self, member: Member) -> bool:
-        """Whether a node reads the plant or is read by it."""
+        """Return whether a node reads the plant or is read by it."""
         links = [*member.links.values()], [*self.plant.links.values()]
         return any(k.source is self.plant for k in links[0]) or any(k.source is member for k in links[1])
 

@@ -20,7 +20,7 @@ def turned(q: Quaternion, p: Place) -> Place:
 
 
 def times(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Give the rotation b followed by a."""
+    """Return the rotation b followed by a."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -56,19 +56,19 @@ class Camera:
     origin: Point = (0.0, 0.0)
 
     def __call__(self, p: Place) -> Point:
-        """Give where a place is seen."""
+        """Return where a place is seen."""
         ca, sa = math.cos(self.azimuth), math.sin(self.azimuth)
         along = ca * p[0] + sa * p[1]  # towards the camera, on the ground
         right, up = ca * p[1] - sa * p[0], math.cos(self.elevation) * p[2] - math.sin(self.elevation) * along
         return self.origin[0] + self.scale * right, self.origin[1] - self.scale * up
 
     def nearness(self, p: Place) -> float:
-        """Give how far towards the camera a place is, m."""
+        """Return how far towards the camera a place is, m."""
         ca, sa = math.cos(self.azimuth), math.sin(self.azimuth)
         return math.cos(self.elevation) * (ca * p[0] + sa * p[1]) + math.sin(self.elevation) * p[2]
 
     def fitted(self, places: Sequence[Place], left: float, top: float, width: float, height: float) -> Camera:
-        """Give the camera that sees these places in a rectangle, as large as they go."""
+        """Return the camera that sees these places in a rectangle, as large as they go."""
         raw = Camera(self.azimuth, self.elevation)
         xs, ys = zip(*map(raw, places), strict=True)
         scale = min(width / max(max(xs) - min(xs), 1e-9), height / max(max(ys) - min(ys), 1e-9))

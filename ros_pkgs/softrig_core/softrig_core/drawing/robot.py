@@ -91,7 +91,7 @@ class Robot(Drawing):
         return {name: place for name, (place, _) in where.items()}
 
     def _look(self) -> tuple[Camera, float]:
-        """Give the camera that sees the robot's work widest, and the half side of the ground that is drawn."""
+        """Return the camera that sees the robot's work widest, and the half side of the ground that is drawn."""
         limits = _limits(self.scene.description)
         draw = Random(0)
         seen: list[Place] = [(0.0, 0.0, 0.0)]

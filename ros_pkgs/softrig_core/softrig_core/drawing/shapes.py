@@ -71,7 +71,7 @@ Shape = Line | Polygon | Circle | Text
 
 
 def as_dict(shape: Shape) -> dict[str, Any]:
-    """Give a shape as plain JSON, with its ``kind``."""
+    """Return a shape as plain JSON, with its ``kind``."""
     return {"kind": type(shape).__name__.lower()} | asdict(shape)
 
 
@@ -123,7 +123,7 @@ class Pen:
 
 
 def polar(centre: Point, radius: float, angle: float) -> Point:
-    """Give the point at an angle, rad, counter-clockwise from the right as it is seen."""
+    """Return the point at an angle, rad, counter-clockwise from the right as it is seen."""
     return centre[0] + radius * math.cos(angle), centre[1] - radius * math.sin(angle)
 
 

@@ -52,7 +52,7 @@ class Replayed:
 
     @property
     def same(self) -> bool:
-        """Whether there were rows and all bits are equal."""
+        """Return whether there were rows and all bits are equal."""
         return self.rows > 0 and not self.differing and not self.wrong_status
 
 

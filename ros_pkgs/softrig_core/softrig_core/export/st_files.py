@@ -39,7 +39,7 @@ class Executed:
 
     @property
     def same(self) -> bool:
-        """Whether there were rows and nothing differs."""
+        """Return whether there were rows and nothing differs."""
         return self.rows > 0 and not self.differing and not self.wrong_status
 
 

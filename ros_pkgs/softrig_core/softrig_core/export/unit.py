@@ -100,7 +100,7 @@ class Unit:
         return [text for name, text in self.tables.items() if reads(name, whole)], functions
 
     def _check_rooms(self, root: str, known: Mapping[str, str]) -> None:
-        """Make sure that an array that a function returns is made once in a tick: it has one place."""
+        """Ensure that an array that a function returns is made once in a tick: it has one place."""
         counts: dict[str, int] = {}
 
         def count(name: str, times: int) -> None:

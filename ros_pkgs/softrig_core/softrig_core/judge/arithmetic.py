@@ -17,7 +17,7 @@ SEVERAL = ("min", "max")  # functions of two numbers or more; the others take on
 
 
 def _each(function: Callable[..., float]) -> Callable[..., Array]:
-    """Make a function of numbers one of arrays, NaN where it is undefined: numpy's own differ from CPU to CPU."""
+    """Create a function of numbers one of arrays, NaN where it is undefined: numpy's own differ from CPU to CPU."""
 
     def one(*given: float) -> float:
         try:
@@ -42,7 +42,7 @@ ARITHMETIC: Mapping[str, Callable[..., Array]] = {
 
 
 def arithmetic(tree: Tree, samples: Samples) -> Any:
-    """Give an expression's values; NaN where it, or a part of it, is undefined or beyond all numbers."""
+    """Return an expression's values; NaN where it, or a part of it, is undefined or beyond all numbers."""
     ((kind, body),) = tree.items()
     if kind == "Literal":
         return np.float64(body)
@@ -55,6 +55,6 @@ def arithmetic(tree: Tree, samples: Samples) -> Any:
 
 
 def sure(values: Any) -> Any:
-    """Give NaN in the place of what is no number."""
+    """Return NaN in the place of what is no number."""
     finite = np.isfinite(values)
     return values if finite.all() else np.where(finite, values, np.nan)

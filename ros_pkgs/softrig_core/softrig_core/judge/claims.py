@@ -88,12 +88,12 @@ class Claim(Entry):
         return self
 
     def compared(self) -> dict[str, float | str]:
-        """What it is compared with: ``below``, ``above``, ``equals`` to a number or a figure's name."""
+        """Return what it is compared with: ``below``, ``above``, ``equals`` to a number or a figure's name."""
         kinds = (("below", self.below), ("above", self.above), ("equals", self.equals))
         return {kind: x for kind, x in kinds if x is not None}
 
     def agrees(self, value: float, others: Mapping[str, float] | None = None) -> bool:
-        """Whether the measurement agrees with the statement.
+        """Return whether the measurement agrees with the statement.
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ class Claim(Entry):
         return ", ".join(parts)
 
     def holds(self, agrees: bool) -> bool:
-        """Whether the verdict fits: all but refuted need agreement; not_checkable says nothing."""
+        """Return whether the verdict fits: all but refuted need agreement; not_checkable says nothing."""
         return self.verdict == "not_checkable" or agrees == (self.verdict != "refuted")
 
     def references(self) -> list[str]:

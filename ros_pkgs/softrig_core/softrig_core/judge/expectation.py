@@ -63,7 +63,7 @@ class Expectation(Entry):
         return _following(self.text, lambda part: number(part, value)) if self.text else self
 
     def holds(self, value: float) -> bool:
-        """Whether a measured value is within the limits; never for NaN or infinity.
+        """Return whether a measured value is within the limits; never for NaN or infinity.
 
         Raises
         ------

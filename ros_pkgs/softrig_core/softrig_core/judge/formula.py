@@ -254,7 +254,7 @@ def _is_name(token: str) -> bool:
 
 
 def _stands_alone(before: list[str], following: str, calls: list[bool]) -> bool:
-    """Whether a name is a condition: nothing is done with it, and nothing is compared."""
+    """Return whether a name is a condition: nothing is done with it, and nothing is compared."""
     last = before[-1] if before else ""
     starts = last in ("", "(", "]", "->", "!", "&", "|", "&&", "||") or last in _WORDS
     return starts and following in _AFTER_CONDITION and not (calls and calls[-1])
@@ -277,7 +277,7 @@ def _ns(seconds: float) -> float:
 
 
 def nodes(tree: Tree) -> Iterator[tuple[str, Any]]:
-    """Give every operator, function, variable and number of a formula with what stands under it."""
+    """Yield every operator, function, variable and number of a formula with what stands under it."""
     if isinstance(tree, dict):
         for kind, body in tree.items():
             if kind[:1].isupper():
@@ -311,7 +311,7 @@ def horizon(tree: Tree) -> float:
 
 
 def intervals(tree: Tree) -> Iterator[tuple[float, float | None]]:
-    """Give the interval of every temporal operator, ns."""
+    """Yield the interval of every temporal operator, ns."""
     for _, body in nodes(tree):
         if isinstance(body, list) and body and isinstance(body[0], dict) and "lower" in body[0]:
             yield body[0]["lower"], body[0]["upper"]

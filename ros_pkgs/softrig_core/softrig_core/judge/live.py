@@ -53,7 +53,7 @@ class Live:
         self._grow(tree)
 
     def first(self) -> tuple[Opened, ...]:
-        """Give what is open before the first instant."""
+        """Return what is open before the first instant."""
         return tuple(part.first() for part in self._parts)
 
     def push(
@@ -76,12 +76,12 @@ class Live:
         return tuple(part.push(one, t, samples, truths, late) for part, one in zip(self._parts, x, strict=True))
 
     def bounds(self, x: tuple[Opened, ...]) -> tuple[float, float]:
-        """Give the least and greatest that the margin may come to."""
+        """Return the least and greatest that the margin may come to."""
         found = self._now(self._tree, x)
         return float(found[0, 0]), float(found[1, 1])
 
     def decided(self, x: tuple[Opened, ...]) -> bool:
-        """Whether nothing that comes can change the bounds."""
+        """Return whether nothing that comes can change the bounds."""
         found = self._now(self._tree, x)
         return all(one.over for one in x) or bool((found[0] == found[1]).all())
 

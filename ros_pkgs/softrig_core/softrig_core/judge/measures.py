@@ -70,7 +70,7 @@ def figure(
     possible: tuple[float, float] = (-math.inf, math.inf),
     follows: bool = False,
 ) -> Callable[[_F], _F]:
-    """Say what a figure function gives, so that a scenario is judged before its run.
+    """Describe what a figure function gives, so that a scenario is judged before its run.
 
     Parameters
     ----------
@@ -233,12 +233,12 @@ def mean_error(
 
 
 def _over_time(unit: str) -> Callable[[Callable[[Array, Array], float]], Function]:
-    """Make a figure of what is a number of signal - reference and of how long each value holds (ns)."""
+    """Create a figure of what is a number of signal - reference and of how long each value holds (ns)."""
     return _statistic(unit, lambda *given: _held_error(*given))  # which is defined below
 
 
 def _of_samples(unit: str) -> Callable[[Callable[[Array, Array], float]], Function]:
-    """Make a figure of what is a number of the times and samples of signal - reference."""
+    """Create a figure of what is a number of the times and samples of signal - reference."""
     return _statistic(unit, lambda *given: _error(*given))
 
 
@@ -524,7 +524,7 @@ def interval(t: Array, signal: str) -> float:
 
 
 def newest(times: Array, at: Array) -> NDArray[np.intp]:
-    """Give for each of many instants which of some times is the newest not after it; -1 before the first.
+    """Return for each of many instants which of some times is the newest not after it; -1 before the first.
 
     Parameters
     ----------
@@ -540,7 +540,7 @@ def newest(times: Array, at: Array) -> NDArray[np.intp]:
 
 
 def _one_each(times: Array, at: Array) -> NDArray[np.intp]:
-    """Give what `newest` does, of two nodes of one period without a search: each instant has its own newest time."""
+    """Return what `newest` does, of two nodes of one period without a search: each instant has its own newest time."""
     first = int(np.searchsorted(times, at[0], side="right")) - 1
     last = first + len(at)
     if first >= 0 and last <= len(times):
@@ -577,7 +577,7 @@ def newest_step(signals: SignalMap, references: str) -> tuple[float, float]:
 def step_levels(
     signals: SignalMap, final: float | str | None, initial: float | str, start: float | None
 ) -> tuple[float | None, float]:
-    """Give `final` and `initial` of a step at `start` as numbers, where they name signals.
+    """Return `final` and `initial` of a step at `start` as numbers, where they name signals.
 
     Raises
     ------
@@ -608,7 +608,7 @@ def _step(
     start: float | None,
     end: float | None,
 ) -> tuple[Array, Array]:
-    """Give (t, x) with x normalised so that `initial` is 0 and `final` is 1."""
+    """Return (t, x) with x normalised so that `initial` is 0 and `final` is 1."""
     t, x = window(signals, signal, start, end)
     final, initial = step_levels(signals, final, initial, start)
     size = (float(x[-1]) if final is None else final) - initial
@@ -630,7 +630,7 @@ def _first_crossing(t: Array, z: Array, level: float) -> float:
 def _error(
     signals: SignalMap, signal: str, reference: float | str, start: float | None, end: float | None
 ) -> tuple[Array, Array]:
-    """Give (t, signal - reference)."""
+    """Return (t, signal - reference)."""
     t, x = window(signals, signal, start, end)
     if not isinstance(reference, str):
         return t, x - reference
@@ -641,7 +641,7 @@ def _error(
 
 
 def _unpaired(t: Array, when: Array) -> bool:
-    """Whether the last sample has no reference: at the end of a run a plant publishes once more than others."""
+    """Return whether the last sample has no reference: at the end of a run a plant publishes once more than others."""
     return bool(when.size > 1 and t[-1] > 2.0 * when[-1] - when[-2] - HALF_NS)
 
 
@@ -655,7 +655,7 @@ def _known(signal: str, reference: str, t: Array, when: Array) -> NDArray[np.int
 def _held_error(
     signals: SignalMap, signal: str, reference: float | str, start: float | None, end: float | None
 ) -> tuple[Array, Array]:
-    """Give signal - reference, and for how long each value holds (ns); for means over time."""
+    """Return signal - reference, and for how long each value holds (ns); for means over time."""
     t, e, gaps = _aligned(signals, signal, reference, start, end)
     if isinstance(reference, str) and t.size > 1 and not gaps[-1] and _unpaired(t, signals[reference][0]):
         return e[:-1], gaps[:-1]
@@ -665,7 +665,7 @@ def _held_error(
 def _aligned(
     signals: SignalMap, signal: str, reference: float | str, start: float | None, end: float | None
 ) -> tuple[Array, Array, Array]:
-    """Give (t, signal - reference, gaps), with a value wherever either of them has a new one."""
+    """Return (t, signal - reference, gaps), with a value wherever either of them has a new one."""
     t, x, gaps = held(signals, signal, start, end)
     if not isinstance(reference, str):
         return t, x - reference, gaps

@@ -29,7 +29,7 @@ def registered() -> list[str]:
 
 
 def find(name: str) -> Function:
-    """Give a figure function by its registered name; nothing else is ever called.
+    """Return a figure function by its registered name; nothing else is ever called.
 
     Raises
     ------

@@ -79,7 +79,7 @@ def _joined(kind: str, a: Array, b: Array) -> Array:
 
 
 def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick, none: float) -> Array:
-    """Give the least or greatest of ``values[..., first..last]`` for each pair of them, `none` where that is empty.
+    """Return the least or greatest of ``values[..., first..last]`` for each pair of them, `none` where that is empty.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ class Record:
         )
 
     def bounds(self, tree: Tree) -> Array:
-        """Give a formula's robustness at each instant.
+        """Return a formula's robustness at each instant.
 
         Returns
         -------
@@ -190,7 +190,7 @@ class Record:
         return self._over_time(kind, body, self.times)
 
     def _at(self, tree: Tree, k: int) -> Array:
-        """Give a formula's robustness at one instant, shape (2, 2), without that at all others where that can be."""
+        """Return a formula's robustness at one instant, shape (2, 2), without that at all others where that can be."""
         ((kind, body),) = tree.items()
         if kind == "Not":
             return opposite(self._at(body, k))
@@ -201,7 +201,7 @@ class Record:
         return self.bounds(tree)[..., k]
 
     def _over_time(self, kind: str, body: Any, times: Array) -> Array:
-        """Give the robustness of what holds always, at some time, and so of the past, at some instants."""
+        """Return the robustness of what holds always, at some time, and so of the past, at some instants."""
         low, high = limits(body)
         first, last, over = self._window(kind, low, high, times)
         least = kind in ("Always", "Historically")
@@ -356,7 +356,7 @@ def truth(condition: Condition, now: Array | float, before: Array | float) -> Ar
 
 
 def limits(body: Any) -> tuple[float, float]:
-    """Give the interval of a temporal operator, ns; without end to infinity."""
+    """Return the interval of a temporal operator, ns; without end to infinity."""
     low, high = body[0]["lower"], body[0]["upper"]
     return low, INF if high is None else high
 

@@ -90,7 +90,7 @@ def _base(name: str) -> tuple[float, str]:
 
 @cache
 def misfit(given: str, wanted: str) -> str:
-    """Say why values in one unit cannot be read as values in another; empty when they can.
+    """Describe why values in one unit cannot be read as values in another; empty when they can.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
         return False
 
     def _made(self, state: Any) -> list[Any]:
-        """Give the types of what it returns, and of what is no part of anything that it was handed."""
+        """Return the types of what it returns, and of what is no part of anything that it was handed."""
         found = [state.return_type]
         for block in state.func_ir.blocks.values():
             for assigned in block.find_insts(ir.Assign):
@@ -71,7 +71,7 @@ class Borrowing(Compiler):  # type: ignore[misc, unused-ignore]
             return Compiler(*self._arguments).compile_extra(func)
 
     def define_pipelines(self) -> list[Any]:
-        """Give numba's own, each with one step more."""
+        """Return numba's own, each with one step more."""
         found: list[Any] = super().define_pipelines()
         for pipeline in found:
             if any(step is NoPythonSupportedFeatureValidation for step, _ in pipeline.passes):

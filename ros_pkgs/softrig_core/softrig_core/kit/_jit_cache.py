@@ -43,7 +43,7 @@ class Cache:
         self._digest, self._unnamed = digest, unnamed
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Give the compiled function; None when the cache does not have it or cannot be read."""
+        """Return the compiled function; None when the cache does not have it or cannot be read."""
         from numba.core.compiler import CompileResult
 
         target.refresh()
@@ -86,7 +86,7 @@ class Cache:
 
 
 def teach(numba: Any, functions: type, power: Callable[[float, float], float]) -> None:
-    """Make numba take our functions for its own, and ours of the C library under a name its optimiser does not know.
+    """Create numba take our functions for its own, and ours of the C library under a name its optimiser does not know.
 
     Parameters
     ----------

@@ -148,7 +148,7 @@ class Compiled:
         return inputs, outputs, f.sz_arg(), f.sz_res(), f.sz_iw(), f.sz_w()
 
     def scratch(self) -> NDArray[np.float64]:
-        """Give memory for calls from native code: inputs, outputs, then what `places` says, addresses filled in."""
+        """Return memory for calls from native code: inputs, outputs, then what `places` says, addresses filled in."""
         import numpy as np
 
         f, places = self._function, self.places

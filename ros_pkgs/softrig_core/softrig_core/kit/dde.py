@@ -46,7 +46,7 @@ class Trajectory(NamedTuple):
 
 
 def trajectory(step: float, longest: float, past: Past, spare: int = 0) -> Trajectory:
-    """Make a history that ends at t = 0.
+    """Create a history that ends at t = 0.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Track:
         self._shared = _Shared(begin, self._count)
 
     def open(self, rows: int = 0) -> Trajectory:
-        """Give it to native loops, with room for so many steps more; with none it is only to be read."""
+        """Return it to native loops, with room for so many steps more; with none it is only to be read."""
         shared, count = self._shared, self._count
         if rows and (count != shared.written or count + rows > len(shared.past.begin)):
             room = max(2 * self._capacity, self._capacity + rows)
@@ -131,27 +131,27 @@ class Track:
         return shared.past
 
     def after(self, past: Trajectory) -> Track:
-        """Give the track with the steps that native loops have put behind this one, in what `open` gave last."""
+        """Return the track with the steps that native loops have put behind this one, in what `open` gave last."""
         new: Track = Track.__new__(Track)
         new._capacity, new._shared = self._capacity, self._shared
         new._count = new._shared.written = int(past.meta[0])
         return new
 
     def numbers(self) -> Array:
-        """Give values and slopes of all its steps in one row: what a linear view takes for states."""
+        """Return values and slopes of all its steps in one row: what a linear view takes for states."""
         import numpy as np
 
         past = self._copy(self._capacity)
         return np.concatenate([getattr(past, field).ravel() for field in FIELDS])
 
     def with_numbers(self, row: Array) -> Track:
-        """Give it with other values and slopes, in the order of `numbers`."""
+        """Return it with other values and slopes, in the order of `numbers`."""
         past = self._copy(self._capacity)
         rows = row.reshape(len(FIELDS), *past.x0.shape)
         return Track(past._replace(**{field: own.copy() for field, own in zip(FIELDS, rows, strict=True)}))
 
     def native(self) -> TrackRing:
-        """Give it as native code takes it."""
+        """Return it as native code takes it."""
         return TrackRing(self._capacity, self._copy(2 * self._capacity))
 
     def __eq__(self, other: object) -> bool:
@@ -163,7 +163,7 @@ class Track:
     __hash__ = None  # type: ignore[assignment]
 
     def _copy(self, room: int) -> Trajectory:
-        """Give the steps that count at the begin of arrays of so many rows."""
+        """Return the steps that count at the begin of arrays of so many rows."""
         import numpy as np
 
         past, first, size = self._shared.past, self._count - self._capacity, self._capacity
@@ -188,7 +188,7 @@ class TrackRing(NamedTuple):
         return self
 
     def python(self) -> Track:
-        """Give it as Python has it."""
+        """Return it as Python has it."""
         import numpy as np
 
         past, size = self.past, self.capacity
@@ -206,7 +206,7 @@ class _Shared:
 
 
 def _slope(function: Callable[[float], Array], t: float, step: float) -> Array:
-    """Give the slope of a past at t from values at and before t (of order 4: the past may end at t).
+    """Return the slope of a past at t from values at and before t (of order 4: the past may end at t).
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def _slope(function: Callable[[float], Array], t: float, step: float) -> Array:
 
 @jit
 def between(s: float, step: float, x0: float, x1: float, dx0: float, dx1: float) -> float:
-    """Give the cubic Hermite polynomial between two samples.
+    """Return the cubic Hermite polynomial between two samples.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ def delayed(past: Trajectory, t: float, channel: int) -> float:
 
 
 def integrator(rhs: Callable[..., None], limit: Callable[..., None] | None = None) -> Callable[..., None]:
-    """Make the native step of a delay-differential equation.
+    """Create the native step of a delay-differential equation.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ def _run(kernel: Any, terms: int, *arrays: NDArray[np.float64]) -> Any:
 
 
 def _matrix(x: Any) -> NDArray[np.float64]:
-    """Give an own copy in C order: one signature for the compiler."""
+    """Return an own copy in C order: one signature for the compiler."""
     return np.array(x, dtype=np.float64, order="C")
 
 
@@ -164,7 +164,7 @@ def total(values: Iterable[Number]) -> Number:
 
 
 def norm(x: ArrayLike) -> float:
-    """Give the Euclidean length of a real vector, summed from the first term to the last."""
+    """Return the Euclidean length of a real vector, summed from the first term to the last."""
     return math.sqrt(total(value * value for value in np.asarray(x, dtype=np.float64).ravel().tolist()))
 
 
@@ -178,7 +178,7 @@ def times(a: ArrayLike, b: ArrayLike) -> NDArray[np.complex128]:
 
 
 def turn(angle: ArrayLike) -> NDArray[np.complex128]:
-    """Give e^(j angle) of angles in rad."""
+    """Return e^(j angle) of angles in rad."""
     angles = np.asarray(angle, dtype=np.float64)
     out = np.empty(angles.shape, dtype=np.complex128)
     out.real, out.imag = np.cos(angles), np.sin(angles)  # the C library's at every level of numpy, unlike np.exp

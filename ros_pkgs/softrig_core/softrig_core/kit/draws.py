@@ -37,7 +37,7 @@ class Stream:
         return self._generator
 
     def drawn(self, k: int) -> int:
-        """Say that numbers up to the k-th have been drawn; gives k."""
+        """Report that numbers up to the k-th have been drawn; returns k."""
         self._at = k
         return k
 
@@ -71,13 +71,13 @@ class Draws:
         self._rows: dict[int, list[float]] = {}
 
     def __call__(self, k: int) -> float:
-        """Give the k-th number, from 0 on."""
+        """Return the k-th number, from 0 on."""
         row = self._rows.get(k // SIZE)
         return (self._drawn(k // SIZE) if row is None else row)[k % SIZE]
 
     @property
     def normal(self) -> bool:
-        """Whether they are normal, not uniform."""
+        """Return whether they are normal, not uniform."""
         return self._kind == "standard_normal"
 
     @property
@@ -87,7 +87,7 @@ class Draws:
         return state["state"]["state"], state["state"]["inc"]
 
     def first(self, count: int) -> NDArray[np.float64]:
-        """Give the first `count` numbers, shape (count,)."""
+        """Return the first `count` numbers, shape (count,)."""
         found: NDArray[np.float64] = getattr(self._stream(), self._kind)(count)
         return found
 

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def leaves(x: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Give (name, value) of all in a state that is no tuple of others: ``pid.integral``; rows of floats stay rows.
+    """Yield (name, value) of all in a state that is no tuple of others: ``pid.integral``; rows of floats stay rows.
 
     Left out are named tuples whose class says so, by a property ``aside``: nothing that a block says depends on them
     but its reports.
@@ -31,7 +31,7 @@ def _is_row(x: tuple[Any, ...]) -> bool:
 
 
 def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
-    """Give (name, numbers) of every float in a state.
+    """Yield (name, numbers) of every float in a state.
 
     Floats, complex numbers (two each), arrays of them, and tuples of these, also named ones within: ``pid.integral``.
     Whole numbers, words and switches are no part of a linear view (`others`); nor are objects, which are opaque, but
@@ -53,7 +53,7 @@ def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
 
 
 def others(x: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Give (name, value) of what `read` leaves out and can be compared: whole numbers, words, switches, nothing."""
+    """Yield (name, value) of what `read` leaves out and can be compared: whole numbers, words, switches, nothing."""
     for name, leaf in leaves(x, path):
         if leaf is None or isinstance(leaf, int | str | np.integer | np.bool_):
             yield name, leaf
@@ -62,7 +62,7 @@ def others(x: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def numbers(x: Any) -> Array:
-    """Give all of them in one row."""
+    """Return all of them in one row."""
     return np.concatenate([np.empty(0), *(row for _, row in read(x))])
 
 
@@ -81,7 +81,7 @@ def split(x: Any, row: Array) -> list[Array]:
 
 
 def put(x: Any, rows: Sequence[Array]) -> Any:
-    """Give the state with other numbers, in the order of `read`; it is x itself where they are the same."""
+    """Return the state with other numbers, in the order of `read`; it is x itself where they are the same."""
     return _put(x, iter(rows))
 
 

@@ -69,7 +69,7 @@ class History:
         return math.ceil(longest / step - 1e-9) + 3
 
     def put(self, values: Sequence[float]) -> History:
-        """Give the history with one sample more, one value a channel.
+        """Return the history with one sample more, one value a channel.
 
         Raises
         ------
@@ -88,7 +88,7 @@ class History:
         return new
 
     def again(self) -> History:
-        """Give the history with its newest sample once more."""
+        """Return the history with its newest sample once more."""
         return self.put(self._line.rows[self._count - 1])
 
     def at(self, delay: float) -> Row:
@@ -115,7 +115,7 @@ class History:
         return self.aged(delay / line.step)
 
     def back(self, k: int) -> Row:
-        """Give the k-th sample before the newest; the longest delay reaches that far."""
+        """Return the k-th sample before the newest; the longest delay reaches that far."""
         return self._line.rows[self._count - 1 - k]
 
     def aged(self, age: float) -> Row:
@@ -131,26 +131,26 @@ class History:
         return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
 
     def numbers(self) -> NDArray[np.float64]:
-        """Give all its samples in one row, the oldest first: what a linear view takes for states."""
+        """Return all its samples in one row, the oldest first: what a linear view takes for states."""
         import numpy as np
 
         return np.array(self._newest(), dtype=np.float64).ravel()
 
     def with_numbers(self, row: NDArray[np.float64]) -> History:
-        """Give it with other samples, in the order of `numbers`."""
+        """Return it with other samples, in the order of `numbers`."""
         line = self._line
         rows = [tuple(values) for values in row.reshape(line.size, -1).tolist()]
         return History.of(line.step, line.longest, rows)
 
     @classmethod
     def of(cls, step: float, longest: float, rows: list[tuple[float, ...]]) -> History:
-        """Give the history of samples as they are, as many as it keeps."""
+        """Return the history of samples as they are, as many as it keeps."""
         new: History = _new(History)
         new._line, new._count = _Line(step, longest, len(rows), rows), len(rows)
         return new
 
     def native(self) -> HistoryRing:
-        """Give it as native code takes it."""
+        """Return it as native code takes it."""
         import numpy as np
 
         line, rows = self._line, self._newest()
@@ -237,7 +237,7 @@ class HistoryRing(NamedTuple):
         return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
 
     def python(self) -> History:
-        """Give it as Python has it."""
+        """Return it as Python has it."""
         size, width = self.size, len(self.newest)
         table = self.ring.reshape(2 * size, width).tolist()
         rows = [tuple(table[k % (2 * size)]) for k in range(self.written - size, self.written)]

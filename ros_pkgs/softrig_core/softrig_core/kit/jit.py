@@ -68,7 +68,7 @@ def jit(function: F) -> F:
 
 
 def power(x: float, y: float) -> float:
-    """Give x to the power of y by the C library, the same bits in plain and in native code."""
+    """Return x to the power of y by the C library, the same bits in plain and in native code."""
     return math.pow(x, y)
 
 
@@ -89,7 +89,7 @@ class Jit:
 
     @property
     def direct(self) -> Callable[..., Any]:
-        """What a call comes to, from the first one on; before it the object itself."""
+        """Return what a call comes to, from the first one on; before it the object itself."""
         return self if self._run == self._first else self._run
 
     def _first(self, *arguments: Any) -> Any:
@@ -100,7 +100,7 @@ class Jit:
         return self._run(*arguments)
 
     def _by_parts(self, numba: Any, arguments: tuple[Any, ...]) -> Callable[..., Any] | None:
-        """Make what hands tuples over part by part: to look at one takes numba 1 us, at a number or an array 0.05 us.
+        """Create what hands tuples over part by part: to look at one takes numba 1 us, at a number or an array 0.05 us.
 
         None where no argument is a tuple. Later arguments of another kind than these go as they are.
         """
@@ -130,7 +130,7 @@ class Jit:
         return cast(Callable[..., Any], scope["call"])
 
     def dispatcher(self, numba: Any) -> Any:
-        """Give numba's own object, with our cache: numba's knows nothing of changes in called functions."""
+        """Return numba's own object, with our cache: numba's knows nothing of changes in called functions."""
         if self._dispatcher is None:
             from ._borrowed import Borrowing
             from ._jit_cache import Cache
@@ -141,7 +141,7 @@ class Jit:
         return self._dispatcher
 
     def digest(self) -> str:
-        """Give a digest of all that decides what the native code does: own code, constants, everything it calls."""
+        """Return a digest of all that decides what the native code does: own code, constants, everything it calls."""
         content = hashlib.sha256(HOW)
         for token in _tokens(self.py_func, set()):
             content.update(token.encode() + b"\0")
@@ -247,7 +247,7 @@ def _foreign(function: Callable[..., Any], word: str) -> ValueError:
 
 
 def _named(function: Callable[..., Any], word: str) -> Any:
-    """Give what a function finds under a name of its module, of an enclosing function, or of Python."""
+    """Return what a function finds under a name of its module, of an enclosing function, or of Python."""
     cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
     if word in cells:
         try:
@@ -281,7 +281,7 @@ def _tokens(function: Callable[..., Any], seen: set[int]) -> Iterator[str]:
 
 
 def tokens_of(value: Any, seen: set[int]) -> Iterator[str]:
-    """Give what of a constant, or of a function and all that it calls, decides what native code does with it."""
+    """Yield what of a constant, or of a function and all that it calls, decides what native code does with it."""
     if isinstance(value, Jit):
         yield from _tokens(value.py_func, seen)
     elif hasattr(value, "tobytes") and not isinstance(value, type):  # an array or a number, not np.int64 itself

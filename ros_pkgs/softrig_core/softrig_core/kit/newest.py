@@ -40,7 +40,7 @@ class Newest(Generic[K, V]):
         self.answer: Any = None
 
     def __call__(self, key: K) -> V:
-        """Give the answer for a value."""
+        """Return the answer for a value."""
         if key != self.key:
             self.answer = self._function(key)
             self.key = key

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def rk4(ode: Callable[[Any], Any], x: Any, h: Any, substeps: int = 1) -> Any:
-    r"""Give the expression of the state after steps of the classical Runge-Kutta method, order 4.
+    r"""Return the expression of the state after steps of the classical Runge-Kutta method, order 4.
 
     .. math:: x_{k+1} = x_k + \frac{h}{6} (k_1 + 2 k_2 + 2 k_3 + k_4)
 
@@ -46,7 +46,7 @@ def rk4(ode: Callable[[Any], Any], x: Any, h: Any, substeps: int = 1) -> Any:
 
 
 def rk4_loop(ode: Callable[..., None], limit: Callable[..., None] | None = None) -> Callable[..., None]:
-    """Make the native loop of classical Runge-Kutta steps, order 4.
+    """Create the native loop of classical Runge-Kutta steps, order 4.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from typing import Any
 
 
 def state_type(*groups: tuple[str, Iterable[str]]) -> Any:
-    """Give the type of a state, a named tuple.
+    """Return the type of a state, a named tuple.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ NEVER = -1  # of a time, ns
 
 
 def _readings(source: Step, reader: Step) -> list[tuple[Fill, Where]]:
-    """Give what of a step's answers another one reads, and which part of them (`part`)."""
+    """Return what of a step's answers another one reads, and which part of them (`part`)."""
     where = places(source.outputs)
     return [(fill, where[fill.output]) for fill in reader.fed.values() if fill.source is source]
 
@@ -30,7 +30,7 @@ def answered(
     stamps: Sequence[int] = (),
     spoken: Mapping[int, int] | None = None,
 ) -> None:
-    """Make what native code has found that a step says at a tick, of its own numbers, what it and its readers hold.
+    """Create what native code has found that a step says at a tick, of its own numbers, what it and its readers hold.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Answers(NamedTuple):
     stamps: Any
 
     def listed(self) -> tuple[list[Any], list[Any]]:
-        """Give both as lists of rows."""
+        """Return both as lists of rows."""
         if isinstance(self.numbers, list):
             return self.numbers, self.stamps or [()] * len(self.numbers)
         return self.numbers.tolist(), self.stamps.tolist()
@@ -92,7 +92,7 @@ def numbers_of(step: Step) -> tuple[float, ...]:
 
 
 def stamps_of(step: Step) -> tuple[int, ...]:
-    """Give the stamps of the delayed outputs of a step, in its newest answer, ns; 0 where it is silent."""
+    """Return the stamps of the delayed outputs of a step, in its newest answer, ns; 0 where it is silent."""
     rows = step.said or [None] * len(step.outputs)
     return tuple(getattr(row, "stamp", 0) for p, row in zip(step.outputs, rows, strict=True) if p.delayed)
 
@@ -200,7 +200,7 @@ class Audience:
         return True
 
     def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
-        """Give what one who watches sees of a member, by its inputs; None where it has to be asked at each tick."""
+        """Return what one who watches sees of a member, by its inputs; None where it has to be asked at each tick."""
         found: dict[str, Messages] = {}
         every, often = self._plan.every(watcher.schedule), self._plan.every(source.schedule)
         readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen

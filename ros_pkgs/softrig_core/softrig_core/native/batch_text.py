@@ -85,7 +85,7 @@ class Form:
                 numbers[at : at + len(parts)] = parts
 
     def get(self, numbers: Any, whole: Any, tree: Any = ()) -> Any:
-        """Give the state that is in a row."""
+        """Return the state that is in a row."""
         tree = self.tree if tree == () else tree
         if tree is None:
             return None
@@ -98,7 +98,7 @@ class Form:
 
 
 def remembered(agent: Step, steps: Sequence[Step], before: Sequence[tuple[Any, tuple[float, ...]]]) -> tuple[Any, Any]:
-    """Give what is to be kept of an instance before a tick.
+    """Return what is to be kept of an instance before a tick.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def remembered(agent: Step, steps: Sequence[Step], before: Sequence[tuple[Any, t
 
 
 def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Form) -> RigText:
-    """Make the text.
+    """Create the text.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class Calls(Expressions):
     """Reads calls, and lists whose parts are gone through; see `Ways`."""
 
     def listed(self, node: ast.expr) -> list[Value] | None:
-        """Give the values that a loop goes through, where their number is fixed; None where it is not."""
+        """Return the values that a loop goes through, where their number is fixed; None where it is not."""
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id not in self.env:
             name = node.func.id
             if name == "range":
@@ -167,14 +167,14 @@ class Calls(Expressions):
         return self.call(function, *self._arguments(node), node)
 
     def _as_native(self, value: Static) -> Dynamic:
-        """Give a fixed object as the value of native code that it stands for."""
+        """Return a fixed object as the value of native code that it stands for."""
         found = value.value.native()
         if value.path is not None:
             self.program.objects[value.path] = found
         return Dynamic(self.program.name(found, type(found).__name__), found)
 
     def _made(self, kind: type, given: Sequence[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
-        """Make an object that native code has another type for; what decides its size is fixed."""
+        """Create an object that native code has another type for; what decides its size is fixed."""
         bound = inspect.signature(kind).bind(*given, **words).arguments
         of: Any = kind
         sizes = [bound[name] for name in inspect.signature(of.rows).parameters]
@@ -184,7 +184,7 @@ class Calls(Expressions):
         return made(self.program, of.RING.begin, [Static(rows)], bound, self.arrays)
 
     def _age(self, block: Block, wanted: Value) -> Value:
-        """Give how old an input is: known, or written."""
+        """Return how old an input is: known, or written."""
         age = self.program.age(block, self.program.guard(wanted) if isinstance(wanted, Static) else None)
         if not isinstance(age, str):
             return Static(age)
@@ -192,7 +192,7 @@ class Calls(Expressions):
         return Dynamic(age, 0)
 
     def _arguments(self, node: ast.Call) -> tuple[list[Value], dict[str, Value]]:
-        """Give what is handed over by place and by name."""
+        """Return what is handed over by place and by name."""
         given: list[Value] = []
         for one in node.args:
             if isinstance(one, ast.Starred):
@@ -255,7 +255,7 @@ class Calls(Expressions):
         return NONE
 
     def _shown(self, value: Value, numbers: list[str], node: ast.AST) -> Callable[[Sequence[float]], Any]:
-        """Give what makes a value of the numbers that are kept of it."""
+        """Return what makes a value of the numbers that are kept of it."""
         if is_made_text(value):
             raise self.unknown("a report of a text that is made elsewhere", node)
         if isinstance(value, Static) and not (

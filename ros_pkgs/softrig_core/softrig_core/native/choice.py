@@ -28,7 +28,7 @@ _spent: dict[Any, float] = {}  # on runs of such rigs that were too short for a 
 def ticks_of(
     steps: Sequence[Step], runs: int = 1, alone: Callable[[], bool] | None = None
 ) -> tuple[Iterator[int | None], Callable[[], object]]:
-    """Give what answers all ticks of a rig's steps: native code or one text where that pays, else one by one.
+    """Yield what answers all ticks of a rig's steps: native code or one text where that pays, else one by one.
 
     Which it is depends on the time that Python would take (`cost`); messages, reports and errors do not.
 
@@ -91,12 +91,12 @@ def _classes(steps: Sequence[Step]) -> Any:
 
 
 def cost(steps: Sequence[Step]) -> float | None:
-    """Give what a tick of a rig costs in Python, s; None where none of such blocks has run here yet."""
+    """Return what a tick of a rig costs in Python, s; None where none of such blocks has run here yet."""
     return _costs.get(_classes(steps))
 
 
 def _timed(loop: Loop) -> Generator[int | None, None, tuple[int, float]]:
-    """Answer the first ticks one by one; give how many they were, and what one costs, s of this thread."""
+    """Answer the first ticks one by one; return how many they were, and what one costs, s of this thread."""
     count, took, spent = 0, [], 0.0
     began = time.thread_time()
     for t in loop.run():
@@ -114,7 +114,7 @@ def _timed(loop: Loop) -> Generator[int | None, None, tuple[int, float]]:
 
 
 def writes(steps: Sequence[Step], left: float) -> bool:
-    """Whether one text of all members that Python runs is worth its making, for a run or for such runs so far.
+    """Return whether one text of all members that Python runs is worth its making, for a run or for such runs so far.
 
     ``SOFTRIG_JIT=0`` forbids it.
     """
@@ -123,20 +123,20 @@ def writes(steps: Sequence[Step], left: float) -> bool:
 
 
 def _known(steps: Sequence[Step], make: Callable[..., Any]) -> bool:
-    """Whether there is a text of such members."""
+    """Return whether there is a text of such members."""
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
     return known(kinds, make)
 
 
 def forbidden() -> str:
-    """Say why there can be no native code; empty where there can."""
+    """Describe why there can be no native code; empty where there can."""
     if os.environ.get("SOFTRIG_JIT", "1") == "0":
         return "SOFTRIG_JIT=0"
     return "" if importlib.util.find_spec("numba") else "numba is not installed"
 
 
 def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:
-    """Say why native code is not worth its making, which takes seconds, once; empty where it is.
+    """Describe why native code is not worth its making, which takes seconds, once; empty where it is.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ BASE: dict[str, Any] = {
 
 
 def compiled(made: RigText) -> Callable[..., Any]:
-    """Give the function of a rig; compiled at its first call, or found in the cache.
+    """Return the function of a rig; compiled at its first call, or found in the cache.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def compiled(made: RigText) -> Callable[..., Any]:
 
 
 def plain(made: RigText) -> Callable[..., Any]:
-    """Give the function of a rig in Python: nothing to wait for, and most of its ticks faster than one by one.
+    """Return the function of a rig in Python: nothing to wait for, and most of its ticks faster than one by one.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def plain(made: RigText) -> Callable[..., Any]:
 
 
 def same(before: Any, after: Any) -> Any:
-    """Give a state, which must be of the type of the one before."""
+    """Return a state, which must be of the type of the one before."""
     if form(before) != form(after):
         raise TypeError("a state that changes its type")
     return after

@@ -222,7 +222,7 @@ class Engine:
             yield from self.loop.run(k)
 
     def _free(self) -> bool:
-        """Whether native code may answer the next ticks."""
+        """Return whether native code may answer the next ticks."""
         if self._compiling is not None and self._compiling.is_alive():
             return False
         return self._alone is None or self._alone()
@@ -259,12 +259,12 @@ class Engine:
         return self.native.given_up > PATIENCE and self.native.ticks < SELDOM * self.native.given_up
 
     def _decided(self, k: int) -> bool:
-        """Whether a member wants a tick to be Python's."""
+        """Return whether a member wants a tick to be Python's."""
         t = self._time(k)
         return any(self._plan.due(s.schedule, k) and s.block.decides(s.x, t) for s in self._deciding)
 
     def _next_change(self, k: int) -> int:
-        """Give the first tick, from k on, by whose time parameters are to change."""
+        """Return the first tick, from k on, by whose time parameters are to change."""
         at = min(s.change_at for s in self.steps)
         if at == math.inf:
             return 1 << 62
@@ -272,13 +272,13 @@ class Engine:
         return max(k, first if self._time(first) >= at else first + 1)
 
     def _next_stop(self, k: int) -> int:
-        """Give the first tick, from k on, that is one of Python's."""
+        """Return the first tick, from k on, that is one of Python's."""
         left = [s for s in self.steps if s.bad or s.name in self._aside]  # bad: something refused between its ticks
         due = [self._plan.following(s.schedule, k) for s in left]
         return min(self._next_change(k), *due) if due else self._next_change(k)
 
     def _share(self) -> None:
-        """Say which members are to be native."""
+        """Report which members are to be native."""
         self._core = [s for s in self.steps if s not in self._watchers and s.name not in self._aside]
         self._holdings, self._speakers = holdings(self._core), speakers(self._core)
         self._deciding = [s for s in self._core if decides(s)]
@@ -342,12 +342,12 @@ class Engine:
         return True
 
     def _forms(self) -> list[Any]:
-        """Give the types of what each member remembers and holds: a text is for these."""
+        """Return the types of what each member remembers and holds: a text is for these."""
         forms = [(tuple(map(form, s.values.values())), form(s.x)) for s in self._core]
         return [*forms, tuple(one.form for one in self._holdings)]
 
     def _others(self) -> bool:
-        """Whether states or constants are of other types, or made anew: the text may be another."""
+        """Return whether states or constants are of other types, or made anew: the text may be another."""
         return self._forms() != self._fits or [one.key for one in self._newest] != self._keys
 
     def _drawn(self, draws: Any, count: int) -> Any:
@@ -363,7 +363,7 @@ class Engine:
     # going --------------------------------------------------------------------------------------------------------
 
     def _go(self, first: int, last: int) -> int:
-        """Answer ticks of the clock from `first` up to `last`, or as far as native code goes; give how far that is."""
+        """Answer ticks of the clock from `first` up to `last`, or as far as native code goes; return how far that is."""
         rows = self._places(first, last)
         reached, after = self._called(first, first, last, rows)
         if after is None:
@@ -460,12 +460,12 @@ class Engine:
         self._arrays = tuple(named[name] for name in self._kept.text.arrays)
 
     def _said_by(self, rows: dict[int, Answers], first: int, last: int) -> dict[int, Answers]:
-        """Give the answers of ticks from `first`, where their places begin, up to `last`."""
+        """Return the answers of ticks from `first`, where their places begin, up to `last`."""
         counts = {id(s): len(self._plan.own(s.schedule, first, last)) for s in self._recorded}
         return {key: Answers(*(table[: counts[key]] for table in answers)) for key, answers in rows.items()}
 
     def _handed(self, begin: int) -> tuple[Any, ...]:
-        """Give what the function is handed after its ticks; the places of answers begin at a tick."""
+        """Return what the function is handed after its ticks; the places of answers begin at a tick."""
         kept = self._kept
         assert kept is not None
         before = (
@@ -520,7 +520,7 @@ class Engine:
             return int(n[0]), after
 
     def _take(self, first: int, last: int, after: Any) -> None:
-        """Make what native code has found that of the steps."""
+        """Create what native code has found that of the steps."""
         self.native.ticks += last - first
         assert self._kept is not None
         if (reports := self._kept.text.program.reports) is not None and self._told[0]:
@@ -580,7 +580,7 @@ NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, UnboundLocalEr
 
 
 def _worth_another(kinds: Any) -> bool:
-    """Whether one more text of a kind of rig is worth its making: the first, then one in some runs."""
+    """Return whether one more text of a kind of rig is worth its making: the first, then one in some runs."""
     asked, made = _counts.get(kinds, (0, 0))
     worth = asked >= made * RUNS_A_TEXT
     _counts[kinds] = (asked + 1, made + worth)
@@ -588,5 +588,5 @@ def _worth_another(kinds: Any) -> bool:
 
 
 def known(kinds: Sequence[type], make: Callable[[RigText], Callable[..., Any]]) -> bool:
-    """Whether there is a text, made so, for members of such classes, those that only watch left out."""
+    """Return whether there is a text, made so, for members of such classes, those that only watch left out."""
     return any(tuple(kinds) == tuple(k[0] for k in kept.kinds[:-3]) for kept in _texts if kept.kinds[-1] is make)

@@ -42,7 +42,7 @@ class Reports:
     worded: bool = True
 
     def add(self, block: int, level: Level, key: str, text: Callable[[Sequence[float]], str], count: int) -> int:
-        """Give a line that reports `count` numbers its place in the table."""
+        """Return a line that reports `count` numbers its place in the table."""
         self.places.append(Place(block, level, key, text, self.size))
         self.size += HEAD + count
         return self.places[-1].at
@@ -61,7 +61,7 @@ class Reports:
 
 
 def wording(node: ast.expr) -> list[str | ast.FormattedValue] | None:
-    """Give the parts of a text that is written out; None: it is another one."""
+    """Return the parts of a text that is written out; None: it is another one."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return [node.value]
     if not isinstance(node, ast.JoinedStr):
@@ -81,7 +81,7 @@ def wording(node: ast.expr) -> list[str | ast.FormattedValue] | None:
 
 
 def spec_of(part: ast.FormattedValue) -> str:
-    """Give how a value is to be written."""
+    """Return how a value is to be written."""
     parts = part.format_spec.values if isinstance(part.format_spec, ast.JoinedStr) else []
     return "".join(str(one.value) for one in parts if isinstance(one, ast.Constant))
 

@@ -36,7 +36,7 @@ class RigText:
 
 
 def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True, reports: bool = True) -> RigText:
-    """Make the text of the members that are native.
+    """Create the text of the members that are native.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def written_out(program: Program, rig: str) -> str:
 
 
 def _reached(functions: Sequence[str], rig: str) -> list[str]:
-    """Give the functions that the rig's calls, directly or not: others were tried on a way that is given up."""
+    """Return the functions that the rig's calls, directly or not: others were tried on a way that is given up."""
     known = {text[4 : text.index("(")]: text for text in functions}
     found: dict[str, str] = {}
     open_ = [rig]

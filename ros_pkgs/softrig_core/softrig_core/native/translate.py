@@ -118,7 +118,7 @@ class Program:
     reports: Reports | None = None
 
     def name(self, thing: Any, hint: str) -> str:
-        """Give the name by which the text calls a thing of Python."""
+        """Return the name by which the text calls a thing of Python."""
         for name, known in self.names.items():
             if known is thing:
                 return name
@@ -127,18 +127,18 @@ class Program:
         return name
 
     def number(self, block: Any) -> int:
-        """Give the number of a block."""
+        """Return the number of a block."""
         return next(k for k, root in enumerate(self.roots) if root is block)
 
     def age(self, block: Any, name: str | None) -> int | str | None:
-        """Give what `Block.age` answers, or how it is written."""
+        """Return what `Block.age` answers, or how it is written."""
         number = self.number(block)
         if name is None or (number, name) not in self.ages:
             raise NotNative(f"{block.name}: the age of {name}, which comes more seldom than its ticks")
         return self.ages[number, name]
 
     def guard(self, value: Static) -> Any:
-        """Give a fixed value that chooses the text."""
+        """Return a fixed value that chooses the text."""
         if is_made_text(value):
             raise NotNative("something that depends on a text that is made in a tick")
         if value.path is not None:
@@ -146,7 +146,7 @@ class Program:
         return value.value
 
     def slot(self, value: Static) -> Dynamic:
-        """Give a fixed number, or table of numbers, as a constant that is handed in."""
+        """Return a fixed number, or table of numbers, as a constant that is handed in."""
         assert value.path is not None
         if isinstance(value.value, np.ndarray):
             name = self.arrays.setdefault(value.path, f"a{len(self.arrays)}")
@@ -160,11 +160,11 @@ class Program:
         return Dynamic(f"c[{number}]", found)
 
     def scratch(self, path: Path) -> str:
-        """Give the name of the memory in which a compiled casadi function works."""
+        """Return the name of the memory in which a compiled casadi function works."""
         return self.scratches.setdefault(path, f"s{len(self.scratches)}")
 
     def caller(self, compiled: Compiled) -> str:
-        """Give the name of the function that calls one."""
+        """Return the name of the function that calls one."""
         symbol = compiled.symbol
         assert symbol is not None
         if symbol not in self.callers:
@@ -182,16 +182,16 @@ class Program:
         return self.callers[symbol]
 
     def constants(self, roots: Sequence[Any]) -> tuple[Any, ...]:
-        """Give the slots of blocks of the same text."""
+        """Return the slots of blocks of the same text."""
         return tuple(as_slot(follow(path, roots)) for path in self.slots)
 
     def tables(self, roots: Sequence[Any]) -> tuple[Any, ...]:
-        """Give their arrays; lists where nothing is typed."""
+        """Return their arrays; lists where nothing is typed."""
         found = (follow(path, roots) for path in self.arrays)
         return tuple(v if isinstance(v, list) and not self.typed else np.ascontiguousarray(v) for v in found)
 
     def differs(self, roots: Sequence[Any]) -> str:
-        """Say what of other blocks would need another text; nothing where the text serves them."""
+        """Describe what of other blocks would need another text; nothing where the text serves them."""
         for path, wanted in self.guards.items():
             try:
                 value = follow(path, roots)
@@ -207,7 +207,7 @@ class Program:
 
 
 def follow(path: Path, roots: Sequence[Any]) -> Any:
-    """Give what a path leads to."""
+    """Return what a path leads to."""
     value = roots[path[0]]
     for kind, key in path[1:]:
         value = getattr(value, key) if kind == "attr" else len(value) if kind == "len" else value[key]
@@ -240,7 +240,7 @@ class Same:
 
 
 def signature(value: Any, inside: bool = False) -> Any:
-    """Give what must be equal of a value that chooses the text: numbers and texts themselves, of objects the type.
+    """Return what must be equal of a value that chooses the text: numbers and texts themselves, of objects the type.
 
     What is `inside` of another value has no path of its own: it must be the same object.
     """
@@ -264,12 +264,12 @@ def signature(value: Any, inside: bool = False) -> Any:
 
 
 def shape(value: Any) -> Any:
-    """Give the types of a constant, to its leaves."""
+    """Return the types of a constant, to its leaves."""
     return tuple(shape(v) for v in value) if isinstance(value, tuple) else type(value)
 
 
 def as_slot(value: Any) -> Any:
-    """Give a number or table as native code takes it: lists as tuples.
+    """Return a number or table as native code takes it: lists as tuples.
 
     Raises
     ------
@@ -321,7 +321,7 @@ def made(
     parameters: list[str] = []
 
     def handed(value: Value, name: str) -> Value:
-        """Make what is known inside of an argument; what is computed becomes a parameter."""
+        """Create what is known inside of an argument; what is computed becomes a parameter."""
         if isinstance(value, Static):
             if value.path is not None and is_number_slot(value.value):
                 return handed(program.slot(value), name)
@@ -367,7 +367,7 @@ def made(
 
 
 def _arguments(function: types.FunctionType, given: Sequence[Value], words: Mapping[str, Value]) -> dict[str, Value]:
-    """Give the arguments of a call by the names that the function has for them."""
+    """Return the arguments of a call by the names that the function has for them."""
     signature = inspect.signature(function)
     try:
         bound = signature.bind(*given, **words).arguments
@@ -385,7 +385,7 @@ def _arguments(function: types.FunctionType, given: Sequence[Value], words: Mapp
 
 
 def is_number_slot(value: Any) -> bool:
-    """Whether a fixed number is handed in, not written into the text."""
+    """Return whether a fixed number is handed in, not written into the text."""
     return isinstance(value, (float, complex)) or (isinstance(value, int) and abs(value) > SMALL)
 
 

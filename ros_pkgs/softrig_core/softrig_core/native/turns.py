@@ -40,7 +40,7 @@ class Holding:
 
     @property
     def value(self) -> Any:
-        """What the reader has."""
+        """Return what the reader has."""
         return self.fill.reader.values[self.fill.port.name]
 
     @property
@@ -50,7 +50,7 @@ class Holding:
 
     @property
     def form(self) -> Any:
-        """What a text is for: whether something has come, and of which types."""
+        """Return what a text is for: whether something has come, and of which types."""
         return form(self.value), self.fill.told() is None
 
 
@@ -65,12 +65,12 @@ def holdings(steps: Sequence[Step]) -> list[Holding]:
 
 
 def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
-    """Give the numbers of the outputs that are silent at times: of the member, and of its output."""
+    """Return the numbers of the outputs that are silent at times: of the member, and of its output."""
     return [(k, j) for k, s in enumerate(steps) for j, p in enumerate(s.outputs) if p.sporadic]
 
 
 def decides(step: Step) -> bool:
-    """Whether there are ticks that a member has left to Python."""
+    """Return whether there are ticks that a member has left to Python."""
     return type(step.block).decides is not Block.decides
 
 
@@ -109,7 +109,7 @@ class Turns:
         self._numbers = {id(s): k for k, s in enumerate(steps)}
 
     def check_times(self) -> None:
-        """Make sure that whole numbers of 64 bits hold all times of the run."""
+        """Ensure that whole numbers of 64 bits hold all times of the run."""
         if 2 * self._ns[0] * (self.steps[0].schedule.ticks or 1) > LARGEST:
             raise NotNative("times beyond whole numbers of 64 bits")
 
@@ -154,7 +154,7 @@ class Turns:
         return lines
 
     def inputs(self, k: int) -> dict[str, Value]:
-        """Say where a member has its inputs from: of whom, and which numbers."""
+        """Describe where a member has its inputs from: of whom, and which numbers."""
         step, found = self.steps[k], {}
         for port in step.inputs:
             found[port.name] = self._input(step, port)
@@ -176,7 +176,7 @@ class Turns:
         return next((i for i, one in enumerate(self.kept) if one.fill is fill), None)
 
     def _ages(self) -> dict[tuple[int, str], int | str | None]:
-        """Give the ages of inputs: 0 of what is said at each tick of the reader; else how they are written."""
+        """Return the ages of inputs: 0 of what is said at each tick of the reader; else how they are written."""
         found: dict[tuple[int, str], int | str | None] = {}
         for k, step in enumerate(self.steps):
             for port in step.inputs:

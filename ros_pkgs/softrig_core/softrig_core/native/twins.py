@@ -24,7 +24,7 @@ Way = Callable[[Any], Any] | None  # to make another value of one; None: it stay
 
 @cache
 def is_twinned(kind: Hashable) -> bool:
-    """Whether a class has a twin: a frozen dataclass that any module can find."""
+    """Return whether a class has a twin: a frozen dataclass that any module can find."""
     if not isinstance(kind, type) or not dataclasses.is_dataclass(kind):
         return False
     frozen: bool = kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
@@ -33,7 +33,7 @@ def is_twinned(kind: Hashable) -> bool:
 
 @cache
 def twin(kind: type) -> Any:
-    """Give the named tuple of a dataclass."""
+    """Return the named tuple of a dataclass."""
     name = f"{kind.__module__.replace('.', MARK)}{MARK}{kind.__qualname__}"
     fields = dataclasses.fields(kind)
     given = [f.default for f in fields if f.default is not dataclasses.MISSING]
@@ -51,12 +51,12 @@ def __getattr__(name: str) -> Any:  # native code in the cache names its types b
 
 
 def packed(value: Any, typed: bool = True) -> Any:
-    """Give a state as native code takes it, where arrays are copies; `typed` false: objects as Python has them."""
+    """Return a state as native code takes it, where arrays are copies; `typed` false: objects as Python has them."""
     return applied(packer(value, typed), value)
 
 
 def unpacked(value: Any) -> Any:
-    """Give a state as Python has it."""
+    """Return a state as Python has it."""
     return applied(unpacker(value), value)
 
 
@@ -66,7 +66,7 @@ def applied(way: Way, value: Any) -> Any:
 
 
 def packer(sample: Any, typed: bool) -> Way:
-    """Give how states of the form of a sample are packed; None: they go as they are."""
+    """Return how states of the form of a sample are packed; None: they go as they are."""
     if type(sample) in NUMBERS:
         return None
     if isinstance(sample, tuple):
@@ -80,7 +80,7 @@ def packer(sample: Any, typed: bool) -> Way:
 
 
 def unpacker(sample: Any) -> Way:
-    """Give how what native code gives, of the form of a sample, is unpacked; None: it is as Python has it."""
+    """Return how what native code gives, of the form of a sample, is unpacked; None: it is as Python has it."""
     if type(sample) in NUMBERS:
         return None
     if hasattr(sample, "python"):
@@ -91,7 +91,7 @@ def unpacker(sample: Any) -> Way:
 
 
 def _by_parts(kind: Any, ways: Sequence[Way], other: Any = None) -> Way:
-    """Give how a tuple is made anew, of its own kind or another, where one of its parts is."""
+    """Return how a tuple is made anew, of its own kind or another, where one of its parts is."""
     own = other or (kind if hasattr(kind, "_fields") else None)
     changed = [(k, way) for k, way in enumerate(ways) if way is not None]
     if not changed and kind is (own or tuple):
@@ -107,7 +107,7 @@ def _by_parts(kind: Any, ways: Sequence[Way], other: Any = None) -> Way:
 
 
 def form(value: Any) -> Any:
-    """Give the types of a state, to its leaves."""
+    """Return the types of a state, to its leaves."""
     if not isinstance(value, tuple):
         return type(value)
     kinds = tuple(map(type, value))
@@ -117,6 +117,6 @@ def form(value: Any) -> Any:
 
 
 def class_of(sample: Any) -> type | None:
-    """Give the class of a named tuple, or the dataclass that it stands for."""
+    """Return the class of a named tuple, or the dataclass that it stands for."""
     kind = type(sample)
     return getattr(kind, OF, kind) if hasattr(kind, "_fields") else None

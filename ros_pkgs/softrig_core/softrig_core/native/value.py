@@ -71,7 +71,7 @@ MADE_TEXT = Static("a text that is made in a tick")  # any of them: native code 
 
 
 def sample_of(value: Value) -> Any:
-    """Give the sample of a value, of a group as a tuple."""
+    """Return the sample of a value, of a group as a tuple."""
     if isinstance(value, Static):
         return value.value
     if isinstance(value, Dynamic):
@@ -81,7 +81,7 @@ def sample_of(value: Value) -> Any:
 
 
 def is_sure(value: Value) -> bool:
-    """Whether a value's type is that of its sample, all through."""
+    """Return whether a value's type is that of its sample, all through."""
     if isinstance(value, Static):
         return True
     if isinstance(value, Dynamic):
@@ -105,15 +105,15 @@ def _unknown(value: Any) -> bool:
 
 
 def is_made_text(value: Value) -> bool:
-    """Whether a value stands for a text that is made in a tick."""
+    """Return whether a value stands for a text that is made in a tick."""
     return isinstance(value, Static) and value.value is MADE_TEXT.value
 
 
 def forms(value: Dynamic) -> Any:
-    """Give the keys of what is inside of a value, to its leaves."""
+    """Return the keys of what is inside of a value, to its leaves."""
     return None if value.parts is None else tuple((p.keys, forms(p)) for p in value.parts)
 
 
 def kind_of(value: Value) -> str:
-    """Give the name of a value's type, for a person."""
+    """Return the name of a value's type, for a person."""
     return type(sample_of(value)).__name__

@@ -57,7 +57,7 @@ class Ways:
         self.left = False  # whether the way that they take through the last `if` does not come back
 
     def unknown(self, what: str, node: ast.AST | None = None) -> NotNative:
-        """Say what native code does not know, and where."""
+        """Describe what native code does not know, and where."""
         line = self.function.__code__.co_firstlineno + getattr(node, "lineno", 1) - 1
         return NotNative(f"{self.function.__module__}.{self.function.__qualname__}, line {line}: {what}")
 
@@ -70,7 +70,7 @@ class Ways:
         return f"t{self._temporaries - 1}_"
 
     def temporary(self, code: str) -> str:
-        """Give a value a name."""
+        """Return a value a name."""
         name = self._fresh()
         self.emit(f"{name} = {code}")
         return name
@@ -86,7 +86,7 @@ class Ways:
         return self._literal(value)
 
     def dynamic(self, value: Value) -> Dynamic:
-        """Give a value as one that is computed."""
+        """Return a value as one that is computed."""
         return value if isinstance(value, Dynamic) else self._described(value)
 
     def _described(self, value: Value) -> Dynamic:
@@ -109,7 +109,7 @@ class Ways:
         return Dynamic(self.code(value), sample, is_sure(value), keys, parts if nested else None)
 
     def named(self, kind: Any, parts: Sequence[Value], node: ast.AST | None) -> Dynamic:
-        """Make a named tuple of its parts."""
+        """Create a named tuple of its parts."""
         values = [self.dynamic(p) for p in parts]
         if any(v.keys or v.parts for v in values):
             raise self.unknown("a mapping in a state", node)
@@ -150,21 +150,21 @@ class Ways:
         raise self.unknown(f"{type(found).__name__} as a value")
 
     def simple(self, value: Dynamic) -> Dynamic:
-        """Give a value by a name, so that it is computed once."""
+        """Return a value by a name, so that it is computed once."""
         if value.code.replace("_", "").replace(".", "").replace("[", "").replace("]", "").isalnum():
             return value
         name = self.temporary(value.code)
         return Dynamic(name, value.sample, value.sure, value.keys, value.parts)
 
     def outer(self, name: str, node: ast.AST | None = None) -> Any:
-        """Give what the function finds under a name outside of itself."""
+        """Return what the function finds under a name outside of itself."""
         try:
             return outside(self.function, name)
         except LookupError:
             raise self.unknown(f"{name} is not known", node) from None
 
     def unfolded(self, value: Dynamic) -> Record:
-        """Give a mapping that a function has answered by its parts."""
+        """Return a mapping that a function has answered by its parts."""
         assert value.keys is not None
         base = self.simple(value)
         return Record({key: self._part(base, k) for k, key in enumerate(value.keys)})
@@ -178,7 +178,7 @@ class Ways:
         return Dynamic(code, sample, base.sure)
 
     def parts(self, value: Value, node: ast.AST) -> list[Value]:
-        """Give the parts of a value of fixed length."""
+        """Return the parts of a value of fixed length."""
         if isinstance(value, Group):
             return list(value.items)
         if isinstance(value, Static) and isinstance(value.value, (tuple, list)):
@@ -231,7 +231,7 @@ class Ways:
         raise NotImplementedError
 
     def _held(self, value: Value) -> Value:
-        """Give a value that stays as it is while names are bound anew."""
+        """Return a value that stays as it is while names are bound anew."""
         if isinstance(value, Dynamic):
             name = self.temporary(value.code)
             return Dynamic(name, value.sample, value.sure, value.keys, value.parts)
@@ -403,7 +403,7 @@ def _plain(value: Any) -> Any:
 
 
 def _same(a: Value, b: Value) -> bool:
-    """Whether two values are one; those with arrays in their samples count as two."""
+    """Return whether two values are one; those with arrays in their samples count as two."""
     try:
         return a == b
     except ValueError:
@@ -411,5 +411,5 @@ def _same(a: Value, b: Value) -> bool:
 
 
 def alike(a: Any, b: Any) -> bool:
-    """Whether two samples are known, and of the same type to their leaves."""
+    """Return whether two samples are known, and of the same type to their leaves."""
     return a is not UNKNOWN and b is not UNKNOWN and shape(a) == shape(b) and type(a) is type(b)

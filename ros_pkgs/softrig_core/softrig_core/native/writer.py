@@ -40,7 +40,7 @@ class Writer(Calls):
         return self.lines
 
     def result(self) -> Value:
-        """Give what the function gives: a fixed value where it is nothing else."""
+        """Return what the function gives: a fixed value where it is nothing else."""
         found = self.returned
         if len(self.lines) == 1 and len(found) == 1 and isinstance(found[0], Static):
             return found[0]
@@ -158,7 +158,7 @@ class Writer(Calls):
         self.ended = True
 
     def _with_silence(self, value: Value, node: Any) -> Value:
-        """Give the answer of a block with a flag before the row of each output that may be silent."""
+        """Return the answer of a block with a flag before the row of each output that may be silent."""
         own = self.env.get("self")
         if not isinstance(own, Static) or own.path is None or len(own.path) > 1 or not self.program.silent:
             return value
@@ -301,7 +301,7 @@ def _reports(node: ast.stmt) -> bool:
 
 
 def _reporting(statements: Sequence[ast.stmt]) -> bool:
-    """Whether something is reported, whatever the statements before that find."""
+    """Return whether something is reported, whatever the statements before that find."""
     for one in statements:
         if _reports(one):
             return True

@@ -53,7 +53,7 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
 
 
 def assumptions(members: Iterable[Named]) -> list[str]:
-    """Say which nodes take others for what they are not, by `Block.assumed`, a line each."""
+    """Describe which nodes take others for what they are not, by `Block.assumed`, a line each."""
     members = list(members)
     said = spoken(members)
     return [
@@ -65,7 +65,7 @@ def assumptions(members: Iterable[Named]) -> list[str]:
 
 
 def spoken(members: Iterable[Named]) -> dict[str, tuple[str, Any]]:
-    """Give what the nodes say by `Block.agreed`: quantity to the first node that says it, and its value."""
+    """Return what the nodes say by `Block.agreed`: quantity to the first node that says it, and its value."""
     said: dict[str, tuple[str, Any]] = {}
     for member in members:
         for quantity, value in agreed(member.block_class, member.params).items():

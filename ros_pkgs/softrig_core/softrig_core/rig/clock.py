@@ -19,7 +19,7 @@ class Clock(Plant[ClockParams]):
     """Has a period and nothing else; a node of it publishes /clock."""
 
     def outputs(self, x: Any, t: int) -> Mapping[str, Any]:
-        """Give nothing."""
+        """Return nothing."""
         return {}
 
     def advance(self, x: Any, t: int, **inputs: Any) -> Any:

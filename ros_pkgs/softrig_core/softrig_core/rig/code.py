@@ -21,7 +21,7 @@ _BUILT = {"__pycache__", ".pyc", ".so", ".nbi", ".nbc"}  # made from the sources
 
 
 def fingerprints(classes: Iterable[type[Block]], modules: Iterable[str] = ()) -> dict[str, str]:
-    """Give the fingerprint of each package whose code decides what some blocks do.
+    """Return the fingerprint of each package whose code decides what some blocks do.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def _package(package: str) -> tuple[str, tuple[str, ...]]:
 
 @cache
 def _is_own(package: str) -> bool:
-    """Whether a package is ours or was built by colcon: not a library, which its version tells."""
+    """Return whether a package is ours or was built by colcon: not a library, which its version tells."""
     marks = (prefix / "share" / "colcon-core" / "packages" / package for prefix in prefixes())
     return package.startswith("softrig_") or any(map(isfile, marks))
 

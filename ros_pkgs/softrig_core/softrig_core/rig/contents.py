@@ -112,7 +112,7 @@ def differing(one: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
 
 
 def in_place(block: Block, changed: Sequence[str]) -> str:
-    """Say which attributes the ticks of a block change, and what to do."""
+    """Describe which attributes the ticks of a block change, and what to do."""
     return (
         f"its ticks change {', '.join(changed)} in place ({type(block).__name__}); make what the block remembers a "
         "field of x, or name the attribute in SCRATCH if no answer depends on it"
@@ -147,7 +147,7 @@ def digest(value: Any) -> str:
 
 
 def _parts(value: Any) -> tuple[str, Iterable[Any]]:
-    """Say what a value is, and what else it leads to."""
+    """Describe what a value is, and what else it leads to."""
     if isinstance(value, (list, tuple, deque)):
         return str(len(value)), value
     if isinstance(value, (dict, types.MappingProxyType)):

@@ -44,11 +44,11 @@ class Member:
 
     @property
     def is_plant(self) -> bool:
-        """Whether it owns time."""
+        """Return whether it owns time."""
         return issubclass(self.block_class, Plant)
 
     def block(self, seed: int) -> Block:
-        """Make the block at its initial state; a ScenarioError names a node that cannot be set up."""
+        """Create the block at its initial state; a ScenarioError names a node that cannot be set up."""
         try:
             block = self.block_class.seeded(self.params, self.name, seed)
         except ParameterError as error:
@@ -85,7 +85,7 @@ class Members:
         return found
 
     def readers(self, member: Member, port: Port) -> list[tuple[Member, Port]]:
-        """Give the members that read an output."""
+        """Return the members that read an output."""
         return [
             (m, p)
             for m in self.members
@@ -104,7 +104,7 @@ class Members:
         return [m for m in self.members if not m.is_plant and not awaited(m)]
 
     def parameter(self, node: str, name: str) -> Any:
-        """Give what ``$node.parameter`` stands for.
+        """Return what ``$node.parameter`` stands for.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class Members:
 
 
 def signal_units(rig: Members) -> dict[str, str]:
-    """Give the unit of every signal of a rig by its name ``topic/channel/field``; of a pure number none."""
+    """Return the unit of every signal of a rig by its name ``topic/channel/field``; of a pure number none."""
     units = {
         f"{topic}/{label}": unit
         for topic, port in rig.topics.items()
@@ -156,7 +156,7 @@ def other_names(rig: Members) -> dict[str, dict[str, str]]:
 
 
 def unit_of(source: Member, port: Port, label: str, seen: tuple[str, ...] = ()) -> str:
-    """Give the unit of an output's value; of a link, which hands on what it does not know, that of its sender."""
+    """Return the unit of an output's value; of a link, which hands on what it does not know, that of its sender."""
     unit = port.units[port.places[label]]
     for inward in source.inputs:
         link = source.links.get(inward.name)

@@ -22,7 +22,7 @@ GROUPS = ("console_scripts", "softrig_figures")
 
 
 def entry_points(package: str) -> list[EntryPoint]:
-    """Give the executables and figure functions that a package offers; none of another group counts."""
+    """Return the executables and figure functions that a package offers; none of another group counts."""
     found = importlib.metadata.distribution(package).entry_points
     return [p for p in found if p.group in GROUPS]
 
@@ -79,7 +79,7 @@ def check_entry_point(point: EntryPoint) -> str:
 
 
 def _check_ticks(name: str, block: Block, inputs: Sequence[Port]) -> None:
-    """Make sure that ticks on first values change nothing but x, and that the same ticks have the same answers."""
+    """Ensure that ticks on first values change nothing but x, and that the same ticks have the same answers."""
     begun, values = contents(block), {port.name: port.initial for port in inputs}
     once, again = (_answers(block, values) for _ in range(2))
     for (t, first), (_, second) in zip(once, again, strict=True):

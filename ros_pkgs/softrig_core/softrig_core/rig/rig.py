@@ -73,7 +73,7 @@ class Rig(Members):
         return self.having(scenario, members, list(new.values()))
 
     def having(self, scenario: Scenario, members: list[Member], new: list[Member]) -> Rig:
-        """Give the rig of all these members, of which the new ones are to be linked."""
+        """Return the rig of all these members, of which the new ones are to be linked."""
         clock = self.clock
         for m in new:
             try:
@@ -143,7 +143,7 @@ class Rig(Members):
         return cls.from_scenario(scenario, {node: type(block) for node, block in blocks.items()})
 
     def with_plots(self, plots: tuple[PlotEntry, ...]) -> Rig:
-        """Give the rig with other plots."""
+        """Return the rig with other plots."""
         changed = self.scenario.model_copy(update={"plots": plots})
         return replace(self, scenario=_whole_names(changed, list(self.members)))
 
@@ -154,7 +154,7 @@ CLOCK_NODE = "clock"  # node and executable of a clock that is no plant
 def members_of(
     scenario: Scenario, classes: Mapping[str, type[Block]], names: Iterable[str] | None = None
 ) -> list[Member]:
-    """Make members of a scenario, not yet linked.
+    """Create members of a scenario, not yet linked.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
 
 
 def _clock(scenario: Scenario, members: list[Member]) -> Member:
-    """Make the clock of a rig without a plant, or with a period of its own."""
+    """Create the clock of a rig without a plant, or with a period of its own."""
     if any(m.name == CLOCK_NODE for m in members):
         raise ScenarioError(f"{scenario.name}: node {CLOCK_NODE}: that is the name of the rig's own clock")
     block = load_block("softrig_core", CLOCK_NODE)
@@ -282,7 +282,7 @@ def _expected(rig: Rig) -> dict[str, Expectation]:
 
 
 def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
-    """Give the scenario with the signals of its figures and plots by their whole names."""
+    """Return the scenario with the signals of its figures and plots by their whole names."""
     ports = [p for m in members for p in (*m.outputs, *m.inputs)]
     figures, plots = _named(scenario.figures, scenario.plots, *ports)
     return scenario.model_copy(update={"figures": figures, "plots": plots})

@@ -15,7 +15,7 @@ from ..wire.recording import Recording
 def branched(
     rig: Rig, recording: Recording, at: float, values: Mapping[str, Any], epoch: int = 0
 ) -> list[dict[str, Any]]:
-    """Give the changes of a run that is a recorded one up to a time, and goes on from there with other parameters.
+    """Return the changes of a run that is a recorded one up to a time, and goes on from there with other parameters.
 
     Who changed what before that time has done it here, too; what people did from there on has not happened. The changes
     that the scenario itself makes stay.
@@ -57,7 +57,7 @@ def branched(
 
 
 def parted(before: Recording, after: Recording, at: float) -> str:
-    """Say where two runs in lockstep, which are to be the same before a time (s), are not; empty when they are."""
+    """Describe where two runs in lockstep, which are to be the same before a time (s), are not; empty when they are."""
     found: list[tuple[int, str]] = []
     for name in sorted(after.topics.keys() & before.topics.keys() - {EVENTS}):
         a, b = (recording.topics[name].before(to_ns(at)) for recording in (before, after))

@@ -80,13 +80,13 @@ def _expanded(scenario: Scenario, classes: Classes, told_what: bool) -> Rig:
 
 
 def _telling(scenario: Scenario, live: Mapping[str, NodeEntry], told: Mapping[str, Any]) -> Scenario:
-    """Give the scenario with parameters of live nodes where these do not say them."""
+    """Return the scenario with parameters of live nodes where these do not say them."""
     nodes = {n: e.model_copy(update={"parameters": {**told, **e.parameters}}) for n, e in live.items()}
     return scenario.model_copy(update={"nodes": {**scenario.nodes, **nodes}}) if live else scenario
 
 
 def _faulty(scenario: Scenario, classes: Classes) -> Scenario:
-    """Give the scenario with its faults among its nodes."""
+    """Return the scenario with its faults among its nodes."""
     if not scenario.faults:
         return scenario
     members = members_of(scenario, classes)
@@ -101,7 +101,7 @@ def _faulty(scenario: Scenario, classes: Classes) -> Scenario:
 
 
 def _watched(rig: Rig) -> Rig:
-    """Give the rig with the nodes that watch its requirements while it runs."""
+    """Return the rig with the nodes that watch its requirements while it runs."""
     scenario = rig.scenario
     if not any(r.live or r.ends for r in scenario.requirements.values()):
         return rig

@@ -101,7 +101,7 @@ def run_inprocess(
 
 
 def check_here(rig: Rig) -> None:
-    """Make sure that a rig can run in one process; a ScenarioError names the node that cannot."""
+    """Ensure that a rig can run in one process; a ScenarioError names the node that cannot."""
     for member in rig.members:
         if member.external:
             raise ScenarioError(f"node {member.name} is external: in-process runs have no place for it")
@@ -129,7 +129,7 @@ def _searched_seldom() -> Iterator[None]:
 
 
 def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
-    """Make the steps of a rig's members, each handing what it says to those that read it.
+    """Create the steps of a rig's members, each handing what it says to those that read it.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
 
 
 def step_of(member: Member, block: Block) -> Step:
-    """Make the step of a member."""
+    """Create the step of a member."""
     return Step(member.name, block, member.schedule, member.inputs, member.outputs, member.changes)
 
 

@@ -40,11 +40,11 @@ class FiguresParams(WatchParams):
         return self
 
     def given(self) -> dict[str, str]:
-        """Give the figures and the ports as text."""
+        """Return the figures and the ports as text."""
         return _of(self.scenario) if self.scenario else {"figures": self.figures, "ports": self.ports}
 
     def inputs(self) -> tuple[Port, ...]:
-        """Give the ports that the text describes."""
+        """Return the ports that the text describes."""
         return ports_of(self.given()["ports"])
 
 

@@ -114,12 +114,12 @@ class Session:
 
     @property
     def over(self) -> bool:
-        """Whether there is nothing more to come: the last tick is answered, or a block failed."""
+        """Return whether there is nothing more to come: the last tick is answered, or a block failed."""
         return bool(self.error) or self._k > self.ticks
 
     @property
     def run(self) -> Run:
-        """What the run is up to here; what comes later is not in it."""
+        """Return what the run is up to here; what comes later is not in it."""
         at = self._loop.plan.clock.time(self._k)
         return Run(self.rig, self.seed, self.recording.before(at), error=self.error, blocks=dict(self.steps))
 
@@ -188,7 +188,7 @@ class Session:
             self._turned.append(_Turned(self._k, node, own))
 
     def undone(self, t: float) -> dict[str, Any]:
-        """Give what going back to t (s) would undo: ``node.parameter`` to its newest value, as `set` takes it.
+        """Return what going back to t (s) would undo: ``node.parameter`` to its newest value, as `set` takes it.
 
         Raises
         ------
@@ -226,7 +226,7 @@ class Session:
         return undone
 
     def branch(self, t: float | None = None) -> Session:
-        """Give another run that goes on from t (s) by itself, by default from here; blocks are made anew.
+        """Return another run that goes on from t (s) by itself, by default from here; blocks are made anew.
 
         Raises
         ------
@@ -244,14 +244,14 @@ class Session:
         return other
 
     def _past(self, t: float) -> int:
-        """Give the first tick that is not before t, which the run has come to."""
+        """Return the first tick that is not before t, which the run has come to."""
         k = self._tick(t)
         if k > min(self._k, self.ticks):
             raise ScenarioError(f"t = {t:.9g} s: expected a time that the run has come to, at most {self.t:.9g} s")
         return k
 
     def _tick(self, t: float) -> int:
-        """Give the first tick that is not before t, s."""
+        """Return the first tick that is not before t, s."""
         if not t >= 0.0:
             raise ScenarioError(f"t = {t} s: expected a time of at least 0")
         schedule, at = self._loop.plan.clock, to_ns(min(t, self.rig.scenario.duration + 1.0))

@@ -149,7 +149,7 @@ class Run:
         return [c.model_copy(update={"holds": None}) for c in found] if open_ else found
 
     def __repr__(self) -> str:
-        """Say what it was, how far it came and how its figures did."""
+        """Describe what it was, how far it came and how its figures did."""
         end = self.error or self.stopped_at or f"{self.reached_s:g} s in {self.wall_s:.3g} s"
         judged = [r for r in self.results if r.judged] if not self.error else []
         passed = f", {sum(r.passed for r in judged)} of {len(judged)} figures pass" if judged else ""
@@ -182,7 +182,7 @@ class Run:
         return _view("plot")(self, names, window)
 
     def to_pandas(self, topic: str = "") -> Any:
-        """Give the signals of a topic, or each signal's newest value at all times of the clock, as a data frame.
+        """Return the signals of a topic, or each signal's newest value at all times of the clock, as a data frame.
 
         Parameters
         ----------
@@ -332,7 +332,7 @@ def simulate(
 
 
 def _topics(rig: Rig, figures: list[Figure], signals: Collection[str]) -> set[str]:
-    """Give the topics of signals, and of what figures and requirements read."""
+    """Return the topics of signals, and of what figures and requirements read."""
     units = signal_units(rig)
     read = read_by(figures, units) | {full_name(name, units) for name in signals}
     return {topic_of(name, rig.topics) for name in read}

@@ -40,7 +40,7 @@ class FaultEntry(BaseModel):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What it says beside the link."""
+        """Return what it says beside the link."""
         return {WORDS.get(name, name): value for name, value in (self.model_extra or {}).items()}
 
 
@@ -142,6 +142,6 @@ def _unheard(topic: str, reader: str, subscribers: list[str]) -> str:
 
 
 def _remap(given: Mapping[str, str], topic: str, ends: str) -> dict[str, str]:
-    """What a reader's own name of a topic is to become."""
+    """Return what a reader's own name of a topic is to become."""
     own = [name for name, target in given.items() if target == topic]
     return dict.fromkeys(own or [topic], ends)

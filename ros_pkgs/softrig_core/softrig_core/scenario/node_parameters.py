@@ -39,7 +39,7 @@ class NodeParameters:
         self._open: list[str] = []
 
     def __call__(self, name: str) -> Any:
-        """Give the parameters of a node."""
+        """Return the parameters of a node."""
         where = f"{self._scenario.name}: node {name}"
         if name in self._open:
             raise ScenarioError(f"{where}: its parameters refer to themselves: {' -> '.join((*self._open, name))}")

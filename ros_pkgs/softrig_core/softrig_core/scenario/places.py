@@ -17,7 +17,7 @@ from .yaml_file import compose
 
 
 def place(name: str, path: Path, keys: Sequence[Any]) -> str:
-    """Say where a key of a scenario is written: ``motor.yaml, line 12``.
+    """Describe where a key of a scenario is written: ``motor.yaml, line 12``.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def place(name: str, path: Path, keys: Sequence[Any]) -> str:
 
 
 def _levels(name: str, path: Path, seen: tuple[str, ...] = ()) -> Iterator[tuple[Path, list[str]]]:
-    """Give where a key may come from, the strongest first: file, and the keys above it."""
+    """Yield where a key may come from, the strongest first: file, and the keys above it."""
     if name != path.stem:
         yield path, ["variants", name.removeprefix(f"{path.stem}_")]
     yield path, []
@@ -65,7 +65,7 @@ def _line(file: Path, keys: Sequence[Any]) -> tuple[int, int]:
 
 
 def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str:
-    """Say in one line what the first error of a validation is, and where; of an unknown key, which one is near.
+    """Describe in one line what the first error of a validation is, and where; of an unknown key, which one is near.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str
 
 
 def _keys(model: type[BaseModel] | None, above: Sequence[Any]) -> list[str]:
-    """Give the keys that a model takes below others."""
+    """Return the keys that a model takes below others."""
     for key in above:
         if model is not None and key in model.model_fields:
             model = next(_models(model.model_fields[key].annotation), None)
@@ -95,7 +95,7 @@ def _keys(model: type[BaseModel] | None, above: Sequence[Any]) -> list[str]:
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Give the models that an annotation speaks of."""
+    """Yield the models that an annotation speaks of."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in typing.get_args(annotation):

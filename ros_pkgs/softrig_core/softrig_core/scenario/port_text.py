@@ -13,7 +13,7 @@ _TUPLES = ("channels", "fields", "units", "limits", "safe")
 
 
 def reader(port: Port, name: str, held: bool = False) -> Port:
-    """Give the input that takes all that an output says."""
+    """Return the input that takes all that an output says."""
     return replace(port, name=name, held=held, sporadic=False, partial=False, also=(), unchecked=False, safe=())
 
 

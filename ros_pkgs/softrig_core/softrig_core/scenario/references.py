@@ -113,7 +113,7 @@ def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
 
 
 def pick(values: Mapping[str, Any], name: str) -> Any:
-    """Give a parameter by its dotted name, a group of them, or one element of a list by its number: ``times.0``.
+    """Return a parameter by its dotted name, a group of them, or one element of a list by its number: ``times.0``.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def pick(values: Mapping[str, Any], name: str) -> Any:
 
 
 def parameter_of(where: str, nodes: Mapping[str, Any], params: Callable[[str], Any], node: str, name: str) -> Any:
-    """Give what ``$node.parameter`` stands for, `params` giving the parameters of one of the nodes.
+    """Return what ``$node.parameter`` stands for, `params` giving the parameters of one of the nodes.
 
     It may also name what is `derived` from them.
 

@@ -168,7 +168,7 @@ class Scenario(Entry):
 
     @property
     def changed_from(self) -> Mapping[str, Any]:
-        """What was changed of it since it was written, by key, to what that was; None where it was not said."""
+        """Return what was changed of it since it was written, by key, to what that was; None where it was not said."""
         return self._changed_from
 
     def changing(self, before: Mapping[str, Any]) -> Scenario:
@@ -182,7 +182,7 @@ class Scenario(Entry):
         return self
 
     def written(self, *keys: str) -> str:
-        """Say where one of its keys is written, as the end of a message; empty where that is not known."""
+        """Describe where one of its keys is written, as the end of a message; empty where that is not known."""
         at = place(self.name, self._file, keys) if self._file else ""
         return f" ({at})" if "line" in at else ""
 
@@ -214,7 +214,7 @@ class Scenario(Entry):
         return self
 
     def changed(self, *, duration: float | None = None, overrides: Mapping[str, Any] | None = None) -> Scenario:
-        """Give the scenario with another length or parameters (``node.parameter`` to value).
+        """Return the scenario with another length or parameters (``node.parameter`` to value).
 
         Raises
         ------
@@ -231,7 +231,7 @@ class Scenario(Entry):
         return new.written_in(None if overrides else self._file).changing(before)
 
     def having(self, **keys: Any) -> Scenario:
-        """Give the scenario with other values of some keys, checked; a ScenarioError says what does not fit."""
+        """Return the scenario with other values of some keys, checked; a ScenarioError says what does not fit."""
         try:
             return Scenario.model_validate({**dict(self), **keys}).changing(self._changed_from)
         except ValidationError as error:
@@ -277,7 +277,7 @@ class Draft:
     raw: dict[str, Any]
 
     def filled(self, overrides: Mapping[str, Any] | None = None) -> Scenario:
-        """Make the scenario of it; see `load_scenario`."""
+        """Create the scenario of it; see `load_scenario`."""
         if not overrides:
             return self._published
         raw = dict(self.raw)

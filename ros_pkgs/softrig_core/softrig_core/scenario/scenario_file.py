@@ -22,14 +22,14 @@ OWN = ("expect", "requirements", "claims")  # what a scenario is judged by stand
 
 
 def scenario_folders() -> Iterator[Path]:
-    """Give where scenario files are: SOFTRIG_SCENARIOS, then ``share/PACKAGE/scenarios`` of what is installed."""
+    """Return where scenario files are: SOFTRIG_SCENARIOS, then ``share/PACKAGE/scenarios`` of what is installed."""
     own = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
     installed = (folder for prefix in prefixes() for folder in sorted(prefix.glob("share/*/scenarios")))
     return (f for f in chain(own, installed) if f.is_dir())  # looked for as far as somebody asks
 
 
 def list_scenarios(broken: list[ScenarioError] | None = None) -> dict[str, Path]:
-    """Give every scenario name, variants included, and the file it is in.
+    """Return every scenario name, variants included, and the file it is in.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def _read(path: Path, changed: int, size: int) -> dict[str, Any]:
 
 
 def names(path: Path) -> Iterator[str]:
-    """Give the names of the scenarios in a file: its own and those of its variants."""
+    """Yield the names of the scenarios in a file: its own and those of its variants."""
     yield path.stem
     for variant in _variants(path, read(path)):
         yield f"{path.stem}_{variant}"
@@ -138,7 +138,7 @@ def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]
 
 
 def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
-    """Give the whole path of a file that a node's parameter, or a shared value, names and that is beside this one.
+    """Return the whole path of a file that a node's parameter, or a shared value, names and that is beside this one.
 
     What is found from the current directory is left as it is written.
     """

@@ -138,7 +138,7 @@ class Solver(Block[S]):
     SCRATCH = frozenset({"worker"})  # the process: what it works on is in `x.jobs`
 
     def request(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Any]:
-        """Give x and what is to be worked on, picklable; None when this tick asks nothing new."""
+        """Return x and what is to be worked on, picklable; None when this tick asks nothing new."""
         raise NotImplementedError
 
     @staticmethod
@@ -155,7 +155,7 @@ class Solver(Block[S]):
         raise NotImplementedError
 
     def answer(self, x: Any, t: int, result: Result | None, new: bool) -> tuple[Any, Values]:
-        """Give x and the outputs of a tick.
+        """Return x and the outputs of a tick.
 
         Parameters
         ----------
@@ -170,7 +170,7 @@ class Solver(Block[S]):
         raise NotImplementedError
 
     def first(self) -> Any:
-        """Give the state before the first tick."""
+        """Return the state before the first tick."""
         return SolverState()
 
     def reset(self, seed: int) -> None:
@@ -183,7 +183,7 @@ class Solver(Block[S]):
         self.worker.rest()
 
     def working(self, x: Any) -> bool:
-        """Whether a request is under way or waits."""
+        """Return whether a request is under way or waits."""
         return x.jobs.active is not None or x.jobs.waiting is not None
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Values]:
@@ -224,7 +224,7 @@ class Solver(Block[S]):
         return x
 
     def ready(self, x: Any, t: int) -> bool:
-        """Tell whether the answer of a tick can be given now, and kill work that is beyond its limit."""
+        """Describe whether the answer of a tick can be given now, and kill work that is beyond its limit."""
         if x.jobs.active is None or (t < x.jobs.effect and not self.realtime):
             return True
         if self.worker.state == "working" and self.worker.elapsed() > self.p.limit:
@@ -267,7 +267,7 @@ class Solver(Block[S]):
         return self.answer(x, t, jobs.result, new)
 
     def health(self, x: Any) -> Mapping[str, str]:
-        """Tell how far the work is."""
+        """Describe how far the work is."""
         if x.jobs.active is None:
             return {"work": "idle"}
         figures = {name: f"{v:.9g}" if isinstance(v, float) else str(v) for name, v in self.worker.status.items()}

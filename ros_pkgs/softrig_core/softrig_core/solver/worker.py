@@ -40,7 +40,7 @@ class Work:
         self._send = send
 
     def status(self, **figures: float | str) -> None:
-        """Tell how far it is; seen in the diagnostics of the node (bound, gap, iteration)."""
+        """Report how far it is; seen in the diagnostics of the node (bound, gap, iteration)."""
         self._send("status", figures)
 
     def best(self, answer: Any) -> None:
@@ -177,7 +177,7 @@ class _Process:
 
     @classmethod
     def of(cls, module: str, name: str) -> _Process:
-        """Give one that is idle, or a new one."""
+        """Return one that is idle, or a new one."""
         # the kernel kills it when the thread that started it ends
         key = (module, name, os.getpid(), threading.get_ident(), tuple(sys.path), _directory(), _variables())
         for process in reversed(cls.idle):
@@ -207,7 +207,7 @@ class _Process:
         threading.Thread(target=self._listen, daemon=True).start()
 
     def alive(self) -> bool:
-        """Whether it has not ended."""
+        """Return whether it has not ended."""
         return self._process.poll() is None
 
     def write(self, content: Any) -> None:

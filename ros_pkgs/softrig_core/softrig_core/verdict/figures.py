@@ -97,12 +97,12 @@ class Result(BaseModel):
 
     @property
     def limited(self) -> bool:
-        """Whether there is anything to hold it against."""
+        """Return whether there is anything to hold it against."""
         return any(x is not None for x in (self.expected, self.at_most, self.at_least))
 
     @property
     def judged(self) -> bool:
-        """Whether anything is expected of it, in this run."""
+        """Return whether anything is expected of it, in this run."""
         return self.limited and not self.published_for
 
     def not_judged(self, why: str) -> Result:
@@ -145,7 +145,7 @@ class Figure:
         return self.scale * value
 
     def at(self, signals: SignalMap) -> Figure:
-        """Give the figure of the newest step of `since`, with what that step says among its arguments.
+        """Return the figure of the newest step of `since`, with what that step says among its arguments.
 
         Raises
         ------
@@ -220,13 +220,13 @@ def _unit(
 
 
 def read_by(figures: Iterable[Figure], units: Mapping[str, str]) -> set[str]:
-    """Give the signals that figures and requirements read; `units` has all of the rig (`signal_units`)."""
+    """Return the signals that figures and requirements read; `units` has all of the rig (`signal_units`)."""
     asked = [name for f in figures for name in f.reads]
     return {signal for name in asked for signal in _called(name, units)}
 
 
 def _called(name: str, units: Mapping[str, str]) -> Iterable[str]:
-    """Give the signals of a name, which may be a pattern."""
+    """Return the signals of a name, which may be a pattern."""
     return (name,) if name in units else filter_names(units, name)
 
 

@@ -52,7 +52,7 @@ class Finding(BaseModel):
 
     @property
     def false(self) -> str:
-        """Say why its verdict is not borne out."""
+        """Describe why its verdict is not borne out."""
         why = "cannot be checked" if self.holds is None else "does not hold"
         return f"the verdict {self.verdict} {why}: measured {self.measured_text}, {self.asked} {self.unit}".rstrip()
 
@@ -65,7 +65,7 @@ class Finding(BaseModel):
 
 
 def values(results: Iterable[Result]) -> dict[str, float]:
-    """Give the measured value of each figure, infinity for what never happened, NaN for what failed."""
+    """Return the measured value of each figure, infinity for what never happened, NaN for what failed."""
     return {r.name: r.number for r in results}
 
 

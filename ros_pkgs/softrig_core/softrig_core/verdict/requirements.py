@@ -148,7 +148,7 @@ def _grid(clock: Schedule, end: float) -> Array:
 
 
 def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Give for each tick the newest of the values that came at these times, 0 before the first, and where that is."""
+    """Return for each tick the newest of the values that came at these times, 0 before the first, and where that is."""
     if len(times) >= len(grid) and np.array_equal(times[: len(grid)], grid):  # one a tick
         return values[: len(grid)], np.zeros(len(grid), dtype=bool)
     at = newest(times, grid)
@@ -156,7 +156,7 @@ def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np
 
 
 def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:
-    """Give the shared names of a rig's scenario that formulas may use: numbers, and signals.
+    """Return the shared names of a rig's scenario that formulas may use: numbers, and signals.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], 
 
 
 def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
-    """Give the nodes that watch requirements of a rig's scenario while it runs, as entries of its nodes."""
+    """Return the nodes that watch requirements of a rig's scenario while it runs, as entries of its nodes."""
     numbers, signals = names_of(rig, units)
     nodes = {}
     for name, requirement in rig.scenario.requirements.items():
@@ -327,7 +327,7 @@ def _scaled(formula: str, known: Items, units: Items, scale: Items) -> tuple[Tre
 
 
 def _ticker(rig: Members) -> str:
-    """Give a signal that is sent at each tick of its node, to the end of the run."""
+    """Return a signal that is sent at each tick of its node, to the end of the run."""
     ports = [(m, p) for m in rig.members for p in m.outputs if p.labels and not p.sporadic]
     _, port = max(ports, key=lambda each: (each[0].schedule.last or 0, -each[0].schedule.every))
     return f"{port.topic}/{port.labels[0]}"

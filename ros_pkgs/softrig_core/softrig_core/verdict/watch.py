@@ -41,13 +41,13 @@ _new = tuple.__new__  # of a named tuple: in half the time
 
 
 def row_of(size: int) -> struct.Struct:
-    """Give what packs the stamp and so many values of a message."""
+    """Return what packs the stamp and so many values of a message."""
     return struct.Struct(f"<q{size}d")
 
 
 @cache
 def _rows(size: int) -> np.dtype[np.void]:
-    """Give how a message of so many values stands in many of them."""
+    """Return how a message of so many values stands in many of them."""
     return np.dtype([("stamp", "<i8"), ("values", "<f8", (size,))])
 
 
@@ -72,14 +72,14 @@ class Kept(NamedTuple):
     dropped: bool = False
 
     def columns(self, size: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Give stamps in ns, shape (n,), and values, (n, size), the oldest first."""
+        """Return stamps in ns, shape (n,), and values, (n, size), the oldest first."""
         rows = np.frombuffer(b"".join((*self.blocks, self.filling, self.newest)), _rows(size))
         rows = rows[rows["stamp"].searchsorted(self.since) :]
         return rows["stamp"], np.ascontiguousarray(rows["values"])
 
     @property
     def forgot(self) -> bool:
-        """Whether there was anything that has left the window."""
+        """Return whether there was anything that has left the window."""
         oldest = self.blocks[0] if self.blocks else self.filling or self.newest
         return self.dropped or (oldest != b"" and STAMP.unpack_from(oldest)[0] < self.since)
 
@@ -122,7 +122,7 @@ class Kept(NamedTuple):
 
 
 def packed(messages: Messages) -> bytes:
-    """Give messages as they are kept."""
+    """Return messages as they are kept."""
     stamps, values = (messages.stamps, messages.values) if isinstance(messages, Heard) else zip(*messages, strict=True)
     rows = np.empty(len(messages), _rows(len(values[0])))
     rows["stamp"], rows["values"] = stamps, values
@@ -130,7 +130,7 @@ def packed(messages: Messages) -> bytes:
 
 
 def _since(blocks: tuple[bytes, ...], stamp: int, size: int) -> tuple[bytes, ...]:
-    """Give those blocks that reach to a stamp or beyond it; `size` bytes a message."""
+    """Return those blocks that reach to a stamp or beyond it; `size` bytes a message."""
     gone = 0
     while STAMP.unpack_from(blocks[gone], len(blocks[gone]) - size)[0] < stamp:
         gone += 1
@@ -171,7 +171,7 @@ class Watch(Observer[W]):
         return Window(self.keep(x.seen, t, inputs)), {}
 
     def keep(self, seen: tuple[Kept, ...], t: int, inputs: Mapping[str, Any]) -> tuple[Kept, ...]:
-        """Give what was seen with what is new in the inputs of a tick."""
+        """Return what was seen with what is new in the inputs of a tick."""
         reach, age, found = self._reach, self.ages or self.age, []  # a call less for each input
         for (name, row), kept in zip(self._rows.items(), seen, strict=True):
             values = inputs.get(name)
@@ -186,16 +186,16 @@ class Watch(Observer[W]):
         return Window(tuple(kept.taken_at_once(messages.get(name, ()), t, self._reach) for name, kept in seen))
 
     def figure(self, name: str, function: Function, arguments: Mapping[str, Any] = NONE) -> Figure:
-        """Make a figure, in the unit that its function and its signal give it."""
+        """Create a figure, in the unit that its function and its signal give it."""
         unit = compose(getattr(function, "unit", ""), self._units.get(arguments.get("signal", ""), ""))
         return Figure(name, function, arguments, unit, 1.0)
 
     def figures(self, x: Any) -> Iterable[Figure]:
-        """Give the figures; asked each time, so that they may depend on what was seen."""
+        """Return the figures; asked each time, so that they may depend on what was seen."""
         raise NotImplementedError
 
     def status(self, x: Any) -> Mapping[str, tuple[float, str]]:
-        """Give the figures that can be measured so far; none of a step that the window has left behind."""
+        """Return the figures that can be measured so far; none of a step that the window has left behind."""
         signals = Seen(self._ports, dict(zip(self._ports, x.seen, strict=True)))
         forgot = {p.topic for p, kept in zip(self._ports.values(), x.seen, strict=True) if kept.forgot}
         found = {}
@@ -210,7 +210,7 @@ class Watch(Observer[W]):
 
 
 def left_behind(since: str, signals: Seen, forgot: Container[str]) -> bool:
-    """Whether the newest steps of signals were before what is kept of them: a first sample is none then."""
+    """Return whether the newest steps of signals were before what is kept of them: a first sample is none then."""
     return all(
         signals.topic(name) in forgot and newest_step(signals, name)[0] == signals[name].t[0]
         for name in since.split(", ")

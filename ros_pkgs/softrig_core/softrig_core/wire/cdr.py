@@ -58,7 +58,7 @@ class Message:
         return -1 if mark is None else mark
 
     def layout(self, msgtype: str) -> Layout:
-        """Give the layout that messages of this form have."""
+        """Return the layout that messages of this form have."""
         counts = {name: len(values) for name, values in self.fields.items()}
         return Layout(msgtype, self.frame_id, self.names, counts, self.dims or (), self.number is not None)
 
@@ -173,7 +173,7 @@ class Layout:
         self.encode, self.decode = _coders(whole, wire, self.size, [data for _, _, data in self._fixed], numbered)
 
     def encode_block(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Give the bytes of n messages as an array of shape (n, length): row by row what `encode` gives.
+        """Return the bytes of n messages as an array of shape (n, length): row by row what `encode` gives.
 
         Parameters
         ----------
@@ -200,12 +200,12 @@ class Layout:
         return rows
 
     def same_shape(self, block: NDArray[np.uint8]) -> bool:
-        """Whether all messages of a (n, length) byte array have this layout."""
+        """Return whether all messages of a (n, length) byte array have this layout."""
         rows = [(block[:, a:b], expected) for a, b, expected in self._fixed]
         return all(bool((part == np.frombuffer(expected, dtype=np.uint8)).all()) for part, expected in rows)
 
     def columns(self, block: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
-        """Give the numbers of a (n, length) byte array of such messages as arrays of shape (n,)."""
+        """Return the numbers of a (n, length) byte array of such messages as arrays of shape (n,)."""
         found = []
         for offset, code in self.slots:
             n, kind = int(code[:-1]), np.dtype("<f8" if code[-1] == "d" else "u1")
@@ -234,7 +234,7 @@ SINGLY = 32  # values that are named one by one
 def _coders(
     whole: struct.Struct, wire: Sequence[int], size: int, constants: Sequence[bytes], numbered: bool
 ) -> tuple[Any, Any]:
-    """Make the functions that write and read messages of a layout: their text names each item of its struct.
+    """Create the functions that write and read messages of a layout: their text names each item of its struct.
 
     Parameters
     ----------
@@ -275,13 +275,13 @@ def _compiled(text: str) -> CodeType:
 
 
 def _runs(places: Sequence[int]) -> list[tuple[int, int]]:
-    """Give the spans, first and after the last, in which each place follows the one before."""
+    """Return the spans, first and after the last, in which each place follows the one before."""
     starts = [k for k in range(len(places)) if k == 0 or places[k] != places[k - 1] + 1]
     return list(zip(starts, [*starts[1:], len(places)], strict=True))
 
 
 def getter(places: Sequence[int]) -> Picker:
-    """Give an itemgetter that always gives a tuple (of a tuple)."""
+    """Return an itemgetter that always gives a tuple (of a tuple)."""
     if len(places) > 1:
         return itemgetter(*places)
     start = places[0] if places else 0

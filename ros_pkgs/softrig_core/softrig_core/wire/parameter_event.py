@@ -24,7 +24,7 @@ class Recorded(Protocol):
 
 
 def encode(t: int, node: str, values: Mapping[str, Any]) -> bytes:
-    """Give the bytes of a message.
+    """Return the bytes of a message.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def _write(out: Writer, value: Any) -> None:
 
 
 def decode(data: bytes) -> tuple[int, str, dict[str, Any]]:
-    """Give the tick in ns, the full name of the node and its changed values.
+    """Return the tick in ns, the full name of the node and its changed values.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def decode(data: bytes) -> tuple[int, str, dict[str, Any]]:
 
 
 def recorded(recording: Recorded, epoch: int = 0) -> list[tuple[int, str, dict[str, Any]]]:
-    """Give the changes in a recording, in the order of their times: tick in ns after `epoch`, node, its new values.
+    """Return the changes in a recording, in the order of their times: tick in ns after `epoch`, node, its new values.
 
     Raises
     ------

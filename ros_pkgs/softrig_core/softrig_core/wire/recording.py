@@ -24,7 +24,7 @@ CHUNK = 4096  # messages that are made at a time
 
 
 def relative(name: str) -> str:
-    """Give a topic's name as scenarios and recordings write it: without the root, except for /clock."""
+    """Return a topic's name as scenarios and recordings write it: without the root, except for /clock."""
     return name if name == "/clock" else name.removeprefix("/")
 
 
@@ -35,7 +35,7 @@ class Sink(Protocol):
         """Append one message of topic number `topic`, published at tick time `t` (ns)."""
 
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
-        """Give what appends one message of each of some topics, all of one time, by their numbers.
+        """Return what appends one message of each of some topics, all of one time, by their numbers.
 
         Parameters
         ----------
@@ -44,7 +44,7 @@ class Sink(Protocol):
         """
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
-        """Give what appends many such rows: their times in ns, shape (n,), and their numbers, (n, size of all)."""
+        """Return what appends many such rows: their times in ns, shape (n,), and their numbers, (n, size of all)."""
 
     def note(self, t: int, data: bytes) -> None:
         """Append a change of parameters (`parameter_event`), which took effect at tick time `t` (ns)."""
@@ -128,13 +128,13 @@ class Columns(NamedTuple):
     layout: Layout
 
     def messages(self, said: int) -> list[bytes]:
-        """Give their bytes; `said` messages of the topic were before them."""
+        """Return their bytes; `said` messages of the topic were before them."""
         marks = np.arange(said, said + len(self.times)) if self.layout.numbered else self.times
         raw, n = self.layout.encode_block(marks, self.values).tobytes(), self.layout.length
         return [raw[i : i + n] for i in range(0, len(raw), n)]
 
     def part(self, first: int, last: int) -> Columns:
-        """Give some of them."""
+        """Return some of them."""
         return Columns(self.times[first:last], self.values[first:last], self.layout)
 
 
@@ -184,7 +184,7 @@ class Topic:
         return self._data
 
     def parts(self) -> Sequence[Columns]:
-        """Give all messages as numbers, in one or several parts of one layout; none as `columns`."""
+        """Return all messages as numbers, in one or several parts of one layout; none as `columns`."""
         self.settle()
         known = self._columns
         number = sum(len(c.times) for c in known)
@@ -193,7 +193,7 @@ class Topic:
         return () if any(c.layout.form != known[0].layout.form for c in known) else known
 
     def columns(self) -> Columns | None:
-        """Give all messages as numbers; None when some came as bytes or may have been changed."""
+        """Return all messages as numbers; None when some came as bytes or may have been changed."""
         known = self.parts()
         if len(known) > 1:
             times, values = (np.concatenate([c[k] for c in known]) for k in (0, 1))
@@ -201,18 +201,18 @@ class Topic:
         return self._columns[0] if known else None
 
     def ticks(self) -> NDArray[np.int64]:
-        """Give the times as an array."""
+        """Return the times as an array."""
         whole = self.columns()
         return np.array(self.times, np.int64) if whole is None else whole.times
 
     def newest(self) -> int | None:
-        """Give the time of its last message, ns; None without one."""
+        """Return the time of its last message, ns; None without one."""
         if parts := self.parts():  # which need not be joined for it
             return next(int(part.times[-1]) for part in reversed(parts) if len(part.times))
         return self.times[-1] if self.times else None
 
     def before(self, t: int) -> Topic:
-        """Give its messages that are earlier than t, ns."""
+        """Return its messages that are earlier than t, ns."""
         found, whole = Topic(self.name, self.msgtype), self.columns()
         if whole is not None:
             n = int(whole.times.searchsorted(t))
@@ -223,7 +223,7 @@ class Topic:
         return found
 
     def since(self, n: int) -> Topic:
-        """Give its messages but the first n."""
+        """Return its messages but the first n."""
         found, parts = Topic(self.name, self.msgtype), self.parts()
         for part in parts:
             if n < (size := len(part.times)):
@@ -234,7 +234,7 @@ class Topic:
         return found
 
     def stream(self) -> Iterator[tuple[int, bytes]]:
-        """Give time and bytes of each message; what stands as numbers is not kept as bytes."""
+        """Yield time and bytes of each message; what stands as numbers is not kept as bytes."""
         whole = self.columns()
         if whole is None:
             yield from zip(self.times, self.data, strict=True)
@@ -252,7 +252,7 @@ class Recording:
         self._order = list(self.topics.values())
 
     def before(self, t: int) -> Recording:
-        """Give what was recorded before t, ns; what is added to one of the two is not in the other."""
+        """Return what was recorded before t, ns; what is added to one of the two is not in the other."""
         found = Recording(())
         found.topics = {name: topic.before(t) for name, topic in self.topics.items()}
         if EVENTS in found.topics and not found.topics[EVENTS].times:  # there with the first change
@@ -267,7 +267,7 @@ class Recording:
         found.data.append(data)
 
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
-        """Give what appends one message of each of some topics; their bytes are made when somebody asks for them."""
+        """Return what appends one message of each of some topics; their bytes are made when somebody asks for them."""
         buffer, pack = bytearray(), _row_packer(layouts.values())
         # weak: what a topic calls must not keep it, or memory stays taken until Python looks for cycles
         topics = [(weakref.ref(self._order[number]), layout) for number, layout in layouts.items()]
@@ -286,7 +286,7 @@ class Recording:
         return add
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
-        """Give what appends many such rows, after all that came before them."""
+        """Return what appends many such rows, after all that came before them."""
         topics = [(self._order[number], layout) for number, layout in layouts.items()]
 
         def add(times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
@@ -315,7 +315,7 @@ class Recording:
         return ranks[np.argsort(np.concatenate(ticks), kind="stable")]
 
     def messages(self) -> Iterator[tuple[int, Topic, bytes]]:
-        """Give all messages by time; equal times in topic order, those of a topic as they came."""
+        """Yield all messages by time; equal times in topic order, those of a topic as they came."""
         order = self.order()
         streams = [(topic, topic.stream()) for topic in self._order]
         for first in range(0, len(order), CHUNK):
@@ -428,7 +428,7 @@ def _row_packer(layouts: Iterable[Layout]) -> Callable[..., bytes]:
 
 
 def _read_rows(content: memoryview, row: Sequence[tuple[Topic | None, Layout]]) -> int:
-    """Add the messages of the whole rows at the beginning of some bytes; gives how many bytes that are."""
+    """Add the messages of the whole rows at the beginning of some bytes; returns how many bytes that are."""
     length = _ROW_HEAD.size + 8 * sum(layout.size for _, layout in row)
     block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
     other = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
@@ -444,7 +444,7 @@ def _read_rows(content: memoryview, row: Sequence[tuple[Topic | None, Layout]]) 
 
 
 def read_shards(paths: Iterable[Path]) -> Recording:
-    """Give what some shards have together, of those that are there."""
+    """Return what some shards have together, of those that are there."""
     found = [path for path in paths if path.exists()]
     recording = Recording({topic: kind for path in found for topic, kind in shard_topics(path).items()}.items())
     for path in found:
@@ -459,7 +459,7 @@ def shard_topics(path: Path) -> dict[str, str]:
 
 
 def _read_head(content: memoryview) -> tuple[dict[str, Any] | None, int]:
-    """Give what a shard says of itself, and where its messages begin."""
+    """Return what a shard says of itself, and where its messages begin."""
     start = bytes(content[: 1 << 20]).find(b"\n", len(_MAGIC)) + 1
     if bytes(content[: len(_MAGIC)]) != _MAGIC or not start:
         return None, 0

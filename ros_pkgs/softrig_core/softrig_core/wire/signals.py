@@ -33,7 +33,7 @@ class Table(NamedTuple):
 
 
 def full_name(name: str, known: Iterable[str]) -> str:
-    """Give the whole name of a signal that was called without its field: ``buck/state/voltage`` of ``.../position``.
+    """Return the whole name of a signal that was called without its field: ``buck/state/voltage`` of ``.../position``.
 
     Parameters
     ----------
@@ -53,13 +53,13 @@ def full_name(name: str, known: Iterable[str]) -> str:
 
 
 def short_name(name: str, known: Iterable[str]) -> str:
-    """Give the shortest name of a signal that `full_name` leads back to it: without its field when it has but one."""
+    """Return the shortest name of a signal that `full_name` leads back to it: without its field when it has but one."""
     short = name.rpartition("/")[0]
     return short if full_name(short, known) == name else name
 
 
 def topic_of(name: str, topics: Iterable[str]) -> str:
-    """Give the topic of a signal; empty when it is of none of them."""
+    """Return the topic of a signal; empty when it is of none of them."""
     return max((t for t in topics if name.startswith(f"{t}/")), key=len, default="")
 
 
@@ -87,7 +87,7 @@ class Signals(Mapping[str, Signal]):
         self._named: dict[str, Table] = {}
 
     def known_as(self, also: Mapping[str, Mapping[str, str]]) -> Self:
-        """Give channels the names of a rig's ports; to be called before a table is asked for.
+        """Return channels the names of a rig's ports; to be called before a table is asked for.
 
         Parameters
         ----------
@@ -105,7 +105,7 @@ class Signals(Mapping[str, Signal]):
         return (max((end for end in ends if end is not None), default=0) - self._epoch) / SECOND
 
     def table(self, topic: str) -> Table:
-        """Give all columns of a topic; what a message lacks that others of its topic have is NaN."""
+        """Return all columns of a topic; what a message lacks that others of its topic have is NaN."""
         if topic not in self._also:
             return self._table(topic)
         if topic not in self._named:
@@ -130,7 +130,7 @@ class Signals(Mapping[str, Signal]):
         return self._tables[topic]
 
     def _joined(self, topic: Topic, parts: Sequence[Columns]) -> Table:
-        """Give the columns of messages that stand as numbers."""
+        """Return the columns of messages that stand as numbers."""
         times = [part.times for part in parts]
         key = tuple(map(id, times))
         if key not in self._times:

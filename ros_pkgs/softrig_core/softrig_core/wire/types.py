@@ -49,27 +49,27 @@ class MessageType:
 
     @cached_property
     def stamped(self) -> bool:
-        """Whether it begins with a header or a time."""
+        """Return whether it begins with a header or a time."""
         return self._has("stamp")
 
     @cached_property
     def framed(self) -> bool:
-        """Whether its header says in which frame its values are."""
+        """Return whether its header says in which frame its values are."""
         return self._has("frame") and bool(self.sizes)
 
     @cached_property
     def named(self) -> bool:
-        """Whether its channels have names in the message."""
+        """Return whether its channels have names in the message."""
         return self._has("names")
 
     @cached_property
     def shaped(self) -> bool:
-        """Whether it is an array with labelled dimensions."""
+        """Return whether it is an array with labelled dimensions."""
         return self._has("dims")
 
     @cached_property
     def timed(self) -> bool:
-        """Whether it ends with a duration, which is no signal."""
+        """Return whether it ends with a duration, which is no signal."""
         return self._has("duration")
 
     @cached_property

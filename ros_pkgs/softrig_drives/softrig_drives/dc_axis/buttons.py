@@ -45,7 +45,7 @@ class StepButtons(Block[StepButtonsParams]):
         return State()
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float]]]:
-        """Give both buttons."""
+        """Return both buttons."""
         zero = t if x.zero is None else x.zero
         since = t - zero
         return State(zero), {

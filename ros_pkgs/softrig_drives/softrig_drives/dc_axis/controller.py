@@ -59,7 +59,7 @@ class FsfbControllerParams(MotorParams):
         return self
 
     def gains(self) -> tuple[float, float, float]:
-        """Give kv, kp and ki."""
+        """Return kv, kp and ki."""
         return design(self.poles, self) if self.poles else (self.kv, self.kp, self.ki)
 
 
@@ -204,7 +204,7 @@ class FsfbController(Block[FsfbControllerParams]):
         }
 
     def _known(self, x: State, t: int) -> Commands:
-        """Give the command history, true when periods were left out."""
+        """Return the command history, true when periods were left out."""
         history = x.history
         if x.t is not None:
             gap = (t - x.t) // self._period - 1
@@ -215,7 +215,7 @@ class FsfbController(Block[FsfbControllerParams]):
         return history
 
     def _usable(self, t: int, feedback: Sample) -> bool:
-        """Whether there is a measurement that may be used."""
+        """Return whether there is a measurement that may be used."""
         stamp = feedback[0]
         if stamp > t:
             self.report(Level.ERROR, "feedback time", f"feedback stamped {(stamp - t) * 1e-9:g} s in the future: 0 V")
@@ -242,7 +242,7 @@ class FsfbController(Block[FsfbControllerParams]):
         return x._replace(stamp=stamp, measured=measured) if stamp > x.stamp else x
 
     def _compensate(self, x: State, t: int, history: Commands) -> tuple[bool, tuple[float, ...]]:
-        """Make the state for the law of the late measurement; whether that can be done."""
+        """Create the state for the law of the late measurement; whether that can be done."""
         p = self.p
         assert x.stamp is not None
         v, y = x.measured

@@ -70,6 +70,6 @@ class DcAxis(Drawing):
         readings(pen, (360.0, 292.0), rows, 240.0)
 
     def at(self, position: float) -> float:
-        """Give the x of a position, mm, on the scale."""
+        """Return the x of a position, mm, on the scale."""
         middle = (self.LEFT + self.RIGHT) / 2
         return middle + held(position / self.reach, 1.0) * (self.RIGHT - self.LEFT) / 2

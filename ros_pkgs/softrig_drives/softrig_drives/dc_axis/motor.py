@@ -39,11 +39,11 @@ class Motion:
         self._decay, self._from_v, self._from_f = _coefficients(pole, h)
 
     def step(self, y: float, v: float, f: float) -> tuple[float, float]:
-        """Give (y, v) after h."""
+        """Return (y, v) after h."""
         return y + self._from_v * v + self._from_f * f, self._decay * v + self._from_v * f
 
     def stop(self, y: float, v: float, f: float, level: float) -> float:
-        """Give y after h when the speed stays at `level` (0 or the speed limit) once it has reached it.
+        """Return y after h when the speed stays at `level` (0 or the speed limit) once it has reached it.
 
         `level` lies between v and the speed after h, so the speed reaches it inside the step.
         """

@@ -60,7 +60,7 @@ class DcAxisPlant(Plant[DcAxisParams]):
     OUTPUTS = (STATE, TRUE_STATE)
 
     def latched(self) -> Mapping[str, str]:
-        """Give the URDF for ros2_control, whose command is the voltage of the armature."""
+        """Return the URDF for ros2_control, whose command is the voltage of the armature."""
         tag = hardware_tag("dc_axis", AXIS, "/axis/state", "/axis/command", ("position", "velocity"))
         return {"robot_description": axis_urdf("dc_axis", *AXIS, "prismatic", (1e3, 1e4), tag)}
 
@@ -81,7 +81,7 @@ class DcAxisPlant(Plant[DcAxisParams]):
         return float(math.floor(y / self._resolution + 1e-9))
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, float]]:
-        """Give what the encoder reads, and the true state."""
+        """Return what the encoder reads, and the true state."""
         y, v, past = x
         counts = self._counts(y)
         return {"state": (counts * self._resolution, (counts - past[0]) * self._per_count), "true_state": (y, v)}

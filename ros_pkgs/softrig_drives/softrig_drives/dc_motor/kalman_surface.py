@@ -74,7 +74,7 @@ class DcMotorSmcKalman(SurfaceControl[DcMotorSmcKalmanParams]):
         applied: tuple[float, ...],
         reference: tuple[float, ...] | None,
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give the voltage."""
+        """Return the voltage."""
         count, current = sensors
         r = self.reference(x.r, reference)
         size = abs(r) or x.size

@@ -35,7 +35,7 @@ class DcMotorPid(SpeedControl[DcMotorPidParams]):
     OUTPUTS = (COMMAND,)
 
     def setup(self) -> None:
-        """Make the law."""
+        """Create the law."""
         self._pid = Pid(self.p, self.p.period)
 
     def first(self) -> State:
@@ -50,7 +50,7 @@ class DcMotorPid(SpeedControl[DcMotorPidParams]):
     def update(
         self, x: State, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give the voltage."""
+        """Return the voltage."""
         r = self.reference(x.r, reference)
         pid, u = self._pid(x.pid, r - state[0])
         return State(r, pid), {"command": (u,)}

@@ -85,7 +85,7 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
         return cls.INPUTS, (*cls.OUTPUTS, TRUE_STATE, APPLIED) if params.rig else cls.OUTPUTS
 
     def latched(self) -> Mapping[str, str]:
-        """Give the URDF for ros2_control, whose command is the voltage of the armature."""
+        """Return the URDF for ros2_control, whose command is the voltage of the armature."""
         tag = hardware_tag("dc_motor", SHAFT, "/motor/state", "/motor/command")
         return {"robot_description": axis_urdf("dc_motor", *SHAFT, "continuous", (1e3, 1e4), tag)}
 
@@ -111,7 +111,7 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
         return State(applied=(0.0,)) if self.p.rig else State()
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give the sensors' values at t; on the rig also the truth."""
+        """Return the sensors' values at t; on the rig also the truth."""
         p = self.p
         theta, w, i, applied, before, k = x
         count = math.floor(theta * self._counts_per_rad)

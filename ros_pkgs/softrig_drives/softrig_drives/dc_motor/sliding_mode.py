@@ -36,7 +36,7 @@ class SurfaceParams(MotorConstants, SpeedControlParams):
     publish_surface: bool = param(False, "also publish s on motor/surface")
 
     def coefficients(self) -> tuple[float, float, float]:
-        """Give gain, a1 and a0 of the model w'' = gain u - a1 w' - a0 w, eq. (14) where they are not printed."""
+        """Return gain, a1 and a0 of the model w'' = gain u - a1 w' - a0 w, eq. (14) where they are not printed."""
         if self.model == "printed":
             return self.model_gain, self.model_a1, self.model_a0
         inertia = self.J * self.L
@@ -147,7 +147,7 @@ class DcMotorSmc(SurfaceControl[DcMotorSmcParams]):
         sensors: tuple[float, ...],
         reference: tuple[float, ...] | None,
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give the voltage."""
+        """Return the voltage."""
         w = state[0]
         r = self.reference(x.r, reference)
         size = abs(r) or x.size

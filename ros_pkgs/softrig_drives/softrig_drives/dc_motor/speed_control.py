@@ -43,7 +43,7 @@ class SpeedControl(Block[P]):
         return x if self.p.set_point == before.set_point else x._replace(r=self.p.set_point)
 
     def reference(self, r: float, message: tuple[float, ...] | None) -> float:
-        """Give the reference to follow, r being the one so far: the newest in range."""
+        """Return the reference to follow, r being the one so far: the newest in range."""
         if message is None or message[0] == r:
             return r
         new = message[0]
@@ -57,6 +57,6 @@ class SpeedControl(Block[P]):
         return new
 
     def refused(self, x: Any, t: int) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
-        """Give 0 V and report the error."""
+        """Return 0 V and report the error."""
         self.report(Level.ERROR, "refused", "measurement or reference was refused; command 0 V")
         return x, {port.name: (0.0,) * port.size for port in self.ports(self.p)[1]}

@@ -23,7 +23,7 @@ class AdcParams(Params):
 
     @property
     def quantised(self) -> bool:
-        """Whether there is a converter at all."""
+        """Return whether there is a converter at all."""
         return self.adc_mode != "none"
 
     @property
@@ -33,7 +33,7 @@ class AdcParams(Params):
 
     @property
     def dithered(self) -> bool:
-        """Whether a random bit is added."""
+        """Return whether a random bit is added."""
         return self.adc_mode == "dither"
 
     @property
@@ -66,7 +66,7 @@ class Converter:
         self._p_d = p.dither_p if p.dithered else 0.0
 
     def beyond(self, x: float) -> bool:
-        """Whether a sample (A) is beyond the range."""
+        """Return whether a sample (A) is beyond the range."""
         return self._quantised and not self._low <= x / self._q + self._shift < self._high + 1
 
     def __call__(self, x: float, uniform: float = 1.0) -> float:
@@ -78,5 +78,5 @@ class Converter:
 
 
 def draw(k: int, channel: int) -> int:
-    """Give the place of sample k of a channel, 0 or 1, in the stream of random numbers: it comes in rows."""
+    """Return the place of sample k of a channel, 0 or 1, in the stream of random numbers: it comes in rows."""
     return (2 * (k // ROW) + channel) * ROW + k % ROW

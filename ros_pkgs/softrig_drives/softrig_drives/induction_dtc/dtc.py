@@ -77,7 +77,7 @@ class DtcController(Block[DtcControllerParams]):
         return (*cls.INPUTS, SPEED) if params.estimator == "observer" else cls.INPUTS, cls.OUTPUTS
 
     def setup(self) -> None:
-        """Make the estimator, scale the vectors and pick the table."""
+        """Create the estimator, scale the vectors and pick the table."""
         p = self.p
         self._estimator = make_estimator(p, p.period)
         self._unit = [voltage(v) for v in VECTORS]

@@ -54,7 +54,7 @@ class VoltageModel:
         self._factor = 1.5 * p.pole_pairs
 
     def __call__(self, x: Flux, u: complex, i: complex, omega: float) -> Flux:
-        """Give the fluxes now.
+        """Return the fluxes now.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class FluxObserver(VoltageModel):
         self._turn = 0.5j * T_s * p.pole_pairs
 
     def __call__(self, x: Flux, u: complex, i: complex, omega: float) -> Flux:
-        """Give the fluxes now; see `VoltageModel`."""
+        """Return the fluxes now; see `VoltageModel`."""
         psi, _, psi_R = super().__call__(x, u, i, omega)
         if x.i is not None:
             half_a = self._turn * omega - self._decay
@@ -107,5 +107,5 @@ class FluxObserver(VoltageModel):
 
 
 def make_estimator(p: EstimatorParams, T_s: float) -> VoltageModel:
-    """Make the estimator that the parameters ask for."""
+    """Create the estimator that the parameters ask for."""
     return (FluxObserver if p.estimator == "observer" else VoltageModel)(p, T_s)

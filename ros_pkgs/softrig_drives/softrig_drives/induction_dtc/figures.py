@@ -21,7 +21,7 @@ FLUX_ERROR = ("flux_estimate/x", "flux_estimate/y", "flux_true/x", "flux_true/y"
 
 
 def slope(t: Array, psi: Vectors) -> complex:
-    """Give the slope (per s) of the least-squares line through each component, as alpha + j beta."""
+    """Return the slope (per s) of the least-squares line through each component, as alpha + j beta."""
     centred = t - t.mean()
     if not centred.any():
         return complex(np.nan, np.nan)
@@ -164,7 +164,7 @@ def _flux_error(signals: SignalMap, start: float | None, end: float | None) -> t
 
 
 def _same(signals: SignalMap, name: str, t: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Give the places of a signal's samples of the same instants, and which of the instants those are."""
+    """Return the places of a signal's samples of the same instants, and which of the instants those are."""
     when = signals[name][0]
     at = newest(when, t + HALF_NS)
     both = at >= 0

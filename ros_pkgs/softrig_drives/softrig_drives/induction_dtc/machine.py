@@ -30,19 +30,19 @@ OUTPUTS = 4
 
 
 def numbers(m: MachineConstants, h: float) -> tuple[float, ...]:
-    """Give the constants as `step_function` takes them: R_s, R_R, 1/L_sigma, R_R/L_M, p, 1/J, B, h."""
+    """Return the constants as `step_function` takes them: R_s, R_R, 1/L_sigma, R_R/L_M, p, 1/J, B, h."""
     return (m.R_s, m.R_R, 1.0 / m.L_sigma, m.R_R / m.L_M, float(m.pole_pairs), 1.0 / m.J, m.B, h)
 
 
 def electric(x: Sequence[Any], inv_L_sigma: Any, p: Any) -> tuple[Any, Any, Any]:
-    """Give i_alpha, i_beta (A) and T_e (N m) of a state, of numbers or casadi expressions."""
+    """Return i_alpha, i_beta (A) and T_e (N m) of a state, of numbers or casadi expressions."""
     s_alpha, s_beta, r_alpha, r_beta = x[:4]
     i_alpha, i_beta = (s_alpha - r_alpha) * inv_L_sigma, (s_beta - r_beta) * inv_L_sigma
     return i_alpha, i_beta, 1.5 * p * (s_alpha * i_beta - s_beta * i_alpha)
 
 
 def measured(x: Sequence[Any], inv_L_sigma: Any, p: Any) -> tuple[Any, Any, Any, Any]:
-    """Give i_a, i_b, i_c (A) and T_e (N m) of a state."""
+    """Return i_a, i_b, i_c (A) and T_e (N m) of a state."""
     i_alpha, i_beta, T_e = electric(x, inv_L_sigma, p)
     i_b = -0.5 * i_alpha + 0.75**0.5 * i_beta
     return i_alpha, i_b, 0.0 - i_alpha - i_b, T_e  # at rest 0, not -0

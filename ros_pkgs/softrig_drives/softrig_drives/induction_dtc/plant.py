@@ -93,7 +93,7 @@ class ImPlant(Plant[ImPlantParams]):
         return State()
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give speed, fluxes and currents, and these as they are converted."""
+        """Return speed, fluxes and currents, and these as they are converted."""
         i_a, i_b, i_c, T_e = measured(x, self._inv_L_sigma, self.p.pole_pairs)
         convert, k = self._convert, x.k
         if self.p.dithered:
@@ -135,7 +135,7 @@ class ImPlant(Plant[ImPlantParams]):
                      clipped_b, x.k + 1)  # fmt: skip
 
     def _inverter(self, x: State, switches: tuple[float, ...]) -> tuple[int, bool, bool]:
-        """Give the number of the vector, whether the switches were refused, whether that is a fault."""
+        """Return the number of the vector, whether the switches were refused, whether that is a fault."""
         vector = NUMBERS.get(switches)
         if vector is None:
             vector = NUMBERS.get(tuple(map(_snap, switches)))

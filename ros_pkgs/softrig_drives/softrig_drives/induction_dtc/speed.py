@@ -36,7 +36,7 @@ class SpeedController(Block[SpeedControllerParams]):
     OUTPUTS = (TORQUE_REF,)
 
     def setup(self) -> None:
-        """Make the law."""
+        """Create the law."""
         self._pid = Pid(self.p, self.p.period)
         self._rise = self.p.slew * self.p.period
 
@@ -51,7 +51,7 @@ class SpeedController(Block[SpeedControllerParams]):
     def update(
         self, x: State, t: int, *, joint_states: tuple[float, ...], speed_ref: tuple[float, ...] | None
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give the torque reference; without a speed reference hold the standstill."""
+        """Return the torque reference; without a speed reference hold the standstill."""
         target = 0.0 if speed_ref is None else speed_ref[0]
         reference = x.reference + min(max(target - x.reference, -self._rise), self._rise)
         pid, torque = self._pid(x.pid, reference - joint_states[0])

@@ -35,7 +35,7 @@ TABLES: dict[TableName, tuple[tuple[tuple[int, ...], ...], ...]] = {
 
 
 def voltage(switches: tuple[float, float, float]) -> complex:
-    """Give the space vector of a two-level inverter's voltage as a fraction of U_dc.
+    """Return the space vector of a two-level inverter's voltage as a fraction of U_dc.
 
     ::
 
@@ -46,7 +46,7 @@ def voltage(switches: tuple[float, float, float]) -> complex:
 
 
 def sector(psi: complex) -> int:
-    """Give the sector 1 to 6 of a flux: sector n is the 60 degrees around 60 (n - 1), lower bound inside."""
+    """Return the sector 1 to 6 of a flux: sector n is the 60 degrees around 60 (n - 1), lower bound inside."""
     alpha, beta = psi.real, SQRT3 * psi.imag
     if alpha > 0.0:
         return 6 if beta < -alpha else 1 if beta < alpha else 2

@@ -88,7 +88,7 @@ class CurrentController(Block[CurrentControllerParams]):
         phase_currents: tuple[float, ...],
         force_cmd: tuple[float, ...],
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give the voltages."""
+        """Return the voltages."""
         found = regulate(x.integral, joint_states, phase_currents, force_cmd[0], self._geometry, self._law)
         return State(found[:N_PHASES]), {"phase_voltage": found[N_PHASES:]}
 
@@ -97,7 +97,7 @@ class CurrentController(Block[CurrentControllerParams]):
 def regulate(
     integral: Vector, motion: Vector, currents: Vector, force: float, geometry: Array, law: Array
 ) -> tuple[float, float, float, float, float, float, float, float]:
-    """Give the four integrals and the four voltages (V).
+    """Return the four integrals and the four voltages (V).
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def regulate(
 def phase_law(
     z: float, i: float, i_ref: float, force: float, v: float, xi: float, geometry: Array, law: Array
 ) -> tuple[float, float]:
-    """Give the integral (A s) and the voltage (V) of a phase at `xi` (m) from its aligned position."""
+    """Return the integral (A s) and the voltage (V) of a phase at `xi` (m) from its aligned position."""
     K_pc, K_ic, U_dc, _, threshold, zero_current, _, period, feed_forward, R = law
     towards = xi <= 0.0 if force > 0.0 else xi > 0.0  # of the others the slope has the other sign, whatever it is
     G, g = geometry[2], profile(xi, geometry)[1] if towards else 0.0

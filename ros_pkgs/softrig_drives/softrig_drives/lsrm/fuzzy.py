@@ -63,7 +63,7 @@ class LsrmFuzzy(SpeedControl[LsrmFuzzyParams]):
     """
 
     def setup(self) -> None:
-        """Make the surface."""
+        """Create the surface."""
         p = self.p
         outputs = [THIRDS[n + LARGEST] for n in p.rules]
         table = [outputs[k : k + TERMS] for k in range(0, len(outputs), TERMS)]
@@ -76,7 +76,7 @@ class LsrmFuzzy(SpeedControl[LsrmFuzzyParams]):
     def update(
         self, x: State, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give the force command."""
+        """Return the force command."""
         p = self.p
         error = reference[1] - joint_states[0]
         force = self.clip(x.force + p.K_u * self._surface(error / p.K_e, (error - x.error) / p.K_de))

@@ -45,5 +45,5 @@ class LsrmLoad(Block[LsrmLoadParams]):
         self._answers = StepProfile(p.times, [{"load": (m, p.mu * m * GRAVITY)} for m in p.masses])
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
-        """Give the load at t."""
+        """Return the load at t."""
         return x, self._answers.at(t)

@@ -50,7 +50,7 @@ class Geometry(Params):
         return self
 
     def numbers(self) -> Array:
-        """Give the constants as `profile` takes them: the parameters, then what it makes of them at each call."""
+        """Return the constants as `profile` takes them: the parameters, then what it makes of them at each call."""
         given = [self.tau, self.shift, self.G, self.L_u, self.c, self.h, self.w]
         return np.array([*given, 2.0 * self.w, self.h - self.w, 2.0 * self.w / math.pi, self.G * 0.5])
 
@@ -73,7 +73,7 @@ def distance(x: float, phase: int, geometry: Array) -> float:
 
 @jit
 def profile(xi: float, geometry: Array) -> tuple[float, float]:
-    """Give inductance L (H) and its slope g = dL/dx (H/m) at the distance `xi` from the aligned position.
+    """Return inductance L (H) and its slope g = dL/dx (H/m) at the distance `xi` from the aligned position.
 
     ::
 
@@ -100,7 +100,7 @@ def profile(xi: float, geometry: Array) -> tuple[float, float]:
 
 @jit
 def phase(flux: float, xi: float, geometry: Array) -> tuple[float, float]:
-    """Give current i = lambda/L (A) of a phase and its force g i^2/2 (N, eq. 6 of the paper)."""
+    """Return current i = lambda/L (A) of a phase and its force g i^2/2 (N, eq. 6 of the paper)."""
     if not flux > 0.0:
         return 0.0, 0.0
     L, g = profile(xi, geometry)

@@ -32,7 +32,7 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
     """
 
     def setup(self) -> None:
-        """Make the law."""
+        """Create the law."""
         self._pid = Pid(_gains(self.p), self.p.period)
 
     def first(self) -> PidState:
@@ -46,7 +46,7 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
     def update(
         self, x: PidState, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
     ) -> tuple[PidState, Mapping[str, tuple[float, ...]]]:
-        """Give the force command."""
+        """Return the force command."""
         x, force = self._pid(x, reference[1] - joint_states[0])
         return x, {"force_cmd": (self.clip(force),)}
 

@@ -70,7 +70,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
         return {"lsrm/pitch": params.tau}
 
     def latched(self) -> Mapping[str, str]:
-        """Give the URDF for ros2_control: its command, a force, is that of the current controller."""
+        """Return the URDF for ros2_control: its command, a force, is that of the current controller."""
         tag = hardware_tag("lsrm", TRANSLATOR, "/joint_states", "/force_cmd")
         return {"robot_description": axis_urdf("lsrm", *TRANSLATOR, "prismatic", (1e4, 1e2), tag)}
 
@@ -86,7 +86,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
         return State(x=self.p.x_0)
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give motion, currents and forces at t."""
+        """Return motion, currents and forces at t."""
         found = sense(x[:STATES], self._geometry)
         return {"joint_states": found[:3], "phase_currents": found[3:7], "force_phases": found[7:]}
 
@@ -127,7 +127,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
 
 @jit
 def sense(state: Vector, geometry: Array) -> Step:
-    """Give position, speed, force, the four currents and the four forces."""
+    """Return position, speed, force, the four currents and the four forces."""
     psi_a, psi_b, psi_c, psi_d, x, v = state
     i_a, f_a = phase(psi_a, distance(x, 0, geometry), geometry)
     i_b, f_b = phase(psi_b, distance(x, 1, geometry), geometry)
@@ -172,7 +172,7 @@ def step(
 
 @jit
 def held(voltage: float, flux: float, limit: float, fault: bool) -> float:
-    """Give what a half bridge applies to its phase, V."""
+    """Return what a half bridge applies to its phase, V."""
     if fault:
         return -limit if flux > 0.0 else 0.0
     return min(max(voltage, -limit), limit)

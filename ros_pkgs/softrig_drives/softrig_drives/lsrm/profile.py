@@ -60,7 +60,7 @@ class Quintic:
         return cls((v_0, a_0 / 2, third, fourth, fifth))
 
     def at(self, t: float) -> Point:
-        """Give distance (m), speed (m/s) and acceleration (m/s^2) at t (s)."""
+        """Return distance (m), speed (m/s) and acceleration (m/s^2) at t (s)."""
         a1, a2, a3, a4, a5 = self.alpha
         return (
             ((((a5 * t + a4) * t + a3) * t + a2) * t + a1) * t,
@@ -69,7 +69,7 @@ class Quintic:
         )
 
     def speed_range(self, T: float) -> tuple[float, float]:
-        """Give the least and the largest speed in [0, T]."""
+        """Return the least and the largest speed in [0, T]."""
         _, a2, a3, a4, a5 = self.alpha
         turns = np.roots([20 * a5, 12 * a4, 6 * a3, 2 * a2])
         times = [0.0, T, *(float(z.real) for z in turns if abs(z.imag) < 1e-9 * T and 0.0 < z.real < T)]
@@ -103,7 +103,7 @@ class Profile:
     t_db: float = 1.0
 
     def at(self, t: float) -> Point:
-        """Give position (m), speed (m/s) and acceleration (m/s^2) at t (s)."""
+        """Return position (m), speed (m/s) and acceleration (m/s^2) at t (s)."""
         t_b, t_db = self.t_b, self.t_db
         if t <= t_b:
             return self._forward(t)

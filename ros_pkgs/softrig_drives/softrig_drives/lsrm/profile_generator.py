@@ -49,13 +49,13 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
     OUTPUTS = (REFERENCE,)
 
     def setup(self) -> None:
-        """Make the profile; find what it needs."""
+        """Create the profile; find what it needs."""
         p = self.p
         self.profile = Profile(p.profile, p.v_d, p.t_d, p.x_d, inf if p.t_b is None else p.t_b, p.t_db)
         self._largest = largest_force(self.profile, p.M, p.C + p.k_p)
 
     def first(self) -> tuple[()]:
-        """Tell what is wrong with the profile; nothing is remembered."""
+        """Describe what is wrong with the profile; nothing is remembered."""
         self._judge()
         return ()
 
@@ -82,7 +82,7 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
                 )
 
     def update(self, x: tuple[()], t: int, **inputs: Any) -> tuple[tuple[()], Mapping[str, tuple[float, ...]]]:
-        """Give the reference at t."""
+        """Return the reference at t."""
         return x, {"reference": self.profile.at(to_s(t))}
 
 

@@ -30,6 +30,6 @@ class SpeedControl(Block[P]):
     OUTPUTS: ClassVar[tuple[Port, ...]] = (FORCE_CMD,)
 
     def clip(self, force: float) -> float:
-        """Give the force within plus and minus F_max."""
+        """Return the force within plus and minus F_max."""
         F_max: float = self.p.F_max
         return min(max(force, -F_max), F_max)

@@ -18,7 +18,7 @@ Vector = tuple[float, ...]
 
 @cache
 def stepper(machine: Any, seen: Any) -> Callable[..., Vector]:
-    """Make the function that moves a machine by one period.
+    """Create the function that moves a machine by one period.
 
     Parameters
     ----------

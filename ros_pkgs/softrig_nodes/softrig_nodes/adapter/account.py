@@ -69,7 +69,7 @@ class Account:
             self._file.write(self.status())
 
     def status(self) -> dict[str, Any]:
-        """Say how it is, what it refuses, and while an outside node lacks who publishes what."""
+        """Describe how it is, what it refuses, and while an outside node lacks who publishes what."""
         node = self._node
         refused = {i.port.topic: [i.refused, i.last_refusal] for i in node.inputs + node.paces if i.refused}
         status: dict[str, Any] = {

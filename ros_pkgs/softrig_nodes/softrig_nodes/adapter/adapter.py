@@ -53,7 +53,7 @@ class Drive(Protocol):
         """Time of the tick under way, ns."""
 
     def row(self, port: Port) -> Input:
-        """Make the row of an input in the table of senders."""
+        """Create the row of an input in the table of senders."""
 
     def on_matched(self, item: Input) -> None:
         """React to a change of the writers of an input."""
@@ -68,20 +68,20 @@ class Drive(Protocol):
         """Check for stalls and missing peers; called every `WATCH_PERIOD`."""
 
     def busy(self) -> bool:
-        """Whether peers that wait for this node are to be patient."""
+        """Return whether peers that wait for this node are to be patient."""
 
     def counts(self) -> dict[str, int]:
-        """Give what is counted while it runs: cheap enough for every status file."""
+        """Return what is counted while it runs: cheap enough for every status file."""
 
     def native(self) -> dict[str, Any]:
-        """Give what native code answers of its ticks; nothing where it cannot."""
+        """Return what native code answers of its ticks; nothing where it cannot."""
 
     def statistics(self) -> dict[str, Any]:
         """Figures of the run for the last status file."""
 
 
 def _by_hand(block: Block, options: RunOptions) -> Links:
-    """Give the links of a node that no rig tells of its peers: in lockstep who may be silent says its ticks."""
+    """Return the links of a node that no rig tells of its peers: in lockstep who may be silent says its ticks."""
     if options.mode != "lockstep":
         return Links()
     plant = isinstance(block, Plant)
@@ -165,7 +165,7 @@ class Adapter:
         return self.drive.t
 
     def _may_stand(self) -> bool:
-        """Whether it is the node of a clock in real time that can stand: all nodes go by it, and are ours."""
+        """Return whether it is the node of a clock in real time that can stand: all nodes go by it, and are ours."""
         links = self.links
         own = links.owns_clock and links.starter == self.middleware.name and not links.guests
         return own and self.options.mode == "realtime" and not self.options.epoch
@@ -191,7 +191,7 @@ class Adapter:
             self.drive.record(self.record.foreign[port.name], port.layout().encode(0, (down,)))
 
     def _noting(self, output: Output) -> Matched:
-        """Give what hears how many read an output."""
+        """Return what hears how many read an output."""
 
         def matched(count: int) -> None:
             output.matched(count)
@@ -209,7 +209,7 @@ class Adapter:
     # ticks ----------------------------------------------------------------------------------------------------
 
     def peer(self, link: InputLink) -> Schedule:
-        """Give the schedule of a peer."""
+        """Return the schedule of a peer."""
         return Schedule(link.period, self.schedule.clock, self.options.duration, link.at_end)
 
     def publish(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
@@ -249,7 +249,7 @@ class Adapter:
             output.said += len(times)
 
     def _send_each(self, stamp: int, rows: Rows) -> list[tuple[Output, int, tuple[float, ...]]]:
-        """Publish what is said; gives output, stamp or number, and values of each message."""
+        """Publish what is said; returns output, stamp or number, and values of each message."""
         said = []
         for output, row in zip(self.outputs, rows, strict=True):
             if row is None:
@@ -263,7 +263,7 @@ class Adapter:
         return said
 
     def _acknowledging(self) -> Callable[[int, Iterable[str]], None]:
-        """Give what says that a tick is answered, and which sporadic ports have spoken at it."""
+        """Return what says that a tick is answered, and which sporadic ports have spoken at it."""
         if self._silent:
             write, publish = TickWriter(), self.middleware.publisher("~/tick", TICK, self._noting(self.tick_output))
             return lambda stamp, spoken: publish(write(stamp, spoken))

@@ -94,12 +94,12 @@ class Handshake:
         return [f"nobody subscribes {topic}" for topic in unread] or ["outside nodes are still announcing themselves"]
 
     def _knows_all(self) -> bool:
-        """Whether the rig names all who may be there."""
+        """Return whether the rig names all who may be there."""
         links = self._node.links
         return bool(self._node.options.links) and not links.outside and not links.public
 
     def _outside(self, absent: list[str]) -> list[Peer]:
-        """Give the external nodes behind the topics that they publish."""
+        """Return the external nodes behind the topics that they publish."""
         peers = []
         self.lacking = []
         resolve = self._node.middleware.resolve

@@ -55,11 +55,11 @@ class Sender(Input):
         self.came(stamp, found, data)
 
     def deaf(self) -> bool:
-        """Whether no message counts any more."""
+        """Return whether no message counts any more."""
         return self.node.state in ("done", "failed")
 
     def read(self, data: bytes) -> tuple[int, Any]:
-        """Give stamp (or number) and values; `Refused` says what is wrong with them."""
+        """Return stamp (or number) and values; `Refused` says what is wrong with them."""
         return self.decode(data)
 
     def spoilt(self, data: bytes) -> None:
@@ -73,7 +73,7 @@ class Sender(Input):
     # what the kinds of rows have in common -------------------------------------------------------------------------
 
     def value(self, stamp: int, values: tuple[float, ...]) -> Any:
-        """Give what the input is to hold; channels that a partial message leaves out keep what this one said."""
+        """Return what the input is to hold; channels that a partial message leaves out keep what this one said."""
         if self.port.partial:
             self.decode.kept = values
         return Sample(stamp - self.node.epoch, values) if self.port.delayed else values

@@ -17,7 +17,7 @@ from .adapter import Adapter
 
 
 def spin(node: Node, adapter: Adapter) -> int:
-    """Spin; gives the exit status."""
+    """Spin; returns the exit status."""
     finished: Future[None] = Future()
     adapter.on_finished = lambda: None if finished.done() else finished.set_result(None)
     stopped = False
@@ -46,14 +46,14 @@ def spin(node: Node, adapter: Adapter) -> int:
 
 
 def failure(adapter: Adapter, error: Exception) -> Exception:
-    """Give the error that ends a run when a node's code has raised one."""
+    """Return the error that ends a run when a node's code has raised one."""
     if isinstance(error, RunError | OSError):
         return error
     return RunError(f"failed at t = {adapter.t / SECOND:.9g} s: {describe(error)}")
 
 
 def conclude(adapter: Adapter, stopped: bool) -> int:
-    """Leave what the node has recorded and how it ended; gives the exit status."""
+    """Leave what the node has recorded and how it ended; returns the exit status."""
     if adapter.record.shard is not None:
         try:
             adapter.record.shard.close()

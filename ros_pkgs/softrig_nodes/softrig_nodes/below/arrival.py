@@ -50,7 +50,7 @@ _Heard = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
 
 
 def library() -> Any:
-    """Give what `Arrival` calls, or None where it is not known to be safe or not there."""
+    """Return what `Arrival` calls, or None where it is not known to be safe or not there."""
     if rclpy.get_rmw_implementation_identifier() != RMW or not works("subscriptions"):
         return None
     try:
@@ -135,7 +135,7 @@ class Arrival:
             self._matched(self._writers)
 
     def _taking(self, receive: Callable[[bytes], object]) -> Callable[[], None]:
-        """Give what takes the oldest message and hands it over; a newer one may have replaced it in a full queue."""
+        """Return what takes the oldest message and hands it over; a newer one may have replaced it in a full queue."""
         take, reader, where = self._rcl.rcl_take_serialized_message, self._reader, self._where
         bytes_now = memoryview(self._bytes).cast("B").cast("Q")  # where they are, how many, how many there may be
         room, content = 0, memoryview(b"")

@@ -204,7 +204,7 @@ def _bytes_only(*_: Any) -> Any:
 
 @cache
 def tf_class() -> Any:
-    """Give a class that rclpy takes for tf2_msgs/msg/TFMessage in publishers and subscriptions of bytes.
+    """Return a class that rclpy takes for tf2_msgs/msg/TFMessage in publishers and subscriptions of bytes.
 
     Raises
     ------

@@ -123,7 +123,7 @@ def _offer_simulation(node: ServingNode, adapter: Adapter) -> None:
 
 
 def _read(publisher: Any) -> bool:
-    """Whether anybody reads a topic: what takes longer than a tick is not worked out for nobody."""
+    """Return whether anybody reads a topic: what takes longer than a tick is not worked out for nobody."""
     return bool(publisher.get_subscription_count())
 
 

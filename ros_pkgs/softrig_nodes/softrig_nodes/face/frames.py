@@ -55,7 +55,7 @@ class Frames:
 
 
 def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
-    """Give the bytes of a tf2_msgs/msg/TFMessage.
+    """Return the bytes of a tf2_msgs/msg/TFMessage.
 
     Parameters
     ----------

@@ -226,7 +226,7 @@ class Simulation:
         return {} if scene is None else {pose.child: pose for pose in (*scene.fixed(), *scene.moving(q))}
 
     def _values(self, quantity: str) -> list[float]:
-        """What the scene's port has said last of a quantity of each joint; zero before it has said anything."""
+        """Return what the scene's port has said last of a quantity of each joint; zero before it has said anything."""
         if self._scene is None:
             return []
         step = self._adapter.step
@@ -275,7 +275,7 @@ class Simulation:
 
 
 def turned(before: tuple[float, ...], after: tuple[float, ...]) -> list[float]:
-    """Give the small rotation from one unit quaternion (x, y, z, w) to another, rad about the axes of the parent."""
+    """Return the small rotation from one unit quaternion (x, y, z, w) to another, rad about the axes of the parent."""
     x, y, z, w = before
     a, b, c, d = after if sum(p * q for p, q in zip(before, after, strict=True)) > 0.0 else [-p for p in after]
     return [

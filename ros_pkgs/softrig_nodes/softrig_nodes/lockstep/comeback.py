@@ -106,7 +106,7 @@ class _Heard:
                 row.record(node.t, self.data[k])
 
     def rest(self) -> Iterator[tuple[int, bytes]]:
-        """Give number and bytes of those that are not used."""
+        """Return number and bytes of those that are not used."""
         return enumerate(self.data[self.next :], self.next)
 
 
@@ -181,7 +181,7 @@ class Comeback:
         return False
 
     def _has(self, row: Paired, want: int) -> bool:
-        """Whether a sender had spoken at one of its ticks."""
+        """Return whether a sender had spoken at one of its ticks."""
         if want < self._files.answered.get(row.who, 0):
             return True
         times = self._paired[row].times if row in self._paired else []
@@ -227,7 +227,7 @@ class Comeback:
         return bool(new)
 
     def _heard_of(self, row: Paired) -> int:
-        """Give the tick of a sender whose message is the newest that was used; of who brings none, the newest."""
+        """Return the tick of a sender whose message is the newest that was used; of who brings none, the newest."""
         heard = self._paired.get(row)
         if heard is None:
             return self._answered(row)
@@ -236,7 +236,7 @@ class Comeback:
         return heard.times[heard.next - 1] if heard.next else -1
 
     def _answered(self, row: Paired) -> int:
-        """Give the newest tick that a sender had answered."""
+        """Return the newest tick that a sender had answered."""
         before = self._files.answered.get(row.who, 0)
         if math.isinf(before):
             assert row.schedule.last is not None

@@ -134,7 +134,7 @@ class Lockstep(Link):
         self._starter = node.middleware.timer(CHECK, self._start)
 
     def _place(self) -> Place:
-        """Give where the node works: of a loop of two only one works at a time, who follows works meanwhile."""
+        """Return where the node works: of a loop of two only one works at a time, who follows works meanwhile."""
         links = self.node.links
         loop = set(links.starts) - set(links.followers)
         if links.guests or len(loop) != 2 or len(links.followers) > FEW:
@@ -144,7 +144,7 @@ class Lockstep(Link):
     # peers -----------------------------------------------------------------------------------------------------
 
     def row(self, port: Port) -> Sender:
-        """Make the row of an input."""
+        """Create the row of an input."""
         return self.senders.row(port)
 
     @property
@@ -201,7 +201,7 @@ class Lockstep(Link):
     # ticks -----------------------------------------------------------------------------------------------------
 
     def lacks(self, t: int) -> bool:
-        """Whether something that tick `t` needs has not come."""
+        """Return whether something that tick `t` needs has not come."""
         senders = self.senders
         if senders.rows and t != self._awaited:
             self.await_tick(t)
@@ -263,7 +263,7 @@ class Lockstep(Link):
 
     @property
     def alone(self) -> bool:
-        """Whether no other process has a part in its ticks, nor a person."""
+        """Return whether no other process has a part in its ticks, nor a person."""
         node = self.node
         return (
             node.alone
@@ -280,7 +280,7 @@ class Lockstep(Link):
             self.node.finish()
 
     def busy(self) -> bool:
-        """Whether a solver is at work, or somebody holds the run."""
+        """Return whether a solver is at work, or somebody holds the run."""
         hold = self.node.hold
         return hold.held or hold.waits or (self.solving is not None and self.solving.working)
 
@@ -289,7 +289,7 @@ class Lockstep(Link):
         return {}
 
     def native(self) -> dict[str, Any]:
-        """Give what native code answers of its ticks, where it may."""
+        """Return what native code answers of its ticks, where it may."""
         if self.tell_native is None:
             return {}
         self.tell_native()

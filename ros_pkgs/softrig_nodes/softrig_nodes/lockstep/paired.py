@@ -52,7 +52,7 @@ class PairedSenders:
         self.heard = 0
 
     def row(self, port: Port) -> Sender:
-        """Make the row of an input: paired with the ticks of its sender, or the newest value that comes."""
+        """Create the row of an input: paired with the ticks of its sender, or the newest value that comes."""
         node, name = self.node, port.name
         link = node.links.inputs.get(name)
         by_itself = link is None and (port.held or port.sporadic) and name not in node.options.paired
@@ -199,7 +199,7 @@ class Paired(Sender):
         return not self.have
 
     def wanted(self, t: int) -> int:
-        """Give the stamp that tick `t` needs."""
+        """Return the stamp that tick `t` needs."""
         if self.earlier:
             node = self.node
             return self.schedule.before(node.schedule.next(t) if node.is_plant else t)
@@ -220,7 +220,7 @@ class Paired(Sender):
             self._arrived()
 
     def _complete(self) -> bool:
-        """Whether the sender has spoken up to the awaited tick."""
+        """Return whether the sender has spoken up to the awaited tick."""
         return self.want <= self.used or self.want <= self.reached or (not self.silent and self.want in self.said)
 
     def _use(self) -> None:
@@ -285,7 +285,7 @@ class Paired(Sender):
             self._put(position, KEEP)
 
     def _again(self, position: int) -> bool:
-        """Whether a message is one that was there before, or older than one that serves in its place."""
+        """Return whether a message is one that was there before, or older than one that serves in its place."""
         if position <= self.used or position in self.said:
             return True
         return not self.silent and any(position < p <= self.want for p in self.said)
@@ -297,7 +297,7 @@ class Paired(Sender):
             self._put(position, BAD)
 
     def _may_come(self, position: int) -> bool:
-        """Whether a message of this tick of the sender is new and possible."""
+        """Return whether a message of this tick of the sender is new and possible."""
         last = self.schedule.last
         return (
             self.used < position
@@ -436,7 +436,7 @@ class Behind(Pace):
         self._alike = -1
 
     def wanted(self, t: int) -> int:
-        """Give the tick of the node that must be answered before ours."""
+        """Return the tick of the node that must be answered before ours."""
         return needed(self.schedule, self.node.schedule, t)
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:

@@ -69,7 +69,7 @@ class Stalls:
                 self._judge(waited)
 
     def _begun(self) -> bool:
-        """Whether the rig has sent anything: before that, somebody still waits for an outside node."""
+        """Return whether the rig has sent anything: before that, somebody still waits for an outside node."""
         node = self._node
         if node.links.owns_clock or self._senders.heard:
             return True

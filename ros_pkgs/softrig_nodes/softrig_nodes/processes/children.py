@@ -32,7 +32,7 @@ class Child:
 
 
 def is_held(child: Child) -> bool:
-    """Whether a process is held by SIGSTOP or a terminal (Linux)."""
+    """Return whether a process is held by SIGSTOP or a terminal (Linux)."""
     with suppress(OSError):
         return Path(f"/proc/{child.process.pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
     return False
@@ -63,6 +63,6 @@ def read_status(path: Path) -> dict[str, Any]:
 
 
 def last_line(log: Path) -> str:
-    """Give the last line of a log that is not empty."""
+    """Return the last line of a log that is not empty."""
     lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
     return lines[-1] if lines else ""

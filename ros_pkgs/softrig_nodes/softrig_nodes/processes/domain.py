@@ -129,7 +129,7 @@ def join_domain(number: int) -> int:
 
 
 def require_loopback() -> None:
-    """Make sure that nodes of this host can find each other.
+    """Ensure that nodes of this host can find each other.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def require_loopback() -> None:
 
 
 def inhabited() -> set[int]:
-    """Give the domains in which a participant of DDS lives on this host: each holds UDP ports of its domain."""
+    """Return the domains in which a participant of DDS lives on this host: each holds UDP ports of its domain."""
     return {(port - BASE) // GAIN for port in udp_ports()}
 
 

@@ -48,12 +48,12 @@ def find_executable(package: str, executable: str) -> Path:
 
 
 def given_profile() -> Path:
-    """Give the profile of this process: the one of its environment, or the default."""
+    """Return the profile of this process: the one of its environment, or the default."""
     return Path(os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE") or default_profile())
 
 
 def default_profile() -> Path:
-    """Give the profile of a process that is given none: only who asks for other hosts is reached from them."""
+    """Return the profile of a process that is given none: only who asks for other hosts is reached from them."""
     asked = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("SUBNET", "SYSTEM_DEFAULT")
     return PROFILE if asked or any(map(os.environ.get, NETWORK)) else LOOPBACK
 
@@ -61,7 +61,7 @@ def default_profile() -> Path:
 def environment(
     domain: int, directory: Path, *, discovery: str = "LOCALHOST", silence: float | None = None
 ) -> dict[str, str]:
-    """Give the environment of a node process: its domain, as far as `discovery` reaches, its logs in a directory.
+    """Return the environment of a node process: its domain, as far as `discovery` reaches, its logs in a directory.
 
     With `silence`, others take it for dead only after more than so many s; the profile for that is written there.
     """
@@ -94,7 +94,7 @@ def patient(profile: Path, directory: Path, silence: float) -> Path:
 
 
 def leased(profile: str, silence: float) -> str:
-    """Give the text of a profile of ours with such a lease."""
+    """Return the text of a profile of ours with such a lease."""
     lease = f"<leaseDuration><sec>{math.ceil(silence) + MARGIN}</sec></leaseDuration>"
     return re.sub("<leaseDuration>.*</leaseDuration>", lease, profile)
 

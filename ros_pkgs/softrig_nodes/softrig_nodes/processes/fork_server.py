@@ -58,7 +58,7 @@ class Forked:
         self._end = os.pidfd_open(pid)  # the server keeps the process as a zombie until its status is asked for
 
     def poll(self) -> int | None:
-        """Give the exit status, less than zero for a signal, or None while it runs."""
+        """Return the exit status, less than zero for a signal, or None while it runs."""
         return self._ended(0.0)
 
     def wait(self, timeout: float | None = None) -> int:
@@ -151,11 +151,11 @@ class ForkServer:
         return Forked(int(answer["pid"]), self) if "pid" in answer else None
 
     def serves(self, variables: Mapping[str, str]) -> bool:
-        """Whether it is this process's, and for such an environment."""
+        """Return whether it is this process's, and for such an environment."""
         return self._owner == os.getpid() and self._key == _key(variables)
 
     def status(self, pid: int) -> int:
-        """Give the exit status of a process that has ended; that of the server's own death if it cannot say it."""
+        """Return the exit status of a process that has ended; that of the server's own death if it cannot say it."""
         return int(self._ask({"status": pid}).get("status", -signal.SIGKILL))
 
     def __del__(self) -> None:
@@ -187,7 +187,7 @@ _choosing = threading.Lock()
 
 
 def prepare(variables: Mapping[str, str]) -> ForkServer:
-    """Give the server of this process for an environment; started when there is none yet, and not waited for."""
+    """Return the server of this process for an environment; started when there is none yet, and not waited for."""
     global _server
     with _choosing:
         if _server is None or not _server.serves(variables):
@@ -281,7 +281,7 @@ def _threads() -> set[str]:
 
 
 def _fork(request: Mapping[str, Any], asleep: set[str]) -> int:
-    """Import what the node needs and fork; gives 0 if that cannot be, its own pid in the new process."""
+    """Import what the node needs and fork; returns 0 if that cannot be, its own pid in the new process."""
     with contextlib.suppress(Exception):
         load_main(request["package"], request["executable"])
     if not _threads() <= asleep:  # another thread may hold a lock that the new process would wait for

@@ -34,7 +34,7 @@ class Guests:
         self._since = time.monotonic()
 
     def invite(self, domain: int) -> None:
-        """Say who is expected, where, and with what."""
+        """Report who is expected, where, and with what."""
         if self._announce is None or not self._needed:
             return
         who = ", ".join(self._awaited or self._needed)
@@ -50,7 +50,7 @@ class Guests:
         self._announce("\n".join(lines))
 
     def look(self, states: Mapping[str, Mapping[str, Any]]) -> None:
-        """Say who has come since the last look, and, once, what stands in the way of the others.
+        """Report who has come since the last look, and, once, what stands in the way of the others.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class Guests:
             )
 
     def _name_strays(self, lacking: Set[str], published: Mapping[str, list[tuple[str, str]]]) -> None:
-        """Say who publishes, under a name that the rig does not know, the type of a topic that is awaited."""
+        """Report who publishes, under a name that the rig does not know, the type of a topic that is awaited."""
         awaited = {
             p.topic: (m.name, p.msgtype)
             for m in self._rig.members

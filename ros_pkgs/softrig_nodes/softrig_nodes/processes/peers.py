@@ -56,12 +56,12 @@ def links(rig: Rig, member: Member) -> Links:
 
 
 def starter(rig: Rig) -> Member:
-    """Give the node that says when a run in real time starts: the clock, or the first that is ours."""
+    """Return the node that says when a run in real time starts: the clock, or the first that is ours."""
     return next((m for m in (rig.clock, *rig.members) if not m.external), rig.clock)
 
 
 def ours(readers: list[tuple[Member, Port]]) -> bool:
-    """Whether a node of ours is among the readers of a port."""
+    """Return whether a node of ours is among the readers of a port."""
     return any(not m.external for m, _ in readers)
 
 
@@ -90,7 +90,7 @@ def _tick_readers(rig: Rig, member: Member) -> list[str]:
 
 
 def _told(reader: Member, link: Link) -> bool:
-    """Whether a law in real time waits for what a sender that may be silent says of its ticks.
+    """Return whether a law in real time waits for what a sender that may be silent says of its ticks.
 
     A plant waits for nobody; what pairs by order belongs to the tick at which it comes.
     """
@@ -110,7 +110,7 @@ def _clocked(rig: Rig) -> list[Member]:
 
 
 def _gatherer(rig: Rig) -> Member | None:
-    """Give the member that waits for the acknowledgements: the clock, or who commands an external one."""
+    """Return the member that waits for the acknowledgements: the clock, or who commands an external one."""
     if not rig.clock.external:
         return rig.clock
     senders = [k.source for k in rig.clock.links.values()]

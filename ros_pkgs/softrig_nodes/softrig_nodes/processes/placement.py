@@ -47,13 +47,13 @@ class Placement:
     restart: int = 0
 
     def __str__(self) -> str:
-        """Say in one word or two where nodes live and what they go by."""
+        """Describe in one word or two where nodes live and what they go by."""
         if self.clock == "lockstep":
             return self.mode
         return f"{self.mode}, realtime" if self.mode == "container" else "realtime"
 
     def shared(self, rig: Rig) -> Sequence[Sequence[str]]:
-        """Give the containers of a rig: all nodes together where neither this nor the scenario names any."""
+        """Return the containers of a rig: all nodes together where neither this nor the scenario names any."""
         if self.containers is not None:
             return self.containers
         return (rig.scenario.containers or [[m.name for m in rig.members]]) if self.mode == "container" else ()

@@ -34,12 +34,12 @@ AT_ONCE = 50  # processes that begin within an eighth of that, each with a numbe
 
 
 def of_domain(domain: int) -> range:
-    """Give the numbers of a domain."""
+    """Return the numbers of a domain."""
     return range(BASE + GAIN * domain, BASE + GAIN * (domain + 1))
 
 
 def chosen(domain: int, taken: Collection[int] = (), now: float | None = None) -> dict[str, int]:
-    """Give the port parameters of a participant that begins now, as a Fast DDS profile names them.
+    """Return the port parameters of a participant that begins now, as a Fast DDS profile names them.
 
     Parameters
     ----------
@@ -60,19 +60,19 @@ def chosen(domain: int, taken: Collection[int] = (), now: float | None = None) -
 
 
 def _free(numbers: range, at: int, taken: Collection[int]) -> int:
-    """Give the first number from the one `at` a place on, round and round, that is not taken; else that one."""
+    """Return the first number from the one `at` a place on, round and round, that is not taken; else that one."""
     at %= len(numbers)
     return next((n for n in (*numbers[at:], *numbers[:at]) if n not in taken), numbers[at])
 
 
 def _participants(domain: int) -> int:
-    """Give how many there are; the next one listens twice as many ports further on than the first."""
+    """Return how many there are; the next one listens twice as many ports further on than the first."""
     bound, first = udp_ports(), of_domain(domain)[WELL_KNOWN["offsetd1"]]
     return next(k for k in count() if first + 2 * k not in bound)
 
 
 def udp_ports() -> set[int]:
-    """Give the UDP ports of this host that somebody has bound; none where that cannot be seen."""
+    """Return the UDP ports of this host that somebody has bound; none where that cannot be seen."""
     found = set()
     for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
         with suppress(OSError):  # not Linux, or no IPv6

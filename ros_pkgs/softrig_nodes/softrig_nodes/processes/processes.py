@@ -168,7 +168,7 @@ def run_processes(
 def gathered(
     rig: Rig, directory: Path, names: Iterable[str], namespace: str = ""
 ) -> tuple[Recording, dict[str, dict[str, Any]]]:
-    """Give what the nodes of a run have recorded and what each said of itself.
+    """Return what the nodes of a run have recorded and what each said of itself.
 
     Parameters
     ----------

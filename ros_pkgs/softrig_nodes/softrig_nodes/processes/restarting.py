@@ -18,7 +18,7 @@ Again = Callable[[int], object]
 
 
 def check_restart(rig: Rig, placement: Placement) -> None:
-    """Make sure that nodes of a run could be started again, if that is wanted.
+    """Ensure that nodes of a run could be started again, if that is wanted.
 
     Raises
     ------
@@ -66,7 +66,7 @@ class Restarts:
         self._looks: dict[str, dict[str, _Look]] = {}  # by node that has died, at each of the others
 
     def look(self, children: list[Child]) -> list[Child]:
-        """Start those again that were killed, when all others stand; give those that nobody can start again.
+        """Start those again that were killed, when all others stand; return those that nobody can start again.
 
         What a node has recorded is in its file a quarter of a second later, and its status after that: two of them that
         tell of the same tick mean that it stands, and that all it has said can be read.
@@ -83,7 +83,7 @@ class Restarts:
         return lost
 
     def _stand(self, dead: Child, children: list[Child]) -> bool:
-        """Whether all others stand, or have ended; of one that has said nothing yet nothing is known."""
+        """Return whether all others stand, or have ended; of one that has said nothing yet nothing is known."""
         looks = self._looks.setdefault(dead.member.name, {})
         for child in children:
             with suppress(OSError):
@@ -111,7 +111,7 @@ class Restarts:
             )
 
     def why(self, member: Member) -> str:
-        """Say why a node that was killed is not started again; empty where none is."""
+        """Describe why a node that was killed is not started again; empty where none is."""
         if not self.most:
             return ""
         return f"; it was started again {self.counts.get(member.name, 0)} of {self.most} times"

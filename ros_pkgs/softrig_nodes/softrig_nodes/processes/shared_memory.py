@@ -23,7 +23,7 @@ MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.In
 
 
 def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
-    """Remove the segments and ports whose owner is dead; gives how many files that were.
+    """Remove the segments and ports whose owner is dead; returns how many files that were.
 
     As `fastdds shm clean` does: an owner holds a lock on ``NAME_el`` (or, with others, on ``NAME_sl``), which the
     operating system drops when the process ends. What belongs to other users is left alone, and so are the ports of
@@ -61,7 +61,7 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
 
 
 def clear_ports(domain: int, folder: Path = FOLDER) -> None:
-    """Make sure that a node which starts in a domain hangs at no port whose maker was killed while he made it.
+    """Ensure that a node which starts in a domain hangs at no port whose maker was killed while he made it.
 
     A maker needs some microseconds; he has `AGE`, and on a host where he waits for a processor as long as it takes this
     process to look `LOOKS` times.
@@ -92,13 +92,13 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
 
 
 def numbers(folder: Path = FOLDER) -> set[int]:
-    """Give the numbers of the ports of which there is a file, whoever made it."""
+    """Return the numbers of the ports of which there is a file, whoever made it."""
     there = os.listdir(folder) if folder.is_dir() else []
     return {int(found[1]) for name in there if (found := re.match(r"fastrtps_port(\d+)", name))}
 
 
 def lacking(processes: int, folder: Path = FOLDER) -> str:
-    """Say why messages of so many nodes will not all go by shared memory; empty where they will."""
+    """Describe why messages of so many nodes will not all go by shared memory; empty where they will."""
     try:
         left = os.statvfs(folder)
     except OSError as error:
@@ -110,7 +110,7 @@ def lacking(processes: int, folder: Path = FOLDER) -> str:
 
 
 def domain_id() -> int:
-    """Give the ROS_DOMAIN_ID of the environment; what is none is refused by rcl."""
+    """Return the ROS_DOMAIN_ID of the environment; what is none is refused by rcl."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdecimal() else 0
 
@@ -190,7 +190,7 @@ def _inode(path: Path) -> int:
 
 
 def _own() -> set[Path]:
-    """Give the ports on which this process holds the lock of who reads them."""
+    """Return the ports on which this process holds the lock of who reads them."""
     found = set()
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):
@@ -201,7 +201,7 @@ def _own() -> set[Path]:
 
 
 def _mapped() -> dict[Path, set[int]]:
-    """Give the inodes of the ports that this process has mapped, by the names they had."""
+    """Return the inodes of the ports that this process has mapped, by the names they had."""
     found: dict[Path, set[int]] = {}
     for line in Path("/proc/self/maps").read_text().splitlines():
         if "/fastrtps_port" in line:
@@ -211,7 +211,7 @@ def _mapped() -> dict[Path, set[int]]:
 
 
 def _older(path: Path, age: float) -> bool:
-    """Whether a file is there for more than some s."""
+    """Return whether a file is there for more than some s."""
     try:
         return time.time() - path.stat().st_mtime >= age
     except OSError:
@@ -219,7 +219,7 @@ def _older(path: Path, age: float) -> bool:
 
 
 def _unfinished(path: Path) -> bool:
-    """Whether the maker of a segment is not, or was never, ready with it."""
+    """Return whether the maker of a segment is not, or was never, ready with it."""
     try:
         with path.open("rb") as file:
             return file.read(len(MADE)) != MADE
@@ -228,7 +228,7 @@ def _unfinished(path: Path) -> bool:
 
 
 def _taken(lock: Path, held: ExitStack) -> bool:
-    """Whether a lock file is old and nobody's; it is ours then until `held` ends."""
+    """Return whether a lock file is old and nobody's; it is ours then until `held` ends."""
     try:
         if not _older(lock, AGE):
             return False

@@ -27,7 +27,7 @@ DIED = ".shard.died"  # what the record of a node is called that has died and co
 
 
 def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = ()) -> list[list[Member]]:
-    """Give our nodes by process, only those that are named if some are."""
+    """Return our nodes by process, only those that are named if some are."""
     own = {m.name: m for m in rig.members if not m.external and (not only or m.name in only)}
     shared = [[own.pop(name) for name in names if name in own] for names in containers]
     return [g for g in shared if g] + [[m] for m in own.values()]
@@ -36,7 +36,7 @@ def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = 
 def node_parameters(
     rig: Rig, member: Member, seed: int, mode: str, *, recorders: Sequence[str] | None = None, returns: bool = False
 ) -> dict[str, Any]:
-    """Give the ROS parameters that start a member of a rig: those of its block that differ, and how it runs.
+    """Return the ROS parameters that start a member of a rig: those of its block that differ, and how it runs.
 
     Parameters
     ----------

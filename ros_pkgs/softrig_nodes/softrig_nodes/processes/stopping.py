@@ -30,7 +30,7 @@ class Stopped(KeyboardInterrupt):
 
 
 def signal_of(error: KeyboardInterrupt) -> int:
-    """Give the number of the signal behind an interrupt."""
+    """Return the number of the signal behind an interrupt."""
     return error.number if isinstance(error, Stopped) else int(signal.SIGINT)
 
 
@@ -81,7 +81,7 @@ def unstopped() -> Iterator[None]:
 
 @contextmanager
 def undisturbed() -> Iterator[list[int]]:
-    """Give the signals that come meanwhile, which do nothing else; whoever asks for it says what becomes of them."""
+    """Yield the signals that come meanwhile, which do nothing else; whoever asks for it says what becomes of them."""
     came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield came

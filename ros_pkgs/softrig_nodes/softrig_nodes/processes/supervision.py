@@ -30,7 +30,7 @@ def supervise(
     restarts: Restarts,
     clock: SystemClock,
 ) -> str:
-    """Wait until all have ended or one has failed; gives the reason of a failure.
+    """Wait until all have ended or one has failed; returns the reason of a failure.
 
     A node may wait for ever for a peer that has ended: it has the scenario's timeout, in realtime from the end of the
     run, in lockstep from the end of a node or the last progress. So has one whose process is stopped (SIGSTOP). One
@@ -105,7 +105,7 @@ class SystemClock:
         self._back = max(self._back, self._most - now)
 
     def set_back(self) -> str:
-        """Say that it was, or nothing."""
+        """Report that it was, or nothing."""
         self.look()
         what = f"; the system's clock was set back by {self._back:.0f} s meanwhile, and Fast DDS waits by it"
         return what if self._back > 1.0 else ""
@@ -116,7 +116,7 @@ class SystemClock:
 
 
 def idle(states: Mapping[str, Mapping[str, Any]]) -> str:
-    """Say that a run has ended in order without one tick: in real time it may be over at once by its clocks."""
+    """Report that a run has ended in order without one tick: in real time it may be over at once by its clocks."""
     if any(state.get("ticks") for state in states.values()):
         return ""
     return "all nodes have ended, and none of them has said a tick"
@@ -143,7 +143,7 @@ def _asleep(children: list[Child]) -> str:
 
 
 def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> str:
-    """Say which node failed and why; a node that only waited for one that was itself waiting is not the cause."""
+    """Describe which node failed and why; a node that only waited for one that was itself waiting is not the cause."""
     if not any((c.process.returncode or 0) < 0 for c in failed):
         deadline = time.monotonic() + GRACE
         while time.monotonic() < deadline and any(c.process.poll() is None for c in children):
@@ -175,7 +175,7 @@ def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> s
 
 
 def blamed(waits: Mapping[str, Sequence[str]]) -> list[str]:
-    """Give the nodes whose errors tell the cause: those that waited for none, or for one that has not failed.
+    """Return the nodes whose errors tell the cause: those that waited for none, or for one that has not failed.
 
     Parameters
     ----------

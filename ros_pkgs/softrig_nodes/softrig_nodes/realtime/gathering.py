@@ -32,7 +32,7 @@ class _Seen:
         self.stamps, self.values = array("q"), array("d")
 
     def messages(self) -> Heard:
-        """Give what there is and begin anew."""
+        """Return what there is and begin anew."""
         stamps, values = np.frombuffer(self.stamps, np.int64), np.frombuffer(self.values)
         self.stamps, self.values = array("q"), array("d")
         return Heard(stamps, values.reshape(len(stamps), self._size))

@@ -66,7 +66,7 @@ class LiveSenders:
         self.least = self.watchdog or node.schedule.time(node.block.STALE_PERIODS)
 
     def row(self, port: Port, kind: type[Live]) -> Live:
-        """Make the row of an input."""
+        """Create the row of an input."""
         row = kind(self, port)
         self.rows.append(row)
         self.node.step.stamps[port.name] = row.held_stamp
@@ -82,7 +82,7 @@ class LiveSenders:
             self.unrecorded = [entry for entry in self.unrecorded if entry[0] > stamp]
 
     def believe(self, stamp: int, delayed: bool = False) -> None:
-        """Make sure that a stamp is near enough to now.
+        """Ensure that a stamp is near enough to now.
 
         Raises
         ------
@@ -95,7 +95,7 @@ class LiveSenders:
             raise Refused(f"stamp is {off / SECOND:+.3g} s from now, {most}")
 
     def grid_time(self, now: int) -> int:
-        """Give the newest tick of ours at a time, both in ns of the wall clock."""
+        """Return the newest tick of ours at a time, both in ns of the wall clock."""
         epoch = self.node.epoch
         return epoch + self.node.schedule.held(now - epoch)
 
@@ -181,15 +181,15 @@ class Live(Sender):
 
     @property
     def disputed(self) -> bool:
-        """Whether several write it of whom nobody knows whom to believe."""
+        """Return whether several write it of whom nobody knows whom to believe."""
         return self.publishers > 1 and (self.local or not self._rivals.alone)
 
     def deaf(self) -> bool:
-        """Whether no message counts: not before the start, and of two publishers neither is believed."""
+        """Return whether no message counts: not before the start, and of two publishers neither is believed."""
         return self._refuses() or self.node.state != "running"
 
     def read(self, data: bytes) -> tuple[int, Any]:
-        """Give stamp and values; a stamp of 0 means: no stamp, now."""
+        """Return stamp and values; a stamp of 0 means: no stamp, now."""
         stamp, values = self.decode(data)
         if self.port.stamped and stamp:
             self.table.believe(stamp, self.port.delayed)
@@ -218,7 +218,7 @@ class Live(Sender):
         self._keep(stamp, due, self.value(stamp, found), now)
 
     def teller(self, pick: Pick | None, unchecked: bool) -> Callable[[int, Row | None, int], None]:
-        """Give what takes the rows of a node of this process, checked by who says them or not: stamp, row, now."""
+        """Return what takes the rows of a node of this process, checked by who says them or not: stamp, row, now."""
         delayed = self.port.delayed
 
         def tell(stamp: int, row: Row | None, now: int) -> None:
@@ -285,11 +285,11 @@ class Live(Sender):
     # what a tick needs ---------------------------------------------------------------------------------------------
 
     def lacks(self, stamp: int) -> bool:
-        """Whether something that the tick of a stamp waits for is not there."""
+        """Return whether something that the tick of a stamp waits for is not there."""
         return not (self.complete(stamp) and (self.ready(stamp) or not self.awaited))
 
     def complete(self, stamp: int) -> bool:
-        """Whether what is due at the tick of a stamp is there."""
+        """Return whether what is due at the tick of a stamp is there."""
         epoch, period = self.node.epoch, self.node.schedule.time(1)
         if not self.awaited and not self.expected:
             return True
@@ -306,11 +306,11 @@ class Live(Sender):
         return self._interval == 0 or stamp - self.stamp < self._interval - 2 - period // 1000
 
     def ready(self, stamp: int) -> bool:
-        """Whether there is a value for the tick of a stamp."""
+        """Return whether there is a value for the tick of a stamp."""
         return bool(self.recent) and (self.by_arrival or self.recent[0][0] <= stamp)
 
     def take(self, stamp: int) -> Any:
-        """Give the value of the tick of a stamp: the newest one not after it; None when there is none."""
+        """Return the value of the tick of a stamp: the newest one not after it; None when there is none."""
         self.fresh = False
         self.answered = stamp
         recent = self.recent
@@ -324,14 +324,14 @@ class Live(Sender):
         return recent[0][1]
 
     def held_stamp(self) -> int | None:
-        """Give the stamp of what the block gets, ns from its t = 0."""
+        """Return the stamp of what the block gets, ns from its t = 0."""
         stamp = self._used if self._used is not None else self.stamp
         return None if stamp is None else stamp - self.node.epoch
 
     # silence, and too many -----------------------------------------------------------------------------------------
 
     def silent(self, now: int) -> bool:
-        """Whether the sender has been silent for too long; reports it once."""
+        """Return whether the sender has been silent for too long; reports it once."""
         node, table = self.node, self.table
         if self.arrived is None or now - self.arrived <= table.least:
             return False
@@ -346,7 +346,7 @@ class Live(Sender):
         return True
 
     def _silence(self) -> int:
-        """Give the longest silence that is not too long, ns."""
+        """Return the longest silence that is not too long, ns."""
         node, table = self.node, self.table
         learned = self.schedule is not None or not node.is_plant
         slower = min(Block.STALE_PERIODS, node.block.STALE_PERIODS) * self._interval

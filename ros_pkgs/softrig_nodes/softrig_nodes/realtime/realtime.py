@@ -92,7 +92,7 @@ class Realtime(Link):
         self._fed = [f for f in self.senders.rows if f.local]
 
     def _by_itself(self) -> Callable[[], object]:
-        """Answer when what is due has come, or go by a timer; gives what begins that."""
+        """Answer when what is due has come, or go by a timer; returns what begins that."""
         node, senders = self.node, self.senders
         if not node.is_plant and any(f.awaited for f in senders.rows):
             self._answering = answering = Answering(senders, self._answer)
@@ -196,13 +196,13 @@ class Realtime(Link):
         self.clock = clock
 
     def busy(self) -> bool:
-        """Whether somebody holds the clock of the rig."""
+        """Return whether somebody holds the clock of the rig."""
         return self.node.hold.held
 
     # messages --------------------------------------------------------------------------------------------------
 
     def row(self, port: Port) -> Live:
-        """Make the row of an input: it keeps the good values by stamp; what is due makes a block answer."""
+        """Create the row of an input: it keeps the good values by stamp; what is due makes a block answer."""
         link = self.node.links.inputs.get(port.name)
         return self.senders.row(port, Sporadic if link is not None and link.told else Live)
 
@@ -371,7 +371,7 @@ class Realtime(Link):
         return {}
 
     def statistics(self) -> dict[str, Any]:
-        """Give the counts, ticks begun when the next was due, lateness and round trip from output to command in ms.
+        """Return the counts, ticks begun when the next was due, lateness and round trip from output to command in ms.
 
         The largest is of all ticks, the percentiles are of the newest.
         """
@@ -384,7 +384,7 @@ class Realtime(Link):
 
 
 def newest(timer: Timer, schedule: Schedule, t: int) -> int:
-    """Give the newest tick at a time t (both ns from t = 0), and have the timer fire at the next one.
+    """Return the newest tick at a time t (both ns from t = 0), and have the timer fire at the next one.
 
     It is aimed at that point of the wall clock's grid each time, so that no error adds up.
     """

@@ -40,7 +40,7 @@ class Sporadic(Live):
         self.table.take(self, stamp, stamp, None, now)
 
     def complete(self, stamp: int) -> bool:
-        """Whether the sender has spoken or was silent at what is due at the tick of a stamp."""
+        """Return whether the sender has spoken or was silent at what is due at the tick of a stamp."""
         if not self.awaited and not self.expected:
             return True
         assert self.schedule is not None
@@ -59,13 +59,13 @@ class Sporadic(Live):
         return True
 
     def take(self, stamp: int) -> object:
-        """Give the newest value up to a tick; what has been sent for it and has not come is waited for no more."""
+        """Return the newest value up to a tick; what has been sent for it and has not come is waited for no more."""
         while self._sent and self._sent[0] <= stamp:
             self._sent.popleft()
         return super().take(stamp)
 
     def held_stamp(self) -> int | None:
-        """Give the stamp of what the block gets, ns from its t = 0; None before the first message is used."""
+        """Return the stamp of what the block gets, ns from its t = 0; None before the first message is used."""
         return None if self._used is None else self._used - self.node.epoch
 
 
@@ -90,7 +90,7 @@ class Acknowledgements(Sender):
         return self.node.state != "running"
 
     def read(self, data: bytes) -> tuple[int, Collection[str]]:
-        """Give the stamp and the ports that have spoken."""
+        """Return the stamp and the ports that have spoken."""
         stamp, spoken = self._reader(data)
         self._table.believe(stamp)
         return stamp, spoken

@@ -63,7 +63,7 @@ class ContainedMiddleware(RosMiddleware):
 
 
 def _noting(matched: Matched) -> Callable[[list[int], int], None]:
-    """Give what keeps a number of readers and tells it."""
+    """Return what keeps a number of readers and tells it."""
 
     def note(readers: list[int], count: int) -> None:
         readers[0] = count

@@ -36,7 +36,7 @@ def message_class(msgtype: str) -> Any:
 
 
 def diagnostic_array(stamp: int, name: str, level: Level, text: str, values: Mapping[str, str]) -> Any:
-    """Make a diagnostic_msgs/DiagnosticArray with one status.
+    """Create a diagnostic_msgs/DiagnosticArray with one status.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def range_descriptor(declaration: Declaration) -> Any:
 
 
 def marker_array(stamp: int, markers: Sequence[Marker]) -> Any:
-    """Make a visualization_msgs/MarkerArray; stamp in ns.
+    """Create a visualization_msgs/MarkerArray; stamp in ns.
 
     Parameters
     ----------

@@ -137,6 +137,6 @@ def _without_memory(root: ElementTree.Element, space: str) -> None:
 
 
 def _within(element: ElementTree.Element, tag: str) -> ElementTree.Element:
-    """Give the child of a tag, made where it is not there."""
+    """Return the child of a tag, made where it is not there."""
     found = element.find(tag)
     return ElementTree.SubElement(element, tag) if found is None else found

@@ -103,7 +103,7 @@ class Credit:
         self.left, self._since = self.MOST, time.monotonic()
 
     def wanting(self) -> float:
-        """Give how long to wait until there is some again, s; zero if there is."""
+        """Return how long to wait until there is some again, s; zero if there is."""
         now = time.monotonic()
         self.left = min(self.MOST, self.left + self.SHARE * (now - self._since))
         self._since = now
@@ -284,7 +284,7 @@ class ServingNode(Node):  # type: ignore[misc]
         return f"parameter {wanted.name} = {repr(plain(wanted))[:100]}: expected {KINDS.get(kind, kind.name)}"
 
     def _meant(self, message: Any) -> Parameter:
-        """Give what is to be set: numbers as real ones where these are expected, whatever they were taken for."""
+        """Return what is to be set: numbers as real ones where these are expected, whatever they were taken for."""
         given = Parameter.from_parameter_msg(message)
         there = parameters(self)
         known = there.get(given.name, given)
@@ -307,20 +307,20 @@ class ServingNode(Node):  # type: ignore[misc]
 
 
 def plain(parameter: Parameter) -> Any:
-    """Give a value as the block's parameters take it: arrays of any kind as lists."""
+    """Return a value as the block's parameters take it: arrays of any kind as lists."""
     value = parameter.value
     return value if value is None or isinstance(value, bool | int | float | str) else list(value)
 
 
 def whole(value: float) -> int:
-    """Give a real number as the whole one that it is; a ValueError where it is none."""
+    """Return a real number as the whole one that it is; a ValueError where it is none."""
     if not value.is_integer() or abs(value) >= 2.0**63:
         raise ValueError(value)
     return int(value)
 
 
 def guessed(value: Any) -> Any:
-    """Give what `ros2 param load` makes of a value's text: of no value 'None', of an empty list one of bools."""
+    """Return what `ros2 param load` makes of a value's text: of no value 'None', of an empty list one of bools."""
     with suppress(YAMLError, AssertionError):
         return get_parameter_value(str(value))
     return None
@@ -354,7 +354,7 @@ def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Argume
 
 
 def with_number(receive: Receive, numbered: Numbered) -> Callable[..., None]:
-    """Give a callback of a subscription that tells the number of each message before it hands the message over."""
+    """Return a callback of a subscription that tells the number of each message before it hands the message over."""
 
     def take(*said: Any) -> None:
         # this executor hands both over as one (rclpy 7.1), which is not what it asks the signature for
@@ -417,7 +417,7 @@ class RosMiddleware(Middleware):
         return None if self._processor is None else self._processor.number
 
     def resolve(self, topic: str) -> str:
-        """Give the full name of a topic, remapping applied."""
+        """Return the full name of a topic, remapping applied."""
         return str(self.node.resolve_topic_name(topic))
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
@@ -471,7 +471,7 @@ class RosMiddleware(Middleware):
         self._read.append((made, receive, matched))
 
     def _counting(self, matched: Matched) -> Callable[[Any], None]:
-        """Give what takes news of who is matched."""
+        """Return what takes news of who is matched."""
         call = self._in_turn(matched)
         return lambda status: call(status.current_count)
 
@@ -603,7 +603,7 @@ class RosMiddleware(Middleware):
         return dict(self.node.get_topic_names_and_types())
 
     def deaf(self) -> str:
-        """Say that a port in shared memory was taken away."""
+        """Report that a port in shared memory was taken away."""
         lost = self._ears.lost()
         return f"hears nobody any more: its port {lost} in shared memory was removed by another process" if lost else ""
 

@@ -18,7 +18,7 @@ RECORDER = "/_softrig/recorder"  # hidden: no tool lists or records it unasked
 
 
 def left_out(recorder: str, topics: Iterable[str]) -> bytes:
-    """Give the message by which a recorder says what it leaves out.
+    """Return the message by which a recorder says what it leaves out.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ class Exchange:
 
     @property
     def listens(self) -> bool:
-        """Whether a writer in another process is matched."""
+        """Return whether a writer in another process is matched."""
         return any(self.writers.values())
 
     def timer(self, ns: int, callback: Callable[[], None], node: str) -> ExchangeTimer:

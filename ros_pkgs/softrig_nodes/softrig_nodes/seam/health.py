@@ -37,7 +37,7 @@ class StatusFile:
 
 
 def figures(held: Held) -> dict[str, Any]:
-    """Give what an observer has measured, as far as it is a number."""
+    """Return what an observer has measured, as far as it is a number."""
     if not isinstance(held.block, Observer):
         return {}
     return {"figures": {k: v for k, v in held.status().items() if math.isfinite(v[0])}}
@@ -56,7 +56,7 @@ def _exchange(new: Path, path: Path) -> None:
 
 
 def percentiles(name: str, samples: Iterable[int], most: int) -> dict[str, float]:
-    """Give p50, p99 and maximum of times in ns as ``<name>_p50_ms`` and so on; nothing without samples.
+    """Return p50, p99 and maximum of times in ns as ``<name>_p50_ms`` and so on; nothing without samples.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ class Hold:
         self._middleware.timer(round(TOLD_EVERY * SECOND), lambda: publish(header) if self.held or self.waits else None)
 
     def holds(self, t: int) -> bool:
-        """Whether the step from tick `t` (ns) to the next one has to wait; a single step is used up by it."""
+        """Return whether the step from tick `t` (ns) to the next one has to wait; a single step is used up by it."""
         if self.held:
             self.steps -= (single := self.steps > 0)
             return not single
@@ -109,7 +109,7 @@ class Hold:
         return self.waits
 
     def ask(self, what: str, steps: int = 1) -> tuple[bool, str]:
-        """Pause, resume or take steps; gives whether that could be done, and what to say."""
+        """Pause, resume or take steps; returns whether that could be done, and what to say."""
         if self._turn is None:
             return False, "this node has not begun"
         if what == "pause":

@@ -67,7 +67,7 @@ class Middleware(Protocol):
     processor: int | None = None
 
     def resolve(self, topic: str) -> str:
-        """Give the full name of a topic, remapping applied."""
+        """Return the full name of a topic, remapping applied."""
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
         """Offer a topic and give the function that publishes; `matched` gets the number of readers at each change."""
@@ -126,7 +126,7 @@ class Middleware(Protocol):
         """Message types under which each topic exists, by its full name."""
 
     def deaf(self) -> str:
-        """Say why what others send cannot arrive any more; empty while it can."""
+        """Describe why what others send cannot arrive any more; empty while it can."""
 
     def log(self, level: Level, text: str) -> None:
         """Say something to whoever operates the node."""

@@ -36,10 +36,10 @@ class Numbering:
 
 
 def numbered(number: int, data: bytes) -> bytes:
-    """Give a message with its number behind it."""
+    """Return a message with its number behind it."""
     return data + _NUMBER.pack(number)
 
 
 def split(data: bytes) -> tuple[int, bytes]:
-    """Give the number of a message and the message without it."""
+    """Return the number of a message and the message without it."""
     return int.from_bytes(data[-_NUMBER.size :], "little"), data[: -_NUMBER.size]

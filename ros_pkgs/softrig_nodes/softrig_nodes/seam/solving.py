@@ -47,12 +47,12 @@ class Solving(Link):
     READS = False
 
     def respond(self, x: Any, t: int, **inputs: Any) -> Any:
-        """Give the answer of a tick that has begun."""
+        """Return the answer of a tick that has begun."""
         return self._block.end(x, t)
 
     @property
     def working(self) -> bool:
-        """Whether a request is under way or waits."""
+        """Return whether a request is under way or waits."""
         return self._block.working(self.step.x)
 
     def finished(self, t: int) -> bool:

@@ -18,13 +18,13 @@ LAG = 4  # ticks of the clock: it is ahead by less than 9, and a reader's queue 
 
 
 def acknowledged(schedule: Schedule, t: int) -> bool:
-    """Whether a follower says of its tick `t` (ns) that it has answered that and those before."""
+    """Return whether a follower says of its tick `t` (ns) that it has answered that and those before."""
     ends = schedule.end is not None and schedule.next(t) >= schedule.end
     return ends or (schedule.tick(t) + 1) % _together(schedule) == 0
 
 
 def needed(schedule: Schedule, clock: Schedule, t: int) -> int:
-    """Give the tick of a follower that must be answered before the clock goes on from tick `t`, both in ns.
+    """Return the tick of a follower that must be answered before the clock goes on from tick `t`, both in ns.
 
     At the end of the run it is the newest one: who is still at work then is waited for, as ever.
     """
@@ -35,7 +35,7 @@ def needed(schedule: Schedule, clock: Schedule, t: int) -> int:
 
 
 def _together(schedule: Schedule) -> int:
-    """Give how many of its ticks a follower acknowledges at once."""
+    """Return how many of its ticks a follower acknowledges at once."""
     return max(1, LAG // schedule.every)
 
 
@@ -46,7 +46,7 @@ class TickWriter:
         self._layouts: dict[tuple[str, ...], Layout] = {}
 
     def __call__(self, t: int, sent: Iterable[str]) -> bytes:
-        """Give the bytes that acknowledge tick `t` and name the sporadic ports that have spoken."""
+        """Return the bytes that acknowledge tick `t` and name the sporadic ports that have spoken."""
         key = tuple(sent)
         if key not in self._layouts:
             self._layouts[key] = Layout(TICK, " ".join(key))
@@ -60,7 +60,7 @@ class TickReader:
         self._known: dict[bytes, frozenset[str]] = {}
 
     def __call__(self, data: bytes) -> tuple[int, frozenset[str]]:
-        """Give the stamp in ns and what was sent.
+        """Return the stamp in ns and what was sent.
 
         Raises
         ------

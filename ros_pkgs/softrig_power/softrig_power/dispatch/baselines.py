@@ -47,7 +47,7 @@ def lambda_iteration(units: Units, demand: float) -> Array:
 
 
 def without_ripples(units: Units) -> Units:
-    """Give the same units with e = 0."""
+    """Return the same units with e = 0."""
     table = units.table.copy()
     table[:, 5] = 0.0
     return Units(units.ids, table)

@@ -173,7 +173,7 @@ def chord_excess(unit: Any, x0: Any, x1: Any) -> Any:
 
 @jit
 def _hull(unit: Any, lo: Any, hi: Any, narrow: Any, x: Any, y: Any) -> Any:
-    """Write the corners of a convex function below the cost on [lo, hi] into x and y; give their number."""
+    """Write the corners of a convex function below the cost on [lo, hi] into x and y; return their number."""
     p_min, e, f = unit[0], unit[5], unit[6]
     x[0], y[0] = lo, unit_cost(unit, lo)
     if hi - lo <= narrow:
@@ -257,7 +257,7 @@ def _fill(relaxed: Relaxed, lack: Any, lower: Any, multiplier: Any) -> Any:
 
 @jit
 def _tangent(problem: Problem, relaxed: Relaxed) -> Any:
-    """Write the weights of the balance of a box; give the least and largest weighted sum that may balance.
+    """Write the weights of the balance of a box; return the least and largest weighted sum that may balance.
 
     sum P - P_L(P) = D gives sum w_j P_j = D' + e with w = 1 - dP_L/dP at the centre of the box and
     abs(e) <= sum abs(B_ij) r_i r_j of its half widths r: of second order, it goes as boxes shrink.
@@ -290,7 +290,7 @@ def _surplus(problem: Problem, P: Any) -> Any:
 
 @jit
 def _meets(problem: Problem, P: Any) -> Any:
-    """Whether a dispatch meets all conditions."""
+    """Return whether a dispatch meets all conditions."""
     table, low, high, ready, left = problem.table, problem.low, problem.high, problem.ready, 0.0
     for j in range(P.shape[0]):
         if P[j] < low[j] - 1e-9 or P[j] > high[j] + 1e-9:
@@ -344,7 +344,7 @@ def _room(n: Any, depth: Any, corners: Any) -> Any:
 
 @jit
 def _begin(problem: Problem, start: Any, boxes: Boxes) -> Any:
-    """Put the whole box on the stack; give the cost of the dispatch to begin with, infinite if it does not do."""
+    """Put the whole box on the stack; return the cost of the dispatch to begin with, infinite if it does not do."""
     table, low, high, cost = problem.table, problem.low, problem.high, 0.0
     boxes.bound[0] = -np.inf
     for j in range(start.shape[0]):
@@ -356,7 +356,7 @@ def _begin(problem: Problem, start: Any, boxes: Boxes) -> Any:
 
 @jit
 def _cut(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
-    """Put all units to their lower ends; give the cost of that, the balance of both ends, the number of pieces."""
+    """Put all units to their lower ends; return the cost of that, the balance of both ends, the number of pieces."""
     x, y = boxes.x[t], boxes.y[t]
     _, _, weight, P, slope, width, owner, beyond, _, _ = relaxed
     table, ready, reserve, count = problem.table, problem.ready, problem.reserve, boxes.count[t]
@@ -385,7 +385,7 @@ def _cut(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
 
 @jit
 def _relax(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed, enough: Any) -> Any:
-    """Give the least cost of the relaxation of a box, infinite when nothing in it does, and what the balance lacks.
+    """Return the least cost of the relaxation of a box, infinite when nothing in it does, and what the balance lacks.
 
     Write its outputs. With a reserve, its bound is raised until it is `enough`.
     """
@@ -442,7 +442,7 @@ def _reserved(problem: Problem, x: Any, relaxed: Relaxed, lack: Any, base: Any, 
 
 @jit
 def _widest(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
-    """Give the cost of the relaxation's outputs and the unit whose gap is the widest, -1 when all are narrow."""
+    """Return the cost of the relaxation's outputs and the unit whose gap is the widest, -1 when all are narrow."""
     table, B, P, half, n = problem.table, problem.B, relaxed.P, relaxed.half, relaxed.P.shape[0]
     lo, hi, x, y, count = boxes.lo[t], boxes.hi[t], boxes.x[t], boxes.y[t], boxes.count[t]
     cost, gap, split = 0.0, -1.0, -1

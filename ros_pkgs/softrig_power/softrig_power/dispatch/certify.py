@@ -258,7 +258,7 @@ class Optimiser:
             raise InfeasibleError(why)
 
     def start(self, demand: float, given: Array | None = None) -> Array:
-        """Give a feasible dispatch to begin with: the given one, or each unit at the same share of its range.
+        """Return a feasible dispatch to begin with: the given one, or each unit at the same share of its range.
 
         Returns
         -------

@@ -34,7 +34,7 @@ class Losses:
 
     @classmethod
     def none(cls, n: int) -> Losses:
-        """Give those of a network without any."""
+        """Return those of a network without any."""
         return cls(np.zeros((n, n)), np.zeros(n))
 
     @classmethod
@@ -110,7 +110,7 @@ class Conditions:
         return float(np.sum(np.minimum(self.ready, units.p_max - P)))
 
     def infeasible(self, units: Units, demand: float) -> str:
-        """Say why no dispatch can meet the demand; empty when none of the sums forbids it."""
+        """Describe why no dispatch can meet the demand; empty when none of the sums forbids it."""
         for name, low, high in zip(units.ids, self.low.tolist(), self.high.tolist(), strict=True):
             if low > high:
                 return f"infeasible: unit {name} is so far outside its limits that its ramps do not lead into them"

@@ -64,7 +64,7 @@ class UnitFleet(Plant[FleetParams]):
         return state_type(("P", self._units.ids))(*self._units.p_min.tolist())
 
     def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give outputs, marginal costs and sums."""
+        """Return outputs, marginal costs and sums."""
         units, P = self._units, np.array(x)
         left, right = units.slopes(P)
         slope = np.where(np.isinf(left), right, np.where(np.isinf(right), left, 0.5 * (left + right)))

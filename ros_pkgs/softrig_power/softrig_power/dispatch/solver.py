@@ -72,7 +72,7 @@ class DispatchParams(SolverParams):
         return self
 
     def conditioned(self, units: Units) -> bool:
-        """Whether there is more to meet than limits and demand."""
+        """Return whether there is more to meet than limits and demand."""
         ramps = np.isfinite(units.now) & (np.isfinite(units.ramp_up) | np.isfinite(units.ramp_down))
         return bool(self.loss_table) or self.reserve > 0.0 or bool(ramps.any())
 
@@ -201,7 +201,7 @@ class DispatchSolver(Solver[DispatchParams]):
         return x._replace(requests=x.requests + 1), Request(self.p, x.units, wanted, start, conditions, drawn)
 
     def _conditions(self, units: Units, last: Any) -> Conditions | None:
-        """What is to be met now: ramps count from the last dispatch, at first from the table's outputs."""
+        """Return what is to be met now: ramps count from the last dispatch, at first from the table's outputs."""
         if not self.p.conditioned(units):
             return None
         losses = Losses.read(self.p.loss_table, units.ids) if self.p.loss_table else None
@@ -235,7 +235,7 @@ class DispatchSolver(Solver[DispatchParams]):
     def answer(
         self, x: State, t: int, result: Result | None, new: bool
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give a new dispatch once, nothing at other ticks."""
+        """Return a new dispatch once, nothing at other ticks."""
         if not new or result is None:
             return x, {}
         found = result.answer

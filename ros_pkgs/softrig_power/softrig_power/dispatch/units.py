@@ -57,7 +57,7 @@ class Units:
     more: Array | None = None
 
     def agreed(self) -> dict[str, object]:
-        """Give what the units and who dispatches them must have in common: limits and costs."""
+        """Return what the units and who dispatches them must have in common: limits and costs."""
         rows = zip(self.ids, self.table.tolist(), strict=True)
         return {"dispatch/units": self.ids} | {f"dispatch/unit {name}": tuple(row) for name, row in rows}
 
@@ -127,7 +127,7 @@ class Units:
         return cls(tuple(ids), np.array(rows), np.array(more) if np.isfinite(more).any() else None)
 
     def times(self, n: int) -> Units:
-        """Give n copies of each unit, the whole table n times; names of the copies end in ``_2`` to ``_n``."""
+        """Return n copies of each unit, the whole table n times; names of the copies end in ``_2`` to ``_n``."""
         ids = self.ids + tuple(f"{name}_{k}" for k in range(2, n + 1) for name in self.ids)
         return Units(ids, np.tile(self.table, (n, 1)), None if self.more is None else np.tile(self.more, (n, 1)))
 
@@ -227,7 +227,7 @@ class Units:
         return np.unique(self.table, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
     def sorted_copies(self, P: Array) -> Array:
-        """Give identical units their outputs in falling order, the first of them the largest."""
+        """Return identical units their outputs in falling order, the first of them the largest."""
         P = P.copy()
         for group in range(int(np.max(self.groups)) + 1):
             members = np.flatnonzero(self.groups == group)
@@ -243,7 +243,7 @@ def cost_of(rows: Array, P: ArrayLike) -> Array:
 
 
 def infeasible(units: Units, demand: float) -> str:
-    """Say why no dispatch can meet a demand in MW; empty when one can."""
+    """Describe why no dispatch can meet a demand in MW; empty when one can."""
     low, high = float(units.p_min.sum()), float(units.p_max.sum())
     if low - BALANCE <= demand <= high + BALANCE:
         return ""
@@ -277,7 +277,7 @@ def balanced(units: Units, given: ArrayLike, demand: float) -> Array:
 
 
 def marginal_cost(units: Units, P: Array) -> tuple[float, float]:
-    """Give the system's price: what one MW less would save and one MW more would cost, $/MWh.
+    """Return the system's price: what one MW less would save and one MW more would cost, $/MWh.
 
     The dual of the balance row of the problem inside the arches. The two are equal where a unit rests on a smooth
     part of its cost; where all units rest on valve points or limits, every price between them supports the dispatch.

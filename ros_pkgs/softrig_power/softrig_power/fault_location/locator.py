@@ -110,7 +110,7 @@ class FaultLocator(Block[FaultLocatorParams]):
         return State(rows, record, pressed, x.answers, x.result)
 
     def read(self, x: State) -> Record:
-        """Give the record so far.
+        """Return the record so far.
 
         Raises
         ------

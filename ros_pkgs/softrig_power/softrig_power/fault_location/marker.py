@@ -41,7 +41,7 @@ class LocationMarker(Observer[LocationMarkerParams]):
         return (location if self.age("location") == 0 else x), {}
 
     def status(self, x: tuple[float, ...] | None) -> Mapping[str, tuple[float, str]]:
-        """Give the location, when there is one."""
+        """Return the location, when there is one."""
         if x is None:
             return {}
         named = dict(zip(LOCATION, x, strict=True))

@@ -72,7 +72,7 @@ class LinePlant(Plant[LinePlantParams]):
 
     @classmethod
     def agreed(cls, params: LinePlantParams) -> Mapping[str, Any]:
-        """What it is told against: the true place of the fault, and the length of the line, km."""
+        """Return what it is told against: the true place of the fault, and the length of the line, km."""
         return {"fault_location/x_km": params.fault.x_km, "fault_location/length": params.line.length}
 
     @classmethod
@@ -102,7 +102,7 @@ class LinePlant(Plant[LinePlantParams]):
         return State(self._begin, 0, number, seed, Rows(self.p.samples), pressed)
 
     def _row(self, k: int, seed: int, measured: Sequence[float]) -> tuple[float, ...]:
-        """Give what the instruments tell of a sample: its time, and their noise on it."""
+        """Return what the instruments tell of a sample: its time, and their noise on it."""
         told = [u + 0.0 for u in measured]
         if self.p.measurement.noise_snr_db is not None:
             normal, at = self._noise(seed), CHANNELS * k
@@ -110,7 +110,7 @@ class LinePlant(Plant[LinePlantParams]):
         return (k / RATES[self.p.measurement.profile], *told)
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...] | None]:
-        """Give the samples; with the last one of a record the record."""
+        """Return the samples; with the last one of a record the record."""
         row = self._row(x.k, x.seed, x.line.measured.tolist())
         found: dict[str, tuple[float, ...] | None] = {name: row[3 * k + 1 : 3 * k + 4] for k, name in enumerate(GROUPS)}
         found["fault_current"] = tuple(x.line.fault_current.tolist())

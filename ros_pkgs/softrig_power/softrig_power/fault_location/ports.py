@@ -12,17 +12,17 @@ OBJECTIVE = ("x_km", "mode_1", "mode_2", "mode_3")
 
 
 def streams() -> tuple[Port, ...]:
-    """Give the four sample streams of the ends: u_s, i_s, u_r, i_r."""
+    """Return the four sample streams of the ends: u_s, i_s, u_r, i_r."""
     return tuple(vector3(name, TOPICS[name], "abc", "V" if name[0] == "u" else "A") for name in GROUPS)
 
 
 def record_port(samples: int) -> Port:
-    """Give the record form: one row a sample, columns t and the twelve channels; sent once."""
+    """Return the record form: one row a sample, columns t and the twelve channels; sent once."""
     units = ("s", *("V" if c[0] == "u" else "A" for c in COLUMNS[1:])) * samples
     return array("record", "line/record", {"sample": samples, "channel": len(COLUMNS)}, units, sporadic=True)
 
 
 def location_port() -> Port:
-    """Give the place of the fault, sent when there is one."""
+    """Return the place of the fault, sent when there is one."""
     units = ("km", "V", "V", "", "", "km")
     return array("location", "location", {", ".join(LOCATION): len(LOCATION)}, units, sporadic=True)

@@ -48,7 +48,7 @@ class Row:
 
 
 def simulate(p: RigParams) -> Record:
-    """Give the record of both ends, with its noise."""
+    """Return the record of both ends, with its noise."""
     line = FaultedLine(p)
     samples = line.run(p.samples)[:, :CHANNELS]
     samples += line.noise(np.random.default_rng(p.measurement.seed), p.samples)
@@ -101,7 +101,7 @@ def _run_job(job: Job) -> Row:
 
 
 def published_jobs(methods: Sequence[str] = METHODS, profile: str = "m20k", **locator: Any) -> list[Job]:
-    """Give the 48 published cases with each method; travelling waves need the unfiltered record at 1 MHz."""
+    """Return the 48 published cases with each method; travelling waves need the unfiltered record at 1 MHz."""
     found: list[Job] = []
     for case in PUBLISHED:
         for method in methods:
@@ -116,7 +116,7 @@ NOISE_SEEDS = 10
 
 
 def disturbances() -> Iterator[tuple[str, Settings, Settings]]:
-    """Give what is changed in each row of the sensitivity table: name, rig settings, locator settings."""
+    """Yield what is changed in each row of the sensitivity table: name, rig settings, locator settings."""
     l1, r1 = LocatorParams().line.l1, LocatorParams().line.r1
     yield "none", {}, {}
     for us in (1.0, 10.0, -1.0, -10.0):
@@ -129,7 +129,7 @@ def disturbances() -> Iterator[tuple[str, Settings, Settings]]:
 
 
 def sensitivity(mode: str = "auto", processes: int | None = None) -> dict[str, list[float]]:
-    """Give the sensitivity table: errors in m of the four cases by disturbance; of noise the standard deviation."""
+    """Return the sensitivity table: errors in m of the four cases by disturbance; of noise the standard deviation."""
     rows = [(name, case, rig, {**loc, "mode": mode}) for name, rig, loc in disturbances() for case in SENSITIVITY]
     for snr in (60.0, 40.0, 30.0):
         rows += [
@@ -145,7 +145,7 @@ def sensitivity(mode: str = "auto", processes: int | None = None) -> dict[str, l
 
 
 def as_csv(rows: Sequence[Row]) -> str:
-    """Give rows as CSV with a header."""
+    """Return rows as CSV with a header."""
     lines = [",".join(asdict(rows[0]))]
     lines += [",".join("" if v is None else str(v) for v in asdict(row).values()) for row in rows]
     return "\n".join(lines) + "\n"

@@ -45,7 +45,7 @@ def _study(arguments: Sequence[str]) -> int:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """Give mean and largest |error| and the computation time of each method as a table, with the published ones."""
+    """Return mean and largest |error| and the computation time of each method as a table, with the published ones."""
     lines = [f"{'method':<18}{'mean |E| %':>12}{'max |E| %':>12}{'max m':>10}{'CPU s':>10}{'located':>9}"]
     for method in dict.fromkeys(row.method for row in rows):
         own = [row for row in rows if row.method == method]
@@ -62,7 +62,7 @@ def summary(rows: Sequence[Row]) -> str:
 
 
 def sensitivity_table(table: dict[str, list[float]]) -> str:
-    """Give the sensitivity table with a head."""
+    """Return the sensitivity table with a head."""
     heads = [f"{c.type} {c.x_km:g} km {c.rf_ohm:g} ohm" for c in SENSITIVITY]
     lines = ["error in m".ljust(24) + "".join(f"{head:>20}" for head in heads)]
     lines += [name.ljust(24) + "".join(f"{value:>20.1f}" for value in values) for name, values in table.items()]

@@ -53,11 +53,11 @@ class Weights:
         self._steps = steps
 
     def __call__(self, samples: NDArray[np.complex128]) -> Any:
-        """Give what is measured at the last sample of a period, shape (n,); samples of shape (steps + 1, n)."""
+        """Return what is measured at the last sample of a period, shape (n,); samples of shape (steps + 1, n)."""
         return weigh(self._w, samples)
 
     def record(self, samples: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """Give what is measured at the end of each of n periods, shape (n,); samples of shape (n steps + 1,)."""
+        """Return what is measured at the end of each of n periods, shape (n,); samples of shape (n steps + 1,)."""
         ends = range(self._steps, samples.size, self._steps)
         return np.asarray(self(np.column_stack([samples[e - self._steps : e + 1] for e in ends])))
 

@@ -46,7 +46,7 @@ class DeviceParams(BlockParams):
         return self
 
     def agreed(self) -> dict[str, Any]:
-        """Give what all nodes of the device must have in common, to start in one steady state."""
+        """Return what all nodes of the device must have in common, to start in one steady state."""
         network = {f"gupfc/network.{name}": value for name, value in flatten(self.network).items()}
         initial = {f"gupfc/initial.{name}": value for name, value in flatten(self.initial).items()}
         return {**network, **initial, "gupfc/waveform": self.waveform, "gupfc/substeps": self.substeps}
@@ -97,7 +97,7 @@ class OperatingPoint:
         return abs(self.v_sh)
 
     def past(self, u: str, i: str) -> Iterator[tuple[complex, complex]]:
-        """Give a measured voltage and current of the last cycles before t = 0, in which loops and filters settle.
+        """Yield a measured voltage and current of the last cycles before t = 0, in which loops and filters settle.
 
         Nothing where only the fundamental is there: at their phasors loops and filters are settled.
         """

@@ -120,7 +120,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         return conduction(abs(v), v_dc, self.p.network.series_limit)
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give the measured vectors, the DC voltage and the status at t."""
+        """Return the measured vectors, the DC voltage and the status at t."""
         seen = x.seen
         rows = seen.rows
         buses, branches = self._weights(rows.bus), self._weights(rows.current)
@@ -174,7 +174,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         return State(network, commands, Seen(rows, power), x.steps + p.substeps, tripped)
 
     def _taken(self, x: State, k: int, command: tuple[float, ...], age: int | None) -> Command:
-        """Give the command of converter k, so many ns old, or what stands in for it."""
+        """Return the command of converter k, so many ns old, or what stands in for it."""
         p, last = self.p, x.commands[k]
         amplitude, angle, omega = command
         if age is None:  # real time: none has come since the start

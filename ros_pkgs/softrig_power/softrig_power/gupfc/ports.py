@@ -6,12 +6,12 @@ from softrig_core import Port, command, scalars, vector3
 
 
 def measured(name: str) -> Port:
-    """Give the port of a measured space vector: x = alpha, y = beta, pu, as `measurement` says."""
+    """Return the port of a measured space vector: x = alpha, y = beta, pu, as `measurement` says."""
     return vector3(name, name, "alpha_beta", "pu")
 
 
 def converter_command(name: str, topic: str, first: str, unit: str, **options: object) -> Port:
-    """Give the port of a converter command.
+    """Return the port of a converter command.
 
     Parameters
     ----------

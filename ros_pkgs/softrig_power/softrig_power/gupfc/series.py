@@ -65,7 +65,7 @@ class SeriesController(Block[SeriesControllerParams]):
 
     @classmethod
     def ports(cls, params: SeriesControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Give the ports of its circuit."""
+        """Return the ports of its circuit."""
         u, i = ("u2", "i12") if params.circuit == 1 else ("u4", "i34")
         return (measured(u), measured(i), SERIES_REFERENCE[params.circuit]), (SERIES[params.circuit],)
 

@@ -94,7 +94,7 @@ def start(
     pulse: int,
     samples: int,
 ) -> Start:
-    """Give the state at t = 0 as if the converters had turned with the sources for ever.
+    """Return the state at t = 0 as if the converters had turned with the sources for ever.
 
     Parameters
     ----------

@@ -106,7 +106,7 @@ def history_length(prepared: Lines) -> int:
 
 
 def delay_factor(section: Section, omega: float, step: float) -> complex:
-    """Give D(omega) of the interpolated delay, exp(-j omega tau) to order (omega step)^4."""
+    """Return D(omega) of the interpolated delay, exp(-j omega tau) to order (omega step)^4."""
     newest, weights = interpolation(section.tau / step)
     return dense.total(w * cmath.exp(-1j * omega * step * (newest + k)) for k, w in enumerate(weights.tolist()))
 
@@ -207,5 +207,5 @@ def branch(resistance: float, inductance: float, step: float) -> Branch:
 
 
 def branch_impedance(resistance: float, inductance: float, omega: float, step: float) -> complex:
-    """Give the impedance of the stepped branch in the sinusoidal steady state, R + j L (2/step) tan(omega step/2)."""
+    """Return the impedance of the stepped branch in the sinusoidal steady state, R + j L (2/step) tan(omega step/2)."""
     return complex(resistance, inductance * (2.0 / step) * math.tan(0.5 * omega * step))

@@ -77,7 +77,7 @@ class Section:
         return self.z - 0.25 * self.resistance
 
     def part(self, length: float) -> Section:
-        """Give a section of another length (km) of the same line."""
+        """Return a section of another length (km) of the same line."""
         return Section(self.r, self.l, self.c, length)
 
     def propagation(self, omega: float) -> complex:

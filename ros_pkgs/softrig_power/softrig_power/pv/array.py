@@ -27,11 +27,11 @@ class ArrayParams(Params):
     )
 
     def agreed(self) -> dict[str, Any]:
-        """Give what a string and who judges it must have in common: its modules, and the conditions it begins in."""
+        """Return what a string and who judges it must have in common: its modules, and the conditions it begins in."""
         return {"pv/module": self.module.model_dump(), "pv/conditions": self.irradiance + self.temperature}
 
     def sources(self) -> Newest[tuple[float, ...], Characteristic]:
-        """Give what gives the characteristic under the values of pv/environment."""
+        """Return what gives the characteristic under the values of pv/environment."""
         return Newest(lambda environment: characteristic(self.module, *split(environment)))
 
     @model_validator(mode="after")
@@ -42,7 +42,7 @@ class ArrayParams(Params):
 
 
 def refuse(irradiance: tuple[float, ...], temperature: tuple[float, ...]) -> str:
-    """Say why these conditions cannot be; empty when they can."""
+    """Describe why these conditions cannot be; empty when they can."""
     if len(irradiance) != len(temperature):
         return f"irradiance of {len(irradiance)} modules, temperature of {len(temperature)}"
     for name, values, (low, high), unit in (
@@ -56,13 +56,13 @@ def refuse(irradiance: tuple[float, ...], temperature: tuple[float, ...]) -> str
 
 
 def split(environment: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Give irradiance and temperature of the modules out of the values of pv/environment."""
+    """Return irradiance and temperature of the modules out of the values of pv/environment."""
     n = len(environment) // 2
     return environment[:n], environment[n:]
 
 
 def possible(block: Block, environment: tuple[float, ...]) -> bool:
-    """Whether a block may take these values of pv/environment; it reports why not."""
+    """Return whether a block may take these values of pv/environment; it reports why not."""
     problem = refuse(*split(environment))
     if problem:
         block.report(Level.ERROR, "environment", f"pv/environment refused, the last one holds: {problem}")

@@ -35,7 +35,7 @@ class Circuit(NamedTuple):
 
 
 def seen_resistance(p: ConverterParams, d: Array) -> Array:
-    r"""Give the steady resistance in ohm that the source sees under the duty d, continuous conduction.
+    r"""Return the steady resistance in ohm that the source sees under the duty d, continuous conduction.
 
     .. math:: R_{in} = (R_L (1 - d)^2 + r) / d^2
     """
@@ -43,7 +43,7 @@ def seen_resistance(p: ConverterParams, d: Array) -> Array:
 
 
 def steady_state(p: ConverterParams, source: Characteristic, d: float) -> Circuit:
-    """Give the steady state of the averaged model under the duty d."""
+    """Return the steady state of the averaged model under the duty d."""
     (v,), (i,) = source.under_load(seen_resistance(p, np.array([d])))
     i_L = float(i) / d
     return Circuit(float(v), i_L, (1.0 - d) * i_L * p.R_L)
@@ -53,11 +53,11 @@ class BuckBoostMatching:
     """The converter's ideal law, all that a tracker may know of it: R = R_L (1 - d)^2 / d^2."""
 
     def load(self, command: float, seen: float) -> float:
-        """Give R_L in ohm from the duty and the resistance seen."""
+        """Return R_L in ohm from the duty and the resistance seen."""
         return seen * (command / (1.0 - command)) ** 2
 
     def command(self, seen: float, load: float) -> float:
-        """Give the duty."""
+        """Return the duty."""
         return 1.0 / (1.0 + math.sqrt(seen / load))
 
 
@@ -106,7 +106,7 @@ def _advance(v: float, i: float, o: float, h: float, n: int, p: Any) -> tuple[fl
 
 @jit
 def _slopes(v: float, i: float, o: float, line: Line, p: Any) -> tuple[float, float, float, Line]:
-    """Give the derivatives; looks a line of the characteristic up only where the voltage has left the one before."""
+    """Return the derivatives; looks a line of the characteristic up only where the voltage has left the one before."""
     a, b, low, scale, per_C, d_C, d_L, e_L, r_L, e_o, g_o = p
     k, at_0, slope = line
     place = (v - low) * scale

@@ -60,7 +60,7 @@ class PvCurves(Block[PvCurvesParams]):
     def update(
         self, x: State, t: int, *, environment: tuple[float, ...] | None, request: tuple[float] | None
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give the newest curve asked for."""
+        """Return the newest curve asked for."""
         conditions, shown, pressed = x.conditions, x.shown, request == (1.0,)
         if environment is not None and environment != conditions and possible(self, environment):
             conditions = environment

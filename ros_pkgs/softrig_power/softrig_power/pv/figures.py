@@ -23,7 +23,7 @@ STRING = {"module": "pv/module", "first": "pv/conditions"}
 
 
 def characteristic_of(conditions: tuple[float, ...], module: ModuleParams) -> Characteristic:
-    """Give the string's characteristic under irradiances and temperatures, one of each a module."""
+    """Return the string's characteristic under irradiances and temperatures, one of each a module."""
     return characteristic(module, *split(conditions))
 
 

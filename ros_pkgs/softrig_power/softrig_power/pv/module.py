@@ -69,7 +69,7 @@ class Cell(NamedTuple):
     R_p: float
 
     def current(self, V: float) -> float:
-        """Give the current in A at the voltage V."""
+        """Return the current in A at the voltage V."""
         low, high = -1e3, self.I_ph + self.I_0 + max(-V, 0.0) / self.R_p
         while high - low > 1e-14 * max(1.0, -low):
             I = 0.5 * (low + high)  # noqa: E741
@@ -83,7 +83,7 @@ class Cell(NamedTuple):
         return high
 
     def start(self, I: Array) -> Array:  # noqa: E741
-        """Give an upper bound of the junction voltage U, from which Newton's method converges monotonically."""
+        """Return an upper bound of the junction voltage U, from which Newton's method converges monotonically."""
         c = self.I_ph - I
         diode = self.aV_t * _log1p(np.maximum(c, 0.0) / self.I_0, np.empty_like(I))
         return np.minimum(np.where(c > 0.0, diode, math.inf), (c + self.I_0) * self.R_p)
@@ -116,7 +116,7 @@ class Cell(NamedTuple):
 
 
 def cell(p: ModuleParams, irradiance: float, temperature: float) -> Cell:
-    r"""Give the equation of a module in irradiance G (W/m^2) and cell temperature (deg C).
+    r"""Return the equation of a module in irradiance G (W/m^2) and cell temperature (deg C).
 
     .. math::
         I_{ph} &= (I_{sc} + K_I \Delta T)\, G / 1000                                              \quad (2) \\

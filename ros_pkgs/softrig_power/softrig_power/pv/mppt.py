@@ -44,7 +44,7 @@ class MpptParams(SearchParams):
         return self
 
     def search(self, rng: np.random.Generator) -> Search:
-        """Make a search."""
+        """Create a search."""
         lower, upper, matching = (self.d_min,), (self.d_max,), BuckBoostMatching()
         match self.algorithm:
             case "certified" | "certified_transients":

@@ -99,7 +99,7 @@ class PvPlant(Plant[PvPlantParams]):
         return State(*steady_state(p.converter, self._source(conditions), p.d_min), conditions)
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give the sensors and the true converter state."""
+        """Return the sensors and the true converter state."""
         v, i = x.v, self._source(x.conditions).current(x.v)
         state = (v, x.i_L, x.v_o, v * i)
         if self.p.noise:

@@ -6,11 +6,11 @@ from softrig_core import Port, scalars
 
 
 def array_port(name: str) -> Port:
-    """Give the port of the string, ``pv/port``; the current is positive when it generates."""
+    """Return the port of the string, ``pv/port``; the current is positive when it generates."""
     return scalars(name, "pv/port", {"voltage": "V", "current": "A", "temperature": "degC"})
 
 
 def environment(modules: int, *, held: bool = False) -> Port:
-    """Give the irradiance and cell temperature of each module, ``pv/environment`` with g1.., t1..."""
+    """Return the irradiance and cell temperature of each module, ``pv/environment`` with g1.., t1..."""
     units = {f"g{k}": "W/m^2" for k in range(1, modules + 1)} | {f"t{k}": "degC" for k in range(1, modules + 1)}
     return scalars("environment", "pv/environment", units, held=held)

@@ -56,7 +56,7 @@ class ShadingSourceParams(BlockParams):
         return self
 
     def pattern(self, k: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Give irradiance and temperature of pattern k, counted from 0."""
+        """Return irradiance and temperature of pattern k, counted from 0."""
         n = self.modules
         first = k * n if len(self.temperature) > n else 0
         return self.irradiance[k * n : (k + 1) * n], self.temperature[first : first + n]
@@ -93,5 +93,5 @@ class ShadingSource(Block[ShadingSourceParams]):
         return StepProfile(p.times, values)
 
     def update(self, x: tuple[float, ...], t: int) -> tuple[tuple[float, ...], Mapping[str, tuple[float, ...]]]:
-        """Give the pattern that holds at t."""
+        """Return the pattern that holds at t."""
         return x, {"environment": self._profile(x).at(t)}

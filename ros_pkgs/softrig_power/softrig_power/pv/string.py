@@ -50,7 +50,7 @@ class Characteristic:
         return float(self.v[1] - self.v[0])
 
     def current(self, v: float) -> float:
-        """Give the current in A; beyond the table the end segments go on."""
+        """Return the current in A; beyond the table the end segments go on."""
         a, b, low, _ = self.segments
         return _current(v, low, self._width, a, b)
 
@@ -85,7 +85,7 @@ class Characteristic:
         return float(np.interp(0.0, -self.i, self.v))
 
     def basin(self, v: float) -> int:
-        """Give the index of the peak whose basin the voltage is in: 0 at the lowest voltage."""
+        """Return the index of the peak whose basin the voltage is in: 0 at the lowest voltage."""
         return sum(v > valley.v for valley in self.valleys)
 
     @property
@@ -94,7 +94,7 @@ class Characteristic:
         return self.basin(self.gmpp.v)
 
     def under_load(self, R: Array) -> tuple[Array, Array]:
-        """Give (v, i) under load resistances R in ohm."""
+        """Return (v, i) under load resistances R in ohm."""
         lit = np.flatnonzero((self.v >= 0.0) & (self.i >= 0.0))
         if lit.size < 2:
             return np.zeros_like(R), np.zeros_like(R)
@@ -148,7 +148,7 @@ def characteristic(p: ModuleParams, irradiance: tuple[float, ...], temperature: 
 def _voltage(
     cells: Sequence[Cell], V_f: float, i: Array, junctions: list[Array | None] | None = None
 ) -> tuple[Array, Array]:
-    """Give the string's voltage and dV/dI; `junctions` carries the solution from one call to the next."""
+    """Return the string's voltage and dV/dI; `junctions` carries the solution from one call to the next."""
     v, slope = np.zeros_like(i), np.zeros_like(i)
     for k, c in enumerate(cells):
         U, dI = c.junction(i, None if junctions is None else junctions[k])

@@ -73,7 +73,7 @@ step_abc = rk4_loop(ode_abc)
 
 @jit
 def read(t: float, x: Array, circuit: Circuit) -> tuple[float, float, float, float]:
-    """Give i_a, i_b, i_c, v of either state."""
+    """Return i_a, i_b, i_c, v of either state."""
     if x.size == 3:
         i_a, i_b, i_c = phases(x[0], x[1], circuit.omega * t)
         return i_a, i_b, i_c, x[2]
@@ -81,7 +81,7 @@ def read(t: float, x: Array, circuit: Circuit) -> tuple[float, float, float, flo
 
 
 def walk(step: Callable[..., None]) -> Callable[..., float]:
-    """Make the native loop over one period from what moves a state over a piece of it.
+    """Create the native loop over one period from what moves a state over a piece of it.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class Period(NamedTuple):
 
 @jit
 def wanted(t: float, circuit: Circuit, period: Period) -> tuple[float, float]:
-    """Give the converter voltage (v_rd, v_rq) that the modulator is to form at t, before its limit.
+    """Return the converter voltage (v_rd, v_rq) that the modulator is to form at t, before its limit.
 
     Sensorless (paper eq. (13) multiplied out; d on the grid voltage, q leads by 90 degrees)::
 
@@ -104,7 +104,7 @@ def phases(d: float, q: float, angle: float) -> tuple[float, float, float]:
 
 @jit
 def turned(a: float, b: float, c: float, angle: float) -> tuple[float, float]:
-    """Give the dq vector of three phases, the other way round than `phases`."""
+    """Return the dq vector of three phases, the other way round than `phases`."""
     s, k = math.sin(angle), math.cos(angle)
     beta = (b - c) / math.sqrt(3.0)
     alpha = (2.0 * a - b - c) / 3.0
@@ -113,7 +113,7 @@ def turned(a: float, b: float, c: float, angle: float) -> tuple[float, float]:
 
 @jit
 def grid(t: float, circuit: Circuit, period: Period) -> tuple[float, float, float]:
-    """Give the grid voltages of the three phases at t: V_g sin(x) + a5 sin(5 x), x = omega t - k 2 pi/3."""
+    """Return the grid voltages of the three phases at t: V_g sin(x) + a5 sin(5 x), x = omega t - k 2 pi/3."""
     angle = circuit.omega * t
     v_a, v_b, v_c = phases(period.amplitude, 0.0, angle)
     if period.fifth != 0.0:

@@ -40,7 +40,7 @@ class RectifierGpcParams(RectifierConstants, GpcLawParams):
     command: str = param("v_drop/command/v_drop/effort", "signal that is commanded, topic/channel/field")
 
     def carima(self) -> Carima:
-        """Give the model by its name."""
+        """Return the model by its name."""
         if self.model == "seed19":
             return seed19(self.period)
         return (n3 if self.model == "n3" else d2)(self, self.period)

@@ -15,7 +15,7 @@ SEED19_DEN = (1.0, 51.17 + 125.7, 51.17 * 125.7)
 
 
 def seed19(period: float) -> Carima:
-    """Give the paper's (19) sampled with zero-order hold.
+    """Return the paper's (19) sampled with zero-order hold.
 
     It is the transfer function from V' to v (not from m_i, as printed) with one phase current taken for a DC quantity:
     without the coupling omega L its DC gain, 77.003 V/V, is 10.9 times the true one.
@@ -40,13 +40,13 @@ def linearised(p: RectifierConstants) -> tuple[Matrix, Matrix]:
 
 
 def n3(p: RectifierConstants, period: float) -> Carima:
-    """Give the corrected third-order model from V' to v."""
+    """Return the corrected third-order model from V' to v."""
     a, b = zero_order_hold(*linearised(p), period)
     return Carima.from_state_space(a, b, (0.0, 0.0, 1.0))
 
 
 def d2(p: RectifierConstants, period: float) -> Carima:
-    """Give the model of the decoupled structure from i* (A) to v.
+    """Return the model of the decoupled structure from i* (A) to v.
 
     The power balance C v v' = 1.5 (V_g i - R i^2 - L i i') - v^2/R_L, linearised, with i going linearly from i*_(k-1)
     to i*_k inside the period::

@@ -185,7 +185,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         return self._kind(*i, p.v_start, applied, Events(p.R_L, p.V_g, 0.0), 0, False, record)
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give DC link, currents and voltages of the phases, power quality at t."""
+        """Return DC link, currents and voltages of the phases, power quality at t."""
         seconds = t / 1e9
         now = self._period_at(x, x.events, seconds, 0.0)
         found: dict[str, tuple[float, ...]] = {
@@ -199,7 +199,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         return found
 
     def _moving(self, x: State) -> Array:
-        """Give currents and voltage for the native code, which moves them in place."""
+        """Return currents and voltage for the native code, which moves them in place."""
         import numpy as np
 
         return np.array(x[: self._size], dtype=float)
@@ -241,7 +241,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         return self._kind(*moving.tolist(), applied, held, t + self._period, collapsed, record)
 
     def _move(self, x: State, events: Events, t: int, command: float) -> tuple[Array, Record]:
-        """Give currents and voltage a period after t (ns), and what was measured on the way."""
+        """Return currents and voltage a period after t (ns), and what was measured on the way."""
         import numpy as np
 
         p, record, start = self.p, x.record, t / 1e9
@@ -263,7 +263,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         return moving, Record(sums.tobytes(), found, tuple(trace.ravel().tolist()) if p.waveform else ())
 
     def _begun(self, start: float) -> Array:
-        """Give sums without samples of the window that `start` (s) is in."""
+        """Return sums without samples of the window that `start` (s) is in."""
         sums = empty()
         sums[PLAIN, WINDOWS] = math.floor(start / self._window + 1e-9)
         return sums
@@ -271,7 +271,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
     def _rectified(
         self, moving: Array, start: float, both: tuple[Circuit, Period], measured: tuple[Array, Array, Array]
     ) -> Array:
-        """Give currents and voltage after a period with the switches off."""
+        """Return currents and voltage after a period with the switches off."""
         import numpy as np
 
         x = np.array(averaged.read(start, moving, self._circuit))

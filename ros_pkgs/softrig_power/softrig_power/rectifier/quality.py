@@ -52,7 +52,7 @@ FIGURES: Mapping[str, str] = {
 
 
 def empty() -> Array:
-    """Make sums without samples."""
+    """Create sums without samples."""
     import numpy as np
 
     sums = np.zeros((ROWS, HARMONICS + 1))
@@ -61,7 +61,7 @@ def empty() -> Array:
 
 
 def opened(kept: bytes) -> Array:
-    """Make sums of what was kept of them, to be added to."""
+    """Create sums of what was kept of them, to be added to."""
     import numpy as np
 
     return np.frombuffer(kept).reshape(ROWS, HARMONICS + 1).copy()
@@ -118,7 +118,7 @@ def turn_over(sums: Array, complete: Array) -> None:
 
 
 def figures(sums: Array) -> dict[str, float]:
-    """Give the figures of a complete window; all 0 before there is one.
+    """Return the figures of a complete window; all 0 before there is one.
 
     ::
 

@@ -41,7 +41,7 @@ step = rk4_loop(ode)
 
 @jit
 def modulation(t: float, v: float, circuit: Circuit, period: Period, injection: bool) -> Three:
-    """Give m_x = 2 v_rx/v for the measured v: the paper's correction factor, taken from its (13)."""
+    """Return m_x = 2 v_rx/v for the measured v: the paper's correction factor, taken from its (13)."""
     v_rd, v_rq = wanted(t, circuit, period)
     v_rd, v_rq = limited(v_rd, v_rq, v, period.reach)
     v_a, v_b, v_c = phases(v_rd, v_rq, circuit.omega * t)
@@ -140,7 +140,7 @@ def crossing(
     injection: bool,
     sums: Array,
 ) -> tuple[float, int]:
-    """Move to the first edge after t, at most to `stop`; give the time reached and the leg that is to switch, or -1.
+    """Move to the first edge after t, at most to `stop`; return the time reached and the leg that is to switch, or -1.
 
     In a rising half period of the carrier a leg can only go off, in a falling one only on. Until then the voltage is
     v + v' s + v'' s^2/2, whose error over one piece is below a nanovolt; the edge follows by Newton's method, the slope

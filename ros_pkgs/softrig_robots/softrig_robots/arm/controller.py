@@ -99,5 +99,5 @@ class ArmController(Block[ArmControllerParams]):
         return x, {"joint_torques": tuple(torques)}
 
     def refused(self, x: Any, t: int) -> tuple[Any, Mapping[str, Vector]]:
-        """Give no torque: what a stale state would make may move the robot anywhere."""
+        """Return no torque: what a stale state would make may move the robot anywhere."""
         return x, {"joint_torques": self._rest}

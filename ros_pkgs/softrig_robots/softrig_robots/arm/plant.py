@@ -54,13 +54,13 @@ class ArmPlant(Plant[ArmPlantParams]):
 
     @classmethod
     def scene(cls, params: ArmPlantParams) -> Scene:
-        """Give URDF and frames of the links."""
+        """Return URDF and frames of the links."""
         from ..scene import RobotScene
 
         return RobotScene(read_urdf(params.urdf), params.tool)
 
     def latched(self) -> Mapping[str, str]:
-        """Give the text for late joiners: the URDF under the name that every viewer expects."""
+        """Return the text for late joiners: the URDF under the name that every viewer expects."""
         return {"robot_description": self._urdf}
 
     def setup(self) -> None:

@@ -71,7 +71,7 @@ class Adsmc:
         return AdsmcState()
 
     def go_on(self, x: AdsmcState) -> AdsmcState:
-        """Give the state with which these gains follow others."""
+        """Return the state with which these gains follow others."""
         if x.before is None:
             return x
         ed, e, e_int, s_int, s_int2 = x.last
@@ -79,7 +79,7 @@ class Adsmc:
         return x._replace(before=(x.before[0], s + self._b1 * s_int + self._b2 * s_int2))
 
     def __call__(self, x: AdsmcState, qdd_d: float, e: float, ed: float) -> tuple[AdsmcState, float]:
-        """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""
+        """Return the voltage for the desired acceleration, the error and its rate (rad, s)."""
         T = self._T
         v, _, sigma, f_hat, e_int, s_int, s_int2, before, _ = x
         s = ed + self._a1 * e + self._a2 * e_int

@@ -24,10 +24,10 @@ class Law(Protocol):
         """Remember nothing."""
 
     def go_on(self, x: Any) -> Any:
-        """Give the state with which these gains follow others."""
+        """Return the state with which these gains follow others."""
 
     def __call__(self, x: Any, qdd_d: float, e: float, ed: float) -> tuple[Any, float]:
-        """Give the state after, and the voltage for the desired acceleration, the error and its rate (rad, s)."""
+        """Return the state after, and the voltage for the desired acceleration, the error and its rate (rad, s)."""
 
 
 LAWS: dict[str, Any] = {"adsmc": Adsmc, "dsmc": Dsmc, "smc": Smc}
@@ -60,7 +60,7 @@ class VcsControllerParams(BlockParams):
         return self
 
     def laws(self) -> list[Law]:
-        """Make one law a joint."""
+        """Create one law a joint."""
         n = len(self.joints)
         common: dict[str, Any] = {"T": self.period, "v_max": self.v_max}
         if self.law != "smc":
@@ -92,7 +92,7 @@ class VcsController(Block[VcsControllerParams]):
         )
 
     def setup(self) -> None:
-        """Make the laws."""
+        """Create the laws."""
         self.laws = self.p.laws()
         self._n = len(self.laws)
 
@@ -107,7 +107,7 @@ class VcsController(Block[VcsControllerParams]):
     def update(
         self, x: State, t: int, *, joint_states: Vector, reference: Vector
     ) -> tuple[State, Mapping[str, Vector]]:
-        """Give the voltages."""
+        """Return the voltages."""
         n = self._n
         e = [reference[i] - joint_states[i] for i in range(n)]
         rate = [reference[i] - joint_states[i] for i in range(n, 2 * n)]

@@ -68,11 +68,11 @@ class Dsmc:
         return DsmcState()
 
     def go_on(self, x: DsmcState) -> DsmcState:
-        """Give the state with which these gains follow others."""
+        """Return the state with which these gains follow others."""
         return x
 
     def __call__(self, x: DsmcState, qdd_d: float, e: float, ed: float) -> tuple[DsmcState, float]:
-        """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""
+        """Return the voltage for the desired acceleration, the error and its rate (rad, s)."""
         T = self._T
         v, _, sigma, e_int, s_int, before = x
         s = ed + self._a1 * e + self._a2 * e_int

@@ -139,7 +139,7 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
         return read_urdf(params.urdf) if params.urdf else manipulator_urdf(params.links, params.joints)
 
     def initial(self) -> tuple[Vector, Vector]:
-        """Give q(0) and its rate."""
+        """Return q(0) and its rate."""
         return self.p.start("position"), self.p.start("velocity")
 
     def friction(self) -> Friction:
@@ -169,11 +169,11 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
         self._time = to_ns(self.p.disturbance.time)
 
     def loads(self, t: int) -> tuple[Vector, Vector]:
-        """Give the disturbance voltages; no load torque."""
+        """Return the disturbance voltages; no load torque."""
         return self._before if t < self._time else self._after
 
     def outputs(self, x: Any, t: int) -> Mapping[str, Vector]:
-        """Give joint and motor states; efforts are what the drives hand over, within the limits where these act."""
+        """Return joint and motor states; efforts are what the drives hand over, within the limits where these act."""
         found = super().outputs(x, t)
         if not self.stops():
             return found

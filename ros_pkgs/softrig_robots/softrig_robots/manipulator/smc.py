@@ -60,11 +60,11 @@ class Smc:
         return SmcState()
 
     def go_on(self, x: SmcState) -> SmcState:
-        """Give the state with which these gains follow others: the voltage may jump, as it does at any switching."""
+        """Return the state with which these gains follow others: the voltage may jump, as it does at any switching."""
         return x
 
     def __call__(self, x: SmcState, qdd_d: float, e: float, ed: float) -> tuple[SmcState, float]:
-        """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""
+        """Return the voltage for the desired acceleration, the error and its rate (rad, s)."""
         s = ed + self._a1 * e + self._a2 * x.e_int
         v = qdd_d + self._a1 * ed + self._a2 * e + self._rho * switching(s)
         return SmcState(s, x.e_int + self._T * e), min(max(v, -self._v_max), self._v_max)

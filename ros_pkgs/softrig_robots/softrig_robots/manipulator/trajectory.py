@@ -46,7 +46,7 @@ class TrajectorySource(Block[TrajectoryParams]):
         self._omega = 2.0 * pi / self.p.cycle
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
-        """Give the reference at t."""
+        """Return the reference at t."""
         w = self._omega
         phase = w * to_s(t % self._cycle)  # whole cycles leave no rounding
         c, s = cos(phase), sin(phase)

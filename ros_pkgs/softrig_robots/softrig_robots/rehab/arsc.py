@@ -74,7 +74,7 @@ class Arsc:
     def __call__(
         self, x: ArscState, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float
     ) -> tuple[ArscState, float]:
-        """Give the voltage for joint state and reference."""
+        """Return the voltage for joint state and reference."""
         ed = qd - ref_d
         z = ed + self._k1 * (q - ref)
         phi = (ref_dd - self._k1 * ed, qd, tanh(qd / EDGE), 1.0)

@@ -14,7 +14,7 @@ ROUNDS = 3
 
 
 def computation_times(updates: int = UPDATES) -> dict[str, float]:
-    """Give the mean CPU time of one update of `VoltageController`, both joints, with each law.
+    """Return the mean CPU time of one update of `VoltageController`, both joints, with each law.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ class Law(Protocol):
     def __call__(
         self, x: Any, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float
     ) -> tuple[Any, float]:
-        """Give x and voltage for joint state, current and reference; V is the voltage of the last period."""
+        """Return x and voltage for joint state, current and reference; V is the voltage of the last period."""
 
 
 LAWS: dict[str, Any] = {"emvc": Emvc, "tsarc": Tsarc, "arsc": Arsc}
@@ -71,7 +71,7 @@ class VoltageControllerParams(BlockParams):
         return self
 
     def laws(self) -> list[Law]:
-        """Make one law a joint."""
+        """Create one law a joint."""
         gains: EmvcGains | TsarcGains | ArscGains = getattr(self, self.law)
         n = len(JOINTS)
         return [LAWS[self.law](gains.of_joint(self.law, i, n), T=self.period, v_max=self.v_max) for i in range(n)]
@@ -127,7 +127,7 @@ class VoltageController(Block[VoltageControllerParams]):
         return params.robot.agreed() if params.law == "emvc" else {}
 
     def setup(self) -> None:
-        """Make the laws."""
+        """Create the laws."""
         self._laws = self.p.laws()
         self._shown = len(self._laws[0].UNITS)
         self._stale = self.p.stale_after * to_ns(self.p.period)
@@ -174,7 +174,7 @@ class VoltageController(Block[VoltageControllerParams]):
         reference: Vector,
         applied_voltage: Vector | None = None,
     ) -> Answer:
-        """Give the voltages."""
+        """Return the voltages."""
         q1, q2, v1, v2 = joint_states
         r1, r2, rv1, rv2, ra1, ra2 = reference
         lost = (self.age("reference") or 0) > self._stale
@@ -195,7 +195,7 @@ class VoltageController(Block[VoltageControllerParams]):
         return self._say((x1, x2), (u1, u2), (r1 - q1, r2 - q2))
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Vector] | None]:
-        """Give the last voltages, after `stale_after` ticks 0 V."""
+        """Return the last voltages, after `stale_after` ticks 0 V."""
         refusals = x.refusals + 1
         if refusals <= self.p.stale_after:
             return x._replace(refusals=refusals), None

@@ -65,7 +65,7 @@ class Emvc:
     def __call__(
         self, x: EmvcState, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float
     ) -> tuple[EmvcState, float]:
-        """Give the voltage for joint state, current and reference; V is the voltage of the last period."""
+        """Return the voltage for joint state, current and reference; V is the voltage of the last period."""
         ri = self._R * current
         psi = (V - ri) / self._alpha - qd
         v = ri + self._alpha * (ref_d + self._lam * (ref - q) + psi)

@@ -6,7 +6,7 @@ from softrig_core import Block, Level
 
 
 def clip_force(block: Block, wrench: tuple[float, ...] | None, limit: float) -> tuple[float, float, float]:
-    """Give the force of a wrench (N), cut down to the limit with a warning; zero without a patient."""
+    """Return the force of a wrench (N), cut down to the limit with a warning; zero without a patient."""
     if wrench is None:
         return (0.0, 0.0, 0.0)
     x, y, z = wrench[:3]

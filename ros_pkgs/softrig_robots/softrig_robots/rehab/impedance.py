@@ -133,7 +133,7 @@ class Impedance(Block[ImpedanceParams]):
         stiffness: Vector | None = None,
         damping: Vector | None = None,
     ) -> Answer:
-        """Give q_r, its rate and acceleration at t."""
+        """Return q_r, its rate and acceleration at t."""
         n, T = len(JOINTS), self.p.period
         B, K, q, v, _ = x
         K = self._wanted("stiffness", stiffness, K)

@@ -96,6 +96,6 @@ def rehab_urdf(
 
 
 def foot_jacobian(q1: float, q2: float, l1: float, l2: float) -> tuple[float, float, float, float]:
-    """Give dx/dq1, dx/dq2, dz/dq1, dz/dq2 of the foot (x forward, z up), m/rad."""
+    """Return dx/dq1, dx/dq2, dz/dq1, dz/dq2 of the foot (x forward, z up), m/rad."""
     x2, z2 = l2 * cos(q1 + q2), l2 * sin(q1 + q2)
     return l1 * cos(q1) + x2, x2, l1 * sin(q1) + z2, z2

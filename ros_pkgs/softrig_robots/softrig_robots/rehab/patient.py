@@ -42,7 +42,7 @@ class Patient(Block[PatientParams]):
         self._begin, self._duration, self._cycle = map(to_ns, (self.p.begin, self.p.duration, self.p.cycle))
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
-        """Give the force at t."""
+        """Return the force at t."""
         since = t % self._cycle - self._begin
         share = sin(pi * since / self._duration) ** 2 if 0 <= since < self._duration else 0.0
         return x, {PATIENT_FORCE: (self.p.force_x * share, 0.0, self.p.force_z * share, 0.0, 0.0, 0.0)}

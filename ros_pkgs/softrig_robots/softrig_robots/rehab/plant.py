@@ -143,7 +143,7 @@ class RehabPlant(DrivenRobot[RehabParams]):
 
     @classmethod
     def agreed(cls, params: RehabParams) -> Mapping[str, Any]:
-        """What the stability of a law depends on."""
+        """Return what the stability of a law depends on."""
         p, drift = params, RobotDrift(resistance=params.drift.resistance, constants=params.drift.constants)
         robot = LinearRobot(
             segments=p.segments,
@@ -167,11 +167,11 @@ class RehabPlant(DrivenRobot[RehabParams]):
         return rehab_urdf(params.segments, spread("lower", params.lower, 2), spread("upper", params.upper, 2))
 
     def initial(self) -> tuple[Vector, Vector]:
-        """Give q(0) and its rate."""
+        """Return q(0) and its rate."""
         return spread("position", self.p.position, self.n), spread("velocity", self.p.velocity, self.n)
 
     def friction(self) -> Friction:
-        """Give the friction at the joints."""
+        """Return the friction at the joints."""
         f = self.p.friction
         coulomb, static, viscous = (
             spread(f"friction.{k}", getattr(f, k), self.n) for k in ("coulomb", "static", "viscous")
@@ -192,7 +192,7 @@ class RehabPlant(DrivenRobot[RehabParams]):
         self._startup = to_ns(p.startup)
 
     def torque_constants(self, table: Mapping[str, Vector]) -> Vector:
-        """Give the torque constants on the joint side of the gears, N m/A."""
+        """Return the torque constants on the joint side of the gears, N m/A."""
         if self.p.torque_constant_side == "joint":
             return table["torque_constant"]
         return super().torque_constants(table)
@@ -213,11 +213,11 @@ class RehabPlant(DrivenRobot[RehabParams]):
         return State(q, v, none, (0,) * self.n, self.nowhere, none, (False,) * self.n)
 
     def loads(self, t: int) -> tuple[Vector, Vector]:
-        """Give the disturbance torques; no voltage drop."""
+        """Return the disturbance torques; no voltage drop."""
         return self._disturbed if self._begin <= t < self._end else self._undisturbed
 
     def drifted(self, t: int | None) -> Vector:
-        """Give the numbers of the compiled step of the period that begins at t, None before the first."""
+        """Return the numbers of the compiled step of the period that begins at t, None before the first."""
         if t is None or not self._drifts:
             return self._plant
         done = min(1.0, to_s(t) / self.p.drift.duration)
@@ -233,7 +233,7 @@ class RehabPlant(DrivenRobot[RehabParams]):
         return State(q, v, i, saturated, force, applied, entered, safe, live, t)
 
     def _watch(self, x: State, t: int, live: int | None) -> tuple[tuple[bool, ...], bool]:
-        """Give which joints have been inside their range, and whether one is where or as fast as it must not be."""
+        """Return which joints have been inside their range, and whether one is where or as fast as it must not be."""
         safe = x.safe
         started = live is not None and t >= live + self._startup
         inside = [low <= q <= high for low, q, high in zip(self._low, x.q, self._high, strict=True)]
@@ -249,7 +249,7 @@ class RehabPlant(DrivenRobot[RehabParams]):
         return entered, safe
 
     def outputs(self, x: State, t: int) -> Mapping[str, Vector]:
-        """Give joint states with the torques behind the gears, currents, and the voltages of the last period."""
+        """Return joint states with the torques behind the gears, currents, and the voltages of the last period."""
         return {
             "joint_states": (*x.q, *x.v, *self.gear_torques(x, t, x.force, self.drifted(x.since))),
             "motor_states": x.i,

@@ -53,7 +53,7 @@ class PromReference(Block[PromReferenceParams]):
         self._cycle = to_ns(self.p.cycle)
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
-        """Give the reference at t."""
+        """Return the reference at t."""
         eta = to_s(t % self._cycle)
         q, v, a = [], [], []
         for low, span, width in zip(self._low, self._range, self._width, strict=True):

@@ -48,7 +48,7 @@ class LinearRobot(Params):
         return self
 
     def agreed(self) -> dict[str, Any]:
-        """Give what a plant and who speaks of its stability must have in common."""
+        """Return what a plant and who speaks of its stability must have in common."""
         per_joint = {f"rehab/motors.{name}": values for name, values in self.motors.table(2).items()}
         segments = {f"rehab/segments.{name}": value for name, value in flatten(self.segments).items()}
         return {
@@ -108,7 +108,7 @@ def is_stable(
     applied: bool,
     robot: LinearRobot = PUBLISHED,
 ) -> bool:
-    """Tell whether a robot is stable everywhere in its range of motion, before and after its drift.
+    """Describe whether a robot is stable everywhere in its range of motion, before and after its drift.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ class Tsarc:
     def __call__(
         self, x: TsarcState, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float
     ) -> tuple[TsarcState, float]:
-        """Give the voltage for joint state, current and reference."""
+        """Return the voltage for joint state, current and reference."""
         T = self._T
         a, b, k = x
         tau = k * T

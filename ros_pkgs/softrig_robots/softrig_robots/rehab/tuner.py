@@ -122,7 +122,7 @@ def search(
     n_pop: int = 20,
     n_iter: int = 10,
 ) -> Genetic:
-    """Make the search for alpha_hat.
+    """Create the search for alpha_hat.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ class Tuner(Solver[TunerParams]):
     def request(
         self, x: State, t: int, *, start: tuple[float, ...] | None
     ) -> tuple[State, tuple[Point, float, bool] | None]:
-        """Give the next candidate, when there is one and the last one has its cost."""
+        """Return the next candidate, when there is one and the last one has its cost."""
         pressed = start == (1.0,)
         if pressed and not x.pressed:
             x = x._replace(search=self._begin(x.search), candidate=None)
@@ -243,7 +243,7 @@ class Tuner(Solver[TunerParams]):
 
     @staticmethod
     def solve(request: tuple[Point, float, bool], work: Work) -> float:
-        """Give the cost of a candidate."""
+        """Return the cost of a candidate."""
         return cost(*request)
 
     def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Values]:

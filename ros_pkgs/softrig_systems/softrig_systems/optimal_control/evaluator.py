@@ -168,5 +168,5 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         return polynomials(plan.states, s) if self.p.form == "power" else plan.states(s)
 
     def status(self, x: State) -> Mapping[str, tuple[float, str]]:
-        """Give the figures so far."""
+        """Return the figures so far."""
         return {name: (value, "") for name, value in x.figures._asdict().items()}

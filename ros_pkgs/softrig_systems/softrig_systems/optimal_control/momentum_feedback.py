@@ -48,7 +48,7 @@ class MomentumFeedback(Block[ProblemParams]):
         return State()
 
     def update(self, x: State, t: int, *, state: tuple[float, ...]) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give the torques."""
+        """Return the torques."""
         if x.begin is None:
             x = State(t)
         assert x.begin is not None

@@ -86,7 +86,7 @@ class Planner(Solver[P]):
 
     @classmethod
     def shape(cls, params: Any) -> tuple[int, int]:
-        """Give (stages, columns) of a plan."""
+        """Return (stages, columns) of a plan."""
         raise NotImplementedError
 
     @classmethod
@@ -131,7 +131,7 @@ class Planner(Solver[P]):
     def answer(
         self, x: State, t: int, result: Result | None, new: bool
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give a new plan once."""
+        """Return a new plan once."""
         if not new or result is None:
             return x, {}
         found: Planned | None = result.answer

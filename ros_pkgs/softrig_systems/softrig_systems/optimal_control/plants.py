@@ -84,7 +84,7 @@ class OcpPlant(Plant[P]):
         return self._state(*self._x0, *((self._rest,) if self._says_applied else ()))
 
     def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give the state; with velocities the command that was applied until now."""
+        """Return the state; with velocities the command that was applied until now."""
         return {"state": (*x[: self._n], *x.applied) if self._says_applied else tuple(x)}
 
     def advance(self, x: Any, t: int, **inputs: Any) -> Any:

@@ -92,7 +92,7 @@ class OcpPlayer(Block[PlayerParams]):
     def update(
         self, x: State, t: int, *, state: tuple[float, ...], plan: tuple[float, ...], summary: tuple[float, ...]
     ) -> Answer:
-        """Give the command of a period."""
+        """Return the command of a period."""
         age = self.age("summary")
         # in real time a plan may come ticks after its stamp; its two messages belong together when they are of one age
         if age is not None and age == self.age("plan") and summary != x.plan.seen:

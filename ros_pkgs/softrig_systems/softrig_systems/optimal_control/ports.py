@@ -21,7 +21,7 @@ SUMMARY = {
 
 
 def state(problem: Problem) -> Port:
-    """Give the port of the measured state; with velocities comes the effort that was applied before."""
+    """Return the port of the measured state; with velocities comes the effort that was applied before."""
     units = tuple(problem.states.values())
     limits = [ESCAPED] * len(units)
     if problem.carrier == "velocity":
@@ -32,17 +32,17 @@ def state(problem: Problem) -> Port:
 
 
 def control(problem: Problem) -> Port:
-    """Give the port of the command."""
+    """Return the port of the command."""
     return command("command", "ocp/command", tuple(problem.controls), tuple(problem.controls.values()))
 
 
 def plan(problem: Problem, columns: int, *, stages: int = 1, label: str = "power", out: bool = False) -> Port:
-    """Give the port of a plan: rows are states, costates and controls; a leading dimension where there are stages."""
+    """Return the port of a plan: rows are states, costates and controls; a leading dimension where there are stages."""
     rows = 2 * len(problem.states) + len(problem.controls)
     dims = {"stage": stages} if stages > 1 else {}
     return array("plan", "ocp/plan", {**dims, "variable": rows, label: columns}, "", sporadic=out)
 
 
 def summary(*, out: bool = False) -> Port:
-    """Give the port of what is known of a plan."""
+    """Return the port of what is known of a plan."""
     return scalars("summary", "ocp/summary", SUMMARY, sporadic=out)

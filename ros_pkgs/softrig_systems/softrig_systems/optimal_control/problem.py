@@ -78,7 +78,7 @@ class Problem:
         x_end: Sequence[float] | None = None,
         R: Sequence[float] = (),
     ) -> Problem:
-        """Give the same problem from another start, over another time, to another end, with another weight of u.
+        """Return the same problem from another start, over another time, to another end, with another weight of u.
 
         Raises
         ------
@@ -105,7 +105,7 @@ class Problem:
         return tuple(map(float, given))
 
     def weight(self) -> NDArray[np.float64]:
-        """Give R as a matrix, shape (m, m); a ProblemError where it is none or not positive definite."""
+        """Return R as a matrix, shape (m, m); a ProblemError where it is none or not positive definite."""
         m = len(self.controls)
         if len(self.R) != m * m:
             raise ProblemError(f"R: expected {m * m} numbers, row by row, not {len(self.R)}")
@@ -115,7 +115,7 @@ class Problem:
         return R
 
     def expressions(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Give x, u, dx/dt and L as casadi expressions; a weight R replaces the part of L that is quadratic in u."""
+        """Return x, u, dx/dt and L as casadi expressions; a weight R replaces the part of L that is quadratic in u."""
         import casadi as ca
 
         x, u = ca.SX.sym("x", len(self.states)), ca.SX.sym("u", len(self.controls))
@@ -137,7 +137,7 @@ class Problem:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What the equations depend on; hashable."""
+        """Return what the equations depend on; hashable."""
         return self.name, self.ode, self.cost, self.R, tuple(self.states), tuple(self.controls)
 
     def end_error(self, end: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -47,14 +47,14 @@ class CriterionParams(SystemParams):
         return Criterion("constant" if self.method == "constant" else "theorem1", self.mu, self.order, self.cell_terms)
 
     def shapes(self) -> dict[str, tuple[int, int]]:
-        """Give name and shape of every matrix of a certificate, in the order of the topic."""
+        """Return name and shape of every matrix of a certificate, in the order of the topic."""
         if self.method == "level" or self.system == "tank":
             return {}
         unknowns = self.criterion.problem(self.build()).unknowns
         return {name: u.shape for name, u in unknowns.items()}
 
     def padded(self) -> tuple[int, int, int]:
-        """Give the size of the array that holds all matrices, each filled up with zeros."""
+        """Return the size of the array that holds all matrices, each filled up with zeros."""
         shapes = self.shapes().values()
         return len(shapes), max(s[0] for s in shapes), max(s[1] for s in shapes)
 
@@ -72,7 +72,7 @@ class CriterionParams(SystemParams):
         return {name: total[k, :r, :c].copy() for k, (name, (r, c)) in enumerate(self.shapes().items())}
 
     def matrices_port(self, **options: Any) -> Port:
-        """Give the topic of the matrices."""
+        """Return the topic of the matrices."""
         count, rows, columns = self.padded()
         sizes = {"matrix": count, "row": rows, "column": columns}
         return array("matrices", "certificate/matrices", sizes, "", **options)
@@ -100,7 +100,7 @@ class CertificateParams(CriterionParams, SolverParams):
 
     @property
     def tank(self) -> dict[str, float]:
-        """What the bound of the level is for."""
+        """Return what the bound of the level is for."""
         return {"s": self.switch, "kL": self.k_low, "kR": self.k_high, "c": self.c, "start": self.x0}
 
 
@@ -208,7 +208,7 @@ class CertificateNode(Solver[CertificateParams]):
         return x, {"verdict": verdict, "matrices": self.p.pad(found.matrices)}
 
     def health(self, x: State) -> Mapping[str, str]:
-        """Tell which matrices are published, and the eigenvalues of the newest certificate."""
+        """Describe which matrices are published, and the eigenvalues of the newest certificate."""
         figures = {**super().health(x), "matrices": ", ".join(self.p.shapes())}
         result = x.jobs.result
         found = result.answer.certificate if result is not None and result.answer else None

@@ -44,7 +44,7 @@ class TankController(Block[TankControllerParams]):
         }
 
     def update(self, x: Any, t: int, *, level: tuple[float, ...]) -> Answer:
-        """Give the inflow."""
+        """Return the inflow."""
         p, now = self.p, level[0]
         return x, {"inflow": (p.A * p.phi * now * (p.k_low if now < p.switch else -p.k_high),)}
 
@@ -77,7 +77,7 @@ class PendulumController(Block[PendulumControllerParams]):
         return {"pendulum/k_negative": params.k_negative, "pendulum/k_positive": params.k_positive}
 
     def update(self, x: Any, t: int, *, state: tuple[float, ...]) -> Answer:
-        """Give the torque."""
+        """Return the torque."""
         theta, omega = state
         return x, {"torque": (-(self.p.k_positive if theta > 0.0 else self.p.k_negative) * (theta + omega),)}
 
@@ -129,7 +129,7 @@ class DelayLine(Block[DelayLineParams]):
         return Line(Delay(self.p.bounded_profile(self)))
 
     def update(self, x: Line, t: int, *, state: tuple[float, ...]) -> Answer:
-        """Give the delayed values."""
+        """Return the delayed values."""
         past = History(self.p.period, self._h, state) if x.past is None else x.past.put(state)
         return self._out(x.delay, past, t)
 

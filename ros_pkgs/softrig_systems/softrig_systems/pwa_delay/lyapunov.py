@@ -59,7 +59,7 @@ def functional(system: PwaSystem, matrices: Mapping[str, Array], x: Array, slope
 
 
 def _forms(z: Array, matrix: Array) -> Any:
-    """Give z' M z of a vector, or of each row."""
+    """Return z' M z of a vector, or of each row."""
     return (product(z, matrix) * z).sum(axis=-1)
 
 
@@ -148,7 +148,7 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
         matrices: tuple[float, ...] | None,
         verdict: tuple[float, ...] | None,
     ) -> Answer:
-        """Give V once the record is long enough."""
+        """Return V once the record is long enough."""
         if mode[1] < 0.0:  # it counts samples back, and no sample is later than now
             self.report(
                 Level.ERROR,

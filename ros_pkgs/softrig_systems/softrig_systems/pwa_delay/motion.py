@@ -59,7 +59,7 @@ def past_value(past: Trajectory, t: float, d: float, x: Array, channel: int) -> 
 
 @jit
 def pwa_cell(t: float, x: Array, past: Trajectory, p: PwaConstants) -> int:
-    """Give the cell of (x, x_d), the first line's sign changing slowest."""
+    """Return the cell of (x, x_d), the first line's sign changing slowest."""
     d = delay_at(p.profile, t)
     index = 0
     for row in range(p.lines.shape[0]):
@@ -107,7 +107,7 @@ class TankConstants(NamedTuple):
 
 @jit
 def tank_cell(t: float, x: Array, past: Trajectory, p: TankConstants) -> int:
-    """Give 0 below the switching level, 1 above, of the delayed level."""
+    """Return 0 below the switching level, 1 above, of the delayed level."""
     return 1 if past_value(past, t, delay_at(p.profile, t), x, 0) >= p.s else 0
 
 
@@ -176,7 +176,7 @@ def pendulum_slopes(t: float, x: Array, past: Trajectory, p: PendulumConstants, 
 def located(
     rhs: Callable[..., None], cell_of: Callable[..., int], limit: Callable[..., None] | None = None
 ) -> Callable[..., int]:
-    """Make the native loop of steps whose switches are located.
+    """Create the native loop of steps whose switches are located.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ class SystemParams(Params):
         return self
 
     def build(self) -> PwaSystem:
-        """Make the system.
+        """Create the system.
 
         Raises
         ------
@@ -47,7 +47,7 @@ class SystemParams(Params):
         return _build(self.system, self.n, self.A, self.Ad, self.lines, self.lines_delayed, self.offsets)
 
     def agreed(self) -> dict[str, Any]:
-        """Give what all nodes of a rig that speak of this system must have in common."""
+        """Return what all nodes of a rig that speak of this system must have in common."""
         own = {"pwa/system": self.system}
         if self.system == "pendulum":
             gains = {"pendulum/k_negative": self.k_negative, "pendulum/k_positive": self.k_positive}
@@ -103,7 +103,7 @@ def _build(
 
 
 def law_of_the_tank(switch: float, k_low: float, k_high: float) -> dict[str, Any]:
-    """Give what all nodes must have in common that speak of the tank's law."""
+    """Return what all nodes must have in common that speak of the tank's law."""
     return {"tank/switch": switch, "tank/k_low": k_low, "tank/k_high": k_high}
 
 
@@ -118,7 +118,7 @@ class DelayParams(Params):
     horizon: float = param(1000.0, "time for which a telegraph has jumps", "s", gt=0.0, le=1e6)
 
     def bounded_profile(self, block: Block) -> Profile:
-        """Give the delay over time; `block` tells when its bound is more than is allowed."""
+        """Return the delay over time; `block` tells when its bound is more than is allowed."""
         h = min(self.delay, self.max_delay)
         if self.delay > self.max_delay:
             text = f"delay {self.delay:g} s clamped to max_delay = {self.max_delay:g} s"

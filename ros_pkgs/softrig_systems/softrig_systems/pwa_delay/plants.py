@@ -78,7 +78,7 @@ class DelayPlant(Plant[P]):
         return self._state(*begin[: self._size], 0, FREE, Delay(profile, self.constants(profile)), past)
 
     def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give state, cell and delay at t."""
+        """Return state, cell and delay at t."""
         now, past = x.k * self.p.period, self._unread if x.past is None else x.past
         cell = int(type(self).cell_of(now, np.array(x[: self._size]), past.open(), x.delay.constants))
         seen = {self.SHOWN: x[: self._size]}
@@ -95,11 +95,11 @@ class DelayPlant(Plant[P]):
         return self._state(*now.tolist()[:size], x.k + 1, int(p.cell[0]), x.delay, after)
 
     def names(self) -> Sequence[str]:
-        """Give the names of the state, which comes first in `begin`."""
+        """Return the names of the state, which comes first in `begin`."""
         raise NotImplementedError
 
     def begin(self) -> tuple[float, ...]:
-        """Give state and held inputs at and before the start."""
+        """Return state and held inputs at and before the start."""
         raise NotImplementedError
 
     def constants(self, delay: Profile) -> Any:

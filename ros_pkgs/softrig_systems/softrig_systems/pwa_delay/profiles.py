@@ -27,7 +27,7 @@ class Profile(NamedTuple):
 
 
 def profile(kind: Kind, h: float, mu: float = 0.0, *, seed: int | Sequence[int] = 0, horizon: float = 0.0) -> Profile:
-    """Make a profile.
+    """Create a profile.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class Delay:
 
 @jit
 def delay_at(p: Profile, t: float) -> float:
-    """Give the delay (s) at t (s)."""
+    """Return the delay (s) at t (s)."""
     if p.kind == 0.0:
         return p.h
     if p.kind == 1.0:

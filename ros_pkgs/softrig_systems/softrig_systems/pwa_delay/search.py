@@ -64,7 +64,7 @@ def simulate_tank(h: float, level: float, duration: float, *, steps: int = 400, 
 
 
 def growth_rate(run: Run) -> float:
-    """Give the slope (1/s) of the logarithm of the maxima over time in the second half of a run.
+    """Return the slope (1/s) of the logarithm of the maxima over time in the second half of a run.
 
     Raises
     ------

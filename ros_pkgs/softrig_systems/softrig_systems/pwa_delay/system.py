@@ -74,7 +74,7 @@ class PwaSystem:
         return len(self.A)
 
     def cell(self, x: Array, x_d: Array) -> int:
-        """Give the first cell that holds (x, x_d)."""
+        """Return the first cell that holds (x, x_d)."""
         z = np.concatenate([x, x_d])
         for i in range(self.cells):
             if np.all(dense.product(self.E[i], z) + self.e[i] >= 0.0):
@@ -82,7 +82,7 @@ class PwaSystem:
         raise BadSystem(f"no cell holds x = {x}, x_d = {x_d}")
 
     def scaled(self, h: float) -> PwaSystem:
-        """Give the system in the time t/h, in which a delay of h is 1."""
+        """Return the system in the time t/h, in which a delay of h is 1."""
         found = copy(self)  # cells and features stay, and what was checked of them
         for name in ("A", "Ad", "a"):
             object.__setattr__(found, name, tuple(h * m for m in getattr(self, name)))
@@ -128,7 +128,7 @@ class PwaSystem:
             raise BadSystem(f"cells {one} and {other} overlap at {where}")
 
     def faces(self) -> list[tuple[int, int, int]]:
-        """Give the common faces as (cell, row, other cell): the row of E that is an equality there."""
+        """Return the common faces as (cell, row, other cell): the row of E that is an equality there."""
         found = []
         rng = np.random.default_rng(2)
         for i in range(self.cells):

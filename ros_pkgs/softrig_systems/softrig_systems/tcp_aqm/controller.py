@@ -51,7 +51,7 @@ class Said:
     health: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     def values(self) -> Mapping[str, tuple[float, ...]]:
-        """Give it by ports."""
+        """Return it by ports."""
         return {"command": self.command, "health": self.health}
 
 
@@ -94,7 +94,7 @@ class AqmController(Block[AqmControllerParams]):
 
     @classmethod
     def agreed(cls, params: AqmControllerParams) -> Mapping[str, Any]:
-        """What is wanted; its idea of the network is its own."""
+        """Return what is wanted; its idea of the network is its own."""
         return {"tcp/set_point": params.set_point}
 
     def setup(self) -> None:
@@ -118,7 +118,7 @@ class AqmController(Block[AqmControllerParams]):
         return x._replace(integral=x.integral * (was / now)) if was != now and now else x
 
     def update(self, x: State, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None) -> Answer:
-        """Give the drop probability."""
+        """Return the drop probability."""
         integral, q_d, e_before, past, silent, said = x
         age = self.age("state") or 0
         if age > self._stale:
@@ -169,7 +169,7 @@ class AqmController(Block[AqmControllerParams]):
         return State(integral, q_d, e, past, silent, said), said.values()
 
     def _aim(self, q_d: float, e: float | None, wanted: float) -> tuple[float, float | None]:
-        """Give set point and last e, so that the derivative gets no kick."""
+        """Return set point and last e, so that the derivative gets no kick."""
         if 0.0 < wanted < self.p.q_max:
             return wanted, None if e is None else e + (q_d - wanted)
         self.report(
@@ -180,7 +180,7 @@ class AqmController(Block[AqmControllerParams]):
         return q_d, e
 
     def _look_back(self, past: History, R: float) -> tuple[float, ...]:
-        """Give window and round trip time of one round trip ago."""
+        """Return window and round trip time of one round trip ago."""
         back = R
         if back > self.p.history:
             self.report(Level.WARN, "deep", f"round trip {R:g} s is beyond the record of {self.p.history:g} s")

@@ -82,7 +82,7 @@ Four = tuple[float, float, float, float]
 def stepped(
     past: Trajectory, t: float, x: Four, h: float, steps: int, net: Four, given: Four
 ) -> tuple[float, float, float]:
-    """Give window, queue and packets served some steps after t (s).
+    """Return window, queue and packets served some steps after t (s).
 
     Parameters
     ----------
@@ -100,5 +100,5 @@ def stepped(
 
 @jit
 def look_back(past: Trajectory, then: float) -> tuple[float, float]:
-    """Give window and queue at a time, s."""
+    """Return window and queue at a time, s."""
     return delayed(past, then, WINDOW), delayed(past, then, QUEUE)

@@ -72,7 +72,7 @@ LawName = Literal["sspd", "sspid", "pi", "pid", "robust"]
 
 
 def sign(s: float, width: float) -> float:
-    """Give sign(s); with a boundary layer s/width, clipped to [-1, 1]."""
+    """Return sign(s); with a boundary layer s/width, clipped to [-1, 1]."""
     return min(max(s / width, -1.0), 1.0) if width > 0.0 else switching(s)
 
 

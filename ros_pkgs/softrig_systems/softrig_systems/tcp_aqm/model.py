@@ -16,7 +16,7 @@ class Bottleneck(Params):
     q_max: float = param(300.0, "room in the queue; what arrives beyond is lost", "packet", gt=0.0, le=1e6)
 
     def agreed(self) -> dict[str, Any]:
-        """Give what a network and who judges it must have in common."""
+        """Return what a network and who judges it must have in common."""
         return {f"tcp/{name}": getattr(self, name) for name in Bottleneck.model_fields}
 
 
@@ -29,7 +29,7 @@ class Equilibrium(NamedTuple):
 
 
 def equilibrium(network: Bottleneck, queue: float) -> Equilibrium:
-    """Give the steady state with `queue` packets: R0 = q/C + tau_p, w0 = R0 C/N, p0 = 2/w0^2.
+    """Return the steady state with `queue` packets: R0 = q/C + tau_p, w0 = R0 C/N, p0 = 2/w0^2.
 
     Examples
     --------

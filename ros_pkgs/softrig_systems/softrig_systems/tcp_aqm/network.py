@@ -109,7 +109,7 @@ class Network(Plant[P]):
         return self._disturbed(x) if self._change == 0 else x
 
     def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give the measured state and the truth at t."""
+        """Return the measured state and the truth at t."""
         w, q, served, w_R, q_R = self.seen(x)
         C, tau_p, offset = x.net.capacity, x.net.propagation, x.net.offset
         measured = q + offset
@@ -164,11 +164,11 @@ class Network(Plant[P]):
     most_flows: int = 2000
 
     def begin(self, net: Net) -> Any:
-        """Give the state at the start."""
+        """Return the state at the start."""
         raise NotImplementedError
 
     def seen(self, x: Any) -> Seen:
-        """Give what its outputs show."""
+        """Return what its outputs show."""
         raise NotImplementedError
 
     def moved(self, x: Any, steps: int, p: float) -> Any:

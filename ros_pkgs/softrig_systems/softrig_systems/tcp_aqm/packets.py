@@ -91,7 +91,7 @@ class Traffic:
         self.inside = inside
 
     def copy(self) -> Inside:
-        """Give it to be changed."""
+        """Return it to be changed."""
         sources, agenda, fifo, counts = self.inside
         heap, size = Agenda._make([np.empty_like(a) for a in agenda]), counts[EVENTS]
         for new, old in zip(heap, agenda, strict=True):
@@ -245,7 +245,7 @@ def run_until(end: float, rules: Rules, rng: np.random.Generator, inside: Inside
 
 @jit
 def mean_window(sources: Sources) -> float:
-    """Give the mean window of the flows that send, packets."""
+    """Return the mean window of the flows that send, packets."""
     total, count = 0.0, 0
     for flow in range(sources.window.size):
         if sources.active[flow] == 1:

@@ -101,7 +101,7 @@ class TcpPackets(Network[TcpPacketsParams]):
         return State(0, net, Traffic(inside), History(p.period, p.history, _mean(inside)), stream)
 
     def seen(self, x: State) -> Seen:
-        """Give the mean window, and look back one round trip."""
+        """Return the mean window, and look back one round trip."""
         inside, net = x.traffic.inside, x.net
         window, queue = _mean(inside)
         return Seen(window, queue, float(inside.counts[SERVED]), *x.past.at(queue / net.capacity + net.propagation))
@@ -146,5 +146,5 @@ class TcpPackets(Network[TcpPacketsParams]):
 
 
 def _mean(inside: Inside) -> tuple[float, float]:
-    """Give mean window and queue, packets."""
+    """Return mean window and queue, packets."""
     return mean_window(inside.sources), float(inside.counts[WAITING])

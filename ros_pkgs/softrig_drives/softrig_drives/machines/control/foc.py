@@ -115,5 +115,5 @@ class FocController(Block[FocControllerParams]):
         return State(u, speed), {"duty": duty, "foc": (i_d, i_q, ref_d, ref_q, voltage[0], voltage[1], torque)}
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give zero voltage for this period."""
+        """Return zero voltage for this period."""
         return x, {"duty": (0.5, 0.5, 0.5), "foc": (0.0,) * FOC.size}

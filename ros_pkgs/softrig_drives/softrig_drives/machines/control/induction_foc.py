@@ -122,7 +122,7 @@ class ImFocController(Block[ImFocParams]):
         return State(psi, angle, u, speed), {"duty": duty, "foc": (i_d, i_q, ref_d, ref_q, x.psi, torque)}
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Give zero voltage for this period."""
+        """Return zero voltage for this period."""
         return x, {"duty": (0.5, 0.5, 0.5), "foc": (0.0,) * IM_FOC.size}
 
 

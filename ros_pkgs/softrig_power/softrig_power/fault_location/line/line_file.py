@@ -16,7 +16,7 @@ PAPER = "paper"
 
 
 def line_data(source: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Give the line's data: of a file, those in `given` (``line.length`` and so on) before it.
+    """Return the line's data: of a file, those in `given` (``line.length`` and so on) before it.
 
     Parameters
     ----------

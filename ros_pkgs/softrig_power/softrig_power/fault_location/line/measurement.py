@@ -79,7 +79,7 @@ def filter_step(sos: Array, state: Array, x: Array) -> None:
 
 
 def steady_filter(sos: Array, phasors: Complex, omega: float, step: float) -> tuple[Array, Complex]:
-    """Give the filter's state after t = 0 and its output phasors for sinusoidal inputs.
+    """Return the filter's state after t = 0 and its output phasors for sinusoidal inputs.
 
     Parameters
     ----------

@@ -110,7 +110,7 @@ def steady(p: RigParams) -> Steady:
 
 
 def to_modes(phasor: complex) -> Complex:
-    """Give the Clarke modes of a positive-sequence phasor of phase a: (0, sqrt(3/2) U, -j sqrt(3/2) U)."""
+    """Return the Clarke modes of a positive-sequence phasor of phase a: (0, sqrt(3/2) U, -j sqrt(3/2) U)."""
     modes: Complex = np.array([0.0, phasor, -1j * phasor], dtype=np.complex128)
     modes *= math.sqrt(1.5)
     return modes

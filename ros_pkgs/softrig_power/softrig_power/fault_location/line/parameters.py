@@ -27,12 +27,12 @@ RATES: dict[str, int] = {
 
 
 def phases(fault: str) -> tuple[int, ...]:
-    """Give the phases that a fault type names: 0, 1, 2 for a, b, c."""
+    """Return the phases that a fault type names: 0, 1, 2 for a, b, c."""
     return () if fault == "none" else tuple("ABC".index(letter) for letter in fault.removesuffix("G"))
 
 
 def grounded(fault: str) -> bool:
-    """Whether the star point of the fault is connected to ground."""
+    """Return whether the star point of the fault is connected to ground."""
     return fault.endswith("G")
 
 

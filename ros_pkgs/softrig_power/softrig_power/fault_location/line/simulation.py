@@ -222,7 +222,7 @@ class FaultedLine:
         return out
 
     def noise_level(self) -> Array:
-        """Give the standard deviation of the noise of each channel (V, A), shape (12,)."""
+        """Return the standard deviation of the noise of each channel (V, A), shape (12,)."""
         snr = self.p.measurement.noise_snr_db
         return np.zeros(CHANNELS) if snr is None else self.prefault_rms * 10.0 ** (-snr / 20.0)
 

@@ -54,7 +54,7 @@ class Confidence:
 
 
 def confidence(record: Record, p: LocatorParams, found: Location, budget: ErrorBudget | None = None) -> Confidence:
-    """Say how far a position can be trusted.
+    """Describe how far a position can be trusted.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def _disturbed(record: Record, p: LocatorParams, budget: ErrorBudget) -> Iterato
 
 
 def shifted(record: Record, late: float) -> Array:
-    """Give the samples of end R as a clock that is late by `late` seconds (less than a sample) takes them."""
+    """Return the samples of end R as a clock that is late by `late` seconds (less than a sample) takes them."""
     w = np.empty(6)
     lagrange(late * record.rate, w)
     r = np.pad(record.samples[:, 6:], ((3, 3), (0, 0)), mode="edge")

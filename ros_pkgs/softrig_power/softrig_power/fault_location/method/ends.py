@@ -29,7 +29,7 @@ EXCHANGES = {
 
 
 def contradiction(work: Objective, limit: float) -> str:
-    """Say how the ends contradict each other, by more than `limit` of their voltage; nothing when they do not.
+    """Describe how the ends contradict each other, by more than `limit` of their voltage; nothing when they do not.
 
     At the place of a fault all three modes agree, not only the one that locates it: the measure is the least mean of
     F over the modes. Records with a wiring fault at one end can have a sharp minimum in one mode, at a wrong place.
@@ -59,7 +59,7 @@ def contradiction(work: Objective, limit: float) -> str:
 
 
 def _likely(work: Objective) -> Iterator[tuple[float, str]]:
-    """Give the wirings under which the ends agree better, tried on a part of the window first, and how well, V."""
+    """Yield the wirings under which the ends agree better, tried on a part of the window first, and how well, V."""
     part = (work.first, max(work.count // SHARE, 1))
     known = _least(work, _apart(work, work.record, part))
     for name, other in _otherwise(work.record):
@@ -101,7 +101,7 @@ def _least(work: Objective, apart: Callable[[Array], Array], curve: Array | None
 
 
 def _otherwise(record: Record) -> Iterator[tuple[str, Record]]:
-    """Give the record as it would be had the ends been wired otherwise, with what is otherwise."""
+    """Yield the record as it would be had the ends been wired otherwise, with what is otherwise."""
     for turned in (("i_s",), ("i_r",), ("i_s", "i_r"), ("u_s",), ("u_r",)):
         yield f"{_named(turned)} reversed", _wired(record, dict.fromkeys(turned, (-1.0, (0, 1, 2))))
     for group, phase in product(("i_s", "i_r"), range(3)):

@@ -115,7 +115,7 @@ def _load(path: Path) -> Recorder:
 
 
 def _outside(channels: Sequence[Analog], raw: Array) -> list[str]:
-    """Say which channels have samples outside of the range that their line gives; none where it gives no range."""
+    """Describe which channels have samples outside of the range that their line gives; none where it gives no range."""
     notes = []
     for k, c in enumerate(channels):
         count = int(np.count_nonzero((raw[:, k] < c.low) | (raw[:, k] > c.high)))

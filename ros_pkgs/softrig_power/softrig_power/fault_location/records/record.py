@@ -76,12 +76,12 @@ class Record:
         return self.start + np.arange(len(self.samples)) / self.rate
 
     def group(self, name: str) -> Array:
-        """Give the three phases of u_s, i_s, u_r or i_r, shape (n, 3)."""
+        """Return the three phases of u_s, i_s, u_r or i_r, shape (n, 3)."""
         k = 3 * GROUPS.index(name)
         return self.samples[:, k : k + 3]
 
     def table(self) -> Array:
-        """Give the record form, shape (n, 13): t and the 12 channels."""
+        """Return the record form, shape (n, 13): t and the 12 channels."""
         return np.column_stack([self.t, self.samples])
 
     @classmethod
@@ -175,7 +175,7 @@ class Record:
 def _beside(
     end: str, t_x: Array, x: Array, rate: float, t: Array, to_rate: float
 ) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Give one end at the times of the other, those times, and which they are."""
+    """Return one end at the times of the other, those times, and which they are."""
     margin = reach(rate, to_rate)
     keep = (t >= t_x[0] + margin) & (t <= t_x[-1] - margin)
     if np.count_nonzero(keep) < 2:

@@ -13,12 +13,12 @@ HALF = 10.0  # periods of the slower rate, half the width of the kernel
 
 
 def reach(rate: float, to_rate: float) -> float:
-    """Give the time in s before the first and after the last sample in which there is nothing to tell."""
+    """Return the time in s before the first and after the last sample in which there is nothing to tell."""
     return HALF / min(rate, to_rate)
 
 
 def resampled(x: Array, start: float, rate: float, t: Array, to_rate: float) -> Array:
-    """Give a band-limited signal at other times.
+    """Return a band-limited signal at other times.
 
     A sinc in a Blackman window, as wide as `HALF` periods of the slower rate; no phase shift, and what the slower rate
     cannot hold is left out.

@@ -26,7 +26,7 @@ class Rows:
         self._list: list[Row] = []
 
     def put(self, row: Row) -> Rows:
-        """Give them with one more; the oldest goes where there are too many."""
+        """Return them with one more; the oldest goes where there are too many."""
         rows = self._list
         if self._count != len(rows) or self._count >= 2 * self.most:
             rows = self.newest()
@@ -36,7 +36,7 @@ class Rows:
         return found
 
     def newest(self) -> list[Row]:
-        """Give them, the oldest first."""
+        """Return them, the oldest first."""
         return self._list[max(0, self._count - self.most) : self._count]
 
     def __eq__(self, other: object) -> bool:

@@ -47,11 +47,11 @@ class Dual:
     __radd__, __rmul__ = __add__, __mul__
 
     def cos(self) -> Dual:
-        """Give the cosine; what `numpy.cos` calls."""
+        """Return the cosine; what `numpy.cos` calls."""
         return Dual(np.cos(self.value), -_wide(np.sin(self.value)) * self.slope)
 
     def sin(self) -> Dual:
-        """Give the sine; what `numpy.sin` calls."""
+        """Return the sine; what `numpy.sin` calls."""
         return Dual(np.sin(self.value), _wide(np.cos(self.value)) * self.slope)
 
     def sum(self, axis: int) -> Dual:

@@ -113,7 +113,7 @@ def operating_points(
 
 
 def _far_side(a: complex, b: complex, k: complex, s1: complex, s2: complex) -> Iterator[tuple[complex, complex]]:
-    """Give V2, V4 of the roots of S1 = V2 (a V2 - b V4 + k)*, S2 = V4 (a V4 - b V2 + k)*."""
+    """Yield V2, V4 of the roots of S1 = V2 (a V2 - b V4 + k)*, S2 = V4 (a V4 - b V2 + k)*."""
     for v2, v4 in product(_alone(a - b, k, s1), _alone(a - b, k, s2)):
         for step in range(1, STEPS + 1):
             v2, v4, rest = _newton(a, b, step / STEPS, k, s1, s2, v2, v4)
@@ -134,7 +134,7 @@ def _alone(a: complex, k: complex, s: complex) -> list[complex]:
 def _newton(
     a: complex, b: complex, share: float, k: complex, s1: complex, s2: complex, v2: complex, v4: complex
 ) -> tuple[complex, complex, float]:
-    """Solve with a share of the coupling, the rest as if both voltages were equal; give the mismatch too."""
+    """Solve with a share of the coupling, the rest as if both voltages were equal; return the mismatch too."""
     own, other = a - b * (1.0 - share), -b * share
 
     def mismatch(v2: complex, v4: complex) -> tuple[complex, complex]:

@@ -116,5 +116,5 @@ def tpbvp(problem: Problem, tolerance: float = 1e-9, start: NDArray[np.float64] 
 
 
 def least_cost(problem: Problem) -> float:
-    """Give the least cost: exactly where the problem knows it, else that of the boundary value problem."""
+    """Return the least cost: exactly where the problem knows it, else that of the boundary value problem."""
     return problem.exact(problem) if problem.exact is not None else tpbvp(problem).cost

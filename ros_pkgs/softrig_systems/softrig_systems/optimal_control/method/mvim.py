@@ -378,7 +378,7 @@ def several(found: Solution) -> str:
 
 
 def enough_stages(problem: Problem, order: int, eps_res: float, most: int = 16) -> int:
-    """Give the least power of two of stages, up to `most`, with which the order reaches; 0 when none does."""
+    """Return the least power of two of stages, up to `most`, with which the order reaches; 0 when none does."""
     stages = 2
     while stages <= most:
         found = solve(problem, order, eps_res=eps_res, stages=stages)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def gauss_legendre(n: int) -> tuple[Array, Array]:
-    """Give nodes and weights on [0, 1], exact for polynomials up to degree 2 n - 1.
+    """Return nodes and weights on [0, 1], exact for polynomials up to degree 2 n - 1.
 
     The zeros of the Legendre polynomial by Newton's method from Tricomi's approximation; its recursion gives the slope.
     """

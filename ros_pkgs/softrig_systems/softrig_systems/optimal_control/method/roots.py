@@ -54,7 +54,7 @@ def starts(alpha: Array) -> list[Array]:
 def distinct(
     alpha: Array, found: Array, error: float, accurate: float, newton: Callable[[Array], tuple[Array, float]]
 ) -> list[Array]:
-    """Give all real roots that are found, `found` first if it is one.
+    """Return all real roots that are found, `found` first if it is one.
 
     Parameters
     ----------

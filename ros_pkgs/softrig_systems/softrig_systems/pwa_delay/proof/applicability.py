@@ -16,7 +16,7 @@ class NotApplicable(ValueError):
 
 
 def require_equilibrium(system: PwaSystem) -> PwaSystem:
-    """Make sure that the origin is an equilibrium of every cell, or shift it there.
+    """Ensure that the origin is an equilibrium of every cell, or shift it there.
 
     Returns
     -------
@@ -50,13 +50,13 @@ def require_equilibrium(system: PwaSystem) -> PwaSystem:
 
 
 def _vanishes(m: Array, z: Array, offset: Array) -> bool:
-    """Whether m z + offset is zero but for rounding, beside the sizes of its own terms: units do not count."""
+    """Return whether m z + offset is zero but for rounding, beside the sizes of its own terms: units do not count."""
     size = np.abs(m).sum(axis=1) * np.abs(z).max(initial=0.0) + np.abs(offset)  # z is right beside its largest entry
     return bool(np.all(np.abs(m @ z + offset) <= ROUNDING * size))
 
 
 def require_no_sliding(system: PwaSystem, h: float, *, samples: int = 200) -> None:
-    """Make sure that the vector field crosses every face on x, by samples.
+    """Ensure that the vector field crosses every face on x, by samples.
 
     On a face c'x = 0, for |x| = 1 and every x_d with |x_d - x| <= h max |x'|, the velocities c'x' on both sides must
     not point at each other nor away from each other. Faces on x_d are crossed by what has already happened.
@@ -94,7 +94,7 @@ def require_no_sliding(system: PwaSystem, h: float, *, samples: int = 200) -> No
 
 
 def _across(system: PwaSystem, i: int, c: Array, x: Array, x_d: Array) -> tuple[float, float]:
-    """Give the velocity c'x' in cell i, and the size of its terms."""
+    """Return the velocity c'x' in cell i, and the size of its terms."""
     A, Ad, a = system.A[i], system.Ad[i], system.a[i]
     size = np.abs(c) @ (np.abs(A) @ np.abs(x) + np.abs(Ad) @ np.abs(x_d) + np.abs(a))
     return float(c @ (A @ x + Ad @ x_d + a)), float(size)

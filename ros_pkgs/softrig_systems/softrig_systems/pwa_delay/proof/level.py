@@ -60,7 +60,7 @@ def level_bound(
 def level_margin(
     *, s: float = 0.5, kL: float = 0.2, kR: float = 0.1, c: float = TANK_C, start: float | None = None
 ) -> float:
-    """Give the largest h (s) with a certified level, 0 when there is none; parameters as of `level_bound`."""
+    """Return the largest h (s) with a certified level, 0 when there is none; parameters as of `level_bound`."""
 
     def certified(h: float) -> bool:
         return level_bound(h, s=s, kL=kL, kR=kR, c=c, start=start).certified

@@ -28,7 +28,7 @@ class Term(NamedTuple):
 
 
 def quadratic(name: str, left: Array, factor: float = 1.0) -> Term:
-    """Give the term factor Left X Left' of a symmetric unknown."""
+    """Return the term factor Left X Left' of a symmetric unknown."""
     return Term(name, 0.5 * factor * left, left)
 
 
@@ -64,7 +64,7 @@ class Eigenvalues(NamedTuple):
 
     @property
     def positive(self) -> bool:
-        """Whether it is positive definite beyond doubt."""
+        """Return whether it is positive definite beyond doubt."""
         return self.smallest > SMALLEST * max(abs(self.largest), abs(self.smallest))
 
 

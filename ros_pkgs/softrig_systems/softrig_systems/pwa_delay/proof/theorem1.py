@@ -115,7 +115,7 @@ def _null_space(A: Array, Ad: Array) -> Array:
 
 
 def _psi(n: int, F: Array, d: float, rate: float) -> list[Term]:
-    """Give the terms of psi_i for h = 1."""
+    """Return the terms of psi_i for h = 1."""
     b1, b2, b3, b4, b5, b6, b7, b8 = (_columns(n, k) for k in range(8))
     none, g, rest = np.zeros_like(b1), 1.0 - rate, 1.0 - d
 
