@@ -363,7 +363,7 @@ class Engine:
     # going --------------------------------------------------------------------------------------------------------
 
     def _go(self, first: int, last: int) -> int:
-        """Answer ticks of the clock from `first` up to `last`, or as far as native code goes; return how far that is."""
+        """Answer ticks of the clock from `first` up to `last`, or as far as native code goes; return how far."""
         rows = self._places(first, last)
         reached, after = self._called(first, first, last, rows)
         if after is None:
