@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from setuptools.config.expand import canonic_data_files
 from softrig_bringup import cli
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import ResultsFolder
@@ -40,7 +41,17 @@ from softrig_bringup.verbs import (
     view_verb,
     viewer,
 )
-from softrig_core import Block, NoOperatingPoint, Recording, Run, RunError, ScenarioError, rig_of, simulate
+from softrig_core import (
+    Block,
+    NoOperatingPoint,
+    Recording,
+    Run,
+    RunError,
+    ScenarioError,
+    load_scenario,
+    rig_of,
+    simulate,
+)
 from softrig_core.scenario.scenario import Draft
 from softrig_core.verdict.findings import Finding
 from softrig_nodes.processes.placement import Listener, Placement
@@ -715,6 +726,18 @@ def test_a_new_package_is_as_told(lag, taken, monkeypatch, capsys):
         assert not [n for n, text in texts.items() if "$name" in text or "${" in text]
     check_told("verbs/new", told)
     assert new.first("/a") == "pip install /a && softrig"
+
+
+def test_a_second_scenario_of_a_package_is_installed_with_it(lag, taken):
+    """By setuptools as colcon runs it, and without a source, which is optional."""
+    folder = new.new_package("my_rig", lag / "x")
+    second = folder / "scenarios" / "my_second.yaml"
+    text = (folder / "scenarios" / "my_rig.yaml").read_text()
+    second.write_text("".join(f"{line}\n" for line in text.splitlines() if not line.startswith("source:")))
+    found = canonic_data_files({"scenarios": ["scenarios/*.yaml"]}, root_dir=folder)
+    assert "share/my_rig/scenarios = scenarios/*.yaml" in (folder / "setup.cfg").read_text()
+    assert found == [("scenarios", ["scenarios/my_rig.yaml", "scenarios/my_second.yaml"])]
+    assert load_scenario(str(second)).source == ""
 
 
 def test_names_of_packages(lag, taken):

@@ -63,7 +63,7 @@ def run_section(directory: Path, run: RunRecord, title: str, heading: str, ancho
             e(heading, title),
             *(e("p", text, class_="what") for text in about),
             e("p", f"{run.system} · ", e("code", what), class_="what"),
-            e("p", run.source, class_="what"),
+            *([e("p", run.source, class_="what")] if run.source else []),
             _facts(run),
             *broken,
         ),

@@ -143,7 +143,7 @@ class Scenario(Entry):
     name: str
     title: str
     system: str
-    source: str
+    source: str = ""
     cites: tuple[str, ...] = ()
     duration: float = Field(gt=0, le=1e9)
     clock: float | str | None = Field(None, description="period in s of a clock that is no plant, also as 1/2880")
