@@ -112,7 +112,7 @@ def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant(scenario, con
 
 def test_the_scenario_of_the_page_takes_an_array_in_place_of_a_law(tmp_path):
     page = (PACKAGES / "softrig_bringup/doc/workspace.md").read_text()
-    (block,) = re.findall(r"((?:^    .*\n)+)", page[page.index("to a `forward_command_controller` can publish") :], re.M)[:1]
+    (block,) = re.findall(r"((?:^    .*\n)+)", page[page.index("to a `forward_command_controller`") :], re.M)[:1]
     (tmp_path / "mine.yaml").write_text(re.sub("^    ", "", block, flags=re.M))
     rig = rig_of(load_scenario(str(tmp_path / "mine.yaml")))
     forward = next(m for m in rig.members if m.name == "forward_command_controller")

@@ -21,10 +21,12 @@ ODD = {
 }
 LATER = {
     "softrig_drives": "bldc_plant current_sensor foc_controller im_foc_controller induction_plant pmsm_plant "
-    "shaft_sensor six_step_controller vhz_controller current_controller dc_axis_plant dc_motor_plant dc_motor_smc_kalman im_plant lsrm_mrac "
+    "shaft_sensor six_step_controller vhz_controller "
+    "current_controller dc_axis_plant dc_motor_plant dc_motor_smc_kalman im_plant lsrm_mrac "
     "lsrm_plant",
     "softrig_power": "dcdc_plant series_controller shunt_controller pv_plant",
-    "softrig_robots": "arm_controller arm_plant impedance manipulator_plant rehab_plant vcs_controller voltage_controller",
+    "softrig_robots": "arm_controller arm_plant impedance manipulator_plant rehab_plant vcs_controller "
+    "voltage_controller",
     "softrig_systems": "aqm_controller ocp_plant pendulum_controller pendulum_plant spacecraft_plant "
     "switched_delay_plant tank_controller tank_plant tcp_fluid tcp_packets two_state_plant",
 }
@@ -37,7 +39,8 @@ TIME = {  # what they do is a function of time, by name or by the grid's angle
 NOT_OPEN = {  # no numbers in, no numbers out, a file or seconds of a solver are needed
     "softrig_bags": "tape",
     "softrig_core": "clock figures",
-    "softrig_control": "c_controller c_plant certificate fault fmu_law fmu_plant pid_controller policy requirement_monitor",
+    "softrig_control": "c_controller c_plant certificate fault fmu_law fmu_plant pid_controller policy "
+    "requirement_monitor",
     "softrig_drives": "dc_motor_uno",
     "softrig_optim": "optimiser",
     "softrig_power": "dispatch_solver fault_locator gpc_controller location_marker mppt_optimizer power_flow pv_curves",

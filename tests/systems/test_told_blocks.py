@@ -70,7 +70,7 @@ def answered(block, values, draw):
 
 def told(package):
     for of, name, block in executables():
-        if of != package or issubclass(block, Solver) or name == "dc_motor_uno":  # the simulator is not on every machine
+        if of != package or issubclass(block, Solver) or name == "dc_motor_uno":  # simavr is not everywhere
             continue
         for values in ({}, *choices(block.Params)):
             head = f"{name} {' '.join(f'{k}={v}' for k, v in values.items())}".rstrip()
