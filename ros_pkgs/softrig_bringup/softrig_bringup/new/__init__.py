@@ -1,1 +1,1 @@
-"""What the verb `new` writes besides packages: laws in other languages, drives from data sheets."""
+"""What the verb `new` writes: a controller in place of another, laws in other languages, drives from data sheets."""

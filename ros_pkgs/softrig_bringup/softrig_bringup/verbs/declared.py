@@ -25,6 +25,12 @@ def verbs(verb: Verb) -> None:
     new = verb("new", "verbs.new:main", "write a package with a plant, a law or both, a scenario and tests")
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
     new.add_argument("--only", choices=("law", "plant"), help="a law for a plant that is there, or a plant by itself")
+    new.add_argument(
+        "--for",
+        dest="scenario",
+        metavar="SCENARIO",
+        help="with --only law: in place of the controller of this scenario, or of its node SCENARIO/NODE",
+    )
     new.add_argument("--language", choices=("c", "c++", "rust"), help="a law in another language than Python")
     new.add_argument("--plant", metavar="KIND", help="a drive from the data sheet of your machine: pmsm")
     new.add_argument(

@@ -19,6 +19,7 @@ from softrig_core import ScenarioError
 from softrig_core.guard import naming
 from softrig_core.scenario.scenario_file import find
 
+from ..new.controller import Replaced, replaced
 from ..new.native import new_native, told
 from ..new.rated import from_data_sheet
 
@@ -47,6 +48,7 @@ KINDS = {
         "${name}_controller.r=0.1",
     ),
     "law": Kind("a control law for a plant that is there", {"law.py": LAW}, ("softrig_drives",), "dc_motor_smc.kp=1.5"),
+    "for": Kind("a controller in place of the one of a scenario", {"for_law.py": LAW}, (), ""),
     "plant": Kind("a plant", {"plant.py": PLANT}, ("softrig_control",), "${name}_plant.m=0.3"),
 }
 
@@ -66,7 +68,7 @@ def _checkout() -> bool:
     return "SOFTRIG_COMMAND" in os.environ
 
 
-def new_package(name: str, parent: Path, kind: str = "both") -> Path:
+def new_package(name: str, parent: Path, kind: str = "both", of: Replaced | None = None) -> Path:
     """Write a package.
 
     Parameters
@@ -76,7 +78,9 @@ def new_package(name: str, parent: Path, kind: str = "both") -> Path:
     parent : Path
         The folder in which its own folder is made.
     kind : str
-        ``both``, ``law`` or ``plant``; see `KINDS`.
+        ``both``, ``law``, ``for`` or ``plant``; see `KINDS`.
+    of : Replaced, optional
+        Of kind ``for``: what it replaces.
 
     Returns
     -------
@@ -106,9 +110,13 @@ def new_package(name: str, parent: Path, kind: str = "both") -> Path:
             f"    {name}_{module} = {name}.{module}:{CLASSES[module]}.main" for module in sorted(modules)
         ),
         "executable": f"{name}_{modules[0]}",
-        "depends": "\n".join(f"  <exec_depend>{package}</exec_depend>" for package in made.depends),
         "change": Template(made.change).substitute(name=name),
     }
+    depends = made.depends
+    if of is not None:
+        depends = (of.package,)
+        values |= {"change": of.change, **of.values}
+    values["depends"] = "\n".join(f"  <exec_depend>{package}</exec_depend>" for package in depends)
     source = files("softrig_bringup") / "template"
     texts = {
         Template(to).substitute(values): Template((source / f"{file}.template").read_text(encoding="utf-8"))
@@ -157,19 +165,36 @@ def main(options: argparse.Namespace) -> int:
     if options.rated and not options.plant:
         raise ScenarioError("--rated: needs `--plant pmsm`")
     if options.plant:
-        if options.only or options.language:
-            raise ScenarioError("--plant: writes a scenario; leave --only and --language out")
+        if options.only or options.language or options.scenario:
+            raise ScenarioError("--plant: writes a scenario; leave --only, --for and --language out")
         print(from_data_sheet(options.name, options.into, options.plant, options.rated, command()))
         return 0
     if options.language:
+        if options.scenario:
+            raise ScenarioError("--for: writes Python; leave --language out")
         if options.only == "plant":
             raise ScenarioError("--only plant: `--language` writes a law; c_plant runs a plant in C")
         scenario = new_native(options.name, folder_of(options.name, options.into), options.language, command())
         print(told(scenario, options.language, command()))
         return 0
+    if options.scenario:
+        if options.only != "law":
+            raise ScenarioError("--for: writes a controller; give `--only law`, too")
+        return _in_place_of(options)
     folder = new_package(options.name, options.into, options.only or "both")
     shown = shlex.quote(os.path.relpath(folder))
     others = "; `--only law` or `--only plant` writes that alone" if not options.only else ""
     print(f"wrote {shown}: {KINDS[options.only or 'both'].what}, a scenario, tests, README.md{others}; now:")
     print(f"  {first(shown)} run {options.name}")
+    return 0
+
+
+def _in_place_of(options: argparse.Namespace) -> int:
+    """Write a controller that stands in for the one of a scenario."""
+    of = replaced(options.scenario, options.name)
+    shown = shlex.quote(os.path.relpath(new_package(options.name, options.into, "for", of)))
+    scenario, node = of.values["extended"], of.values["node"]
+    others = f"; others: {', '.join(f'`--for {scenario}/{other}`' for other in of.others)}" if of.others else ""
+    print(f"wrote {shown}: a controller in place of {node} of {scenario}, a scenario, tests, README.md{others}; now:")
+    print(f"  {first(shown)} run {options.name} --mode inprocess")
     return 0

@@ -1,0 +1,77 @@
+"""A controller of one's own for each system: its package is written, has the ports of the one that it replaces."""
+
+import subprocess
+
+import pytest
+import yaml
+from docs.outline import GALLERY, ROOT
+from softrig_bringup.cli import main
+from softrig_bringup.new.controller import replaced
+from softrig_core import ScenarioError, list_scenarios, load_scenario, rig_of
+
+# the scenario of a system that bears another name than the system
+NAMED = {
+    "tcp_aqm": "tcp_aqm_smc",
+    "fault_location": "fault_location_500kv",
+    "economic_dispatch": "economic_dispatch_wood",
+    "optimal_control_mvim": "optimal_control_mvim_wie",
+    "pwa_delay": "pwa_delay_p3",
+}
+
+
+@pytest.mark.parametrize("system", GALLERY)
+def test_each_system_has_a_controller_to_replace_by_one_with_its_ports(system, tmp_path, capsys):
+    scenario = NAMED.get(system, system)
+    assert main(["new", "my_law", "--only", "law", "--for", scenario, "--into", str(tmp_path)]) == 0
+    folder = tmp_path / "my_law"
+    written = yaml.safe_load((folder / "scenarios" / "my_law.yaml").read_text())
+    rig = rig_of(load_scenario(scenario))
+    ((node, entry),) = written["nodes"].items()
+    member = next(m for m in rig.members if m.name == node)
+    space = {"__name__": "my_law.controller"}
+    text = (folder / "my_law" / "controller.py").read_text()
+    exec(compile(text, "controller.py", "exec"), space)
+    assert issubclass(space["Controller"], member.block_class)
+    assert entry.get("parameters", {}) == rig.scenario.model_dump(mode="json")["nodes"][node]["parameters"]
+    for port in (*member.inputs, *member.outputs):
+        assert f"- {port.name}, " in text
+    again = load_scenario(str(folder / "scenarios" / "my_law.yaml"))
+    assert (again.expect.keys(), again.figures.keys()) == (rig.scenario.expect.keys(), rig.scenario.figures.keys())
+    compile((folder / "test" / "test_my_law.py").read_text(), "test_my_law.py", "exec")
+
+
+@pytest.mark.long
+@pytest.mark.processes
+@pytest.mark.timeout(900)
+def test_each_of_them_meets_what_is_expected_of_the_controller_that_it_replaces(tmp_path):
+    for system in GALLERY:
+        name = f"my_{system}"
+        assert main(["new", name, "--only", "law", "--for", NAMED.get(system, system), "--into", str(tmp_path)]) == 0
+    softrig = [ROOT / "scripts" / "softrig", "--workspace", tmp_path]
+    for system in GALLERY:
+        run = [*softrig, "run", f"my_{system}", "--mode", "inprocess", "--no-plots", "--no-record"]
+        done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, (system, done.stdout, done.stderr)
+    tests = [*softrig, "python", "-m", "pytest", "-q", tmp_path / "my_dc_motor_smc"]
+    assert subprocess.run(tests, cwd=tmp_path, timeout=300).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        ("pwa_delay_hayes", "it has no controller to replace"),
+        ("dc_motor_fsfb/fsfb", "no controller of it; it has fsfb_controller, fieldbus_delay"),
+        ("dc_motor_fsfb/dc_axis_plant", "no controller of it; it has fsfb_controller, fieldbus_delay"),
+        ("dc_motor_sms", "scenario 'dc_motor_sms' is unknown"),
+    ],
+)
+def test_what_cannot_be_replaced_is_refused(wanted, said):
+    with pytest.raises(ScenarioError) as error:
+        replaced(wanted, "my_law")
+    assert said in str(error.value)
+
+
+def test_a_node_that_is_named_is_the_one_that_is_replaced():
+    assert replaced("lsrm_fuzzy/speed_controller", "my_law").values["class"] == "LsrmFuzzy"
+    assert replaced("lsrm_fuzzy", "my_law").others == ("speed_controller",)
+    assert {*NAMED.values()} <= {*list_scenarios()}
