@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -378,8 +379,11 @@ def _law(rig: Rig, name: str) -> Member:
 def _without(law: Member, value: Any) -> Any:
     """Copy plain data with the numbers of a law in place of references to its parameters."""
     if isinstance(value, str):
-        own = value.startswith(f"${law.name}.")
-        return fill_parameters(value, lambda _, name: pick(flatten(law.params), name)) if own else value
+        reference = rf"\${re.escape(law.name)}\.([\w.]+)"
+        if re.fullmatch(reference, value):
+            return fill_parameters(value, lambda _, name: pick(flatten(law.params), name))
+        # in a formula or in arithmetic: in brackets, as it may be below zero
+        return re.sub(reference, lambda found: f"({pick(flatten(law.params), found[1])!r})", value)
     if isinstance(value, Mapping):
         return {k: _without(law, v) for k, v in value.items()}
     return [_without(law, v) for v in value] if isinstance(value, list | tuple) else value
