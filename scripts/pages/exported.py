@@ -16,7 +16,7 @@ from softrig_core.export.st_files import executed
 from softrig_core.native.value import NotNative
 
 ROWS = 500  # calls of the run, and as many with drawn inputs
-FOLDED = "<details><summary>{count} classes, {c} as C, {st} as structured text</summary>\n\n{table}\n</details>\n"
+FOLDED = "<details>\n<summary>{count} classes, {c} as C, {st} as structured text</summary>\n\n{table}\n</details>\n"
 
 
 def exported(names: list[str]) -> str:

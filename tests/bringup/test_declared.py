@@ -27,6 +27,8 @@ SOURCES = {  # modules that another name brings
     "ruamel": "ruamel.yaml",
     "typing_extensions": "typing-extensions",
     "PIL": "pil",
+    "elftools": "pyelftools",
+    "serial": "pyserial",
     "pinocchio": "pin",
     "llvmlite": "numba",
     "backports": "backports.zstd",
@@ -77,7 +79,7 @@ def test_every_key_exists():
 def test_every_import_is_declared(folder):
     extras = {name for requirements in PROJECT["optional-dependencies"].values() for name in requirements}
     declared = depends(folder / "package.xml")
-    used = imports(folder) - extras
+    used = {name for name in imports(folder) if SOURCES.get(name, name) not in extras}
     assert {name for name in used if not keys(name) & declared} == set()
     python = {key for key in declared if key in {*KEYS["system"], *KEYS["pip"], *OWN}}
     assert python <= set().union(*map(keys, used))

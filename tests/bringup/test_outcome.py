@@ -259,5 +259,7 @@ def test_a_page_leads_with_what_was_asked_and_the_answer(name, keys, space):
 
 def test_the_history_of_a_search_is_the_least_margin_so_far(space):
     (ax,) = history(found(space)).axes
-    assert ax.lines[0].get_xydata().tolist() == [[1.0, 1.0], [2.0, -0.25]]
-    assert ax.lines[1].get_ydata() == [0.0, 0.0]
+    (margins,) = ax.lines
+    (violated,) = (item for item in ax.items if type(item).__name__ == "Rule")
+    assert (margins.x.tolist(), margins.y.tolist()) == ([1.0, 2.0], [1.0, -0.25])
+    assert (violated.axis, violated.at) == ("y", 0.0)

@@ -40,6 +40,7 @@ SOLVER = "a solver of others (IPOPT, SCS, SuperLU), which brings its own algebra
 INTEGERS = "sums and products of Python's integers and fractions, which do not round"
 SCALAR = "scipy's scalar search or quadrature, or a tridiagonal solve: no kernels chosen by CPU"
 EXEMPT = {
+    "softrig_control.c_member": COUNT,
     "softrig_control.fmu.description": COUNT,
     "softrig_control.fmu.instance": COUNT,
     "softrig_control.predictive.certificate": CHECK,

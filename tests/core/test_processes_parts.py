@@ -840,6 +840,7 @@ def test_a_node_declares_its_parameters_and_those_of_its_run_that_fit_another_on
         "epoch": 0,
         "paused": False,
         "pace": 0.0,
+        "link": "",
     }
     assert not node.declared["run.pace"][1]  # it may change
     assert node._parameters["run.paired"].type_ == Parameter.Type.STRING_ARRAY
