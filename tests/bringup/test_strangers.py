@@ -11,7 +11,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 from softrig_bringup.cli import main
+from softrig_bringup.new.native import new_native
 from softrig_bringup.options import brought, cargo, packed, sandbox, signature, trust
 from softrig_bringup.options.identity import asked_half, recorded_half
 from softrig_bringup.options.packed import About
@@ -254,6 +256,49 @@ def test_what_would_run_is_listed_by_its_true_name(sources, tmp_path):
     digest = packed.digest_of(fmu)[:16]
     assert lines[1] == rf"FMU scenario/0a/\u043cotor.dat: binaries/linux64/m\u202eos.so, sha256 {digest}"
     assert all(line.isascii() for line in lines)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt-get install gcc")
+def test_a_node_in_c_is_code_and_whoever_looks_compiles_none_of_it(tmp_path, capsys, monkeypatch):
+    """A flag of a compiler can start a program, so a scenario that names sources is code before it is compiled."""
+    monkeypatch.chdir(tmp_path)
+    new_native("law", tmp_path / "law", "c", "softrig")
+    assert main(["run", "law/law.yaml", "--mode", "inprocess", "--no-plots", "--out", "run"]) == 0
+    assert main(["pack", "run", "--out", "sound.zip"]) == 0
+    touched = tmp_path / "touched"
+    with zipfile.ZipFile("sound.zip") as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    flags = f"      flags: [-wrapper, 'sh,-c,touch {touched}']\n      header: "
+    files["scenario/law.yaml"] = files["scenario/law.yaml"].replace(b"      header: ", flags.encode(), 1)
+    files["pack.json"] = json.dumps(json.loads(files["pack.json"]) | {"files": {}})
+    file = zipped(tmp_path / "x.zip", files)
+    folder = packed.opened(file)
+    (line,) = cargo.cargo_of(folder, packed.about(folder))
+    source = next(folder.glob("scenario/*/law.c"))
+    assert line.startswith("node law: C, ")
+    assert f"{source.relative_to(folder)} (sha256 {packed.digest_of(source)[:16]})" in line
+    assert line.endswith(f"flag -wrapper, flag sh,-c,touch {touched}")
+    capsys.readouterr()
+    assert main(["report", str(file)]) == 0
+    assert "the code of law had to run" in capsys.readouterr().err
+    assert main(["draw", "plot", str(file), "--format", "svg", "--out", "pictures"]) == 0
+    assert main(["pack", str(file)]) == 2
+    assert run(file) == 2
+    assert "its code runs only when somebody confirms it" in capsys.readouterr().err
+    assert not touched.exists()
+    assert run(file, "--trust") == 2  # the program that the flag starts is no compiler
+    assert touched.exists()
+
+
+@pytest.mark.parametrize("port", ["program:/bin/true", "/dev/ttyACM0"])
+def test_a_board_in_a_pack_is_listed(port, sources, tmp_path):
+    name = f"scenario/{NAME}.yaml"
+    scenario = yaml.safe_load(sources[name])
+    node = next(iter(scenario["nodes"]))
+    scenario["nodes"][node]["link"] = {"port": port, "firmware": "x"}
+    text = yaml.safe_dump(scenario)
+    folder = packed.opened(zipped(tmp_path / "x.zip", {"pack.json": about()} | sources | {name: text}))
+    assert list(cargo.cargo_of(folder, packed.about(folder)))[-1] == f"node {node}: a board at {port}"
 
 
 @pytest.mark.parametrize("listed", [True, False])

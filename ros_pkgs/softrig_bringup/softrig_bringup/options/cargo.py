@@ -1,4 +1,4 @@
-"""What of a pack is code: its packages and FMUs, read as data and listed by their true names before anything runs."""
+"""What of a pack is code: packages, FMUs, C members and boards, listed by true names before anything of it runs."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ _POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _TARGET = re.compile(r"(\w+)((?:\.\w+)*):(\w+(?:\.\w+)*)", re.ASCII)
 _COMPILED = {".pyc", ".pyo", ".pth"}
 _MACHINE = {".so", ".dll", ".dylib", ".pyd"}
+_C = {("softrig_control", "c_controller"), ("softrig_control", "c_plant")}
 
 
 @dataclass(frozen=True)
@@ -85,18 +86,30 @@ class Unit:
 
 
 @dataclass(frozen=True)
+class Native:
+    """A node that runs code without a package: C that is compiled or loaded, or a board or simulator at a port."""
+
+    node: str
+    runs: str
+
+    def __str__(self) -> str:
+        return f"node {self.node}: {self.runs}"
+
+
+@dataclass(frozen=True)
 class Cargo:
     """All code of a pack; `kept_out` are packages of its names that are installed here and run in their place."""
 
     packages: tuple[Package, ...] = ()
     units: tuple[Unit, ...] = ()
+    natives: tuple[Native, ...] = ()
     kept_out: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(self.packages or self.units)
+        return bool(self.packages or self.units or self.natives)
 
     def __iter__(self) -> Iterator[str]:
-        yield from map(str, (*self.packages, *self.units))
+        yield from map(str, (*self.packages, *self.units, *self.natives))
 
 
 def true_name(text: str) -> str:
@@ -128,12 +141,35 @@ def cargo_of(folder: Path, said: About) -> Cargo:
         for f in files
         if (f.is_relative_to(folder / SCENARIO) or brought & {*f.parents}) and (found := _binaries(f)) is not None
     ]
-    return Cargo(tuple(packages), tuple(units), tuple(kept_out))
+    return Cargo(tuple(packages), tuple(units), tuple(_natives(folder)), tuple(kept_out))
 
 
 def brings(folder: Path, said: About) -> list[str]:
-    """List the packages that a scenario's nodes need and that only the pack has."""
-    return [n for n in said.packages if (folder / PACKAGES / n).is_dir() and not _is_rig_package(n)]
+    """List whose code only the pack has: packages that its nodes need, and nodes that run C or a board."""
+    packages = [n for n in said.packages if (folder / PACKAGES / n).is_dir() and not _is_rig_package(n)]
+    return [*packages, *dict.fromkeys(native.node for native in _natives(folder))]
+
+
+def _natives(folder: Path) -> Iterator[Native]:
+    """Yield what the nodes of a pack's scenarios run; compiler flags count, for a flag can start a program."""
+    for file in sorted((folder / SCENARIO).glob("*.yaml")):
+        scenario = load_scenario(str(file))
+        for node, entry in scenario.nodes.items():
+            if entry.link is not None:
+                yield Native(node, f"a board at {true_name(entry.link.port)}")
+            elif (entry.package, entry.executable) in _C:
+                found = filter(None, (_within(text, folder) for text in _texts(entry.parameters)))
+                files = [f"{true_name(str(p.relative_to(folder)))} (sha256 {digest_of(p)[:LETTERS]})" for p in found]
+                flags = [f"flag {true_name(text)}" for text in _texts(entry.parameters.get("flags", ()))]
+                yield Native(node, ", ".join(["C", *files, *flags]))
+
+
+def _within(text: str, folder: Path) -> Path | None:
+    """Return the file of a pack that a parameter names; None where it names none."""
+    if not text or len(text) >= 4096 or "\0" in text:
+        return None
+    found = (folder / SCENARIO / text).resolve()
+    return found if found.is_file() and found.is_relative_to(folder) else None
 
 
 def _binaries(path: Path) -> tuple[str, ...] | None:

@@ -58,7 +58,7 @@ def admitted(options: argparse.Namespace) -> int | None:
         _confirm(path, cargo, who, options.trust)
         if (command := sandbox.command(options)) is not None:
             return sandbox.run(command)
-    if cargo.units:
+    if cargo.units or cargo.natives:
         os.environ[STRANGE] = "1"
     bring(folder.name, cargo.packages)
     return None

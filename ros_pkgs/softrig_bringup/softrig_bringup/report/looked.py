@@ -16,6 +16,7 @@ from softrig_bags.tape import written
 from softrig_core import Port, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.block.port import CLOCK, XYZ
 from softrig_core.rig.rig import members_of
+from softrig_core.scenario.scenario import NodeEntry
 from softrig_core.verdict.figures import Result
 from softrig_core.wire.signals import full_name
 from softrig_core.wire.types import TYPES
@@ -42,8 +43,9 @@ def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:
     if not (folder / BAG).is_dir():
         raise ScenarioError("no bag in it; `softrig run --like` makes it again")
     found = signals(folder / BAG)
-    if brings(folder, said):
-        return _shown(scenario, folder, found), found
+    if names := brings(folder, said):
+        ours = {n: e for n, e in scenario.nodes.items() if e.package.startswith("softrig_") and n not in names}
+        return _shown(scenario, folder, found, ours), found
     return rig_of(scenario), found
 
 
@@ -128,10 +130,10 @@ def _content(folder: Path) -> dict[str, Any]:
 # a rig of nothing but what was recorded ------------------------------------------------------------------------------
 
 
-def _shown(scenario: Scenario, folder: Path, found: BagSignals) -> Rig:
+def _shown(scenario: Scenario, folder: Path, found: BagSignals, ours: Mapping[str, NodeEntry]) -> Rig:
     """Create a rig of one node that says what the bag has; of the scenario only the plots stay that it can show."""
     units = {name: str(one.get("unit", "")) for name, one in _units(folder).items()}
-    ports = [written(port) for port in _ports(scenario, found, units)]
+    ports = [written(port) for port in _ports(scenario, found, units, ours)]
     if not ports:
         raise ScenarioError(f"{scenario.name}: no topic in its bag that can be shown without its code")
     tape = {"package": "softrig_bags", "executable": "tape", "parameters": {"period": 0.001, "bag": str(folder / BAG),
@@ -156,10 +158,12 @@ def _units(folder: Path) -> Mapping[str, Mapping[str, Any]]:
         return {}
 
 
-def _ports(scenario: Scenario, found: BagSignals, units: Mapping[str, str]) -> Iterator[Port]:
+def _ports(
+    scenario: Scenario, found: BagSignals, units: Mapping[str, str], ours: Mapping[str, NodeEntry]
+) -> Iterator[Port]:
     """Yield a port for each topic that was recorded: as a node of ours has it, or as its messages are."""
     known: dict[str, Port] = {}
-    if ours := {n: e for n, e in scenario.nodes.items() if e.package.startswith("softrig_")}:
+    if ours:
         alone = scenario.having(nodes=ours, changes=(), containers=(), trips=(), faults={})
         known = {p.topic: p for m in members_of(alone, {}) for p in (*m.inputs, *m.outputs)}
     for name, topic in found.recording.topics.items():
