@@ -1,10 +1,12 @@
 """Native loops: the bits of plain Python, a cache that knows what is in it, and nothing imported before its use."""
 
+import enum
 import math
 import os
 import subprocess
 import sys
 import textwrap
+import types
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -204,6 +206,38 @@ def test_one_s_own_function_may_be_called_as_one_that_is_refused():
     with pytest.raises(ValueError, match="uses mean, which native code"):
         jit(lambda a: a.mean())
     assert jit(lambda x: np.abs(x))(-2.0) == 2.0
+
+
+SCALE = "@jit\ndef f(x):\n    return x * {}\n"
+LARGE = "D = np.zeros(5000)\nD[2000] = {}\n"
+
+
+@pytest.mark.parametrize(
+    ("inner", "outer"),
+    [
+        (SCALE, "@jit\ndef g(x):\n    return p.h.f(x)\n"),
+        ("C = {}", "@jit\ndef g(x):\n    return x + p.h.C\n"),
+        (f"{LARGE}C = (D, 1.0)", "C = p.h.C\n@jit\ndef g(x):\n    return x + C[0][2000]\n"),
+        (LARGE, "@jit\ndef g(x, y=p.h.D):\n    return x + y[2000]\n"),
+        ("C = {}", "@jit\ndef g(x, *, y=p.h.C):\n    return x + y\n"),
+        ("class M(enum.Enum):\n    A = {}\n", "M = p.h.M\n@jit\ndef g(x):\n    return x + M.A.value\n"),
+        ("@numba.njit\ndef f(x):\n    return x * {}\n", "f = p.h.f\n@jit\ndef g(x):\n    return f(x)\n"),
+    ],
+    ids=["function", "constant", "array in a tuple", "default", "by name", "enum", "of numba"],
+)
+def test_all_that_a_function_reaches_is_part_of_its_digest(inner, outer):
+    """Else the cache would hand out the machine code of what it was before."""
+
+    def digest(value):
+        p, h, whole = types.ModuleType("p"), types.ModuleType("h"), types.ModuleType("whole")
+        p.h, h.p = h, p
+        vars(h).update(jit=jit, np=np, enum=enum, numba=pytest.importorskip("numba"))
+        vars(whole).update(jit=jit, p=p)
+        exec(inner.format(value), vars(h))
+        exec(outer, vars(whole))
+        return whole.g.digest()
+
+    assert digest(2.0) == digest(2.0) != digest(4.0)
 
 
 def test_functions_in_closures_and_as_arguments():

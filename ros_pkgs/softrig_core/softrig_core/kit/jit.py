@@ -18,12 +18,13 @@ import os
 import sys
 import types
 from collections.abc import Callable, Iterator
+from enum import EnumType
 from functools import lru_cache, update_wrapper
 from typing import Any, NamedTuple, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
 MOST_PARTS = 100  # of the arguments of a call
-HOW = b"borrowed"  # it is compiled: another word here, and nothing is taken from the cache that was compiled otherwise
+HOW = b"borrowed: parts"  # how it is compiled: with another word here nothing older is taken from the cache
 
 _NUMPY = """abs array ceil empty empty_like float64 floor full inf int64 isfinite isinf isnan maximum minimum nan
 ndarray ones ones_like pi sign sqrt trunc zeros zeros_like"""
@@ -261,7 +262,7 @@ def _tokens(function: Callable[..., Any], seen: set[int]) -> Iterator[str]:
     if id(function) in seen:
         return
     seen.add(id(function))
-    yield repr(function.__defaults__)
+    yield from tokens_of((function.__defaults__, tuple(sorted((function.__kwdefaults__ or {}).items()))), seen)
     names: set[str] = set()
     for code in _codes(function.__code__):
         yield code.co_code.hex()
@@ -271,22 +272,34 @@ def _tokens(function: Callable[..., Any], seen: set[int]) -> Iterator[str]:
     cells = [cell.cell_contents for cell in function.__closure__ or ()]
     known = [function.__globals__[name] for name in sorted(names) if name in function.__globals__]
     for value in [*cells, *known]:
-        if isinstance(value, types.ModuleType):
-            yield value.__name__
-            for attribute in sorted(names):
-                if hasattr(value, attribute):
-                    yield from tokens_of(getattr(value, attribute), seen)
-        else:
-            yield from tokens_of(value, seen)
+        yield from _reached(value, sorted(names), seen)
+
+
+def _reached(value: Any, names: list[str], seen: set[int]) -> Iterator[str]:
+    """Yield the tokens of a constant, or of all that a function may reach by these attributes of a module."""
+    if not isinstance(value, types.ModuleType):
+        yield from tokens_of(value, seen)
+    elif id(value) not in seen:
+        seen.add(id(value))
+        yield value.__name__
+        for name in names:  # of a module in it, too: `package.module.function(x)`
+            if hasattr(value, name):
+                yield from _reached(getattr(value, name), names, seen)
 
 
 def tokens_of(value: Any, seen: set[int]) -> Iterator[str]:
     """Yield what of a constant, or of a function and all that it calls, decides what native code does with it."""
-    if isinstance(value, Jit):
+    if isinstance(value, Jit) or hasattr(value, "py_func"):  # a function of ours, or one that numba has compiled
         yield from _tokens(value.py_func, seen)
     elif hasattr(value, "tobytes") and not isinstance(value, type):  # an array or a number, not np.int64 itself
         yield f"{value.dtype}{value.shape}{value.tobytes().hex()}"
+    elif isinstance(value, tuple):  # part by part: of a large array `repr` shows its corners
+        yield f"{type(value).__qualname__}{getattr(value, '_fields', '')}{len(value)}"
+        for part in value:
+            yield from tokens_of(part, seen)
     elif hasattr(value, "__qualname__"):
         yield f"{value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"
-    elif isinstance(value, (bool, int, float, complex, str, tuple, type(None))):
+        if isinstance(value, EnumType):
+            yield repr([(name, member.value) for name, member in value.__members__.items()])
+    elif isinstance(value, (bool, int, float, complex, str, type(None))):
         yield repr(value)
