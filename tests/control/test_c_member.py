@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from softrig_bringup.new.native import new_native
 from softrig_control.c_member.nodes import CController, CParams
+from softrig_control.c_member.ports import described
 from softrig_core import (
     ByHand,
     ParameterError,
@@ -308,3 +309,12 @@ def test_its_own_build_and_test_pass(language: str, tmp_path: Path) -> None:
             pytest.skip(f"needs {command[0]}: apt-get install {command[0]}")
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"period_s": [1e999, 1], "ports": 3}', '{"period_s": [1, 0], "ports": []}']
+)
+def test_a_description_that_is_none_is_refused_in_a_line(text, tmp_path):
+    (tmp_path / "law.json").write_text(text)
+    with pytest.raises(ValueError, match=r"^law\.json describes no node: .*; expected what `softrig export c` writes$"):
+        described(tmp_path / "law.json")

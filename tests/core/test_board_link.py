@@ -326,3 +326,13 @@ def test_a_link_costs_little_beside_the_bare_port(firmware):
         os.close(there)
     print(f"{statistics.median(rounds):.2f} times the bare port; {layout.step.size} bytes of values to the board")
     assert statistics.median(rounds) <= 1.5
+
+
+@pytest.mark.parametrize("port", ["file", "folder", "/dev/null", "/dev/zero"])
+def test_what_is_no_serial_port_is_refused_at_once(port, tmp_path):
+    pytest.importorskip("serial")
+    (tmp_path / "file").write_text("no port")
+    (tmp_path / "folder").mkdir()
+    name = port if port.startswith("/") else str(tmp_path / port)
+    with pytest.raises(ScenarioError, match=r"^link: .* is no serial port; expected one such as /dev/ttyACM0$"):
+        opened(name, 115200)

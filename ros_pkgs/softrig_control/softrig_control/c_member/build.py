@@ -261,7 +261,7 @@ def _looked_into(library: Path, wanted: Sequence[str]) -> Hidden | None:
                     "static one is not offered)"
                 )
             return _hidden(elf, tables)
-    except (ELFError, UnicodeDecodeError) as error:
+    except (ELFError, UnicodeDecodeError, AttributeError, LookupError, TypeError, OverflowError) as error:
         raise ValueError(f"{library} is no shared library ({error or 'not ELF'})") from None
 
 

@@ -64,7 +64,7 @@ def described(file: Path) -> Described:
             tuple(sides["out"]),
             {name: found["parameters"][name] for name in found["settable"]},
         )
-    except (KeyError, TypeError, ValueError, ZeroDivisionError, AttributeError, UnicodeDecodeError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise ValueError(f"{file.name} describes no node: {what}; expected what `softrig export c` writes") from None
 

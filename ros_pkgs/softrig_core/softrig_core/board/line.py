@@ -277,9 +277,8 @@ class Line:
             return
         self._asked, self._tries = None, 0
         if frame.values[:1] != b"\0":
-            raise RunError(
-                f"the board at {self.port} refuses its {self._stage.name.lower()} (status {frame.values[0]})"
-            )
+            status = str(frame.values[0]) if frame.values else "missing"
+            raise RunError(f"the board at {self.port} refuses its {self._stage.name.lower()} (status {status})")
         if self._stage is Kind.RESET and self._params:
             self._stage = Kind.PARAMS
         else:

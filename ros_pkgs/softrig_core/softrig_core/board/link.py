@@ -124,7 +124,8 @@ class Linked(Block):
         told = line.counts.told()
         answer = self._live(line, values) if self.realtime else self._paired(line, x.k, values)
         if answer is not None and len(answer) != self._layout.answer.size:
-            raise RunError(f"the board at {line.port} refuses a step (status {answer[0]})")
+            refused = str(answer[0]) if answer else "missing"
+            raise RunError(f"the board at {line.port} refuses a step (status {refused})")
         found = None if answer is None else self._layout.answer.unpack(answer)
         status = "no answer" if found is None else "" if found[0] == DONE else f"the board gave up (status {found[0]})"
         if status and not self.realtime:

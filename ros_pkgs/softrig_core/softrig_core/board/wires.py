@@ -150,10 +150,26 @@ def opened(port: str, baud: int) -> Wire:
     try:
         device = serial.Serial(port, baud, timeout=0, exclusive=True)
     except serial.SerialException as error:
+        if Path(port).exists() and not _is_terminal(port):
+            raise ScenarioError(f"link: {port} is no serial port; expected one such as /dev/ttyACM0") from None
         raise OSError(error.errno or 0, str(error)) from error
     except ValueError as error:
         raise ScenarioError(f"link: {port}: {error}") from None
     return FileWire(device, device.fileno())
+
+
+def _is_terminal(port: str) -> bool:
+    """Return whether a file may be a serial port; one that cannot be opened now may be."""
+    if not Path(port).is_char_device():
+        return False
+    try:
+        file = os.open(port, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError:
+        return True
+    try:
+        return os.isatty(file)
+    finally:
+        os.close(file)
 
 
 def _command(kind: str, file: Path) -> list[str]:

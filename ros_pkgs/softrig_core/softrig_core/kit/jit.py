@@ -300,6 +300,7 @@ def tokens_of(value: Any, seen: set[int]) -> Iterator[str]:
     elif hasattr(value, "__qualname__"):
         yield f"{value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"
         if isinstance(value, EnumType):
-            yield repr([(name, member.value) for name, member in value.__members__.items()])
+            members = cast(dict[str, Any], value.__members__)
+            yield repr([(name, member.value) for name, member in members.items()])
     elif isinstance(value, (bool, int, float, complex, str, type(None))):
         yield repr(value)
