@@ -901,12 +901,12 @@ def test_workers_are_forked_where_nothing_would_be_lost(tmp_path, threads):
     script = FORKED
     if threads:
         script = FORKED.replace(
-            "    made.append", "    import threading; threading.Thread(target=input).start()\n    made.append"
+            "    made.append",
+            "    import threading as th; th.Thread(target=th.Event().wait, daemon=True).start()\n    made.append",
         )
     (tmp_path / "study.py").write_text(script)
     done = subprocess.run(
         [sys.executable, "study.py", *threads],
-        input="\n" * bool(threads),
         capture_output=True,
         text=True,
         cwd=tmp_path,
