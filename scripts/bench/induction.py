@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import os
 import statistics
-import subprocess
 import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import numpy as np
 from softrig_core import Recording, Rig, Signals, load_scenario, rig_of, run_inprocess
 
 from .induction_peers import LEGS
+from .peers import asked
 from .timing import cpu
 
 ROUNDS = 3
 MANY = 10_000  # runs, for which native code is worth its making
-_OURS = ("PYTHONPATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")  # not for another Python
 PEERS = {
     "motulator": "motulator, fed our switching, rtol 1e-3",
     "motulator-tight": "motulator, fed our switching, rtol 1e-8",
@@ -41,11 +38,6 @@ def switching(seconds: float) -> tuple[list[int], Signals]:
     return [LEGS.index(tuple(row)) for row in legs.tolist()], signals
 
 
-def clean_environment() -> dict[str, str]:
-    """Return the environment for another Python: without what is set for ours."""
-    return {k: v for k, v in os.environ.items() if k not in _OURS}
-
-
 def peer(name: str, vectors: list[int], python: str = sys.executable) -> Mapping[str, float] | None:
     """Run one case of `induction_peers` with the given Python.
 
@@ -54,19 +46,7 @@ def peer(name: str, vectors: list[int], python: str = sys.executable) -> Mapping
     mapping or None
         What it printed; None when that Python does not have the simulator.
     """
-    done = subprocess.run(
-        [python, str(Path(__file__).with_name("induction_peers.py")), name],
-        input=json.dumps(vectors),
-        text=True,
-        capture_output=True,
-        env=clean_environment(),
-        check=False,
-    )
-    if done.returncode and "ModuleNotFoundError" in done.stderr:
-        return None
-    if done.returncode:
-        raise RuntimeError(f"{name}: {done.stderr.strip().splitlines()[-1]}")
-    found: dict[str, float] = json.loads(done.stdout)
+    found: dict[str, float] | None = asked("induction_peers", name, vectors, python, name)
     return found
 
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
 import sys
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import Recording, Signals, load_scenario, rig_of, run_inprocess
 
-from .induction import MANY, clean_environment
+from .induction import MANY
+from .peers import asked
 from .timing import cpu
 
 MACHINES = {"pmsm_foc": "pmsm_plant", "im_foc": "induction_plant"}
@@ -44,19 +42,7 @@ def duty_ratios(name: str, seconds: float) -> tuple[dict[str, Any], Signals]:
 
 def peer(given: dict[str, Any], python: str) -> dict[str, Any] | None:
     """Run `machines_peers` with another Python; None when that does not have motulator."""
-    done = subprocess.run(
-        [python, str(Path(__file__).with_name("machines_peers.py"))],
-        input=json.dumps(given),
-        text=True,
-        capture_output=True,
-        env=clean_environment(),
-        check=False,
-    )
-    if done.returncode and "ModuleNotFoundError" in done.stderr:
-        return None
-    if done.returncode:
-        raise RuntimeError(f"motulator: {done.stderr.strip().splitlines()[-1]}")
-    found: dict[str, Any] = json.loads(done.stdout)
+    found: dict[str, Any] | None = asked("machines_peers", "motulator", given, python)
     return found
 
 

@@ -8,7 +8,6 @@ all monitors are then what is computed here, from the nodes' parameters alone, o
 function that takes something from the rig is measured on a recording, for every change, against a second computation.
 """
 
-import ast
 import inspect
 import math
 import re
@@ -353,13 +352,7 @@ def argument(value, nodes, shared):
         return repr(nodes.all[node][rest] if rest in nodes.all[node] else nodes.all[node][head][int(number)])
 
     if isinstance(value, str) and value.startswith("$"):
-        return (
-            ast.literal_eval(said(re.match(r"^\$([\w.]+)$", value)))
-            if re.match(r"^\$[\w.]+$", value)
-            else eval(
-                re.sub(r"\$([\w.]+)", said, value)  # arithmetic, by Python
-            )
-        )
+        return eval(re.sub(r"\$([\w.]+)", said, value))  # a reference, or arithmetic with some, by Python
     return value
 
 

@@ -7,7 +7,6 @@ import os
 import platform
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from importlib import resources
@@ -17,7 +16,7 @@ from typing import NamedTuple
 from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
-from softrig_core.kit.compiled import FLAGS, cache_folder
+from softrig_core.kit.compiled import FLAGS, kept
 
 from .layout import LayoutError, Leaf, Struct, structs
 
@@ -112,7 +111,7 @@ def compiled(sources: Sequence[Path], flags: Sequence[str]) -> Path:
     def make(product: Path) -> None:
         _ran([main, *FLAGS, "-g1", *flags, *map(str, sources), "-o", str(product), "-lm"], sources[0], product.parent)
 
-    return _kept(f"{sources[0].stem}-{content.hexdigest()[:32]}.so", make)
+    return kept(f"{sources[0].stem}-{content.hexdigest()[:32]}.so", make)
 
 
 def built(library: Path, header: Path, prefix: str, plant: bool, flags: Sequence[str] = ()) -> Built:
@@ -134,7 +133,7 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
     digest = hashlib.sha256(content).hexdigest()
     methods = PLANT if plant else STEP
     hidden = _looked_into(library, [f"{prefix}_{name}" for name in ("init", *methods)])
-    copy = _kept(f"{library.stem.split('-')[0]}-{digest[:32]}.so", lambda product: _write(product, content))
+    copy = kept(f"{library.stem.split('-')[0]}-{digest[:32]}.so", lambda product: _write(product, content))
     own = compiler()
     text = _ran([own, "-E", "-P", *flags, str(header)], header).decode(errors="replace")
     found = _structs(header, prefix, flags, text)
@@ -160,23 +159,11 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
 
         return compile_
 
-    shared = _kept(f"shim_{prefix}-{key}.so", make("-fPIC", "-shared"))
-    program = _kept(f"shim_{prefix}-{key}", make("-DSR_PROGRAM"))
+    shared = kept(f"shim_{prefix}-{key}.so", make("-fPIC", "-shared"))
+    program = kept(f"shim_{prefix}-{key}", make("-DSR_PROGRAM"))
     # a file for each library: two of one layout must not share what their shims have bound
-    own_shim = _kept(f"shim_{prefix}-{key}{digest[:16]}.so", lambda product: _write(product, shared.read_bytes()))
+    own_shim = kept(f"shim_{prefix}-{key}{digest[:16]}.so", lambda product: _write(product, shared.read_bytes()))
     return Built(copy, own_shim, program, found, hidden, digest)
-
-
-def _kept(name: str, make: Callable[[Path], None]) -> Path:
-    """Return a file of the cache; made first where it is not there, and moved into place whole."""
-    folder = cache_folder()
-    place = folder / name
-    if not place.exists():
-        with tempfile.TemporaryDirectory(dir=folder) as scratch:
-            product = Path(scratch, "product")
-            make(product)
-            product.replace(place)
-    return place
 
 
 def _write(product: Path, content: bytes) -> None:
@@ -216,7 +203,7 @@ def _structs(header: Path, prefix: str, flags: tuple[str, ...], text: str) -> di
         )
 
     try:
-        found = structs(_kept(f"types_{prefix}-{digest}.o", make), prefix)
+        found = structs(kept(f"types_{prefix}-{digest}.o", make), prefix)
     except LayoutError as error:
         raise ValueError(f"{header.name}: {error}") from None
     for role, name in (("state", prefix), ("in", f"{prefix}_in"), ("out", f"{prefix}_out")):

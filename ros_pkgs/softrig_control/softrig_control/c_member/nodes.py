@@ -13,6 +13,7 @@ from softrig_core import Block, BlockParams, Level, ParameterError, Plant, Port,
 from softrig_core.kit.confined import STRANGE
 from softrig_core.run.purity import HIDDEN
 
+from ..channels import frames_of
 from .build import PLANT, STEP, Built, built, compiled
 from .history import History, Row, Told
 from .law import Apart, Called, Here, wrong
@@ -131,13 +132,7 @@ class CParams(BlockParams):
         leaves, struct = self.struct(role).leaves, f"{self.node}_{role}"
         if self.described is not None:
             return fitted(self.described.outputs if role == "out" else self.described.inputs, leaves, struct)
-        frames = {}
-        for entry in self.vectors:
-            topic, equals, frame = (part.strip() for part in entry.partition("="))
-            if not equals:
-                raise ValueError(f"vectors: {entry!r}: expected TOPIC = FRAME")
-            frames[topic] = frame
-        return table(entries, leaves, struct, role == "out", self.trajectories, frames, self.held)
+        return table(entries, leaves, struct, role == "out", self.trajectories, frames_of(self.vectors), self.held)
 
 
 class CPlantParams(CParams):

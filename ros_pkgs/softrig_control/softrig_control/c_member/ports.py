@@ -8,14 +8,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from softrig_core import Port, joint_state, reference, vector3
-from softrig_core.block.port import XYZ
+from softrig_core import Port
 from softrig_core.errors import closest
 from softrig_core.wire.types import TYPES
 
+from ..channels import FIELDS, port_of
 from .layout import Leaf
 
-FIELDS = ("position", "velocity", "acceleration", "effort", "vector")
 HAS = "has_"  # before the name of a port: whether it has a value
 ENTRY = re.compile(
     r"(?P<topic>\S+)/(?P<channel>[^\s/\[]+)/(?P<field>[a-z]+)\s*\[(?P<unit>[^\]]*)\]\s*=\s*(?P<name>\S+)"
@@ -167,7 +166,15 @@ def table(
             raise ValueError(f"held: {topic!r} is no topic of inputs; they are {_list(topics)}")
     ports, places = [], dict[str, tuple[int, int]]()
     for k, (topic, cells) in enumerate(topics.items()):
-        port = _port(topic, cells, outward, topic in trajectories, frames.get(topic), topic in held and not outward)
+        port = port_of(
+            topic,
+            cells,
+            outward,
+            topic in trajectories,
+            frames.get(topic),
+            words=("vectors", "member"),
+            held=topic in held and not outward,
+        )
         for (channel, field), (_, name) in cells.items():
             places[name] = (k, port.fields.index(field) * len(port.channels) + port.channels.index(channel))
         if (flag := HAS + re.sub(r"\W", "_", topic)) in names:
@@ -176,38 +183,6 @@ def table(
     if strange := flags - places.keys():
         raise ValueError(f"{struct}.{min(strange)} belongs to no topic; expected has_ and a topic with _ for /")
     return Side(tuple(ports), tuple(places[name] for name in names))
-
-
-def _port(
-    topic: str,
-    cells: Mapping[tuple[str, str], tuple[str, str]],
-    outward: bool,
-    trajectory: bool,
-    frame: str | None,
-    held: bool,
-) -> Port:
-    name = "to_" * outward + re.sub(r"\W", "_", topic)
-    fields = [f for f in FIELDS if any(f == field for _, field in cells)]
-    channels = list(dict.fromkeys(channel for channel, _ in cells))
-    allowed = ("vector",) if frame is not None else FIELDS[:3] if trajectory else ("position", "velocity", "effort")
-    if wrong := [f for f in fields if f not in allowed]:
-        raise ValueError(
-            f"{topic}: no field {wrong[0]} in its messages, expected {', '.join(allowed)}; topics of "
-            "JointTrajectory are named in trajectories, those of Vector3Stamped in vectors"
-        )
-    if frame is not None:
-        if set(channels) - set(XYZ):
-            raise ValueError(f"{topic}: channels {', '.join(channels)}, expected x, y and z")
-        channels = list(XYZ)
-    missing = [f"{topic}/{c}/{f}" for f in fields for c in channels if (c, f) not in cells]
-    if missing and outward and frame is None:
-        raise ValueError(f"{topic}: the message carries {', '.join(missing)} as well; name a member for each")
-    units = {f: [cells[c, f][0] if (c, f) in cells else "" for c in channels] for f in fields}
-    if frame is not None:
-        return vector3(name, topic, frame, units["vector"], held=held)
-    if trajectory:
-        return reference(name, topic, channels, **units, held=held)  # type: ignore[arg-type]
-    return joint_state(name, topic, channels, **units, held=held)  # type: ignore[arg-type]
 
 
 def values_of(

@@ -6,12 +6,11 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from softrig_core import Port, joint_state, reference, vector3
-from softrig_core.block.port import XYZ
+from softrig_core import Port
 
+from ..channels import FIELDS, port_of
 from .description import Description, Variable, conversion
 
-FIELDS = ("position", "velocity", "acceleration", "effort", "vector")
 _ENTRY = re.compile(
     r"(?P<topic>\S+)/(?P<channel>[^\s/\[]+)/(?P<field>[a-z]+)\s*(\[(?P<unit>[^\]]*)\])?\s*=\s*(?P<name>\S.*)"
 )
@@ -100,7 +99,9 @@ def mapped(
         raise ValueError("inputs: a variable is named twice")
     ports, places = [], []
     for k, (topic, cells) in enumerate(topics.items()):
-        port = _port(topic, cells, outward, topic in trajectories, frames.get(topic))
+        port = port_of(
+            topic, cells, outward, topic in trajectories, frames.get(topic), words=("frames", "variable"), safe=_safe
+        )
         names = port.channels
         for (channel, field), (_, variable, turn) in cells.items():
             places.append(Place(variable, k, port.fields.index(field) * len(names) + names.index(channel), *turn))
@@ -109,38 +110,6 @@ def mapped(
         if not re.fullmatch(r"\S+", given):
             raise ValueError(f"{given!r} is no topic")
     return Mapped(tuple(ports), tuple(places))
-
-
-def _port(
-    topic: str,
-    cells: Mapping[tuple[str, str], tuple[str, Variable, tuple[float, float]]],
-    outward: bool,
-    trajectory: bool,
-    frame: str | None,
-) -> Port:
-    name = "to_" * outward + re.sub(r"\W", "_", topic)
-    fields = [f for f in FIELDS if any(f == field for _, field in cells)]
-    channels = list(dict.fromkeys(channel for channel, _ in cells))
-    allowed = ("vector",) if frame is not None else FIELDS[:3] if trajectory else ("position", "velocity", "effort")
-    if wrong := [f for f in fields if f not in allowed]:
-        raise ValueError(
-            f"{topic}: no field {wrong[0]} in its messages, expected {', '.join(allowed)}; topics of "
-            "JointTrajectory are named in trajectories, those of Vector3Stamped in frames"
-        )
-    if frame is not None:
-        if set(channels) - set(XYZ):
-            raise ValueError(f"{topic}: channels {', '.join(channels)}, expected x, y and z")
-        channels = list(XYZ)
-    missing = [f"{topic}/{c}/{f}" for f in fields for c in channels if (c, f) not in cells]
-    if missing and outward and frame is None:
-        raise ValueError(f"{topic}: the message carries {', '.join(missing)} as well; name a variable for each")
-    units = {f: [cells[c, f][0] if (c, f) in cells else "" for c in channels] for f in fields}
-    safe = tuple(_safe(cells[c, f]) if (c, f) in cells else 0.0 for f in fields for c in channels)
-    if frame is not None:
-        return vector3(name, topic, frame, units["vector"], safe=safe)
-    if trajectory:
-        return reference(name, topic, channels, **units, safe=safe)  # type: ignore[arg-type]
-    return joint_state(name, topic, channels, **units, safe=safe)  # type: ignore[arg-type]
 
 
 def _safe(cell: tuple[str, Variable, tuple[float, float]]) -> float:

@@ -14,6 +14,7 @@ from softrig_core import Block, BlockParams, Level, ParameterError, Plant, Port,
 from softrig_core.block.schedule import Schedule, rational
 from softrig_core.kit.confined import STRANGE
 
+from ..channels import frames_of
 from .description import Description, Variable, describe, unpacked
 from .instance import Cell, Instance, Plan, Refusal
 from .mapping import Mapped, mapped, start_values
@@ -76,13 +77,7 @@ class FmuParams(BlockParams):
         return self._mapped(self.outputs, True)
 
     def _mapped(self, entries: tuple[str, ...], outward: bool) -> Mapped:
-        frames = {}
-        for entry in self.vectors:
-            topic, equals, frame = (part.strip() for part in entry.partition("="))
-            if not equals:
-                raise ValueError(f"vectors: {entry!r}: expected TOPIC = FRAME")
-            frames[topic] = frame
-        return mapped(self.unit, entries, outward, self.trajectories, frames)
+        return mapped(self.unit, entries, outward, self.trajectories, frames_of(self.vectors))
 
 
 def _cell(variable: Variable) -> Cell:

@@ -24,7 +24,7 @@ from ..run.expand import rig_of
 from ..run.inprocess import record, wired
 from ..run.simulate import Run
 from ..scenario.port_text import ports_text, reader
-from ..scenario.references import fill_parameters, pick
+from ..scenario.references import pick
 from ..scenario.scenario import NodeEntry, Scenario
 from ..timebase import SECOND
 from ..verdict.requirements import names_of
@@ -379,9 +379,9 @@ def _law(rig: Rig, name: str) -> Member:
 def _without(law: Member, value: Any) -> Any:
     """Copy plain data with the numbers of a law in place of references to its parameters."""
     if isinstance(value, str):
-        reference = rf"\${re.escape(law.name)}\.([\w.]+)"
-        if re.fullmatch(reference, value):
-            return fill_parameters(value, lambda _, name: pick(flatten(law.params), name))
+        reference = rf"(?<!\$)\${re.escape(law.name)}\.([\w.]+)"
+        if whole := re.fullmatch(reference, value):
+            return pick(flatten(law.params), whole[1])
         # in a formula or in arithmetic: in brackets, as it may be below zero
         return re.sub(reference, lambda found: f"({pick(flatten(law.params), found[1])!r})", value)
     if isinstance(value, Mapping):

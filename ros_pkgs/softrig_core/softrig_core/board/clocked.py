@@ -13,7 +13,7 @@ from ..block.port import Port
 from ..entry import Entry
 from ..errors import RunError, ScenarioError
 from ..runners import find_runner
-from .link import LinkState
+from .elsewhere import Elsewhere, LinkState
 
 
 class ClockEntry(Entry):
@@ -44,7 +44,7 @@ class ClockEntry(Entry):
     start_timeout: float = Field(300.0, gt=0.0, le=1e6)
 
 
-class Clocked(Block):
+class Clocked(Elsewhere):
     """Answers each tick by what a node publishes when its clock is advanced to it."""
 
     ENTRY: ClassVar[ClockEntry]
@@ -61,18 +61,6 @@ class Clocked(Block):
         super().setup()
         self._guests: list[Any] = []
 
-    def first(self) -> LinkState:
-        """Begin before the first tick."""
-        return LinkState()
-
-    def go_on(self, x: LinkState, before: Any) -> LinkState:
-        """Go on; the node has its own parameters."""
-        return x
-
-    def params(self, x: LinkState) -> Any:
-        """Return the parameters as they were set."""
-        return self.p
-
     def save(self, x: LinkState) -> Any:
         """Refuse: the state is in the node.
 
@@ -85,10 +73,6 @@ class Clocked(Block):
     def health(self, x: LinkState) -> Mapping[str, str]:
         """Return who answers."""
         return {"answers": self._guests[0].who if self._guests else "not there yet"}
-
-    def markers(self, x: LinkState) -> tuple[()]:
-        """Draw nothing: what the block knows is in the node."""
-        return ()
 
     def update(self, x: LinkState, t: int, **inputs: Any) -> tuple[LinkState, Mapping[str, Any]]:
         """Hand the inputs over, advance the node's clock to t, and return its answer.

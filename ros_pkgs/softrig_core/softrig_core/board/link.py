@@ -9,12 +9,13 @@ import struct
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from ..block.block import Block, Level, Plant
 from ..block.params import flatten
 from ..block.port import Sample
 from ..errors import RunError, ScenarioError
+from .elsewhere import Elsewhere, LinkState
 from .entry import LinkEntry, absolute_port
 from .frames import Kind
 from .layout import Layout
@@ -25,14 +26,7 @@ PART = 0.5  # of its period that a node waits for its board in real time
 DONE, GAVE_UP = 0, 1
 
 
-class LinkState(NamedTuple):
-    """How many ticks the board has answered; of a plant what the next one moves it on with: time, and its inputs."""
-
-    k: int = 0
-    moved: tuple[Any, ...] = ()
-
-
-class Linked(Block):
+class Linked(Elsewhere):
     """Answers each tick by what a board says.
 
     In lockstep a frame is sent again until it is answered, and the answer is that of one step. In real time the answer
@@ -70,18 +64,6 @@ class Linked(Block):
         text = json.dumps(cls.FIRMWARE, sort_keys=True)
         return {**super().contents(params), "firmware": hashlib.sha256(text.encode()).hexdigest()}
 
-    def first(self) -> LinkState:
-        """Begin a session with the first tick."""
-        return LinkState()
-
-    def go_on(self, x: LinkState, before: Any) -> LinkState:
-        """Send the changed parameters before the next tick; the state is the board's."""
-        return x
-
-    def params(self, x: LinkState) -> Any:
-        """Return the parameters as they were set; the board moves none."""
-        return self.p
-
     def save(self, x: LinkState) -> Any:
         """Refuse: the state is on the board.
 
@@ -101,10 +83,6 @@ class Linked(Block):
             return {"board": "not connected yet"}
         line = self._lines[0]
         return {"board": f"{self.ENTRY.port}, {line.counts.sent} frames; {line.counts.told() or 'all answered'}"}
-
-    def markers(self, x: LinkState) -> tuple[()]:
-        """Draw nothing: what the block knows is on the board."""
-        return ()
 
     def asked(self, x: LinkState, t: int, row: list[Any]) -> Mapping[str, Any]:
         """Return what the board answers to a tick.

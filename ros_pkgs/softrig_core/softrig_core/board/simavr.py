@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
 from pathlib import Path
 
 from ..errors import ScenarioError
-from ..kit.compiled import cache_folder
+from ..kit.compiled import kept
 
 DEBIAN = "apt-get install gcc simavr libsimavr-dev libelf-dev"
 FLAGS = ("-std=gnu11", "-O2", "-ffp-contract=off")
@@ -52,18 +51,34 @@ def compiled(files: Mapping[str, str], libraries: Sequence[str], name: str, debi
     compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
     if compiler is None:
         raise ScenarioError(f"{name} needs a C compiler (Debian: {debian})")
-    content = "\0".join((*FLAGS, *libraries, *(f"{file}\0{text}" for file, text in sorted(files.items()))))
-    program = cache_folder() / f"{name}-{hashlib.sha256(content.encode()).hexdigest()[:32]}"
-    if program.exists():
-        return program
-    with tempfile.TemporaryDirectory(dir=program.parent) as scratch:
+    try:
+        return made_of(files, compiler, FLAGS, libraries, name)
+    except subprocess.CalledProcessError as error:
+        reason = next((line for line in error.stderr.splitlines() if "error" in line), error.stderr[-300:])
+        raise ScenarioError(f"{name} cannot be compiled ({reason.strip()}; Debian: {debian})") from None
+
+
+def made_of(files: Mapping[str, str], compiler: str, flags: Sequence[str], libraries: Sequence[str], name: str) -> Path:
+    """Return what a compiler makes of some files, from the cache if they are the same.
+
+    Parameters
+    ----------
+    name : str
+        Of the product; a suffix stays behind the digest in it.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        The compiler refuses the files; with what it says in `stderr`.
+    """
+    stem, suffix = Path(name).stem, Path(name).suffix
+    content = "\0".join((*flags, *libraries, *(f"{file}\0{text}" for file, text in sorted(files.items()))))
+
+    def make(product: Path) -> None:
         for file, text in files.items():
-            Path(scratch, file).write_text(text)
+            product.with_name(file).write_text(text)
         sources = [file for file in files if file.endswith(".c")]
-        command = [compiler, *FLAGS, "-o", "product", *sources, *libraries, "-lm"]
-        done = subprocess.run(command, cwd=scratch, capture_output=True, text=True, check=False)
-        if done.returncode:
-            reason = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[-300:])
-            raise ScenarioError(f"{name} cannot be compiled ({reason.strip()}; Debian: {debian})")
-        Path(scratch, "product").replace(program)
-    return program
+        command = [compiler, *flags, "-o", product.name, *sources, *libraries, "-lm"]
+        subprocess.run(command, cwd=product.parent, capture_output=True, text=True, check=True)
+
+    return kept(f"{stem}-{hashlib.sha256(content.encode()).hexdigest()[:32]}{suffix}", make)

@@ -18,7 +18,7 @@ import struct
 import subprocess
 import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -187,11 +187,31 @@ def cache_folder() -> Path:
     return folder
 
 
+def kept(name: str, make: Callable[[Path], object]) -> Path:
+    """Return a file of the cache, made first if it is not there.
+
+    Parameters
+    ----------
+    name : str
+        With a digest of all that decides the content.
+    make : callable
+        Writes the file that it is handed, which is alone in a folder. It is moved into place whole, so that any number
+        of processes may make the same one at the same time.
+    """
+    folder = cache_folder()
+    place = folder / name
+    if not place.exists():
+        with tempfile.TemporaryDirectory(dir=folder) as scratch:
+            product = Path(scratch, "product")
+            make(product)
+            product.replace(place)
+    return place
+
+
 def build(function: ca.Function) -> Path | None:
     """Compile a casadi function unless the cache has it.
 
-    The file is named by a digest of the C source, the flags and the compiler's path, size and date, and
-    moved into place whole, so that any number of processes may build the same function at the same time.
+    The file is named by a digest of the C source, the flags and the compiler's path, size and date; see `kept`.
 
     Returns
     -------
@@ -206,18 +226,16 @@ def build(function: ca.Function) -> Path | None:
     used = Path(compiler).stat()
     content = "\0".join((source, *FLAGS, compiler, str(used.st_size), str(used.st_mtime_ns)))
     digest = hashlib.sha256(content.encode()).hexdigest()[:32]
+
+    def make(product: Path) -> None:
+        code = product.with_name(f"{function.name()}.c")
+        code.write_text(source)
+        subprocess.run(
+            [compiler, *FLAGS, str(code), "-o", str(product), "-lm"], check=True, capture_output=True, text=True
+        )
+
     try:
-        folder = cache_folder()
-        library = folder / f"{function.name()}-{digest}.so"
-        if library.exists():
-            return library
-        with tempfile.TemporaryDirectory(dir=folder) as scratch:
-            code, product = Path(scratch, f"{function.name()}.c"), Path(scratch, "product.so")
-            code.write_text(source)
-            subprocess.run(
-                [compiler, *FLAGS, str(code), "-o", str(product), "-lm"], check=True, capture_output=True, text=True
-            )
-            product.replace(library)
+        return kept(f"{function.name()}-{digest}.so", make)
     except (OSError, subprocess.CalledProcessError) as error:
         reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[-1]
         warnings.warn(
@@ -225,7 +243,6 @@ def build(function: ca.Function) -> Path | None:
             stacklevel=3,
         )
         return None
-    return library
 
 
 @lru_cache(maxsize=64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import re
@@ -17,11 +16,10 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from softrig_core import BlockParams, Plant, param, to_ns
-from softrig_core.board.simavr import compiled
+from softrig_core.board.simavr import compiled, made_of
 from softrig_core.errors import RunError, ScenarioError
 from softrig_core.export.command import export_c
 from softrig_core.firmware.check import DEBIAN
-from softrig_core.kit.compiled import cache_folder
 from softrig_core.run.expand import rig_of
 
 from .model import MotorConstants, SensorConstants
@@ -228,17 +226,7 @@ def built(files: Mapping[str, str], name: str) -> Path:
     compiler = shutil.which("avr-gcc")
     if compiler is None:
         raise ScenarioError(f"avr-gcc is not installed (Debian: {DEBIAN})")
-    content = "\0".join((*AVR, *(f"{file}\0{text}" for file, text in sorted(files.items()))))
-    firmware = cache_folder() / f"{name}-{hashlib.sha256(content.encode()).hexdigest()[:32]}.elf"
-    if firmware.exists():
-        return firmware
-    with tempfile.TemporaryDirectory(dir=firmware.parent) as scratch:
-        for file, text in files.items():
-            Path(scratch, file).write_text(text)
-        sources = [file for file in files if file.endswith(".c")]
-        command = [compiler, *AVR, "-o", "product.elf", *sources, "-lm"]
-        done = subprocess.run(command, cwd=scratch, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise ScenarioError(f"avr-gcc refuses {name}: {done.stderr.strip()[-1500:]}")
-        Path(scratch, "product.elf").replace(firmware)
-    return firmware
+    try:
+        return made_of(files, compiler, AVR, (), f"{name}.elf")
+    except subprocess.CalledProcessError as error:
+        raise ScenarioError(f"avr-gcc refuses {name}: {error.stderr.strip()[-1500:]}") from None

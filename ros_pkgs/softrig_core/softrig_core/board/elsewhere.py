@@ -1,0 +1,34 @@
+"""A block whose state is not in this process: on a board, or in a node of somebody else."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from ..block.block import Block
+
+
+class LinkState(NamedTuple):
+    """How many ticks are answered; of a plant on a board what the next one moves it on with: time, and its inputs."""
+
+    k: int = 0
+    moved: tuple[Any, ...] = ()
+
+
+class Elsewhere(Block):
+    """Stands in the place of a block; of its state it knows the number of ticks."""
+
+    def first(self) -> LinkState:
+        """Begin before the first tick."""
+        return LinkState()
+
+    def go_on(self, x: LinkState, before: Any) -> LinkState:
+        """Keep the state: changed parameters are sent to where it is, or are not of this process."""
+        return x
+
+    def params(self, x: LinkState) -> Any:
+        """Return the parameters as they were set; no state moves one."""
+        return self.p
+
+    def markers(self, x: LinkState) -> tuple[()]:
+        """Draw nothing: what the block knows is elsewhere."""
+        return ()
