@@ -43,6 +43,7 @@ FOREIGN = {
         "cortex_m",
         "a node as firmware of a Cortex-M that joins a rig",
     ),
+    "export dbc": ("softrig_core.firmware.command", "dbc", "the ports of a node as signals of a CAN bus (a DBC)"),
     "export st": (
         "softrig_core.export.st_files",
         "main",

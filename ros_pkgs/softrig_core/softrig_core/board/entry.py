@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from ..entry import Entry
 from ..errors import ScenarioError
 
 SIMULATORS = ("simavr", "qemu", "program")
+CAN = "can:"
 
 
 class LinkEntry(Entry):
@@ -20,19 +22,27 @@ class LinkEntry(Entry):
     Parameters
     ----------
     port : str
-        File of a serial port, or ``simavr:FILE.elf``, ``qemu:FILE.elf``, ``program:FILE``.
-    baud : int
-        Bits a second of a serial port.
+        File of a serial port, or ``simavr:FILE.elf``, ``qemu:FILE.elf``, ``program:FILE``; or
+        ``can:INTERFACE/CHANNEL``, a CAN bus by an interface of python-can.
+    baud : int, optional
+        Bits a second: of a serial port 115200, of a CAN bus as python-can or the system has it, when absent.
     firmware : str
-        Folder or JSON file that ``softrig export`` wrote; the board must have this build.
+        Folder or JSON file that ``softrig export`` wrote; the board must have this build. On a CAN bus the DBC.
     timeout : float
         s until a frame is sent again; a board that is silent for 16 times as long ends a lockstep run.
     """
 
     port: str = Field(min_length=1)
-    baud: int = Field(115200, ge=300, le=4_000_000)
+    baud: int | None = Field(None, ge=300, le=4_000_000)
     firmware: str = Field(min_length=1)
     timeout: float = Field(0.5, gt=0.0, le=60.0, allow_inf_nan=False)
+
+    @field_validator("port")
+    @classmethod
+    def _whole(cls, port: str) -> str:
+        if port.startswith(CAN) and not re.fullmatch(r"can:\w+/.+", port):
+            raise ValueError("expected can:INTERFACE/CHANNEL, as in can:socketcan/can0")
+        return port
 
 
 def absolute_port(port: str) -> str:
@@ -42,7 +52,7 @@ def absolute_port(port: str) -> str:
 
 
 def require_own_ports(entries: Mapping[str, LinkEntry], where: str) -> None:
-    """Ensure that no two nodes have the same port.
+    """Ensure that no two nodes have the same port; on a CAN bus, the same identifier.
 
     Raises
     ------
@@ -50,9 +60,20 @@ def require_own_ports(entries: Mapping[str, LinkEntry], where: str) -> None:
     """
     seen: dict[str, str] = {}
     for node, entry in entries.items():
+        for port, what in _owned(node, entry):
+            if port in seen:
+                raise ScenarioError(f"{where}: nodes {seen[port]} and {node} have one {what}; give each its own")
+            seen[port] = node
+
+
+def _owned(node: str, entry: LinkEntry) -> list[tuple[str, str]]:
+    """Return what only one node may have, and its name for errors."""
+    if not entry.port.startswith(CAN):
         port = os.path.realpath(entry.port) if entry.port.startswith("/") else absolute_port(entry.port)
-        if port in seen:
-            raise ScenarioError(
-                f"{where}: nodes {seen[port]} and {node} have one port, {entry.port}; give each its own"
-            )
-        seen[port] = node
+        return [(port, f"port, {entry.port}")]
+    try:
+        text = Path(entry.firmware).read_text(encoding="cp1252", errors="replace")  # as DBC files are written
+    except OSError:  # reported where the file is read
+        return []
+    ids = re.findall(rf"(?m)^BO_ (\d+) {re.escape(node)}_(?:to|from)_\d+ *:", text)
+    return [(f"{entry.port} {i}", f"CAN identifier, {int(i) & 0x1FFFFFFF:#x} at {entry.port}") for i in ids]

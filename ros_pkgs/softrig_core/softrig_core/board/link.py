@@ -22,6 +22,7 @@ from .layout import Layout
 from .line import Build, Line
 from .wires import opened
 
+BAUD = 115200  # bits a second of a serial port
 PART = 0.5  # of its period that a node waits for its board in real time
 DONE, GAVE_UP = 0, 1
 
@@ -40,7 +41,7 @@ class Linked(Elsewhere):
     def setup(self) -> None:
         """Prepare the frames; the port is opened with the first tick."""
         super().setup()
-        self._lines: list[Line] = []
+        self._lines: list[Any] = []
         inputs, outputs = self.ports(self.p)
         settable = _settable(self.FIRMWARE, self.p)
         single = self.FIRMWARE["real"] == "float"
@@ -97,14 +98,9 @@ class Linked(Elsewhere):
         RunError
             Lockstep: the board does not answer, or its code has given the tick up.
         """
-        values = _packed(self._layout.step, row)
         line = self._connected(x)
         told = line.counts.told()
-        answer = self._live(line, values) if self.realtime else self._paired(line, x.k, values)
-        if answer is not None and len(answer) != self._layout.answer.size:
-            refused = str(answer[0]) if answer else "missing"
-            raise RunError(f"the board at {line.port} refuses a step (status {refused})")
-        found = None if answer is None else self._layout.answer.unpack(answer)
+        found = self._heard(line, x, row)
         status = "no answer" if found is None else "" if found[0] == DONE else f"the board gave up (status {found[0]})"
         if status and not self.realtime:
             raise RunError(f"{status}: an error in the block, or a number beyond the limit of its port")
@@ -116,7 +112,7 @@ class Linked(Elsewhere):
         self.withdraw("board")
         return self._layout.outputs_of(found)
 
-    def _connected(self, x: LinkState) -> Line:
+    def _connected(self, x: LinkState) -> Any:
         """Return the line, whose next request begins a session where the block is at its first state."""
         if not self._lines:
             self._lines.append(_line(self.ENTRY, self._build))
@@ -126,6 +122,15 @@ class Linked(Elsewhere):
             line.served = -1, b"", b""
             line.accepted = self._params
         return line
+
+    def _heard(self, line: Any, x: LinkState, row: list[Any]) -> tuple[Any, ...] | None:
+        """Return status and outputs as the board answers them; None without an answer in time."""
+        values = _packed(self._layout.step, row)
+        answer = self._live(line, values) if self.realtime else self._paired(line, x.k, values)
+        if answer is not None and len(answer) != self._layout.answer.size:
+            refused = str(answer[0]) if answer else "missing"
+            raise RunError(f"the board at {line.port} refuses a step (status {refused})")
+        return None if answer is None else self._layout.answer.unpack(answer)
 
     def _live(self, line: Line, values: bytes) -> bytes | None:
         wait = min(self.ENTRY.timeout, PART * self.p.period)
@@ -260,9 +265,10 @@ _lines: dict[tuple[int, str, int], Line] = {}  # of this process: a port is open
 
 
 def _line(entry: LinkEntry, build: Build) -> Line:
-    key = os.getpid(), entry.port, entry.baud
+    baud = entry.baud or BAUD
+    key = os.getpid(), entry.port, baud
     line = _lines.get(key)
     if line is None:
-        line = _lines[key] = Line(entry.port, lambda: opened(entry.port, entry.baud), build, entry.timeout)
+        line = _lines[key] = Line(entry.port, lambda: opened(entry.port, baud), build, entry.timeout)
     line.build, line.timeout = build, entry.timeout
     return line

@@ -1,4 +1,4 @@
-"""The verbs ``softrig export arduino`` and ``softrig export cortex-m``."""
+"""The verbs ``softrig export arduino``, ``softrig export cortex-m`` and ``softrig export dbc``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..board.dbc import printed
 from ..command_line import Parser
+from ..errors import ScenarioError
+from ..export.golden import member_of
 from ..run.expand import rig_of
 from .check import DEBIAN, checked
 from .files import BAUD, export_firmware
@@ -33,6 +36,29 @@ def cortex_m(arguments: Sequence[str]) -> int:
     parser.add_argument("--check", action="store_true", help="build NODE.elf, run it in qemu and compare")
     options = parser.parse_args(arguments)
     return _exported(options, options.core)
+
+
+def dbc(arguments: Sequence[str]) -> int:
+    """Be the verb ``export dbc``."""
+    parser = Parser(prog="softrig export dbc", description="The ports of a node as the signals of a CAN bus.")
+    parser.add_argument("scenario", help="name or YAML file")
+    parser.add_argument("node", metavar="NODE", help="of the scenario")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the DBC (./NODE.dbc)")
+    parser.add_argument("--id", default="0x100", help="identifier of the first message (0x100); the next ones follow")
+    options = parser.parse_args(arguments)
+    try:
+        first_id = int(options.id, 0)
+    except ValueError:
+        first_id = -1
+    if first_id < 0:
+        raise ScenarioError(f"--id {options.id}: expected a whole number from 0 to 0x7ff")
+    member = member_of(rig_of(options.scenario), options.node)
+    text = printed(member.name, *member.block_class.ports(member.params), first_id)
+    file = options.out or Path(f"{options.node}.dbc")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(text.encode("cp1252", "replace"))
+    print(f"{file}: {text.count(chr(10) + 'BO_ ')} messages, {text.count(chr(10) + ' SG_ ')} signals")
+    return 0
 
 
 def _parser(verb: str, description: str) -> Parser:
