@@ -49,8 +49,8 @@ KINDS = {
     ),
     "lab": (
         "Laboratory",
-        "Measurements of single days: speed, starts, the strength of the tests.",
-        ("placements_measured", "native_measured", "tests"),
+        "Measurements of single days: speed, starts, memory, strength of the tests.",
+        ("placements_measured", "native_measured", "bags_measured", "speed", "tests"),
     ),
 }  # fmt: skip
 

@@ -123,7 +123,7 @@ KINDS = {
     "with other counts in its metadata": lambda run, place: edited(
         whole(place / "counts"), "message_count: 10", "message_count: 12"
     ),
-    "of types that nobody knows": lambda run, place: of_mcap(place / "unknown_type/x.mcap"),
+    "of unknown types": lambda run, place: of_mcap(place / "unknown_type/x.mcap"),
     "of JSON": lambda run, place: of_mcap(place / "json/x.mcap", encoding="json"),
     "without messages": lambda run, place: BagWriter(place / "empty").close() or place / "empty",
     "no bag": lambda run, place: (place / "nothing").mkdir() or place / "nothing",
