@@ -1,5 +1,6 @@
-"""A node on a CAN bus: the DBC of its ports, limits before the cast, and a rig with a controller on a virtual bus."""
+"""A node on a CAN bus: the DBC of its ports, limits before the cast, a disturbed bus, a rig with a controller."""
 
+import random
 import threading
 from dataclasses import replace
 from itertools import count
@@ -7,16 +8,24 @@ from itertools import count
 import pytest
 from softrig_core import ScenarioError, rig_of, simulate
 from softrig_core.block.port import scalars
-from softrig_core.board.can_link import CanLine
-from softrig_core.board.dbc import encoded, frames_of, printed
+from softrig_core.board.can_line import CanLine
+from softrig_core.board.dbc import LONGEST, encoded, messages_of
 from softrig_core.board.entry import LinkEntry, require_own_ports
+from softrig_core.board.frames import Kind
+from softrig_core.board.layout import Layout
+from softrig_core.board.line import Build
 from softrig_core.errors import RunError
 from softrig_core.export.golden import member_of
+from softrig_core.firmware.command import dbc
 from softrig_core.scenario.scenario import merge, read_draft
 
 can = pytest.importorskip("can", reason="needs python-can (scripts/softrig setup hardware)")
 cantools = pytest.importorskip("cantools", reason="needs cantools (scripts/softrig setup hardware)")
+from can_by_hand import Bus, Node, file_of, framed  # noqa: E402 - only where both are there
+
 SCENARIO, NODE = "dc_motor_smc_b2", "dc_motor_smc"
+BUILD = "0badcafe"
+FRAMES, MANY = 5_000, 300_000
 channels = count()
 
 
@@ -24,95 +33,132 @@ channels = count()
 def own(tmp_path):
     """DBC of a port with a limit of its own on each side."""
     ports = (scalars("u", "u", {"v": "V"}, limits=(12.0,)),), (scalars("y", "y", {"w": "rad/s", "i": "A"}),)
-    (tmp_path / "n.dbc").write_text(printed("n", *ports, 0x100))
-    return tmp_path / "n.dbc", ports
+    return file_of(tmp_path, ports), ports
 
 
-class Peer(threading.Thread):
-    """The law itself at the other end of the bus; reads and writes by cantools' own scaling."""
-
-    def __init__(self, channel, file, lose=0):
-        super().__init__(daemon=True)
-        self.bus, self.lose, self.going = can.Bus(interface="virtual", channel=channel), lose, True
-        self.db = cantools.database.load_file(file)
-        member = member_of(rig_of(SCENARIO), NODE)
-        self.block, self.period = member.block_class(member.params, NODE), round(member.params.period * 1e9)
-        self.inputs, self.outputs = member.block_class.ports(member.params)
-        self.want = sum("_to_" in m.name for m in self.db.messages)
-
-    def run(self):
-        parts, done, answer, k, seen, x = {}, None, [], 0, 0, None
-        while self.going:
-            if (message := self.bus.recv(0.05)) is None:
-                continue
-            read = self.db.decode_message(message.arbitration_id, message.data)
-            tick = read.pop("tick")
-            parts = (parts if parts.get("tick") == tick else {"tick": tick, "n": 0}) | read
-            parts["n"] += 1
-            if parts["n"] < self.want:
-                continue
-            if tick != done:
-                k = 0 if tick == 0 else k + 1
-                x = self.block.first() if tick == 0 else x
-                x, said = self.block.update(x, k * self.period, **self.given(parts))
-                done, answer = tick, self.frames(tick, said)
-            parts, seen = {}, seen + 1
-            if self.lose and seen % self.lose == 0:
-                continue
-            for frame in answer:
-                self.bus.send(frame)
-        self.bus.shutdown()
-
-    def given(self, read):
-        found = {}
-        for p in self.inputs:
-            row = tuple(read[f"{p.name}_{label}".replace("/", "_")] for label in p.labels)
-            found[p.name] = None if p.held and not read[f"{p.name}_given"] else row
-        return found
-
-    def frames(self, tick, said):
-        values = {"tick": tick}
-        for p in self.outputs:
-            row = said.get(p.name)
-            values |= {f"{p.name}_given": row is not None} if p.sporadic else {}
-            row = p.safe if row is None else row
-            values |= {f"{p.name}_{label}".replace("/", "_"): v for label, v in zip(p.labels, row, strict=True)}
-        return [
-            can.Message(arbitration_id=m.frame_id, is_extended_id=False, data=m.encode(values, strict=False))
-            for m in self.db.messages
-            if "_from_" in m.name
-        ]
+def layout_of(ports):
+    return Layout(*ports, {}, plant=False, single=False)
 
 
-def linked_rig(tmp_path, channel, **more):
-    member = member_of(rig_of(SCENARIO), NODE)
-    file = tmp_path / "law.dbc"
-    file.write_text(printed(NODE, *member.block_class.ports(member.params), 0x100))
-    link = {"port": f"can:virtual/{channel}", "firmware": str(file)} | more
-    draft = read_draft(SCENARIO)
-    return file, rig_of(replace(draft, raw=merge(draft.raw, {"nodes": {NODE: {"link": link}}})), duration=0.5)
+def line_of(own, bus, build=BUILD, timeout=0.05):
+    file, ports = own
+    line = CanLine("can:test", bus.opened, bus.now, bus.sleep)
+    return line.use(messages_of(file, "n", *ports, BUILD), Build(build, (1, 100), layout_of(ports)), timeout)
 
 
-@pytest.mark.parametrize("lose", [0, 7])
-def test_a_law_on_the_bus_is_the_law_without_to_the_digits_of_a_float(tmp_path, lose):
-    channel = f"rig{next(channels)}"
-    file, rig = linked_rig(tmp_path, channel, timeout=0.02)
-    peer = Peer(channel, file, lose)
-    peer.start()
-    try:
-        found = simulate(rig)
-    finally:
-        peer.going = False
-        peer.join()
-    plain = simulate(rig_of(SCENARIO, duration=0.5))
-    for name in ("motor/state/shaft/velocity", "motor/command/armature/effort"):
-        assert found.signals[name].x == pytest.approx(plain.signals[name].x, rel=1e-3, abs=1e-3)
+def total(state, tick, given):
+    """Be a node whose answer shows each request that it has taken."""
+    return state + given["u_v_position"], {"y_w_position": state + given["u_v_position"], "y_i_position": tick}
 
 
-def test_a_silent_bus_ends_a_lockstep_run_in_one_line(tmp_path):
-    _, rig = linked_rig(tmp_path, f"silent{next(channels)}", timeout=0.001)
-    with pytest.raises(RunError, match="no node answers tick 0 at can:virtual"):
-        simulate(rig)
+def node_of(own, step=total):
+    return Node(own[0], "n", step, float)
+
+
+def asked(line, ports, k, u):
+    return line.ask(Kind.STEP, layout_of(ports).step.pack(k, u))
+
+
+# on a bus that loses frames -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("frames", "seed"), [(FRAMES, 1), pytest.param(MANY, 2, marks=pytest.mark.long)])
+def test_no_disturbed_bus_brings_a_wrong_answer_in_lockstep(own, frames, seed):
+    rng, ports = random.Random(seed), own[1]
+    bus = Bus(rng, 0.2, node_of(own), pulled=0.01)
+    line = line_of(own, bus)
+    while line.counts.sent < frames:  # runs after each other: what is late comes into the next one
+        line.begin(b"")
+        want = 0.0
+        for k in range(40):
+            u = float(rng.randrange(-4, 5))
+            want += u
+            _, w, i = layout_of(ports).answer.unpack(asked(line, ports, k, u))
+            assert (w, i) == (pytest.approx(want, abs=1e-6), k)
+    assert min(bus.happened.values()) > 0
+    assert min(line.counts.repeated, line.counts.strays, line.counts.damaged, line.counts.reopened) > 0
+
+
+@pytest.mark.parametrize(("frames", "seed"), [(FRAMES, 3), pytest.param(MANY, 4, marks=pytest.mark.long)])
+def test_real_time_takes_the_answer_to_its_tick_or_none(own, frames, seed):
+    rng, ports = random.Random(seed), own[1]
+    node = node_of(own, lambda x, tick, given: (x, {"y_w_position": given["u_v_position"], "y_i_position": tick}))
+    bus = Bus(rng, 0.2, node, pulled=0.002)
+    line = line_of(own, bus)
+    taken = 0
+    while line.counts.sent < frames:
+        begun, u = bus.time, float(rng.randrange(-4, 5))
+        answer = line.try_ask(Kind.STEP, layout_of(ports).step.pack(0, u), 0.005)
+        assert bus.time - begun < 0.0065  # what is waited for, and the time that the frames themselves take
+        bus.time = max(bus.time, begun + 0.01)
+        if rng.random() < 0.002:
+            node.power()
+        if answer is not None:
+            taken += 1
+            assert layout_of(ports).answer.unpack(answer)[1] == pytest.approx(u, abs=1e-6)
+    assert taken > frames / 10
+    counts = line.counts
+    assert min(counts.lost, counts.late, counts.rejoined, counts.reopened, counts.damaged) > 0
+
+
+def test_numbers_go_round_and_a_node_that_restarts_ends_a_lockstep_run(own):
+    node = node_of(own)
+    bus = Bus(random.Random(0), 0.0, node)
+    line = line_of(own, bus)
+    asked(line, own[1], 0, 1.0)
+    line._tick = node.last = 65535
+    assert layout_of(own[1]).answer.unpack(asked(line, own[1], 0, 1.0))[1:] == (pytest.approx(2.0), 0.0)
+    node.power()
+    with pytest.raises(RunError, match=r"no answer to a tick at can:test .* it may have restarted"):
+        asked(line, own[1], 0, 1.0)
+
+
+def test_another_build_and_a_second_node_are_refused(own, tmp_path):
+    (tmp_path / "other").mkdir()
+    other = Node(file_of(tmp_path / "other", own[1], "00000001"), "n", total, float)
+    with pytest.raises(RunError, match="has build 00000001, expected 0badcafe"):
+        asked(line_of(own, Bus(random.Random(0), 0.0, other)), own[1], 0, 1.0)
+    twin = node_of(own, lambda x, tick, given: (x, {"y_w_position": -7.0, "y_i_position": 0.0}))
+    line = line_of(own, Bus(random.Random(0), 0.0, node_of(own), twin))
+    asked(line, own[1], 0, 1.0)
+    with pytest.raises(RunError, match="two answers to tick 0 at can:test differ"):
+        asked(line, own[1], 1, 1.0)
+
+
+def test_a_bus_that_cannot_be_opened_ends_a_lockstep_run_with_its_reason(own):
+    bus = Bus(random.Random(0), 0.0, node_of(own))
+    bus.back = 1e9
+    with pytest.raises(RunError, match="the bus can:test cannot be opened: no such device"):
+        asked(line_of(own, bus), own[1], 0, 1.0)
+
+
+def test_without_an_echo_the_newest_values_count_until_they_are_old(own):
+    file, ports = own
+    kept, message = [], ""
+    for line in file.read_text().splitlines(keepends=True):
+        message = line.split()[2] if line.startswith("BO_ ") else message
+        if message != "n_from_0:" and not ("n_from" in message and line.startswith((" SG_ tick", " SG_ run"))):
+            kept.append(line)
+    file.write_text("".join(kept))
+    bus = Bus(random.Random(0), 0.0)
+    line, db = line_of(own, bus), cantools.database.load_file(file)
+    assert line.try_ask(Kind.STEP, layout_of(ports).step.pack(0, 1.0), 0.0) is None
+    for name, row in {"n_from_1": {"y_w_position": 1.5}, "n_from_2": {"y_i_position": 2.5}}.items():
+        bus.coming.append((bus.time, name, framed(db.get_message_by_name(name), row)))
+    answer = line.try_ask(Kind.STEP, layout_of(ports).step.pack(0, 1.0), 0.0)
+    assert layout_of(ports).answer.unpack(answer) == (0, 1.5, 2.5)
+    bus.time += 1.0
+    assert line.try_ask(Kind.STEP, layout_of(ports).step.pack(0, 1.0), 0.0) is None
+    with pytest.raises(RunError, match="which lockstep needs"):
+        asked(line, ports, 0, 1.0)
+
+
+# limits ---------------------------------------------------------------------------------------------------------------
+
+
+def sent(own, value):
+    frame = messages_of(own[0], "n", *own[1], BUILD).to[0]
+    return encoded(frame, {"tick": 5, "run": 9}, [value])
 
 
 @pytest.mark.parametrize(
@@ -125,63 +171,25 @@ def test_a_silent_bus_ends_a_lockstep_run_in_one_line(tmp_path):
     ],
 )
 def test_a_value_is_limited_before_it_becomes_a_whole_number(own, value, raw, limited):
-    file, ports = own
-    frame = frames_of(file, "n", *ports)[0][0]
-    data, cut = encoded(frame, 5, [value])
-    assert int.from_bytes(data[2:6], "little", signed=True) == raw
-    assert (data[:2], cut) == (b"\5\0", limited)
+    data, cut = sent(own, value)
+    assert int.from_bytes(data[3:7], "little", signed=True) == raw
+    assert (data[:3], cut) == (b"\5\0\x09", limited)
 
 
 def test_bits_that_a_signal_does_not_have_are_not_cut(own):
-    file, ports = own
-    text = file.read_text().replace(" : 16|32@1-", " : 16|8@1-").replace("[-12|12]", "[0|0]")
-    file.write_text(text)
-    frame = frames_of(file, "n", *ports)[0][0]
-    assert encoded(frame, 1, [11.0])[0][2] == 127
+    own[0].write_text(
+        own[0].read_text().replace("u_v_position : 24|32@1-", "u_v_position : 24|8@1-").replace("[-12.0|12.0]", "[0|0]")
+    )
+    assert sent(own, 11.0)[0][3] == 127
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_what_is_not_finite_is_refused(own, value):
-    file, ports = own
     with pytest.raises(RunError, match="u_v_position would be"):
-        encoded(frames_of(file, "n", *ports)[0][0], 1, [value])
+        sent(own, value)
 
 
-def answer(db, tick, w, i):
-    rows = {"n_from_1": {"tick": tick, "y_w_position": w}, "n_from_2": {"tick": tick, "y_i_position": i}}
-    for name, row in rows.items():
-        message = db.get_message_by_name(name)
-        row = {s.name: row.get(s.name, 0) for s in message.signals}
-        yield can.Message(arbitration_id=message.frame_id, is_extended_id=False, data=message.encode(row, strict=False))
-
-
-def test_real_time_counts_lost_and_late_answers_and_never_takes_another_ticks(own):
-    file, ports = own
-    channel, db = f"live{next(channels)}", cantools.database.load_file(file)
-    with can.Bus(interface="virtual", channel=channel) as here, can.Bus(interface="virtual", channel=channel) as there:
-        line = CanLine("can:virtual/x", here, frames_of(file, "n", *ports), 0.05)
-        assert line.live(0, (1.0,), 0.001) is None
-        for frame in [*answer(db, 0, 1.0, 2.0), *answer(db, 1, 3.0, float("nan"))]:
-            there.send(frame)
-        assert line.live(1, (1.0,), 0.001) is None
-        assert (line.counts.lost, line.counts.late, line.counts.damaged) == (1, 1, 1)
-
-
-def test_without_an_echo_the_newest_values_count_until_they_are_old(own):
-    file, ports = own
-    lines = file.read_text().splitlines(keepends=True)
-    at = next(k for k, line in enumerate(lines) if "n_from_1" in line)
-    file.write_text("".join(line for k, line in enumerate(lines) if not (k > at and " SG_ tick " in line)))
-    channel, db = f"old{next(channels)}", cantools.database.load_file(file)
-    with can.Bus(interface="virtual", channel=channel) as here, can.Bus(interface="virtual", channel=channel) as there:
-        line = CanLine("can:virtual/x", here, frames_of(file, "n", *ports), 0.02)
-        for frame in answer(db, 0, 1.5, 2.5):
-            there.send(frame)
-        assert line.live(0, (1.0,), 0.0) == (1.5, 2.5)
-        threading.Event().wait(0.03)  # the values grow old
-        assert line.live(1, (1.0,), 0.0) is None
-        with pytest.raises(RunError, match="no signal tick"):
-            line.paired(0, (1.0,))
+# files ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -189,14 +197,66 @@ def test_without_an_echo_the_newest_values_count_until_they_are_old(own):
     [
         ("u_v", "u_w", "is none of u_v"),
         ("n_to_1", "m_to_1", "has the signal u_v"),
-        ("0|16@1+", "0|12@1+", "of 16 bits"),
+        ("n_from_0", "m_from_0", "n_from_0 and the signals tick and run"),
+        (" SG_ run : 16|8@1+ (1,0) [0|255]", " SG_ ran : 16|8@1+ (1,0) [0|255]", "run and build alone"),
+        (" SG_ tick : 0|16@1+", " SG_ tick : 0|12@1+", "of 16 bits without sign"),
+        (" SG_ tick : 0|16@1+", " SG_ tick : 0|16@1-", "of 16 bits without sign"),
+        ("BO_ 257 ", "BO_ 256 ", "have one identifier, 0x100"),
+        ("24|32@1-", "8|32@1-", "overlapping"),
+        ("24|32@1-", "24|99@1-", "is no DBC"),
+        ("[-12.0|12.0]", "[12|-12]", "expected the smaller number first"),
+        (f"[{int(BUILD, 16)}|{int(BUILD, 16)}]", "[1|1]", "of another block or of other parameters"),
+        ("VERSION", "\0\0", "is no DBC"),
+        ("n_to_1: 8", "n_to_1: 64", "longer than 8 bytes"),
+        ("SG_ tick : 0", "SG_ tick M : 0", "multiplexed"),
     ],
 )
 def test_a_dbc_that_does_not_fit_is_refused(own, old, new, said):
     file, ports = own
+    assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new))
-    with pytest.raises(ScenarioError, match=said):
-        frames_of(file, "n", *ports)
+    with pytest.raises(ScenarioError, match=said) as refused:
+        messages_of(file, "n", *ports, BUILD)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("scale", ["0", "1e999", "nan"])
+def test_a_scale_that_is_none_is_refused(own, scale):
+    file, ports = own
+    (line,) = (line for line in file.read_text().splitlines() if "SG_ u_v" in line)
+    file.write_text(file.read_text().replace(line[line.index("(") : line.index(")")], f"({scale},0"))
+    with pytest.raises(ScenarioError, match=r"scale|is no DBC"):
+        messages_of(file, "n", *ports, BUILD)
+
+
+def test_a_file_that_is_too_long_or_none_is_refused(own, tmp_path):
+    file, ports = own
+    file.write_bytes(file.read_bytes() + b"\n" * LONGEST)
+    with pytest.raises(ScenarioError, match="has more than"):
+        messages_of(file, "n", *ports, BUILD)
+    with pytest.raises(ScenarioError, match="No such file"):
+        messages_of(tmp_path / "none.dbc", "n", *ports, BUILD)
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 30))])
+def test_a_damaged_file_is_read_or_refused_in_a_line(own, seed):
+    file, ports = own
+    good, rng = file.read_bytes(), random.Random(seed)
+    for _ in range(100):
+        data = bytearray(good)
+        for _ in range(rng.randrange(1, 4)):
+            at = rng.randrange(len(data))
+            data[at : at + rng.choice([0, 1, 9])] = rng.choice(
+                [b"", b"9" * 400, b'"', b"-", b"1e400", rng.randbytes(2)]
+            )
+        file.write_bytes(data)
+        text = ""
+        try:
+            messages = messages_of(file, "n", *ports, BUILD)
+            encoded(messages.to[0], {"tick": 65535, "run": 255}, [12.0])
+        except (ScenarioError, RunError) as refused:
+            text = str(refused)
+        assert "\n" not in text
 
 
 def test_two_nodes_may_share_a_bus_but_no_identifier(tmp_path):
@@ -207,3 +267,85 @@ def test_two_nodes_may_share_a_bus_but_no_identifier(tmp_path):
     (tmp_path / "b.dbc").write_text("BO_ 256 b_to_1: 8 softrig\n")
     with pytest.raises(ScenarioError, match="one CAN identifier, 0x100"):
         require_own_ports(entry, "s")
+
+
+# in a rig -------------------------------------------------------------------------------------------------------------
+
+
+class Peer(threading.Thread):
+    """The law itself at the other end of a virtual bus."""
+
+    def __init__(self, channel, file):
+        super().__init__(daemon=True)
+        member = member_of(rig_of(SCENARIO), NODE)
+        self.block, self.period = member.block_class(member.params, NODE), round(member.params.period * 1e9)
+        self.inputs, self.outputs = member.block_class.ports(member.params)
+        self.node, self.going = Node(file, NODE, self.step, self.block.first), True
+        self.bus = can.Bus(interface="virtual", channel=channel)
+
+    def run(self):
+        while self.going:
+            if (message := self.bus.recv(0.05)) is not None:
+                for frame in self.node.feed(message):
+                    self.bus.send(frame)
+        self.bus.shutdown()
+
+    def step(self, x, tick, read):
+        given, values = {}, {}
+        for p in self.inputs:
+            row = tuple(read[f"{p.name}_{label}".replace("/", "_")] for label in p.labels)
+            given[p.name] = None if p.held and not read[f"{p.name}_given"] else row
+        x, said = self.block.update(x, tick * self.period, **given)
+        for p in self.outputs:
+            row = said.get(p.name)
+            values |= {f"{p.name}_given": row is not None} if p.sporadic else {}
+            row = p.safe if row is None else row
+            values |= {f"{p.name}_{label}".replace("/", "_"): v for label, v in zip(p.labels, row, strict=True)}
+        return x, values
+
+
+def linked_rig(file, channel, **more):
+    link = {"port": f"can:virtual/{channel}", "firmware": str(file)} | more
+    draft = read_draft(SCENARIO)
+    return rig_of(replace(draft, raw=merge(draft.raw, {"nodes": {NODE: {"link": link}}})), duration=0.5)
+
+
+@pytest.fixture
+def law(tmp_path, capsys):
+    file = tmp_path / "law.dbc"
+    assert dbc([SCENARIO, NODE, "--out", str(file)]) == 0
+    assert "messages" in capsys.readouterr().out
+    return file
+
+
+def test_a_law_on_the_bus_is_the_law_without_to_the_digits_of_a_float(law):
+    channel = f"rig{next(channels)}"
+    peer = Peer(channel, law)
+    peer.start()
+    try:
+        found = [simulate(linked_rig(law, channel)).signals for _ in range(2)]  # the second one begins another run
+    finally:
+        peer.going = False
+        peer.join()
+    plain = simulate(rig_of(SCENARIO, duration=0.5)).signals
+    for name in ("motor/state/shaft/velocity", "motor/command/armature/effort"):
+        assert list(found[0][name].x) == list(found[1][name].x)
+        assert found[0][name].x == pytest.approx(plain[name].x, rel=1e-3, abs=1e-3)
+
+
+def test_a_silent_bus_ends_a_lockstep_run_in_one_line(law):
+    with pytest.raises(RunError, match="no node answers at can:virtual"):
+        simulate(linked_rig(law, f"silent{next(channels)}", timeout=0.001))
+
+
+@pytest.mark.parametrize(("port", "said"), [("can:nonsense/0", "cannot be opened"), ("can:slcan//dev/none", "No such")])
+def test_an_interface_that_is_none_ends_a_run_in_one_line(law, port, said):
+    with pytest.raises(RunError, match=said):
+        simulate(linked_rig(law, 0, port=port, timeout=0.01))
+
+
+def test_other_parameters_than_the_dbc_is_of_are_refused(law):
+    draft = read_draft(SCENARIO)
+    nodes = {NODE: {"link": {"port": "can:virtual/0", "firmware": str(law)}, "parameters": {"period": 0.02}}}
+    with pytest.raises(ScenarioError, match="of other parameters of dc_motor_smc; export the DBC again"):
+        simulate(rig_of(replace(draft, raw=merge(draft.raw, {"nodes": nodes})), duration=0.5))

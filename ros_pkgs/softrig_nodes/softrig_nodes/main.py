@@ -16,9 +16,9 @@ from rclpy.utilities import remove_ros_args
 from softrig_core.block.block import Block, Plant
 from softrig_core.block.params import Declaration, build, declarations, flatten
 from softrig_core.block.port import require_distinct
-from softrig_core.board.can_link import attached
 from softrig_core.board.clocked import ClockEntry, clocked
 from softrig_core.board.entry import LinkEntry
+from softrig_core.board.link import linked
 from softrig_core.guard import secure_streams, tell
 from softrig_core.interrupt import interrupt
 from softrig_core.rig.options import RunOptions
@@ -113,7 +113,7 @@ def _answered(block_class: type[Block], entry: str, params: Any, name: str) -> t
     """Return the class of a node whose ticks a board answers, or a node of somebody else."""
     if "answers" in json.loads(entry):
         return clocked(block_class, ClockEntry.model_validate_json(entry), params, name)
-    return attached(block_class, LinkEntry.model_validate_json(entry), params, name)
+    return linked(block_class, LinkEntry.model_validate_json(entry), params, name)
 
 
 def introduction(block: Block, options: RunOptions) -> str:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ..block.block import Block
+from ..block.params import flatten
 from ..block.port import PLAUSIBLE, PLAUSIBLE_OTHER, Port
 from ..errors import RunError, ScenarioError
 from ..extras import need
 from ..wire.types import BUTTON
 
-TICK, TICK_BITS = "tick", 16
-NUMBERS = (1 << TICK_BITS) - 1  # after the last number comes 1: 0 is the first tick of a run
+TICK, RUN, BUILD = "tick", "run", "build"
+BITS = {TICK: 16, RUN: 8, BUILD: 32}
+HEAD = BITS[TICK] + BITS[RUN]  # of each message with values
+NUMBERS = 1 << BITS[TICK]
 FRAME_BITS, WORD = 64, 32
+LONGEST = 1 << 20  # bytes of a file: the messages of a node have some thousand
 LARGEST_FLOAT = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
 WHAT = "a node on a CAN bus"
 
@@ -27,6 +34,7 @@ class Value(NamedTuple):
     bits: int
     unit: str = ""
     limit: float | None = None
+    flag: bool = False
 
 
 class Frame(NamedTuple):
@@ -35,6 +43,31 @@ class Frame(NamedTuple):
     message: Any
     signals: tuple[tuple[int, Any], ...]
     numbered: bool
+
+    @property
+    def key(self) -> tuple[int, bool]:
+        """Return its identifier, and whether this is one of 29 bits."""
+        return self.message.frame_id, self.message.is_extended_frame
+
+
+class Messages(NamedTuple):
+    """The messages of a node.
+
+    Attributes
+    ----------
+    hello, ready : Frame or None
+        Begin a run, to the node and from it; None where the node echoes no numbers.
+    to, back : list of Frame
+        Values to the node and from it.
+    flags : frozenset of int
+        Places of the numbers from the node that are flags.
+    """
+
+    hello: Frame | None
+    ready: Frame | None
+    to: list[Frame]
+    back: list[Frame]
+    flags: frozenset[int]
 
 
 def values_of(ports: Sequence[Port], flag: str) -> list[Value]:
@@ -54,7 +87,7 @@ def values_of(ports: Sequence[Port], flag: str) -> list[Value]:
     for port in ports:
         if port.delayed:
             raise ScenarioError(f"port {port.name} carries acquisition times, which a CAN link does not transmit")
-        made = [Value(f"{port.name}_given", 1)] if getattr(port, flag) else []
+        made = [Value(f"{port.name}_given", 1, flag=True)] if getattr(port, flag) else []
         for label, unit, limit in zip(port.labels, port.units, port.limits, strict=True):
             own = None if limit == PLAUSIBLE.get(unit, PLAUSIBLE_OTHER) else limit
             bits = 1 if port.msgtype == BUTTON.name else WORD
@@ -66,7 +99,14 @@ def values_of(ports: Sequence[Port], flag: str) -> list[Value]:
     return list(found.values())
 
 
-def printed(node: str, inputs: Sequence[Port], outputs: Sequence[Port], first_id: int) -> str:
+def build_of(block: type[Block], params: Any) -> str:
+    """Return the build of a node: eight hexadecimal digits that depend on its block, ports and parameters."""
+    ports = [[[p.name, p.labels, p.units, p.limits, p.held, p.sporadic] for p in way] for way in block.ports(params)]
+    known = [f"{block.__module__}:{block.__qualname__}", ports, flatten(params)]
+    return hashlib.sha256(json.dumps(known, default=str).encode()).hexdigest()[: BITS[BUILD] // 4]
+
+
+def printed(node: str, inputs: Sequence[Port], outputs: Sequence[Port], first_id: int, build: str) -> str:
     """Return the DBC of a node.
 
     A value whose port states a limit is a whole number of 32 bits whose range is the limit; another is an IEEE float.
@@ -86,35 +126,49 @@ def printed(node: str, inputs: Sequence[Port], outputs: Sequence[Port], first_id
         ("to", "softrig", node, values_of(inputs, "held")),
         ("from", node, "softrig", values_of(outputs, "sporadic")),
     ):
-        for k, part in enumerate(_parts(values), 1):
+        parts = [list(_signals(part, receiver)) for part in _parts(values)]
+        for k, signals in enumerate([_greeting(build, receiver), *parts]):
             number = first_id + len(messages)
             if number > 0x7FF:
                 raise ScenarioError(f"{node}: identifier {number:#x} is beyond 0x7ff; choose a smaller --id")
-            signals = list(_signals(part, receiver))
             messages.append(Message(number, f"{node}_{way}_{k}", FRAME_BITS // 8, signals, senders=[sender]))
     return str(Database(messages, [Node("softrig"), Node(node)], version="").as_dbc_string())
 
 
 def _parts(values: Sequence[Value]) -> list[list[Value]]:
-    """Return the values by message, each of which begins with the number of the tick."""
+    """Return the values by message, each of which begins with the number of the tick and of the run."""
     parts: list[list[Value]] = [[]]
-    used = TICK_BITS
+    used = HEAD
     for value in values:
         if used + value.bits > FRAME_BITS:
             parts.append([])
-            used = TICK_BITS
+            used = HEAD
         parts[-1].append(value)
         used += value.bits
     return parts
+
+
+def _whole(name: str, at: int, receiver: str, least: int = 0, most: int | None = None) -> Any:
+    """Return the signal of a whole number."""
+    from cantools.database.can.signal import Signal
+
+    most = (1 << BITS[name]) - 1 if most is None else most
+    return Signal(name, at, BITS[name], minimum=least, maximum=most, receivers=[receiver])
+
+
+def _greeting(build: str, receiver: str) -> list[Any]:
+    number = int(build, 16)
+    return [_whole(RUN, BITS[TICK], receiver), _whole(BUILD, HEAD, receiver, number, number)]
 
 
 def _signals(values: Sequence[Value], receiver: str) -> Iterator[Any]:
     from cantools.database.can.signal import Signal
     from cantools.database.conversion import BaseConversion
 
-    yield Signal(TICK, 0, TICK_BITS, minimum=0, maximum=NUMBERS, receivers=[receiver])
-    at = TICK_BITS
-    for name, bits, unit, limit in values:
+    yield _whole(TICK, 0, receiver)
+    yield _whole(RUN, BITS[TICK], receiver)
+    at = HEAD
+    for name, bits, unit, limit, _ in values:
         if bits == 1:
             yield Signal(name, at, 1, minimum=0, maximum=1, receivers=[receiver])
         else:
@@ -127,69 +181,128 @@ def _signals(values: Sequence[Value], receiver: str) -> Iterator[Any]:
         at += bits
 
 
-def frames_of(
-    file: Path, node: str, inputs: Sequence[Port], outputs: Sequence[Port]
-) -> tuple[list[Frame], list[Frame]]:
+def messages_of(file: Path, node: str, inputs: Sequence[Port], outputs: Sequence[Port], build: str) -> Messages:
     """Return the messages to a node and from it, as a DBC has them.
 
     Raises
     ------
     ScenarioError
-        The file cannot be read, or a signal is missing, doubled, multiplexed or in a message that is too long.
+        The file cannot be read or is of another build; a signal is missing, doubled, multiplexed, of a type or with a
+        scale that cannot be transmitted; a message is too long, or its identifier is that of another one.
     """
+    where = f"link: {file}"
+    database = _loaded(file, where)
+    to, back = values_of(inputs, "held"), values_of(outputs, "sporadic")
+    read = {way: _found(database, f"{node}_{way}", values, where) for way, values in (("to", to), ("from", back))}
+    (hello, requests), (ready, answers) = read["to"], read["from"]
+    if ready is not None and hello is None:
+        raise ScenarioError(f"{where}: {node}_from_0 needs {node}_to_0; export the DBC again")
+    if hello is not None and hello.signals[0][1].minimum != int(build, 16):
+        raise ScenarioError(f"{where} is of another block or of other parameters of {node}; export the DBC again")
+    all_of = [*requests, *answers, *(f for f in (hello, ready) if f is not None)]
+    for number in {f.key for f in all_of}:
+        same = [m.name for m in database.messages if (m.frame_id, m.is_extended_frame) == number]
+        if len(same) > 1:
+            raise ScenarioError(f"{where}: {' and '.join(same)} have one identifier, {number[0]:#x}")
+    flags = frozenset(k for k, value in enumerate(back) if value.flag)
+    return Messages(hello if ready is not None else None, ready, requests, answers, flags)
+
+
+def _loaded(file: Path, where: str) -> Any:
     need("cantools", WHAT)
     import cantools
 
     try:
-        database = cantools.database.load_file(str(file), database_format="dbc")
+        with file.open("rb") as stream:
+            data = stream.read(LONGEST + 1)
     except OSError as error:
-        raise ScenarioError(f"link: {file}: {error.strerror}; `softrig export dbc` writes it") from None
-    except (cantools.Error, ValueError) as error:
-        raise ScenarioError(f"link: {file} is no DBC ({str(error).splitlines()[0]})") from None
-    where = f"link: {file}"
-    to = _found(database, f"{node}_to", values_of(inputs, "held"), where)
-    back = _found(database, f"{node}_from", values_of(outputs, "sporadic"), where)
-    if len({frame.numbered for frame in back}) == 2:
-        raise ScenarioError(f"{where}: some messages {node}_from_... have the signal {TICK} and some have not")
-    return to, back
+        raise ScenarioError(f"{where}: {error.strerror}; `softrig export dbc` writes it") from None
+    if len(data) > LONGEST:
+        raise ScenarioError(f"{where} has more than {LONGEST} bytes; `softrig export dbc` writes the node's alone")
+    try:
+        return cantools.database.load_string(data.decode("cp1252"), database_format="dbc")
+    except Exception as error:  # of a damaged file the parser lets many kinds escape
+        first = str(error).strip().partition("\n")[0] or type(error).__name__
+        raise ScenarioError(f"{where} is no DBC ({first[:200]})") from None
 
 
-def _found(database: Any, prefix: str, values: Sequence[Value], where: str) -> list[Frame]:
-    frames, places = [], {value.name: k for k, value in enumerate(values)}
+def _found(database: Any, prefix: str, values: Sequence[Value], where: str) -> tuple[Frame | None, list[Frame]]:
+    """Return the message that begins a run, and those with values."""
+    greeting, frames, places = None, [], {value.name: k for k, value in enumerate(values)}
     seen: set[str] = set()
     for message in database.messages:
         if not re.fullmatch(rf"{re.escape(prefix)}_\d+", message.name):
             continue
-        if message.length * 8 > FRAME_BITS or message.is_multiplexed():
+        if message.length * 8 > FRAME_BITS or any(s.is_multiplexer or s.multiplexer_ids for s in message.signals):
             raise ScenarioError(f"{where}: message {message.name} is multiplexed or longer than 8 bytes")
         signals = {signal.name: signal for signal in message.signals}
-        tick = signals.pop(TICK, None)
-        if tick is not None and (tick.length != TICK_BITS or tick.is_signed or (tick.scale, tick.offset) != (1, 0)):
-            raise ScenarioError(f"{where}: {message.name}.{TICK} must be a whole number of {TICK_BITS} bits")
-        for name in signals:
+        if message.name == f"{prefix}_0":
+            head = _head(signals, (RUN, BUILD), message.name, where)
+            if len(head) < 2 or signals:
+                raise ScenarioError(f"{where}: {message.name} must have the signals {RUN} and {BUILD} alone")
+            greeting = Frame(message, ((0, head[BUILD]),), True)
+            continue
+        head = _head(signals, (TICK, RUN), message.name, where)
+        for name, signal in signals.items():
             if name not in places or name in seen:
                 what = "is there twice" if name in seen else f"is none of {', '.join(places) or 'no signals'}"
                 raise ScenarioError(f"{where}: {message.name}.{name} {what}")
+            if reason := _unfit(signal):
+                raise ScenarioError(f"{where}: {message.name}.{name} {reason}")
             seen.add(name)
-        frames.append(Frame(message, tuple((places[n], s) for n, s in signals.items()), tick is not None))
+        if len(head) == 1:
+            raise ScenarioError(
+                f"{where}: {message.name} has one of the signals {TICK} and {RUN}, expected both or none"
+            )
+        frames.append(Frame(message, tuple((places[n], s) for n, s in signals.items()), bool(head)))
     if missing := [name for name in places if name not in seen]:
         raise ScenarioError(f"{where}: no message {prefix}_... has the signal {missing[0]}; export the DBC again")
     if not frames:
         raise ScenarioError(f"{where}: there is no message {prefix}_1; export the DBC again")
-    return frames
+    if {frame.numbered for frame in frames} != {greeting is not None}:
+        raise ScenarioError(f"{where}: {prefix}_0 and the signals {TICK} and {RUN} of all {prefix}_... belong together")
+    return greeting, frames
 
 
-def encoded(frame: Frame, number: int, row: Sequence[float]) -> tuple[bytes, list[str]]:
+def _head(signals: dict[str, Any], names: Sequence[str], message: str, where: str) -> dict[str, Any]:
+    """Take the whole numbers that softrig counts by off the signals of a message."""
+    found = {name: signals.pop(name) for name in names if name in signals}
+    for name, signal in found.items():
+        plain = not signal.is_signed and not signal.is_float and (signal.scale, signal.offset) == (1, 0)
+        if signal.length != BITS[name] or not plain:
+            raise ScenarioError(f"{where}: {message}.{name} must be a whole number of {BITS[name]} bits without sign")
+    return found
+
+
+def _unfit(signal: Any) -> str:
+    """Return why a signal cannot have a number; empty if it can."""
+    numbers = [signal.scale, signal.offset, *(x for x in (signal.minimum, signal.maximum) if x is not None)]
+    if not all(map(math.isfinite, numbers)) or signal.scale == 0:
+        return f"has the scale {signal.scale} and the offset {signal.offset}, expected finite numbers and a scale not 0"
+    low, high = signal.minimum, signal.maximum
+    if low is not None and high is not None and low > high:
+        return f"has the range {low} to {high}, expected the smaller number first"
+    if signal.is_float and signal.length not in LARGEST_FLOAT:
+        return f"is a float of {signal.length} bits, expected 16, 32 or 64"
+    return ""
+
+
+def encoded(frame: Frame, head: Mapping[str, int], row: Sequence[float]) -> tuple[bytes, list[str]]:
     """Return the bytes of a message, and the names of the signals that were limited.
 
     Each value is limited to the signal's range before it becomes a whole number: bits beyond it would be cut.
+
+    Parameters
+    ----------
+    head : mapping of str to int
+        Of tick and run; of no meaning where the message has neither.
 
     Raises
     ------
     RunError
         A value is not finite.
     """
-    raw: dict[str, float] = {TICK: number} if frame.numbered else {}
+    raw: dict[str, float] = dict(head) if frame.numbered else {}
     limited = []
     for place, signal in frame.signals:
         value = float(row[place])
@@ -198,7 +311,7 @@ def encoded(frame: Frame, number: int, row: Sequence[float]) -> tuple[bytes, lis
         raw[signal.name], cut = _raw(signal, value)
         if cut:
             limited.append(signal.name)
-    return frame.message.encode(raw, scaling=False, strict=False), limited
+    return bytes(frame.message.encode(raw, scaling=False, strict=False)), limited
 
 
 def _raw(signal: Any, value: float) -> tuple[float, bool]:
@@ -210,22 +323,17 @@ def _raw(signal: Any, value: float) -> tuple[float, bool]:
         most = LARGEST_FLOAT[signal.length]
         kept = min(max(number, -most), most)
         return kept, inside != value or kept != number
-    least, most = (
-        (-(1 << signal.length - 1), (1 << signal.length - 1) - 1)
-        if signal.is_signed
-        else (
-            0,
-            (1 << signal.length) - 1,
-        )
-    )
+    half = 1 << signal.length - 1
+    least, most = (-half, half - 1) if signal.is_signed else (0, 2 * half - 1)
     whole = min(max(number, float(least)), float(most))
     # a float may round the largest number of more than 53 bits up
     return min(max(round(whole), least), most), inside != value or whole != number
 
 
-def decoded(frame: Frame, data: bytes) -> tuple[int | None, Mapping[int, float]] | None:
-    """Return the number of a message and its values by place; None where it has another length."""
+def decoded(frame: Frame, data: bytes) -> tuple[int | None, int | None, dict[int, float]] | None:
+    """Return tick, run and values by place of a message; None where it has another length or a value is not finite."""
     if len(data) != frame.message.length:
         return None
     raw = frame.message.decode(data, scaling=False, decode_choices=False)
-    return raw.get(TICK), {place: raw[s.name] * s.scale + s.offset for place, s in frame.signals}
+    values = {place: raw[s.name] * s.scale + s.offset for place, s in frame.signals}
+    return (raw.get(TICK), raw.get(RUN), values) if all(map(math.isfinite, values.values())) else None

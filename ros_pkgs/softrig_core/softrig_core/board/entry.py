@@ -37,6 +37,11 @@ class LinkEntry(Entry):
     firmware: str = Field(min_length=1)
     timeout: float = Field(0.5, gt=0.0, le=60.0, allow_inf_nan=False)
 
+    @property
+    def shared(self) -> bool:
+        """Return whether other nodes may be at the port, told apart by their signals."""
+        return self.port.startswith(CAN)
+
     @field_validator("port")
     @classmethod
     def _whole(cls, port: str) -> str:
@@ -68,7 +73,7 @@ def require_own_ports(entries: Mapping[str, LinkEntry], where: str) -> None:
 
 def _owned(node: str, entry: LinkEntry) -> list[tuple[str, str]]:
     """Return what only one node may have, and its name for errors."""
-    if not entry.port.startswith(CAN):
+    if not entry.shared:
         port = os.path.realpath(entry.port) if entry.port.startswith("/") else absolute_port(entry.port)
         return [(port, f"port, {entry.port}")]
     try:

@@ -132,6 +132,10 @@ class Line:
         self._params = params
         self.joined = False
 
+    def told(self) -> str:
+        """Return what was unusual, in words; empty when nothing was."""
+        return self.counts.told()
+
     def close(self) -> None:
         """Let the port go."""
         if self.wire is not None:

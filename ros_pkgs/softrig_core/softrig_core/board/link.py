@@ -6,7 +6,8 @@ import hashlib
 import json
 import os
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,8 +16,10 @@ from ..block.block import Block, Level, Plant
 from ..block.params import flatten
 from ..block.port import Sample
 from ..errors import RunError, ScenarioError
+from .can_line import can_line
+from .dbc import LONGEST, build_of
 from .elsewhere import Elsewhere, LinkState
-from .entry import LinkEntry, absolute_port
+from .entry import CAN, LinkEntry, absolute_port
 from .frames import Kind
 from .layout import Layout
 from .line import Build, Line
@@ -52,6 +55,8 @@ class Linked(Elsewhere):
         self._params = _packed(layout.params, [of(known[name]) for name, of in settable.items()])
         self._safe = {p.name: p.safe for p in outputs if not p.sporadic}
         self._delayed = frozenset(p.name for p in outputs if p.delayed)
+        line_of = can_line if self.ENTRY.port.startswith(CAN) else _serial_line
+        self._made: Callable[[Any], Any] = line_of(self.ENTRY, self.name, self._build)
 
     @classmethod
     def fixed(cls, params: Any) -> Any:
@@ -83,7 +88,7 @@ class Linked(Elsewhere):
         if not self._lines:
             return {"board": "not connected yet"}
         line = self._lines[0]
-        return {"board": f"{self.ENTRY.port}, {line.counts.sent} frames; {line.counts.told() or 'all answered'}"}
+        return {"board": f"{self.ENTRY.port}, {line.counts.sent} frames; {line.told() or 'all answered'}"}
 
     def asked(self, x: LinkState, t: int, row: list[Any]) -> Mapping[str, Any]:
         """Return what the board answers to a tick.
@@ -99,13 +104,18 @@ class Linked(Elsewhere):
             Lockstep: the board does not answer, or its code has given the tick up.
         """
         line = self._connected(x)
-        told = line.counts.told()
-        found = self._heard(line, x, row)
+        told = line.told()
+        values = _packed(self._layout.step, row)
+        answer = self._live(line, values) if self.realtime else self._paired(line, x.k, values)
+        if answer is not None and len(answer) != self._layout.answer.size:
+            refused = str(answer[0]) if answer else "missing"
+            raise RunError(f"the board at {line.port} refuses a step (status {refused})")
+        found = None if answer is None else self._layout.answer.unpack(answer)
         status = "no answer" if found is None else "" if found[0] == DONE else f"the board gave up (status {found[0]})"
         if status and not self.realtime:
             raise RunError(f"{status}: an error in the block, or a number beyond the limit of its port")
-        if line.counts.told() != told:
-            self.report(Level.WARN, "link", line.counts.told())
+        if line.told() != told:
+            self.report(Level.WARN, "link", line.told())
         if status or found is None:
             self.report(Level.ERROR, "board", f"{status}: the safe values are published")
             return {name: Sample(t, row) if name in self._delayed else row for name, row in self._safe.items()}
@@ -115,7 +125,7 @@ class Linked(Elsewhere):
     def _connected(self, x: LinkState) -> Any:
         """Return the line, whose next request begins a session where the block is at its first state."""
         if not self._lines:
-            self._lines.append(_line(self.ENTRY, self._build))
+            self._lines.append(_line(self.ENTRY, self.name, self._made))
         line = self._lines[0]
         if x.k == 0:
             line.begin(self._params)
@@ -123,16 +133,7 @@ class Linked(Elsewhere):
             line.accepted = self._params
         return line
 
-    def _heard(self, line: Any, x: LinkState, row: list[Any]) -> tuple[Any, ...] | None:
-        """Return status and outputs as the board answers them; None without an answer in time."""
-        values = _packed(self._layout.step, row)
-        answer = self._live(line, values) if self.realtime else self._paired(line, x.k, values)
-        if answer is not None and len(answer) != self._layout.answer.size:
-            refused = str(answer[0]) if answer else "missing"
-            raise RunError(f"the board at {line.port} refuses a step (status {refused})")
-        return None if answer is None else self._layout.answer.unpack(answer)
-
-    def _live(self, line: Line, values: bytes) -> bytes | None:
+    def _live(self, line: Any, values: bytes) -> bytes | None:
         wait = min(self.ENTRY.timeout, PART * self.p.period)
         if line.accepted != self._params:
             if line.joined and line.try_ask(Kind.PARAMS, self._params, wait) is None:
@@ -140,7 +141,7 @@ class Linked(Elsewhere):
             line.accepted = self._params
         return line.try_ask(Kind.STEP, values, wait)
 
-    def _paired(self, line: Line, k: int, values: bytes) -> bytes:
+    def _paired(self, line: Any, k: int, values: bytes) -> bytes:
         if (k, values) == line.served[:2]:  # the same tick again
             return line.served[2]
         if k not in (0, line.served[0] + 1):
@@ -193,6 +194,33 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, where: str) -> typ
     """
     if issubclass(block, Linked):  # of a rig that is made again, with other parameters
         block = block.__bases__[1]
+    if block.finishes():
+        raise ScenarioError(f"{where}: link: a block with a last answer at the end of a run runs in this process alone")
+    file, known = _of_signals(block, entry, params) if entry.shared else _of_board(block, entry, params, where)
+    absolute = entry.model_copy(update={"firmware": str(file.resolve()), "port": absolute_port(entry.port)})
+    return _class(block, absolute, json.dumps(known))  # type: ignore[arg-type]  # mypy: a class has no hash
+
+
+def _of_signals(block: type[Block], entry: LinkEntry, params: Any) -> tuple[Path, Mapping[str, Any]]:
+    """Return the file with the signals of a node, and what its program must be."""
+    file, text = Path(entry.firmware), b""
+    if file.is_file():  # what is wrong with it is said where the node's name is known
+        with file.open("rb") as stream:
+            text = stream.read(LONGEST)
+    period = Fraction(params.period).limit_denominator(10**9)
+    known = {
+        "digest": build_of(block, params),
+        "period_s": period.as_integer_ratio(),
+        "settable": [],
+        "parameters": {},
+        "real": "double",
+        "signals": hashlib.sha256(text).hexdigest(),
+    }
+    return file, known
+
+
+def _of_board(block: type[Block], entry: LinkEntry, params: Any, where: str) -> tuple[Path, Mapping[str, Any]]:
+    """Return the description of a board's firmware, and what is in it."""
     file = Path(entry.firmware)
     if file.is_dir():
         found = sorted(file.glob("*.json"))
@@ -211,8 +239,7 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, where: str) -> typ
             f"{where}: link: {file} is no description of firmware; `softrig export` writes it"
         ) from None
     _check(block, params, known, f"{where}: link: {file}")
-    absolute = entry.model_copy(update={"firmware": str(file.resolve()), "port": absolute_port(entry.port)})
-    return _class(block, absolute, json.dumps(known))  # type: ignore[arg-type]  # mypy: a class has no hash
+    return file, known
 
 
 @lru_cache(maxsize=64)
@@ -238,8 +265,6 @@ def _check(block: type[Block], params: Any, known: Mapping[str, Any], where: str
             raise ScenarioError(
                 f"{where} has {key} = {compiled.get(key)} compiled in, expected {value}; export it again"
             )
-    if block.finishes():
-        raise ScenarioError(f"{where}: a block with a last answer at the end of a run cannot run on a board")
 
 
 def _settable(known: Mapping[str, Any], params: Any) -> dict[str, type]:
@@ -261,14 +286,19 @@ def _packed(layout: struct.Struct, row: list[Any]) -> bytes:
         raise RunError(f"a number does not fit the board's ({error})") from None
 
 
-_lines: dict[tuple[int, str, int], Line] = {}  # of this process: a port is opened once, and opening one resets boards
+_lines: dict[tuple[int, str, int, str], Any] = {}  # of this process: opening a port again would reset its board
 
 
-def _line(entry: LinkEntry, build: Build) -> Line:
-    baud = entry.baud or BAUD
-    key = os.getpid(), entry.port, baud
-    line = _lines.get(key)
-    if line is None:
-        line = _lines[key] = Line(entry.port, lambda: opened(entry.port, baud), build, entry.timeout)
-    line.build, line.timeout = build, entry.timeout
-    return line
+def _line(entry: LinkEntry, node: str, made: Callable[[Any], Any]) -> Any:
+    key = os.getpid(), entry.port, entry.baud or BAUD, node if entry.shared else ""
+    _lines[key] = made(_lines.get(key))
+    return _lines[key]
+
+
+def _serial_line(entry: LinkEntry, node: str, build: Build) -> Callable[[Line | None], Line]:
+    def made(old: Line | None) -> Line:
+        line = old or Line(entry.port, lambda: opened(entry.port, entry.baud or BAUD), build, entry.timeout)
+        line.build, line.timeout = build, entry.timeout
+        return line
+
+    return made

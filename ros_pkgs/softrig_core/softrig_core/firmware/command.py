@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..board.dbc import printed
+from ..board.dbc import build_of, printed
 from ..command_line import Parser
 from ..errors import ScenarioError
 from ..export.golden import member_of
@@ -53,7 +53,8 @@ def dbc(arguments: Sequence[str]) -> int:
     if first_id < 0:
         raise ScenarioError(f"--id {options.id}: expected a whole number from 0 to 0x7ff")
     member = member_of(rig_of(options.scenario), options.node)
-    text = printed(member.name, *member.block_class.ports(member.params), first_id)
+    build = build_of(member.block_class, member.params)
+    text = printed(member.name, *member.block_class.ports(member.params), first_id, build)
     file = options.out or Path(f"{options.node}.dbc")
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(text.encode("cp1252", "replace"))

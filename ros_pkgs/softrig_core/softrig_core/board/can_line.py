@@ -1,0 +1,346 @@
+"""Requests to one node on a CAN bus and its answers, as the signals of a DBC."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+from ..errors import RunError, ScenarioError
+from ..extras import need
+from .dbc import NUMBERS, RUN, TICK, WHAT, Frame, Messages, decoded, encoded, messages_of
+from .entry import CAN, LinkEntry
+from .frames import Kind
+from .line import PATIENCE, REMEMBERED, REOPEN, Build, Counts
+
+RUNS = 1 << 8
+Key = tuple[int, bool]
+Parts = dict[Key, dict[int, float]]
+
+
+class CanLine:
+    """Requests to one node on a bus and its answers; has what `Link` wants of a `Line`.
+
+    Parameters
+    ----------
+    port : str
+        For errors.
+    opened : callable
+        Opens the bus; an OSError: not now, a ScenarioError: never.
+    clock, sleep : callable
+        Give a time in s, and let one pass.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        opened: Callable[[], Any],
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], object] = time.sleep,
+    ) -> None:
+        self.port, self.counts = port, Counts()
+        self.served: tuple[int, bytes, bytes] = (-1, b"", b"")
+        self.accepted = b""
+        self._opened, self._clock, self._sleep = opened, clock, sleep
+        self._bus: Any = None
+        self._tried, self._why = -math.inf, ""
+        self._run = int.from_bytes(os.urandom(1), "little")
+        self._limited: dict[str, None] = {}
+        self._known = False  # whether the node has been there before, in real time
+
+    def use(self, messages: Messages, build: Build, timeout: float) -> Self:
+        """Begin with messages, a build and a timeout, and return the line.
+
+        Parameters
+        ----------
+        messages : Messages
+        build : Build
+            Another one is refused.
+        timeout : float
+            s until a lockstep request is sent again; age in s of values without number that are still used.
+        """
+        self.build, self.timeout, self._messages = build, timeout, messages
+        self._back: dict[Key, Frame] = {frame.key: frame for frame in messages.back}
+        self._filter()
+        self.begin(b"")
+        return self
+
+    def begin(self, params: bytes) -> None:
+        """Begin a run with the next request; the node has its own parameters, so `params` is empty."""
+        self._run = (self._run + 1) % RUNS
+        self._tick = -1
+        self._parts: Parts = {}  # of the answer that is awaited or was taken last
+        self._heard: dict[Key, float] = {}
+        self._missing: dict[int, bool] = {}  # ticks without an answer, and whether one came late
+        self._ready: int | None = None  # the build that the node has said
+        self._asked = -math.inf  # when the node was asked for its build
+        self.joined = self._messages.ready is None
+
+    def told(self) -> str:
+        """Return what was unusual, in words; empty when nothing was."""
+        limited = f"limited to the range in the DBC: {', '.join(self._limited)}" if self._limited else ""
+        return "; ".join(filter(None, (self.counts.told(), limited)))
+
+    def ask(self, kind: Kind, values: bytes) -> bytes:
+        """Send the inputs of the next tick until they are answered, and return the answer.
+
+        Raises
+        ------
+        RunError
+            There is no answer, the node has another build, or the bus cannot be opened.
+        """
+        if self._messages.ready is None:
+            raise RunError(f"{self.port}: the node's messages have no {TICK} and {RUN}, which lockstep needs")
+        end = self._clock() + PATIENCE * self.timeout
+        while not self.joined and self._clock() < end:
+            self._join(self._clock() + self.timeout)
+        if not self.joined:
+            raise RunError(self._why or f"no node answers at {self.port} within {PATIENCE * self.timeout:g} s")
+        self._next()
+        row = self._row(values)
+        for attempt in range(PATIENCE):
+            self.counts.repeated += attempt > 0
+            self._send(row)
+            if self._await(self._complete, self._clock() + self.timeout):
+                return self._answer()
+        lost = "; it may have restarted and lost its state"
+        raise RunError(self._why or f"no answer to a tick at {self.port} within {PATIENCE * self.timeout:g} s{lost}")
+
+    def try_ask(self, kind: Kind, values: bytes, wait: float) -> bytes | None:
+        """Send the inputs of the next tick once, and return the answer if it comes within `wait` s.
+
+        Of a node that echoes no number this is the newest.
+        """
+        end = self._clock() + wait
+        if not self.joined:
+            if not self._join(end):
+                return None
+            self.counts.rejoined += self._known
+            self._known = True
+        self._next()
+        self._send(self._row(values))
+        if self._messages.ready is None:
+            self._pump()
+            oldest = min(self._heard.get(key, -math.inf) for key in self._back)
+            if self._clock() - oldest <= self.timeout:
+                return self._answer()
+        elif self._await(self._complete, end):
+            return self._answer()
+        else:
+            self._missing[self._tick] = False
+            while len(self._missing) > REMEMBERED:
+                del self._missing[next(iter(self._missing))]
+            if self._clock() - max(self._heard.values(), default=-math.inf) > self.timeout:
+                self.begin(b"")  # it may have restarted
+        self.counts.lost += 1
+        return None
+
+    def close(self) -> None:
+        """Close the bus."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            with suppress(Exception):  # of an adapter that was unplugged
+                bus.shutdown()
+
+    def _next(self) -> None:
+        self._pump()
+        self._tick = (self._tick + 1) % NUMBERS
+        if self._messages.ready is not None:
+            self._parts = {}
+
+    def _row(self, values: bytes) -> tuple[float, ...]:
+        """Return the inputs of a tick; its times are not transmitted."""
+        row = self.build.layout.step.unpack(values)
+        return row[3:] if self.build.layout.plant else row[1:]
+
+    def _complete(self) -> bool:
+        return len(self._parts) == len(self._back)
+
+    def _answer(self) -> bytes:
+        found = {place: value for part in self._parts.values() for place, value in part.items()}
+        row = [bool(found[k]) if k in self._messages.flags else found[k] for k in range(len(found))]
+        return self.build.layout.answer.pack(0, *row)
+
+    # joining ------------------------------------------------------------------------------------------------------
+
+    def _join(self, end: float) -> bool:
+        """Ask the node for its build until a time; the run begins when it has answered."""
+        if self._clock() - self._asked >= self.timeout:
+            self._asked = self._clock()
+            if self._messages.hello is not None:
+                self._post(self._messages.hello, (int(self.build.digest, 16),))
+        if not self._await(lambda: self._ready is not None, end):
+            return False
+        if self._ready != int(self.build.digest, 16):
+            raise RunError(f"the node at {self.port} has build {self._ready:08x}, expected {self.build.digest}")
+        self.joined = True
+        self._heard = {(0, False): self._clock()}
+        return True
+
+    # frames -------------------------------------------------------------------------------------------------------
+
+    def _send(self, row: tuple[float, ...]) -> None:
+        for frame in self._messages.to:
+            self._post(frame, row)
+
+    def _post(self, frame: Frame, row: tuple[float, ...]) -> None:
+        """Send a message; it is lost, as if it had been disturbed, where the bus is not there."""
+        import can
+
+        data, limited = encoded(frame, {TICK: max(self._tick, 0), RUN: self._run}, row)
+        self._limited |= dict.fromkeys(limited)
+        if not self._there():
+            return
+        self.counts.sent += 1
+        number, extended = frame.key
+        try:
+            self._bus.send(can.Message(arbitration_id=number, is_extended_id=extended, data=data), self.timeout)
+        except (can.CanError, OSError, ValueError) as error:
+            self._gone(error)
+
+    def _await(self, done: Callable[[], bool], end: float) -> bool:
+        """Take frames until a condition holds; return whether it did before a time."""
+        while not done():
+            left = end - self._clock()
+            if left <= 0.0:
+                return False
+            if not self._there():
+                self._sleep(min(left, REOPEN / 4))
+            elif (message := self._received(left)) is not None:
+                self._take(message)
+        return True
+
+    def _pump(self) -> None:
+        """Take the frames that have come."""
+        while self._there() and (message := self._received(0.0)) is not None:
+            self._take(message)
+
+    def _received(self, wait: float) -> Any:
+        import can
+
+        try:
+            return self._bus.recv(wait)
+        except (can.CanError, OSError, ValueError) as error:
+            self._gone(error)
+            return None
+
+    def _take(self, message: Any) -> None:
+        if message.is_error_frame or message.is_remote_frame:
+            return
+        key, data = (message.arbitration_id, message.is_extended_id), bytes(message.data)
+        ready = self._messages.ready
+        frame = ready if ready is not None and key == ready.key else self._back.get(key)
+        if frame is None:
+            return
+        read = decoded(frame, data)
+        if read is None:
+            self.counts.damaged += 1
+            return
+        tick, run, values = read
+        if frame.numbered and run != self._run:
+            self.counts.strays += 1
+        elif frame is ready:
+            self._greeted(int(values[0]))
+        elif tick is None or tick == self._tick:
+            self._same(key, values if tick is not None else None)
+            self._parts[key] = values
+            self._heard[key] = self._clock()
+        elif self._missing.get(tick) is False:
+            self._missing[tick] = True
+            self.counts.late += 1
+            self.counts.lost -= 1
+        else:
+            self.counts.strays += 1
+
+    def _greeted(self, build: int) -> None:
+        if self._ready is not None and self._ready != build:
+            raise RunError(f"two nodes answer at {self.port}; connect one of them to another bus")
+        self._ready = build
+
+    def _same(self, key: Key, values: dict[int, float] | None) -> None:
+        """Ensure that a repeated answer to one tick is the same."""
+        if values is not None and self._parts.get(key, values) != values:
+            raise RunError(f"two answers to tick {self._tick} at {self.port} differ; are two nodes on the bus?")
+
+    # the bus ------------------------------------------------------------------------------------------------------
+
+    def _there(self) -> bool:
+        """Return whether the bus is open, after a try to open it; rarely enough to cost nothing."""
+        if self._bus is not None:
+            return True
+        if self._clock() - self._tried < REOPEN:
+            return False
+        again = self._tried > -math.inf
+        self._tried = self._clock()
+        try:
+            self._bus = self._opened()
+        except OSError as error:
+            self._why = f"the bus {self.port} cannot be opened: {error.strerror or error}"
+            return False
+        except ScenarioError as error:  # waiting does not help
+            raise RunError(str(error)) from None
+        self.counts.reopened += again
+        self._why = ""
+        self._filter()
+        return True
+
+    def _filter(self) -> None:
+        """Have the bus pass the node's messages alone: others may be many."""
+        if self._bus is not None:
+            ready = self._messages.ready
+            keys = [*self._back, *([ready.key] if ready is not None else [])]
+            masks = {False: 0x7FF, True: 0x1FFFFFFF}
+            self._bus.set_filters([{"can_id": i, "can_mask": masks[x], "extended": x} for i, x in keys])
+
+    def _gone(self, error: Exception) -> None:
+        """Close a bus that is not there: the run goes on if the node kept its power."""
+        self._why = f"the bus {self.port} is gone: {error}"
+        self._tried = self._clock()
+        self.close()
+
+
+def can_line(entry: LinkEntry, node: str, build: Build) -> Callable[[CanLine | None], CanLine]:
+    """Return what makes the line of a node, or uses the one that is open; the DBC is read now.
+
+    Raises
+    ------
+    ScenarioError
+        The DBC cannot be read or does not fit.
+    """
+    layout = build.layout
+    messages = messages_of(Path(entry.firmware), node, layout.inputs, layout.outputs, build.digest)
+
+    def made(old: CanLine | None) -> CanLine:
+        line = CanLine(entry.port, lambda: _bus(entry)) if old is None else old
+        return line.use(messages, build, entry.timeout)
+
+    return made
+
+
+def _bus(entry: LinkEntry) -> Any:
+    """Open a bus.
+
+    Raises
+    ------
+    OSError
+        It cannot be opened now.
+    ScenarioError
+        There is no such interface.
+    """
+    need("can", WHAT)
+    import can
+
+    interface, _, channel = entry.port.removeprefix(CAN).partition("/")
+    rate: dict[str, Any] = {} if entry.baud is None else {"bitrate": entry.baud}
+    try:
+        return can.Bus(interface=interface, channel=channel, **rate)
+    except OSError:
+        raise
+    except (can.CanOperationError, can.CanInitializationError) as error:
+        raise OSError(str(error)) from None
+    except Exception as error:  # each interface has errors of its own, of a missing library or a wrong channel
+        raise ScenarioError(f"the bus {entry.port} cannot be opened: {error}") from None
