@@ -14,6 +14,8 @@ from tempfile import TemporaryFile
 import hypothesis
 import pytest
 
+pytest_plugins = ["forked"]
+
 # a loaded machine is slow, which says nothing about the code
 hypothesis.settings.register_profile(
     "any_speed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]

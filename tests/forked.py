@@ -1,0 +1,201 @@
+"""Option `-n`: the tests run in forks of the process that has collected them.
+
+Importing and collecting takes as long as the longest files. pytest-xdist repeats it in each worker; here it happens
+once. A worker runs one file after the other, so that the process rigs of a file do not crowd each other.
+"""
+
+import atexit
+import gc
+import os
+import pickle
+import signal
+import sys
+import traceback
+import warnings
+from itertools import count, groupby
+from multiprocessing.connection import Pipe, wait
+
+import pytest
+
+LATE = 20.0  # s that an interrupted worker has to tear its fixtures down
+
+
+def pytest_addoption(parser):
+    # pytest's public `addoption` refuses short options
+    parser.getgroup("forked")._addoption(
+        "-n", type=int, default=0, metavar="N", help="run the tests in N forks, by file"
+    )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session):
+    option = session.config.option
+    if not option.n or option.collectonly or option.usepdb or session.testsfailed:
+        return None
+    gc.collect()
+    gc.freeze()  # no worker's garbage collector visits what is loaded, so that its pages stay shared
+    Workers(session).run(option.n)
+    return True
+
+
+class Worker:
+    """A fork and the tests that it still has to run."""
+
+    def __init__(self, session, folder, others):
+        self.connection, there = Pipe()
+        self.todo = []  # indices of tests; the first one is running
+        sys.stdout.flush()
+        with warnings.catch_warnings():  # the other threads are those of OpenBLAS and jemalloc, which see to forks
+            warnings.simplefilter("ignore", DeprecationWarning)
+            self.pid = os.fork()
+        if not self.pid:
+            for connection in [self.connection, *others]:
+                connection.close()  # a worker sees that the parent has gone when nobody else holds its end
+            _work(session, there, folder)
+        there.close()
+        self.ended = os.pidfd_open(self.pid)  # its processes may hold its end of the connection open
+
+    def give(self, todo):
+        """Send the indices of the next tests; without any the worker ends."""
+        self.todo = todo
+        self.connection.send(todo)
+
+    def close(self):
+        """Wait for the end of the process and return its exit status; one that is late is killed."""
+        if not wait([self.ended], LATE):
+            os.kill(self.pid, signal.SIGKILL)
+        os.close(self.ended)
+        self.connection.close()
+        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+
+
+class Workers:
+    """Distribute files to workers and report what these report."""
+
+    def __init__(self, session):
+        self.session, self.config = session, session.config
+        of_file = groupby(range(len(session.items)), lambda k: session.items[k].nodeid.partition("::")[0])
+        self.files = [list(indices) for _, indices in of_file][::-1]  # the next one stands last
+        self.folder, self.numbers = self.config._tmp_path_factory.getbasetemp(), count()
+        self.workers = {}  # by connection
+
+    def run(self, number):
+        """Run all tests; end as pytest's own loop does."""
+        try:
+            for _ in range(min(number, len(self.files))):
+                self.start(self.files.pop())
+            while self.workers:
+                ready = wait([w.ended for w in self.workers.values()] + list(self.workers))
+                for worker in [w for c, w in self.workers.items() if c in ready or w.ended in ready]:
+                    self.attend(worker)
+                if self.session.shouldfail:
+                    raise self.session.Failed(self.session.shouldfail)
+                if self.session.shouldstop:
+                    raise self.session.Interrupted(self.session.shouldstop)
+        finally:
+            for worker in self.workers.values():
+                os.kill(worker.pid, signal.SIGINT)
+            for worker in self.workers.values():
+                worker.close()
+
+    def start(self, todo):
+        """Fork a worker for some tests."""
+        folder = self.folder / f"worker-{next(self.numbers)}"
+        worker = Worker(self.session, folder, list(self.workers))
+        self.workers[worker.connection] = worker
+        worker.give(todo)
+
+    def attend(self, worker):
+        """Take the next thing that a worker reports, or its end."""
+        try:
+            if not worker.connection.poll():
+                raise EOFError
+            what, content = worker.connection.recv()
+        except (EOFError, ConnectionError):
+            del self.workers[worker.connection]
+            self.lost(worker, worker.close())
+            return
+        if what == "report":
+            self.report(self.config.hook.pytest_report_from_serializable(config=self.config, data=content))
+        elif what == "warning":
+            self.config.hook.pytest_warning_recorded.call_historic(kwargs=content)
+        else:
+            self.finished(worker)
+
+    def report(self, report):
+        self.config.hook.pytest_runtest_logreport(report=report)
+
+    def finished(self, worker):
+        """Go on after a test: the worker has the next one of its file, or gets another file, or ends."""
+        item = self.session.items[worker.todo.pop(0)]
+        self.config.hook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+        if not worker.todo:
+            worker.give(self.files.pop() if self.files else [])
+
+    def lost(self, worker, status):
+        """Fail the test in which a worker ended, and run the others of its file in a new one."""
+        if not worker.todo:
+            return
+        item = self.session.items[worker.todo[0]]
+        why = f"the process of the tests ended here with status {status}"
+        report = pytest.TestReport(item.nodeid, item.location, {}, "failed", why, "call")
+        self.report(report)
+        if worker.todo[1:]:
+            self.start(worker.todo[1:])
+
+
+class Sender:
+    """In a worker, what pytest has in place of the terminal: reports and warnings go to the parent."""
+
+    def __init__(self, config, connection):
+        self.config, self.connection = config, connection
+        self._tw = config.get_terminal_writer()  # pytest-timeout writes its stacks there
+        self.begun = False
+
+    def pytest_runtest_logreport(self, report):
+        data = self.config.hook.pytest_report_to_serializable(config=self.config, report=report)
+        self.connection.send(("report", data))
+
+    def pytest_warning_recorded(self, warning_message, when, nodeid, location):
+        if not self.begun:  # a plugin hears of those that were before it
+            return
+        warning_message.source = None
+        try:
+            pickle.dumps(warning_message)
+        except Exception:  # whatever a class of warnings does when it is pickled
+            warning_message.message, warning_message.category = Warning(str(warning_message.message)), Warning
+        told = {"warning_message": warning_message, "when": when, "nodeid": nodeid, "location": location}
+        self.connection.send(("warning", told))
+
+
+def _work(session, connection, folder):
+    """Run what the parent sends, in a fork, and end the process."""
+    config, items = session.config, session.items
+    status = 1
+    try:
+        folder.mkdir(mode=0o700)
+        config._tmp_path_factory._basetemp = folder
+        capture = config.pluginmanager.get_plugin("capturemanager")
+        capture.stop_global_capturing()  # its files have one position for all forks
+        capture.start_global_capturing()
+        capture.suspend_global_capture()
+        sender = Sender(config, connection)
+        config.pluginmanager.unregister(name="terminalreporter")
+        config.pluginmanager.register(sender, "terminalreporter")
+        sender.begun = True
+        while todo := connection.recv():
+            for index, following in zip(todo, [*todo[1:], None], strict=True):
+                after = None if following is None else items[following]
+                config.hook.pytest_runtest_protocol(item=items[index], nextitem=after)
+                connection.send(("finished", None))
+        status = 0
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's and the parent's are one
+        session._setupstate.teardown_exact(None)
+    except (EOFError, ConnectionError):  # the parent has gone
+        session._setupstate.teardown_exact(None)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        atexit._run_exitfuncs()
+        os._exit(status)
