@@ -56,7 +56,7 @@ def print_table() -> None:
 
 
 def yardstick() -> float:
-    """Do a fixed piece of work that every machine can do: a million additions in a Python loop."""
+    """Run a fixed piece of work for comparing machines: a million additions in a Python loop."""
     x = 0.0
     for _ in range(1_000_000):
         x += 1.0

@@ -115,5 +115,5 @@ def _fenced(found: re.Match[str]) -> str:
 
 
 def _unfolding(found: re.Match[str]) -> str:
-    """What folds in a repository's view, as the site's own."""
+    """Return what folds in a repository's view, in the form of the site."""
     return ":::{dropdown} " + html.unescape(re.sub(r"</?code>", "`", found[1]))

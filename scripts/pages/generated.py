@@ -217,7 +217,7 @@ def sources(prefixes: Sequence[str]) -> str:
 
 
 def verdicts(system: str) -> str:
-    """How many claims of a system have which verdict."""
+    """Count the claims of a system by verdict."""
     counts = _verdict_counts().get(system, Counter())
     return ", ".join(f"{counts[v]} {v.replace('_', ' ')}" for v in VERDICTS if counts[v])
 

@@ -49,7 +49,7 @@ def names(lock: str) -> list[str]:
 
 
 def licence(name: str) -> str:
-    """Say under which licence a distribution is, by what it says of itself; '' where it is not installed."""
+    """Return the licence of a distribution as its metadata states it; '' if it is not installed."""
     try:
         found = importlib.metadata.distribution(name)
     except importlib.metadata.PackageNotFoundError:

@@ -204,7 +204,7 @@ def _computed(expression: str) -> float:
 
 
 def _values(given: Any) -> Iterator[float]:
-    """All numbers in nested data."""
+    """Return all numbers in nested data."""
     if isinstance(given, dict):
         given = list(given.values())
     if isinstance(given, list | tuple):
@@ -215,7 +215,7 @@ def _values(given: Any) -> Iterator[float]:
 
 
 def _literals(tests: Path, file: str, name: str) -> Iterator[float]:
-    """All numbers in a function of a test file and in its decorators, or in what is assigned to a name there."""
+    """Return all numbers in a function of a test file and in its decorators, or in what is assigned to a name there."""
     trees = [ast.parse(found.read_text(encoding="utf-8")) for found in sorted(tests.rglob(file))]
     for node in (node for tree in trees for node in tree.body):
         targets = [n.id for n in getattr(node, "targets", []) if isinstance(n, ast.Name)]

@@ -69,6 +69,6 @@ def _targets(node: ast.ImportFrom, inside: list[str], package: str, rooms: dict[
 
 
 def _raise(room: Room, rooms: dict[str, Room]) -> int:
-    """Put a room above those that it knows."""
+    """Rank a room above those that it imports."""
     room.floor = max((_raise(rooms[name], rooms) + 1 for name in room.knows), default=0)
     return room.floor

@@ -36,7 +36,7 @@ def _command(function: Callable[[list[str]], int]) -> Main:
 
 
 def _leaving(tool: Main) -> Main:
-    """Let the process end with the node that a tool has opened; without one the tool returns its status."""
+    """End the process with the node that a tool has opened; without one the tool returns its status."""
 
     @wraps(tool)
     def main(argv: Sequence[str] | None = None) -> int:

@@ -35,7 +35,7 @@ class Tolerance:
     relative: float = 0.0
 
     def exceeded(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Where two arrays of equal shape disagree."""
+        """Return where two arrays of equal shape disagree."""
         with np.errstate(invalid="ignore", over="ignore"):
             near = np.abs(b - a) <= np.maximum(self.absolute, self.relative * np.abs(a))
         return ~(near | (a == b) | (np.isnan(a) & np.isnan(b)))

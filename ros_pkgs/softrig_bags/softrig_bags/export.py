@@ -154,7 +154,7 @@ class _TopicFile:
         return self._path
 
     def abort(self) -> None:
-        """Take away what is not in its place."""
+        """Delete everything that has not been moved to its place."""
         for part in self._parts:
             part.unlink(missing_ok=True)
 

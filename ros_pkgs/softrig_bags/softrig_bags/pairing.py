@@ -60,7 +60,7 @@ class Pairing:
         self.paired = 0
 
     def add(self, side: int, block: Block) -> None:
-        """Take further messages of bag 0 or 1."""
+        """Add messages of bag 0 or 1."""
         self._waiting[side].append(block.compact())
         self._new += len(block)
         if self._new >= max(ROWS, self._left // 4) and all(self._waiting):

@@ -141,7 +141,7 @@ class Columns:
 
 
 def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray[np.uint8]]]) -> Piece:
-    """Put messages of several shapes into one table: what a message lacks is NaN."""
+    """Merge messages of several shapes into one table; values that a message lacks are NaN."""
     stamp = block.t.copy()
     columns: dict[str, Array] = {}
     absent: dict[str, NDArray[np.bool_]] = {}

@@ -77,7 +77,7 @@ class Tape(Block[TapeParams]):
 
     @classmethod
     def ports(cls, params: TapeParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One output for each port that reads the bag."""
+        """Declare one output for each port that reads the bag."""
         return (), tuple(port_of(text) for text in params.inputs)
 
     def setup(self) -> None:
@@ -104,7 +104,7 @@ class Tape(Block[TapeParams]):
             yield t - epoch, Sample(stamp - epoch, values) if port.delayed else values
 
     def first(self) -> State:
-        """Nothing is said."""
+        """Return the empty state: nothing was published yet."""
         return State((0,) * len(self._rows))
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, Any]]:

@@ -117,7 +117,7 @@ class ResultsFolder:
         return None
 
     def let_go(self) -> None:
-        """Let others have the folder."""
+        """Release the lock on the folder."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None

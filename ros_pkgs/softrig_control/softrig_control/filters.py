@@ -50,7 +50,7 @@ class SecondOrderFilter:
         return Filtered(start, start - start)
 
     def __call__(self, x: Filtered[T], sample: T) -> tuple[Filtered[T], T]:
-        """Take a sample in; return the state, and y."""
+        """Process a sample; return the state, and y."""
         y, rate = x
         rate = rate + (self._stiffness * (sample - y) - self._decay * rate)
         y = y + self._period * rate

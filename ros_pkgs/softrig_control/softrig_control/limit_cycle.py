@@ -48,7 +48,7 @@ class Swinging(NamedTuple):
 
 
 def limit_cycle(x: Swinging, y: float, reference: float) -> tuple[Swinging, float]:
-    """Take one sample in; give the mean swing (peak to peak), 0 while there is none that lasts.
+    """Process one sample; return the mean swing (peak to peak), 0 while there is no lasting one.
 
     A loop that settles, near its reference or not, has swings that fall; one in a limit cycle has not, nor has one that
     diverges. Each new reference begins anew.

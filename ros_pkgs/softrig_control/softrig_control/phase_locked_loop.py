@@ -55,7 +55,7 @@ class PhaseLockedLoop:
         return Locked(theta, self._nominal)
 
     def __call__(self, x: Locked, u: complex, lost: int = 0) -> tuple[Locked, float]:
-        """Take the vector in; give the state, and theta, the angle of the frame at this sample, from -pi to pi.
+        """Process the vector; return the state, and theta, the angle of the frame at this sample, from -pi to pi.
 
         `lost` samples before it have not come: the frame has turned on meanwhile.
         """

@@ -80,7 +80,7 @@ class Exact:
 
     @classmethod
     def discrete(cls, a: Matrix, b: Matrix, c: Sequence[float]) -> Exact:
-        """Take the matrices of a sampled system as they are.
+        """Use the matrices of a sampled system as they are.
 
         Parameters
         ----------

@@ -54,7 +54,7 @@ def named(text: str, option: str, form: str) -> tuple[str, str]:
 
 
 def without_ros(arguments: Sequence[str]) -> list[str]:
-    """Leave out ``--ros-args ... --``, which launch gives to every executable, of a tool that is no node."""
+    """Remove ``--ros-args ... --``, which launch passes to every executable, also to a tool without a node."""
     rest, ros = [], False
     for word in arguments:
         if word == "--ros-args" or (ros and word == "--"):

@@ -32,7 +32,7 @@ _NAMED = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryEr
 
 
 def guarded(work: Callable[[], int]) -> int:
-    """Do the work of a command and turn every failure into one line and its exit status.
+    """Run a command and turn every failure into one line and its exit status.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ class Interrupt:
         self._times = 0
 
     def install(self) -> None:
-        """Take SIGINT from Python's own handler, and from no other; the end of a launch that has died is one, too."""
+        """Replace Python's own SIGINT handler, or that left by a launch that has died, and no other."""
         if _is_pythons_own():
             signal.signal(signal.SIGINT, self)
         parent = os.environ.get(PARENT)
@@ -53,7 +53,7 @@ class Interrupt:
             self._leave = None
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Nothing has been published, recorded or said yet when it is early."""
+        """Raise: when it is this early, nothing has been published, recorded or printed."""
         self._times += 1
         if self.early:
             os._exit(0)

@@ -28,7 +28,7 @@ def check() -> None:
 
 
 def is_executable() -> bool:
-    """Whether this program is an executable of an installed package, ``PREFIX/lib/PACKAGE/NAME``, as ROS starts it."""
+    """Return whether this program is an executable of an installed package, ``PREFIX/lib/PACKAGE/NAME``."""
     library, _, name = (sys.argv[0] if sys.argv else "").rpartition("/")
     prefix, _, package = library.rpartition("/lib/")
     return bool(name) and "/" not in package and _has(prefix, package)
@@ -41,7 +41,7 @@ def prefixes(environ: Mapping[str, str] = os.environ) -> list[str]:
 
 
 def join_prefix(environ: MutableMapping[str, str] = os.environ) -> None:
-    """Put the prefix of a wheel behind `AMENT_PREFIX_PATH`, where a workspace would have been sourced."""
+    """Append the prefix of a wheel to `AMENT_PREFIX_PATH`, as sourcing a workspace would."""
     if (found := os.pathsep.join(prefixes(environ))) != environ.get("AMENT_PREFIX_PATH", ""):
         environ["AMENT_PREFIX_PATH"] = found
 

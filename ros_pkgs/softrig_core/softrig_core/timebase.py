@@ -33,7 +33,7 @@ class Pace:
         self._stopped: float | None = None
 
     def change(self, pace: float, now: float) -> None:
-        """Take another pace from `now` (s of the wall) on."""
+        """Change the pace from `now` (s of the wall clock) on."""
         if self._mark is not None:
             since, first = self._mark
             now = now if self._stopped is None else self._stopped
@@ -41,11 +41,11 @@ class Pace:
         self.pace = pace
 
     def stop(self, now: float) -> None:
-        """Have the time stand still."""
+        """Stop the time."""
         self._stopped = now if self._stopped is None else self._stopped
 
     def go_on(self, now: float) -> None:
-        """Have it go on."""
+        """Let the time continue."""
         if self._mark is not None and self._stopped is not None:
             self._mark = self._mark[0] + now - self._stopped, self._mark[1]
         self._stopped = None

@@ -75,7 +75,7 @@ class Group:
             self.turn()
 
     def turn(self) -> None:
-        """Take ticks as long as nothing is missing."""
+        """Run ticks as long as nothing is missing."""
         for node in self.nodes:
             if node.state in ("starting", "failed"):
                 return
@@ -134,13 +134,13 @@ def _links(nodes: Sequence[Adapter]) -> list[_Link]:
 
 
 def _feed(links: Sequence[_Link]) -> None:
-    """Have what is said fill the inputs at once."""
+    """Fill the inputs immediately with what is published."""
     for writer, output, reader, item, pick in links:
         writer.step.hands_to(output.name, reader.step, item.name, pick)
 
 
 def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
-    """Whether nodes read only each other, what is checked and of their ticks; free inputs may come from anywhere."""
+    """Return whether nodes read only each other, with checked links and at their ticks; free inputs may be external."""
     rows = [row for drive in drives for row in drive.senders.rows]
     fed = [row for row in rows if row.local]
     return (
@@ -153,7 +153,7 @@ def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
 
 
 def _in_order(nodes: Sequence[Adapter], links: Sequence[_Link]) -> list[Adapter]:
-    """Put plants first, then each node after those that it reads."""
+    """Sort plants first, then each node after those that it reads."""
     done = [n for n in nodes if n.is_plant]
     left = [n for n in nodes if not n.is_plant]
     while left:

@@ -42,7 +42,7 @@ class FallingCurve:
     above: tuple[Corner, ...] = ()
 
     def take(self, sample: Point) -> tuple[float, FallingCurve]:
-        """Take a measurement (v in V, i in A, ...).
+        """Process a measurement (v in V, i in A, ...).
 
         Returns
         -------
@@ -80,7 +80,7 @@ def _rise(corners: tuple[Corner, ...], x: float, y: float) -> float:
 
 
 def _kept(corners: tuple[Corner, ...], x: float, y: float) -> tuple[Corner, ...]:
-    """Put a corner in unless another one is beyond it, and take those out that are within it."""
+    """Add a corner unless another one dominates it, and remove those that it dominates."""
     k = bisect(corners, (x / y,))
     for _, a, b in corners[max(k - 1, 0) : k + 1]:
         if a >= x and b >= y:
@@ -117,7 +117,7 @@ class FallingRows(NamedTuple):
 def _taken(
     counts: NDArray[np.int64], last: NDArray[np.float64], corners: NDArray[np.float64], v: float, i: float
 ) -> float:
-    """Take a measurement; return the share of voltage and of current by which it proves a change, 1: by none."""
+    """Process a measurement; return the shares of voltage and current by which it proves a change, 1: by none."""
     if counts[0] == len(last):
         last[:-1] = last[1:]
     else:
@@ -160,7 +160,7 @@ def _rise_in(corners: NDArray[np.float64], x: float, y: float) -> float:
 
 @jit
 def _kept_in(corners: NDArray[np.float64], size: int, x: float, y: float) -> int:
-    """As `_kept`, in place; return how many there are then."""
+    """Do as `_kept`, in place; return the new number of corners."""
     k = _place(corners[:size], x / y)
     for j in range(max(k - 1, 0), min(k + 1, size)):
         if corners[j, 1] >= x and corners[j, 2] >= y:

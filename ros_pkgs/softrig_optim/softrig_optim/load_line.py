@@ -72,7 +72,7 @@ class LoadLineSearch(Search):
         return self.peak[0] * self.peak[1]
 
     def learn(self, d: float) -> tuple[float, float]:
-        """Take the measurement made under the command d; return (v, i)."""
+        """Store the measurement made under the command d; return (v, i)."""
         v, i = self.sample[:2]
         if v > 0.0 and i > 0.0:
             self._load = self.matching.load(d, v / i)
@@ -154,7 +154,7 @@ class CertifiedSearch(LoadLineSearch):
 
     @property
     def gap(self) -> float:
-        """As asked for."""
+        """Return the gap as requested."""
         return self.eps
 
     def _contradicted(self) -> bool:
@@ -166,7 +166,7 @@ class CertifiedSearch(LoadLineSearch):
         return False
 
     def watch(self, sample: Sequence[float]) -> None:
-        """Take a point of the characteristic passed on the way."""
+        """Store a point of the characteristic passed on the way."""
         self._remember(sample[0], sample[1])
         insort(self._points, (sample[0], sample[1]))
 

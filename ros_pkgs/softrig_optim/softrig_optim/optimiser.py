@@ -201,7 +201,7 @@ class CommandSearch(Block[P], ABC):
         """Return the most change of a command in a second; 0: no limit."""
 
     def no_signal(self, sample: Point, value: float) -> bool:
-        """Tell whether a measurement during a search shows that there is nothing to search on: not above `floor`."""
+        """Return whether a measurement during a search is at or below `floor`: there is nothing to search on."""
         return self.p.floor is not None and value <= self.p.floor
 
     def characteristic(self, n: int) -> FallingCurve | None:
@@ -232,7 +232,7 @@ class CommandSearch(Block[P], ABC):
         return x.search.watches or t - x.since >= self._wait(x)
 
     def _wait(self, x: State) -> int:
-        """How long a candidate is applied."""
+        """Return how long a candidate is applied."""
         return self._hold if x.search.settle else self._period
 
     def update(
@@ -270,7 +270,7 @@ class CommandSearch(Block[P], ABC):
     # the command -----------------------------------------------------------------------------------------------
 
     def _moved(self, x: State, t: int) -> tuple[State, Mapping[str, Point]]:
-        """Go towards the target; note when it is there."""
+        """Move towards the target; record when it is reached."""
         if x.since == NEVER or x.command != x.target:
             limit, target = self._step, x.target
             command = tuple(
@@ -526,5 +526,5 @@ class Optimiser(CommandSearch[OptimiserParams]):
         return sample[0]
 
     def slew(self) -> float:
-        """As the parameter says."""
+        """Return the rate of the parameter."""
         return self.p.max_slew

@@ -127,7 +127,7 @@ class Search(ABC):
 
     @property
     def pending(self) -> Sequence[Point]:
-        """All candidates that can be evaluated now, also in parallel; tell their values in this order."""
+        """Return all candidates that can be evaluated now, also in parallel; tell their values in this order."""
         return () if self._done else self._generation[len(self._costs) :]
 
     @property
@@ -186,7 +186,7 @@ class Search(ABC):
         return self._generation[len(self._costs)]
 
     def tell(self, value: float, sample: Sequence[float] = ()) -> None:
-        """Take the value of the candidate that `ask` gave.
+        """Store the value of the candidate that `ask` returned.
 
         Parameters
         ----------
@@ -264,7 +264,7 @@ class Population(Search):
         return self.lower + (self.upper - self.lower) * self.rng.random((self.n_pop, self.lower.size))
 
     def clip(self, x: Array) -> Array:
-        """Put positions back onto the box."""
+        """Project positions onto the box."""
         return np.minimum(np.maximum(x, self.lower), self.upper)
 
 

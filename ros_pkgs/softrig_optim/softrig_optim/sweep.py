@@ -124,7 +124,7 @@ class Workers:
         return [found[k] for k in range(len(cases))]
 
     def _chunks(self, cases: Iterator[tuple[int, C]], room: int, seconds: float, workers: int) -> Iterator[Chunk[C]]:
-        """Take cases for so many chunks; few of them are spread over all workers."""
+        """Split cases into so many chunks; a small number is spread over all workers."""
         size = max(1, min(LARGEST, int(seconds / max(self._mean, 1e-6))))
         taken = list(islice(cases, room * size))
         size = min(size, -(-len(taken) // workers)) if len(taken) < room * size else size
@@ -213,7 +213,7 @@ _own: list[bool] = []  # of a worker: whether it has a chunk behind it
 
 
 def _each_here(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R], float]:
-    """Do so in a worker that does nothing else."""
+    """Run the case in a dedicated worker."""
     found = _each(function, cases)
     if not _own:
         _own.append(_freeze())
@@ -221,7 +221,7 @@ def _each_here(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R],
 
 
 def _freeze() -> bool:
-    """Have Python look for cycles no more in what has been imported and made: a tenth of a short case."""
+    """Exclude imported objects from garbage collection: it takes a tenth of a short case."""
     gc.collect(1)  # of the newest: a look at all that is imported would take longer than many a study
     gc.freeze()
     return True
@@ -265,7 +265,7 @@ def cores() -> int:
 
 @contextmanager
 def _own_imports() -> Iterator[None]:
-    """Let no process that Python starts meanwhile import its own modules from the current directory."""
+    """Keep Python processes started meanwhile from importing modules from the current directory."""
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"
     try:

@@ -194,7 +194,7 @@ class DrivenRobot(Plant[P]):
         )
 
     def first(self) -> Any:
-        """Put the robot at its initial state with no current."""
+        """Return the initial state of the robot with zero current."""
         q, v = self.initial()
         return State(q, v, (0.0,) * self.n, (0,) * self.n)
 

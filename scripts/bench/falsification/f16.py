@@ -164,7 +164,7 @@ def _thrust(power: float, height: float, mach: float) -> float:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _power_slope(power: float, asked: float) -> float:
-    """How fast the engine follows, percent/s."""
+    """Return how fast the engine follows, percent/s."""
     if power >= 50.0:
         return 5.0 * ((asked if asked >= 50.0 else 40.0) - power)
     far = (60.0 if asked >= 50.0 else asked) - power

@@ -46,7 +46,7 @@ def random(problem: Problem, margin: Margin, budget: int, seed: int) -> None:
 
 
 def corners(problem: Problem, margin: Margin, budget: int, seed: int) -> None:
-    """All low, all high, then corners at random."""
+    """Yield all low, all high, then corners at random."""
     for u in (0.0, 1.0):
         margin((u,) * problem.size)
     for point in np.random.default_rng(seed).integers(0, 2, (budget - 2, problem.size)).tolist():

@@ -73,7 +73,7 @@ INPUTS = (("throttle", 0.0, 100.0, SEGMENTS), ("brake", 0.0, 325.0, SEGMENTS))
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _place(x: float, grid: Array) -> tuple[int, float]:
-    """Where a number lies in a grid, beyond its ends on the last piece."""
+    """Return the place of a number in a grid; beyond its ends on the last piece."""
     k = min(max(int(np.searchsorted(grid, x, side="right")) - 1, 0), len(grid) - 2)
     return k, (x - grid[k]) / (grid[k + 1] - grid[k])
 

@@ -189,7 +189,7 @@ class _Maker:
         self._at += -(self._at - 4) % n
 
     def _move(self, n: int, path: str) -> int:
-        """Go on by some bytes; return where they begin."""
+        """Advance by some bytes; return where they begin."""
         at = self._at
         self._at += n
         if self._at > len(self._data):

@@ -73,7 +73,7 @@ class Expanded:
             raise Damaged(f"{file.name} cannot be decompressed to its end")
 
     def close(self) -> None:
-        """Take the copy away."""
+        """Delete the copy."""
         self._folder.cleanup()
 
 

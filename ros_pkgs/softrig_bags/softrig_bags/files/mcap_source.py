@@ -167,7 +167,7 @@ class McapSource:
         return at + after
 
     def _note(self, code: int, content: bytes) -> None:
-        """Take what a record says, unless it is a message."""
+        """Store the content of a record, unless it is a message."""
         fields = Fields(content)
         if code == SCHEMA:
             number, name, encoding = fields.number("<H"), fields.text(), fields.text()
@@ -357,7 +357,7 @@ class Fields:
         self._content, self._at = content, 0
 
     def skip(self, n: int) -> None:
-        """Leave out some bytes."""
+        """Skip some bytes."""
         self._at += n
 
     def number(self, form: str) -> int:

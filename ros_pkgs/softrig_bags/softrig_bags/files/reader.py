@@ -340,7 +340,7 @@ class BagReader:
             yield ready
 
     def _renumbered(self, i: int, block: Block, numbers: Collection[int]) -> Block:
-        """Put the topics' numbers of the bag in place of those of a file."""
+        """Replace the topic numbers of a file by those of the bag."""
         known = self._numbers[i]
         for number in numbers:
             if number not in known:

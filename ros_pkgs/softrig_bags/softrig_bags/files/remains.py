@@ -44,7 +44,7 @@ class Remains:
 
     @property
     def pending(self) -> bool:
-        """Whether a journal stands beside a file: a reader of the file alone does not see all that was committed."""
+        """Return whether a journal exists beside a file: a reader of the file alone would miss committed rows."""
         return any(journals(file) for file in self.files if file.suffix == ".db3")
 
 

@@ -72,7 +72,7 @@ class Publishers:
         return True
 
     def unheard(self, names: Sequence[str]) -> list[str]:
-        """Which of the published topics have no subscriber."""
+        """Return the published topics that have no subscriber."""
         heard = {p.topic_name for p in self._publishers.values() if p.get_subscription_count()}
         return [n for n in names if n not in heard]
 
@@ -270,7 +270,7 @@ class Answers:
         self._check(len(self.ticks) - 1)
 
     def take(self, data: bytes) -> None:
-        """Take the next answer; RunError: it is awaited with another stamp."""
+        """Return the next answer; RunError: an answer with another stamp is awaited."""
         self.data.append(data)
         self._check(len(self.data) - 1)
 

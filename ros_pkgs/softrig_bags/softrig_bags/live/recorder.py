@@ -87,7 +87,7 @@ class Recorder:
         return [f"{name} {reason}" for (name, _), reason in self._refused.items()]
 
     def losses(self) -> str:
-        """Tell in a few words what is missing."""
+        """Describe in a few words what is missing."""
         lost, missed = self.lost, self.missed
         counted = [f"LOST {sum(lost.values())}: {_listed(lost)}"] if lost else []
         if missed:
@@ -269,7 +269,7 @@ class Recorder:
         return self._writer.count
 
     def _drain(self) -> None:
-        """Take what had arrived before the signal."""
+        """Receive what had arrived before the signal."""
         for subscription in self._subscriptions.values():
             self._take(subscription)
 

@@ -207,7 +207,7 @@ def _corners(
     over: Callable[[], bool],
     budget: int,
 ) -> None:
-    """All low, all high, each thing by itself, each coordinate where the budget is enough for all, then drawn ones."""
+    """Yield corners: all low, all high, each value by itself, each coordinate if the budget allows, then drawn ones."""
     size = sum(groups)
 
     def alone(spans: Iterable[tuple[int, int]]) -> list[Point]:

@@ -49,7 +49,7 @@ def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], b
 def _greedily(
     candidates: Callable[[Space, Case], Iterator[Case]], space: Space, case: Case, still: Callable[[Case], bool]
 ) -> Case:
-    """Take the first smaller case that violates, again and again."""
+    """Replace the case by the first smaller one that violates, again and again."""
     while (found := next((c for c in candidates(space, case) if still(c)), None)) is not None:
         case = found
     return case

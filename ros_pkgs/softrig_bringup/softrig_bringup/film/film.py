@@ -41,7 +41,7 @@ class Film:
 
     @property
     def duration(self) -> float:
-        """How long it is, s."""
+        """Return the length of the film, s."""
         return len(self.frames) / FRAMES
 
     @property

@@ -227,7 +227,7 @@ def _wanted() -> frozenset[str]:
 
 
 def _is_rig_package(name: str) -> bool:
-    """Whether a package of this name is installed here as a package of nodes: then it is used, and not the pack's."""
+    """Return whether a package of nodes of this name is installed here; it is then used instead of the pack's."""
     marks = (prefix / "share" / "ament_index" / "resource_index" / "packages" / name for prefix in prefixes())
     return not name.startswith("softrig") and find_spec(name) is not None and any(map(os.path.isfile, marks))
 

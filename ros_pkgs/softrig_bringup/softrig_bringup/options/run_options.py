@@ -188,7 +188,7 @@ def _has(node: NodeEntry, parameter: str) -> bool:
 
 
 def _repeated(options: argparse.Namespace) -> Scenario:
-    """Give the scenario of the run that --like or --from names, with what was changed of it before and while it ran."""
+    """Return the scenario of the run that --like or --from names, with all changes before and during that run."""
     from .branch import continued
     from .grammar import settings
     from .like import recall, repeated
@@ -214,7 +214,7 @@ def _repeated(options: argparse.Namespace) -> Scenario:
 
 
 def begun(options: argparse.Namespace) -> dict[str, Any]:
-    """Say from which run one that --from has made goes on, and by which command the first of them was made."""
+    """Describe the run that a run of --from continues, and the command that made the first of them."""
     path, at = options.origin
     first = argparse.Namespace(**vars(options.recalled.options))
     first.duration = first.duration if options.duration is None else options.duration

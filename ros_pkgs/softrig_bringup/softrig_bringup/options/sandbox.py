@@ -155,7 +155,7 @@ def run(words: list[str]) -> int:
 
 
 def _below(pid: int) -> list[int]:
-    """Give the first process that is no bubblewrap any more: two lie between, the one outside and the first inside."""
+    """Return the first process that is not bubblewrap: one outside and one inside the sandbox precede it."""
     found = [pid]
     while found and all(Path(f"/proc/{p}/comm").read_text().strip() == "bwrap" for p in found):
         found = [int(c) for p in found for c in Path(f"/proc/{p}/task/{p}/children").read_text().split()]

@@ -36,7 +36,7 @@ def sign(path: Path, key: Path) -> Path:
 
 
 def signed_by(path: Path) -> str:
-    """Say who has signed a file, in words; a signature that does not fit is refused.
+    """Return who signed a file, in words; refuse a signature that does not fit.
 
     Raises
     ------

@@ -20,7 +20,7 @@ from .signature import signed_by
 
 
 def admitted(options: argparse.Namespace) -> int | None:
-    """Let the code of the pack that a run repeats be imported, once it is confirmed; what brings none needs no word.
+    """Allow imports of a repeated run's pack once its code is confirmed; a pack without code needs no word.
 
     Parameters
     ----------

@@ -124,7 +124,7 @@ class _Routes:
 
 
 def _wire(wire: Wire, route: _Routes) -> Element:
-    """One topic: stub with its name, lane, branches, track."""
+    """Draw one topic: stub with its name, lane, branches, track."""
     x0, y0 = route.start(wire)
     column = route.boxes[wire.source].column
     to = ", ".join(wire.readers) or "nobody"

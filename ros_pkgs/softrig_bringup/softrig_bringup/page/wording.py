@@ -57,7 +57,7 @@ def spans(intervals: Sequence[tuple[float, float]]) -> str:
 
 
 def difference(value: float | None, published: float | None) -> str:
-    """How far a measured value is from the published one, in percent of it."""
+    """Return how far a measured value is from the published one, in percent of it."""
     if value is None or published is None:
         return NONE
     if published == 0.0:

@@ -193,7 +193,7 @@ def legend(
     marks: Sequence[tuple[Artist, str]] = (),
     what: str = "signals",
 ) -> None:
-    """Put the legend above the axes, where it covers no data.
+    """Place the legend above the axes, where it covers no data.
 
     Parameters
     ----------

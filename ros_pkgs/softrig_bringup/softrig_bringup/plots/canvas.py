@@ -105,7 +105,7 @@ class Words(Artist):
     boxed: bool = False
 
     def set_in_layout(self, counts: bool) -> None:
-        """Take part in the layout or not: here no text inside of an axes does."""
+        """Accept matplotlib's switch for the layout: here no text inside of axes takes part in it."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class Axis:
         self._sticky: set[float] = set()
 
     def see(self, values: ArrayLike, sticky: Sequence[float] = ()) -> None:
-        """Make room for values; no margin is left beyond a sticky one."""
+        """Extend the limits to include values; no margin is added beyond a sticky one."""
         self._asked = True
         known = np.asarray(values, float)
         known = known[np.isfinite(known)]
@@ -423,7 +423,7 @@ class Axes:
         self._called("set_ylim", None, low, high)
 
     def margins(self, both: float | None = None, *, x: float | None = None, y: float | None = None) -> None:
-        """Leave a share of the data free beside it."""
+        """Set the share of the data range that stays free beside the data."""
         for axis, share in ((self.x, x), (self.y, y)):
             share = both if both is not None else share
             if share is not None:
@@ -507,7 +507,7 @@ class Axes:
         self._called("grid", None, visible, axis=axis)
 
     def set_aspect(self, aspect: Literal["equal"], *, adjustable: Literal["datalim"]) -> None:
-        """Give both axes the same scale."""
+        """Use the same scale for both axes."""
         self.equal = True
         self._called("set_aspect", None, aspect, adjustable=adjustable)
 
@@ -657,7 +657,7 @@ class Figure:
         self.calls.append(Call(self, "text", (x, y, text), how, None))
 
     def align_ylabels(self) -> None:
-        """Let titles of y axes stand in one line, which an SVG of softrig does anyway."""
+        """Align titles of y axes, which an SVG of softrig always does."""
         self.calls.append(Call(self, "align_ylabels", (), {}, None))
 
     def colorbar(self, cells: Cells, *, ax: Sequence[Axes], label: str) -> None:

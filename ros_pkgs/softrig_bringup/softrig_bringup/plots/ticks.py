@@ -80,7 +80,7 @@ def minus(text: str) -> str:
 
 
 def with_power(title: str, power: int, unit_alone: bool) -> str:
-    """Put a factor before the unit of an axis title: "Cost, 10⁴ $"; `unit_alone`: the title is nothing but a unit."""
+    """Insert a factor before the unit of an axis title: "Cost, 10⁴ $"; `unit_alone`: the title is only a unit."""
     if not power:
         return title
     factor = f"10{str(power).translate(_SUPERSCRIPT)}"

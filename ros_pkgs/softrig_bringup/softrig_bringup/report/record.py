@@ -89,12 +89,12 @@ class RunRecord(BaseModel):
 
     @property
     def simulated_s(self) -> float:
-        """How far it came, s."""
+        """Return the simulated time that the run reached, s."""
         return self.duration_s if self.reached_s is None else self.reached_s
 
     @property
     def compared(self) -> bool:
-        """Whether it was changed, or stopped early: what is published then stands beside it for comparison alone."""
+        """Return whether the run was changed or stopped early: published values are then shown for comparison only."""
         return bool(self.changed or self.stopped)
 
     @property

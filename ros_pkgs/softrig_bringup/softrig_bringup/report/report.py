@@ -43,7 +43,7 @@ def _number(metric: Result) -> float:
 
 
 def _with_their_runs(directories: Sequence[Path]) -> list[Path]:
-    """Put in the place of a folder that is no run the runs below it, if there are any."""
+    """Replace each folder that is not a run by the runs below it, if there are any."""
     found: list[Path] = []
     for directory in directories:
         inside = [] if (directory / MARK).exists() else sorted(mark.parent for mark in directory.glob(f"*/{MARK}"))

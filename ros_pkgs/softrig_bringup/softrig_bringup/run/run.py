@@ -251,7 +251,7 @@ def versions() -> dict[str, str]:
 
 @cache
 def checkout() -> dict[str, str]:
-    """Give the commit of the checkout that runs, ``+`` behind it when files were changed, and its lock file's hash."""
+    """Return the commit of the running checkout (``+`` behind it when files were changed) and its lock file's hash."""
     script = Path(os.environ.get("SOFTRIG_COMMAND", ""))
     lock = script.parent / "locks" / "run.lock"
     if not lock.is_file():

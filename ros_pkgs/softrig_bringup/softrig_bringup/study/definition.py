@@ -186,7 +186,7 @@ class Study(Entry):
 
 
 def study_folders() -> list[Path]:
-    """Where study files are looked for: ``studies`` beside each folder of scenarios."""
+    """Return the folders of study files: ``studies`` beside each folder of scenarios."""
     folders = [folder.parent / "studies" for folder in scenario_folders()]
     given = [Path(p) for p in os.environ.get("SOFTRIG_STUDIES", "").split(os.pathsep) if p]
     return [f for f in (*given, *folders) if f.is_dir()]

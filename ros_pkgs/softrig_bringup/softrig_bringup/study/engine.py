@@ -257,7 +257,7 @@ def _search(study: Study, search: Search, batch: Batch, drafts: Mapping[str, Dra
 
 
 def beyond(row: Mapping[str, Any], figure: str, limits: Expectation) -> float:
-    """How far a figure of a run is beyond what is expected of it; at most 0 when it is not."""
+    """Return how far a figure of a run violates its expectation; at most 0 if it does not."""
     value = value_of(row, figure)
     if limits.holds(value):
         return 0.0

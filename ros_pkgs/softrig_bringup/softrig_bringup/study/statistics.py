@@ -217,7 +217,7 @@ def _over(table: Array, independent: Callable[[Array], Estimate], statistic: est
 
 
 def _shares(study: Study, group: str, sample: Sample) -> Iterator[Share]:
-    """How often the scenario's requirements hold, and what the study requires of figures."""
+    """Compute how often the scenario's requirements and the study's conditions on figures hold."""
     if len(sample.rows) < 2:
         return
     asked: dict[str, Callable[[Row], float]] = {}

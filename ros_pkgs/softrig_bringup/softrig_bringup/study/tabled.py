@@ -85,7 +85,7 @@ def for_paper(found: Statistics) -> tuple[list[str], list[Column]]:
 
 
 def _without_case(table: Tabled) -> Tabled:
-    """Leave out the column of cases where there is but one."""
+    """Remove the column of cases if there is only one case."""
     if any(row[0] != ALL for row in table.rows):
         return table
     return Tabled(table.title, table.heads[1:], [row[1:] for row in table.rows], table.keys - 1)

@@ -11,7 +11,7 @@ from typing import Any
 
 
 def complete(parser: argparse.ArgumentParser) -> None:
-    """Have the words of a parser, and of its verbs, completed by what they are called."""
+    """Complete the arguments of a parser and of its verbs by what they mean."""
     for action in parser._actions:
         if action.dest in _COMPLETERS:
             action.completer = _COMPLETERS[action.dest]  # type: ignore[attr-defined]

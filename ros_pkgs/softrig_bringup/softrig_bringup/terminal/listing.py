@@ -42,7 +42,7 @@ class _Console(Console):
         return super().render_str(plain(text), **options)
 
     def on_broken_pipe(self) -> None:
-        """Leave it to `guarded`; called while the error is handled."""
+        """Leave the error to `guarded`; called while it is handled."""
         raise
 
 
@@ -101,7 +101,7 @@ def _tree(system: str, scenarios: list[Scenario], depth: int) -> Tree:
 
 
 def _took(name: str) -> list[str]:
-    """How long the last run took here, if there is one."""
+    """Return how long the last run took here, if there is one."""
     try:
         content = json.loads((Path("runs") / name / "metrics.json").read_text())
         return [f"took {float(content['wall_s']):.2g} s ({content['mode']})"]

@@ -87,7 +87,7 @@ class Golden:
 
     @property
     def bag(self) -> Path:
-        """Where the bag is."""
+        """Return the path of the bag."""
         return self.folder / "bag"
 
     def recording(self) -> Recording:
@@ -131,7 +131,7 @@ class Golden:
 
     @property
     def others(self) -> dict[str, tuple[str, str]]:
-        """What decides the bits and is not as it was when the bag was made: name to there and here."""
+        """Return what decides the bits and differs from the recording: name to the value there and here."""
         now, there = versions(), self.recipe.made_with
         pairs = {name: (there.get(name, "unknown"), now.get(name, "unknown")) for name in DECIDE}
         if not all(OURS.match(member.block_class.__module__) for member in self.rig.members):
@@ -146,7 +146,7 @@ class Golden:
 
     @property
     def how(self) -> str:
-        """How a new recording is compared, and why."""
+        """Return how a new recording is compared, and why."""
         return f"within tolerances: {self._differing}" if self.others else "byte for byte"
 
     @property

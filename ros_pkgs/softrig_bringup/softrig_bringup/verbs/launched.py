@@ -197,7 +197,7 @@ class Launched:
             return stopped_by(interrupt)
 
     def _over(self) -> str:
-        """Do what is to be done when all have ended; returns why the launch is to end with a failure."""
+        """Finish when all processes have ended; return why the launch ends with a failure."""
         rig, options = self._rig, self._options
         names = [m.name for m in rig.members if not m.external]
         with undisturbed() as came:  # what was recorded is not lost while it is gathered

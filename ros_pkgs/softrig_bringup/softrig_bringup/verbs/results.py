@@ -85,7 +85,7 @@ def _figures(place: Path) -> Path:
 
 
 def _key(rig: Rig) -> str:
-    """What a run is made of: scenario, code of blocks and figures, files that blocks read, libraries, machine."""
+    """Return a key of everything a run depends on: scenario, code, files that blocks read, libraries, machine."""
     made = made_of({}, [rig])
     libraries = {k: v for k, v in versions().items() if k != "commit"}
     whole = json.dumps([rig.scenario.model_dump(mode="json"), made, libraries], sort_keys=True, default=str)

@@ -135,7 +135,7 @@ def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: st
 
 
 def _stated(scenarios: Sequence[Scenario]) -> list[str]:
-    """What scenarios say of their source, where no paper is cited."""
+    """Return what scenarios state as their source, where no paper is cited."""
     return list(dict.fromkeys(s.source for s in scenarios))
 
 

@@ -181,7 +181,7 @@ class Control:
         self._call(who, self.clock, what, what, after)
 
     def go_back(self, who: str, t: float) -> None:
-        """Take the run back to a time, s, also when it is over."""
+        """Return to a time of the run, s, also when it is over."""
 
         def answered(done: bool, reason: str) -> None:
             self.say(who, reason if done else f"back to {t:g} s refused: {reason}", not done)
@@ -190,7 +190,7 @@ class Control:
         self._ask({"node": self.clock, "back": t}, answered)
 
     def go_at(self, who: str, pace: float) -> None:
-        """Have the run go at a pace, simulated by wall-clock time; 0: as fast as it goes."""
+        """Set the pace, simulated by wall-clock time; 0: as fast as possible."""
         text = f"pace {pace:g}" if pace else "as fast as it goes"
 
         def answered(done: bool, reason: str) -> None:

@@ -109,7 +109,7 @@ class Here(Growing):
         return {"pause": "paused", "resume": "goes on"}.get(call, "")
 
     def _back(self, t: float) -> str:
-        """Go back to a time (s) and stay there, the knobs as they are turned."""
+        """Return to a time (s) and pause there, with the knobs as they are set."""
         session, before = self.session, self.session.t
         left, branch = self._folder if self.outcome else "", None
         if session.undone(t) and not self.outcome and self._place is not None:
@@ -155,7 +155,7 @@ class Here(Growing):
     # ticks ---------------------------------------------------------------------------------------------------------
 
     def turn(self) -> float:
-        """Take the ticks that are due, for a while; returns how long the next ones may wait, s."""
+        """Run the ticks that are due, for a limited time; return how long the next ones may wait, s."""
         session, until = self.session, time.monotonic() + SLICE
         while not session.over and not self.control.held:
             now = time.monotonic()
@@ -171,7 +171,7 @@ class Here(Growing):
             self.session.step()
 
     def look(self) -> None:
-        """Take over what is recorded."""
+        """Copy new recorded data."""
         session = self.session
         part = Recording(())
         for name, topic in session.recording.topics.items():

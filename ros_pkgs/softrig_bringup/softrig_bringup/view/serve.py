@@ -87,7 +87,7 @@ class OneLine(logging.Filter):
         self.number = 0
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Let a record pass without its stack: the first ones, then the 10th, 100th, ... with their number."""
+        """Pass a log record without its stack: the first ones, then the 10th, 100th, ... with their number."""
         self.number += 1
         if self.number > SHOWN and str(self.number).strip("0") != "1":
             return False
@@ -166,7 +166,7 @@ def free_address(address: str) -> tuple[str, int]:
 
 
 def new_token() -> str:
-    """Make a word that lets a browser in; on this host, too: other users, and pages of others whose name leads here."""
+    """Create the token that lets a browser in; other users of this host and pages of other origins lack it."""
     return secrets.token_urlsafe(16)
 
 

@@ -46,7 +46,7 @@ def head(source: Source, how: str, control: Control) -> str:
 
 
 def _going(source: Source, control: Control) -> str:
-    """Say who is awaited; then whether it runs, at what pace, and that the machine does not keep up with it."""
+    """Describe which nodes are awaited; then whether the rig runs, at what pace, and whether the machine keeps up."""
     if names := source.awaited:
         return f"starting for {source.waited:.0f} s, waits for {', '.join(names)}"
     if control.held:

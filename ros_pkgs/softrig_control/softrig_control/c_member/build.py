@@ -216,7 +216,7 @@ def _structs(header: Path, prefix: str, flags: tuple[str, ...], text: str) -> di
 
 
 def _without_nothing(struct: Struct) -> Struct:
-    """Leave out the one member that a struct without members has, as C wants one."""
+    """Drop the dummy member that C requires in an empty struct."""
     return struct._replace(leaves=() if [leaf.access for leaf in struct.leaves] == ["nothing"] else struct.leaves)
 
 

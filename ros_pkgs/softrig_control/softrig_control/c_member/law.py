@@ -79,7 +79,7 @@ class Called(Compiled):
 
     @property
     def address(self) -> int:
-        """Where it is."""
+        """Return the address of the function."""
         return ctypes.cast(self._found, ctypes.c_void_p).value or 0
 
     @property
@@ -151,7 +151,7 @@ class Apart:
         self.status, self.first = found[0], found[1:]
 
     def call(self, method: str, values: Row) -> Row:
-        """As `Called`, without the place of the constants, which it has."""
+        """Call it as `Called`, with the address of the constants filled in."""
         which = self._methods.index(method)
         return self._ask(which, (0.0, *values), self._counts[which].gives)
 

@@ -225,7 +225,7 @@ class _C(Block[CParams]):
         return self._made(self._begin)
 
     def go_on(self, x: Any, before: CParams) -> Any:
-        """Go on with the same state and other constants; a library that hides state is told all again."""
+        """Continue with the same state and other constants; a library with hidden state gets all inputs again."""
         if self._rebuilt:
             self.report(
                 Level.WARN, "rebuilt", f"{self._file} was built again; this run goes on with the build of its start"
@@ -324,7 +324,7 @@ class CController(_C, Block[CParams]):
     """
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, Row]]:
-        """Answer one tick."""
+        """Answer one tick by the C function."""
         values = self._values(inputs)
         if self._apart:
             x, found = self._told(x, "step", t, values)

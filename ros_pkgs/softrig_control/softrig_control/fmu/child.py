@@ -59,25 +59,25 @@ class Isolated:
         self._call("__init__", self._plan, seconds=max(self._seconds, START))
 
     def begin(self) -> Numbers:
-        """As of `Instance`; in a new process where the one before has ended."""
+        """Start as `Instance` does; in a new process if the previous one has ended."""
         if not self._end.alive:
             self._launch()
         return self._call("begin", seconds=max(self._seconds, START))
 
     def advance(self, start: float, end: float, values: Numbers) -> Numbers:
-        """As of `Instance`."""
+        """Advance as `Instance` does."""
         return self._call("advance", start, end, values)
 
     def tune(self, values: Any) -> None:
-        """As of `Instance`."""
+        """Set values as `Instance` does."""
         self._call("tune", values)
 
     def keep(self) -> bytes:
-        """As of `Instance`."""
+        """Store the state as `Instance` does."""
         return self._call("keep")
 
     def restore(self, state: bytes) -> Numbers:
-        """As of `Instance`."""
+        """Restore a state as `Instance` does."""
         return self._call("restore", state)
 
     def _call(self, name: str, *arguments: Any, seconds: float | None = None) -> Any:
@@ -121,7 +121,7 @@ def _kill(process: subprocess.Popen[bytes], pipe: Connection) -> None:
 
 
 def main() -> None:
-    """Be two processes: one answers calls until the pipe's other end is closed, the other ends what that leaves."""
+    """Run two processes: one answers calls until the pipe is closed, the other ends what the first leaves."""
     parent = int(sys.argv[2])
     os.dup2(2, 1)  # an FMU that prints does so on the terminal, not in what a program may read
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's; it ends us
@@ -166,7 +166,7 @@ def _confine(folder: str) -> None:
 
 
 def _reaped(fmu: int) -> int | None:
-    """Take leave of all children that have ended; the status of the FMU where it is one of them."""
+    """Reap all children that have ended; return the status of the FMU's process if it is one of them."""
     status = None
     while True:
         try:
@@ -194,7 +194,7 @@ def _sweep() -> None:
 
 
 def _answer(pipe: Connection) -> None:
-    """Answer calls."""
+    """Answer calls until the pipe is closed."""
     sys.path[:], folder = pipe.recv()
     if folder:
         _confine(folder)

@@ -117,7 +117,7 @@ def _check(member: Member) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Be the verb."""
+    """Run the verb."""
     parser = Parser(prog="softrig export", description="Nodes of a scenario for other tools.")
     parser.add_argument("kind", choices=["fmu"], help="a Functional Mock-up Unit for co-simulation")
     parser.add_argument("scenario", help="name or YAML file")

@@ -84,7 +84,7 @@ class Instance:
         return self._told(self._keep)
 
     def restore(self, state: bytes) -> Numbers:
-        """Go on from a state that was kept, and give the outputs."""
+        """Continue from a stored state, and return the outputs."""
         return self._told(self._restore, state)
 
     def _told(self, call: Callable[..., Any], *arguments: Any) -> Any:
@@ -247,7 +247,7 @@ class Instance:
         return [z > 0.0 for z in self._z]
 
     def _integrate(self, a: float, b: float) -> None:
-        """One step of the integrator, cut at time events; a state event takes effect at the end of its step."""
+        """Make one step of the integrator, split at time events; a state event takes effect at the end of its step."""
         while a < b:
             end = self._next if a < self._next < b else b
             before = self._signs()

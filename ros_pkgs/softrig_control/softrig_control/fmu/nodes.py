@@ -134,7 +134,7 @@ class Running:
         self._fresh: tuple[float, ...] | None = None  # its outputs, where it has only begun
 
     def begin(self, make: Callable[[], Any]) -> tuple[float, ...]:
-        """Have it at its start; `make` makes an instance."""
+        """Start the FMU; `make` creates an instance."""
         if self._make is not make:
             self._fmu, self._make, self._fresh = make(), make, None
         if self._fresh is None:
@@ -267,7 +267,7 @@ class _Fmu(Block[FmuParams]):
         return x, None
 
     def load(self, saved: tuple[State, bytes | None]) -> State:
-        """Go on from there, here or in another block of the same FMU."""
+        """Continue from a stored state, in this or another block of the same FMU."""
         x, kept = saved
         if kept is not None:
             self._asked(x.k, self._running.call, "restore", kept)

@@ -53,7 +53,7 @@ class _Shown(Link):
         self._numbers = numbers
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
-        """Take an answer."""
+        """Receive an answer."""
         for port, row in zip(self.step.outputs, rows, strict=True):
             if row is not None:  # none is delayed: no samples here
                 self._numbers[port.name][:] = cast(tuple[float, ...], row)
@@ -181,7 +181,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         return {"kept": base64.b64encode(pickle.dumps(kept)).decode()}
 
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
-        """Go on from there; the bytes are those of the tool in whose process we are."""
+        """Continue from a stored state; the bytes come from the tool in whose process this runs."""
         kept, self._k, numbers = pickle.loads(base64.b64decode(state["kept"]))
         self._step.load(kept)
         for name, row in numbers.items():

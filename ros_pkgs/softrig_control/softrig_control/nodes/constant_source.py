@@ -45,7 +45,7 @@ class ScalarSource(Block[P]):
 
     @classmethod
     def ports(cls, params: ScalarSourceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One output with the channels of the parameters."""
+        """Declare one output with the channels of the parameters."""
         units = params.units * len(params.channels) if len(params.units) == 1 else params.units
         return (), (joint_state(cls.NAME, cls.NAME, params.channels, **{cls.FIELD: units}),)
 

@@ -75,7 +75,7 @@ class Line:
         return Line(self._size, (*blocks[:k], *parts, *blocks[k + 1 :]))
 
     def taken(self, t: int, since: int, message: Any) -> tuple[Line, int, Any]:
-        """Take off what has arrived at `t`; return the newest, stamp before message, of those from `since` (ns) on.
+        """Remove what has arrived at `t`; return the newest of those from `since` (ns) on, stamp before message.
 
         Where none of them is, that is `since` and `message`.
         """
@@ -237,11 +237,11 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         self._random = self._jitter > 0 or p.loss > 0.0
 
     def first(self) -> State:
-        """Nothing is on the line."""
+        """Return the empty line."""
         return State(line=Line(self.p.port("sent", self.p.topic_in).size))
 
     def update(self, x: State, t: int, *, sent: Sample) -> tuple[State, Mapping[str, Sample | tuple[float, ...]]]:
-        """Take the newest message sent, give the newest that has arrived."""
+        """Store the newest message sent, return the newest that has arrived."""
         newest, line, held, k = x
         if held is None:
             held = Sample(sent.stamp, self.p.initial or sent.data)

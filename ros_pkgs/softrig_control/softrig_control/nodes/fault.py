@@ -225,13 +225,13 @@ class Fault(Block[FaultParams]):
         return self.p if x.on == self.p.active else self.p.model_copy(update={"active": x.on})
 
     def go_on(self, x: State, before: FaultParams) -> State:
-        """Be there at other times, by another amount, or be switched on or off."""
+        """Continue with another time, amount or switch of the fault."""
         return x._replace(on=self.p.active)
 
     def update(
         self, x: State, t: int, *, sent: Message, toggle: tuple[float] | None
     ) -> tuple[State, Mapping[str, Message]]:
-        """Hand on what has come at this tick, as the fault leaves it."""
+        """Return the input of this tick as the fault changes it."""
         p, kind = self.p, self.p.kind
         on, was_down, burst, since, stuck, before, line, said, taken, newest, last_due, k = x
         down = toggle is not None and toggle[0] > 0.5

@@ -34,7 +34,7 @@ class ForwardCommand(Block[ForwardCommandParams]):
 
     @classmethod
     def ports(cls, params: ForwardCommandParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One value an actuator."""
+        """Declare one value per actuator."""
         n = len(params.joints)
         units = params.units * n if len(params.units) == 1 else params.units
         given = array("commands", params.commands, {"joint": n}, units, held=True)

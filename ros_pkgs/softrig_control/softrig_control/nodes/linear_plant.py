@@ -57,7 +57,7 @@ class LinearPlant(Plant[LinearPlantParams]):
 
     @classmethod
     def ports(cls, params: LinearPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One input, one output."""
+        """Declare one input and one output."""
         command, output = params.signals()
         return (command,), (output,)
 

@@ -130,7 +130,7 @@ class PidController(Block[PidControllerParams]):
         return State()
 
     def go_on(self, x: State, before: PidControllerParams) -> State:
-        """Take other gains, weight or bias without a bump."""
+        """Continue with other gains, weight or bias without a jump of the output."""
         p = self.p
         old, was = x.proportional, before.gains()[0]
         # P = Kp (b r - y) = Kp (e + (b - 1) r); r is left out, it is known at the next tick alone

@@ -197,7 +197,7 @@ class Policy(Block[PolicyParams]):
         return State(copied(x.act))
 
     def load(self, saved: State) -> State:
-        """Go on with a copy of the copy."""
+        """Continue with a copy of the stored copy."""
         return State(copied(saved.act))
 
     def observation(self, inputs: Mapping[str, Any]) -> tuple[float, ...]:

@@ -105,11 +105,11 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         self._live = Live(self._tree)
 
     def first(self) -> State:
-        """Nothing seen."""
+        """Return the initial state: nothing seen."""
         return State(self._live.first(), (None,) * len(self._used))
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Take the signals of this tick in."""
+        """Process the signals of this tick."""
         seen: dict[str, float] = {}
         truths: dict[str, float] = {}
         late: dict[str, bool] = {}
@@ -129,7 +129,7 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         return self._pushed(x._replace(before=tuple(now)), t, seen, truths, late)
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Take a tick at which something was no number as one at which nothing is known."""
+        """Treat a tick with an invalid signal as one at which nothing is known."""
         nothing = dict.fromkeys((n for n in self._used if n not in self._conditions), math.nan)
         return self._pushed(x, t, nothing, dict.fromkeys(self._conditions, math.nan), dict.fromkeys(nothing, False))
 

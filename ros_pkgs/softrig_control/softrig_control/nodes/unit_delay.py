@@ -119,5 +119,5 @@ class UnitDelay(Plant[LinkParams]):
         return {"arrived": x.held}
 
     def advance(self, x: State, t: int, *, sent: tuple[float, ...]) -> State:
-        """Take in what was sent."""
+        """Store the published value."""
         return State(sent)

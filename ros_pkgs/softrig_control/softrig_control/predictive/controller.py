@@ -155,11 +155,11 @@ class GpcController(Block[P]):
         self._solver = MoveSolver(self.law.hessian, p.du_max) if p.solver == "daqp" else None
 
     def first(self) -> State:
-        """Nothing measured."""
+        """Return the initial state: nothing measured."""
         return State(self.law.first(0.0, self.p.u_first), self.p.set_point)
 
     def go_on(self, x: State, before: P) -> State:
-        """Take another weight, bounds or set point: the law goes on from its command and what it has measured."""
+        """Continue with another weight, bounds or set point; the command and past measurements stay."""
         return x if self.p.set_point == before.set_point else x._replace(w=self.p.set_point)
 
     def update(

@@ -100,7 +100,7 @@ class Gpc:
         return GpcState(u, (y,) * len(self.outputs), (0.0,) * len(self.past))
 
     def measure(self, x: GpcState, y: float) -> GpcState:
-        """Take y(t) in."""
+        """Store the measurement y(t)."""
         return GpcState(x.u, (y, *x.y[:-1]), x.moves)
 
     def move(self, x: GpcState, w: float) -> float:

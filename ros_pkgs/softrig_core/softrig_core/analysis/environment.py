@@ -98,7 +98,7 @@ class Now(Mapping[str, float]):
         return float((row.data if isinstance(row, Sample) else row)[k])
 
     def __iter__(self) -> Iterator[str]:
-        """Go through the signals that have said something."""
+        """Iterate over the signals that have a value."""
         return (name for name, (topic, _) in self._known.items() if topic in self.said)
 
     def __len__(self) -> int:
@@ -240,14 +240,14 @@ class RigEnv(gym.Env[Array, Array]):
         return self.held.copy(), self._info()
 
     def begin(self, tick: int = 0) -> None:
-        """Go on from a tick of the runner, before which the steps are as they are, up to the agent."""
+        """Continue from a tick of the runner, up to the agent; the steps hold the state before that tick."""
         self._ticks = Loop(list(self.steps.values())).run(tick)
         ended = self._go_on()
         if ended:
             raise RunError(ended if isinstance(ended, str) else f"{self._law.name} has no tick in this run")
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Let the agent's action count until its next tick.
+        """Apply the agent's action until its next tick.
 
         Parameters
         ----------
@@ -339,7 +339,7 @@ class RigEnv(gym.Env[Array, Array]):
         return rig_of(Scenario.model_validate(data), classes=classes)
 
     def _take(self, _: Sequence[float]) -> list[float]:
-        """Be the policy of the agent's node: what the next step was given, once."""
+        """Act as the policy of the agent's node: return the action of the current step, once."""
         action, self._action = self._action, None
         assert action is not None
         return [float(a) for a in action]

@@ -134,7 +134,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         return np.array(found), self._info({})
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Let the actions count until the agents' next ticks.
+        """Apply the actions until the agents' next ticks.
 
         Parameters
         ----------
@@ -207,7 +207,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._before[j] = None if self.reason else [(s.x, s.numbers) for s in steps]
 
     def _told(self, j: int) -> None:
-        """Take what an instance has said."""
+        """Store the outputs of an instance."""
         now = self.envs[j].now
         for topic, row in now.said.items():
             values = row.data if isinstance(row, Sample) else row
@@ -232,7 +232,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
     # native -------------------------------------------------------------------------------------------------------
 
     def _packed(self, j: int) -> None:
-        """Have native code move an instance on, where there is a text for it, or can be."""
+        """Advance an instance by native code, if code for it exists or can be compiled."""
         env = self.envs[j]
         if self.reason or self._before[j] is None:
             return
@@ -352,7 +352,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._t[moved] = self._times[self._k[moved]]
 
     def _drawn(self, count: int) -> None:
-        """Have more random numbers of each instance."""
+        """Draw more random numbers of each instance."""
         assert self._text is not None
         for path, name in self._text.program.draws.items():
             old = self._tables[name]

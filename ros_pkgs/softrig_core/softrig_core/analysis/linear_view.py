@@ -267,7 +267,7 @@ class LinearView:
 
     @cached_property
     def loop(self) -> control.FrequencyResponseData:
-        """Give the opened loop at `omega`, of the python-control library; `margins` sees both ends, its own do not."""
+        """Return the opened loop at `omega` as an object of python-control; `margins` also sees both ends."""
         import control
 
         return control.frd(self.at_frequencies(self.omega), self.omega, smooth=True)
@@ -642,7 +642,7 @@ class Differences:
         return bool(direct[-1] or _between(self._square(on), column[on], c).any())
 
     def _dwarfed(self) -> set[int]:
-        """Which have been moved by far less than others move them: what rests at zero tells no size of its own."""
+        """Return the states that were moved far less than others move them: a state at zero has no size of its own."""
         sizes = self.map.sizes
         natural = np.zeros(len(sizes))
         for key, (column, _) in self.columns.items():
@@ -671,7 +671,7 @@ class Differences:
         )
 
     def view(self) -> LinearView:
-        """Put it together."""
+        """Assemble the linear view."""
         m = self.map
         kept, A, C = self.states()
         B = np.array([self.columns[n][0][kept] for n in self.inputs]).T.reshape(len(kept), len(self.inputs))
@@ -970,7 +970,7 @@ def _power(size: float) -> float:
 
 
 def _reach(A: Array, start: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which states can be reached from some, x_k to x_{k+1} by the entries of A that are not zero."""
+    """Return the states that can be reached from some, x_k to x_{k+1} by the nonzero entries of A."""
     reached, links = start.copy(), A != 0.0
     while True:
         wider = reached | links[:, reached].any(axis=1)
@@ -980,5 +980,5 @@ def _reach(A: Array, start: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _between(A: Array, b: Array, c: Array) -> NDArray[np.bool_]:
-    """Which states hear of an input and are heard at an output."""
+    """Return the states that depend on an input and affect an output."""
     return _reach(A, b != 0.0) & _reach(A.T, c != 0.0)

@@ -279,7 +279,7 @@ class StateMap:
         ]
 
     def follows(self, numbers: Array, added: Mapping[str, float], fixed: Mapping[str, float] | None = None) -> bool:
-        """Whether anything follows from what is no float and is another a period after `numbers` than after `start`.
+        """Return whether anything depends on non-float values that differ a period after `numbers` and `start`.
 
         It is put back to what it is after `start`, and floats have to go on as they do without; so many periods as such
         values can hand something on among themselves, and some more, but not beyond the end of the run.
@@ -301,7 +301,7 @@ class StateMap:
             return True
 
     def _write(self, numbers: Array, kept: Array) -> None:
-        """Put other numbers in the place of those that members have."""
+        """Replace the numbers of the nodes' states."""
         for step, here in zip(self._steps.values(), self._slices, strict=True):
             if not np.array_equal(numbers[here], kept[here]):
                 whole = _Known(step.x, tuple(step.values.values()))
@@ -311,7 +311,7 @@ class StateMap:
     def __call__(
         self, numbers: Array, added: Mapping[str, float], fixed: Mapping[str, float] | None = None
     ) -> tuple[Array, dict[str, float]]:
-        """Go one period on.
+        """Advance the rig by one period.
 
         Parameters
         ----------
@@ -338,7 +338,7 @@ class StateMap:
         added: Mapping[str, float] | None = None,
         fixed: Mapping[str, float] | None = None,
     ) -> Iterator[tuple[Array, dict[str, float]]]:
-        """Go some periods on; returns what `__call__` gives after each of them."""
+        """Advance the rig by some periods; return the result of `__call__` after each of them."""
         self._tables.go_back(self._saved)
         self._write(numbers, self._kept)
         added, fixed = added or {}, fixed or {}

@@ -171,7 +171,7 @@ def steady(
 
 
 def _core(A: Array, heard: Any) -> Any:
-    """Which states move others for good: not those that only tell of them, or add them up and no law hears of them."""
+    """Return the states with a lasting effect on others: not those that only count or integrate them unread."""
     on = np.ones(len(A), dtype=bool)
     own = np.diag(A)
     ends = ~heard & ((own == 0.0) | (np.abs(own - 1.0) < 1e-9))
@@ -197,7 +197,7 @@ def _least_squares(A: Array, move: Array, sizes: Array) -> Array:
 
 
 def _go(m: StateMap, kept: list[int], step: Array) -> None:
-    """Take a step, or the half of it, and so on, where the rig goes along."""
+    """Take a Newton step, or half of it, and so on, until the rig accepts it."""
     for share in 0.5 ** np.arange(8.0):
         there = m.start.copy()
         there[kept] += share * step

@@ -78,7 +78,7 @@ sum_of_products = getattr(math, "sumprod", _squares)  # from Python 3.12 on
 
 
 def flat(rows: Any) -> tuple[float, ...]:
-    """Put the numbers of several tuples into one."""
+    """Concatenate the numbers of several tuples."""
     return rows[0] if len(rows) == 1 else sum(rows, ())
 
 

@@ -71,7 +71,7 @@ Reports = dict[str, tuple[Level, str, int]]  # by key: level, newest text, how o
 
 
 def note(reports: Reports, level: Level | None, key: str, text: str) -> None:
-    """Take down a report; one without a level withdraws what was reported under its key."""
+    """Store a report; one without a level withdraws the report of its key."""
     if level is None:
         reports.pop(key, None)
     else:
@@ -267,7 +267,7 @@ class Block(Generic[P]):
         return saved
 
     def change(self, params: P) -> None:
-        """Take other parameters, between two ticks: `setup` is called again; the state is the matter of `go_on`.
+        """Set other parameters between two ticks: `setup` is called again; `go_on` decides about the state.
 
         The values were checked on a spare block.
 
@@ -283,7 +283,7 @@ class Block(Generic[P]):
         """Call native code that a tick on first values does not reach; asked before a node begins, of a spare block."""
 
     def reset(self, seed: int) -> None:
-        """Take a seed, and forget what was reported; who holds the block then asks for its `first` state."""
+        """Set a seed and clear all reports; the owner of the block then calls `first`."""
         self._seed, self.__first = seed, None
         for name in ("standard_normal", "uniform"):
             self.__dict__.pop(name, None)
@@ -427,7 +427,7 @@ class Observer(Block[P]):
         raise NotImplementedError
 
     def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:
-        """Take all that its ticks have seen since the last one, for runs that need not go tick by tick.
+        """Process everything since the last tick in one batch, for runs that need not go tick by tick.
 
         Parameters
         ----------

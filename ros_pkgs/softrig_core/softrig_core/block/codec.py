@@ -91,7 +91,7 @@ class Decoder:
             raise Refused(str(error)) from None
 
     def _order(self, message: Message) -> tuple[int, ...]:
-        """Where each value of the port stands among all numbers of the message, followed by those kept."""
+        """Return the place of each value of the port among all numbers of the message, followed by those kept."""
         port = self._port
         if port.frame_id and message.frame_id != port.frame_id:
             raise Refused(f"frame_id {message.frame_id!r}, expected {port.frame_id!r}")

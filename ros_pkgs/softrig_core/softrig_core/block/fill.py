@@ -74,7 +74,7 @@ class Fill(NamedTuple):
         return Sample(self.source.t, data) if self.stamp == "tick" else data
 
     def bring(self, row: Row) -> None:
-        """Put what the input gets of a row into the values of the reader."""
+        """Copy the numbers of a row that the input reads into the subscriber's values."""
         self.reader.values[self.port.name] = self.take(row)
 
     def told(self) -> int | None:

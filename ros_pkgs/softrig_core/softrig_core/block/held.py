@@ -59,13 +59,13 @@ class Held:
         return self.block.params(self.x)  # type: ignore[no-any-return]
 
     def tell(self) -> None:
-        """Take down what the block has reported in a tick that is kept."""
+        """Store the block's reports of a tick that counts."""
         for event in self.block.events:
             self.note(*event)
         self.drop()
 
     def note(self, level: Level | None, key: str, text: str, anew: bool = False) -> None:
-        """Take down a report: logged the first time its key appears or when it is `anew`, counted always.
+        """Store a report: logged when its key is new or it is marked `anew`, always counted.
 
         One without a level withdraws what was reported under its key.
         """
@@ -78,7 +78,7 @@ class Held:
         self.block.events.clear()
 
     def change(self, params: BlockParams) -> None:
-        """Go on with other parameters."""
+        """Continue with other parameters."""
         before = self.params
         self.block.change(params)
         self.x = self.block.go_on(self.x, before)
@@ -105,7 +105,7 @@ class Held:
         )
 
     def load(self, kept: Kept) -> None:
-        """Go back to what `save` gave, as often as wanted."""
+        """Restore what `save` returned; any number of times."""
         if self.block.p is not kept.params:
             self.block.change(kept.params)
         self.x = self.block.load(kept.x)
@@ -131,7 +131,7 @@ class ByHand(Held):
     """
 
     def reset(self, seed: int) -> None:
-        """Go back to the first state, with the random numbers of a seed."""
+        """Restore the first state, with the random numbers of a seed."""
         self.block.reset(seed)
         self.reports.clear()
         self.anew.clear()

@@ -43,12 +43,12 @@ class Link:
         return (self.step.ask if self.inner is None else self.inner.respond)(x, t, **inputs)
 
     def settle(self) -> None:
-        """Have the state of the step hold all that its ticks have seen."""
+        """Bring the state of the step up to date with all its ticks."""
         if self.inner is not None:
             self.inner.settle()
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
-        """Take the answer of a tick.
+        """Publish the answer of a tick.
 
         Parameters
         ----------
@@ -61,7 +61,7 @@ class Link:
             self.inner.send(t, rows, numbers)
 
     def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
-        """Take the answers of many ticks that are over, as native code has found them; by default one by one.
+        """Publish the answers of many past ticks computed by native code; by default one by one.
 
         Parameters
         ----------
@@ -77,11 +77,11 @@ class Link:
             self.over(t)
 
     def changed(self, t: int, values: Mapping[str, Any]) -> None:
-        """Take the parameters that have changed before tick `t`, by name."""
+        """Handle parameters that changed before tick `t`, by name."""
         if self.inner is not None:
             self.inner.changed(t, values)
 
     def over(self, t: int) -> None:
-        """Take note that the step is through with a tick: a plant has moved on, another one has answered."""
+        """Handle the end of a tick: a plant has advanced, another block has answered."""
         if self.inner is not None:
             self.inner.over(t)

@@ -117,7 +117,7 @@ class Loop:
 
 
 def _answer(steps: Sequence[Step], t: int) -> list[Step]:
-    """Have those answer that lack nothing; returns the others."""
+    """Answer with all steps that lack nothing; return the others."""
     lacking: list[Step] = []
     for step in steps:
         waits = lacking and any(fill.source in lacking for fill in step.fed.values())

@@ -146,7 +146,7 @@ class Port:
 
     @cached_property
     def places(self) -> dict[str, int]:
-        """Which of the values each label is: what a tuple is searched for, label by label, takes a square of time."""
+        """Return the indices of the labels in one pass; searching label by label would take quadratic time."""
         return {label: i for i, label in enumerate(self.labels)}
 
     @cached_property
@@ -156,7 +156,7 @@ class Port:
         return least * least if least < LARGEST else 0.0
 
     def beyond(self, values: Sequence[float]) -> str:
-        """Say which value is not finite or beyond its limit, and what was expected; empty when all may be taken."""
+        """Describe which value is not finite or beyond its limit, and what was expected; empty if all are valid."""
         for label, value, limit, unit in zip(self.labels, values, self.limits, self.units, strict=True):
             if value - value != 0.0:
                 return f"{label} is {value}, expected a finite number"

@@ -115,7 +115,7 @@ class Step(Held):
 
     @property
     def respond(self) -> Callable[..., Any]:
-        """What answers a tick, ``(x, t, **inputs)``: the block, or the outermost link that asks it in its own way."""
+        """Return the function that answers a tick, ``(x, t, **inputs)``: the block's, or the outermost link's."""
         link = self._asking
         return self.ask if link is None else link.respond
 
@@ -142,7 +142,7 @@ class Step(Held):
     # what a tick is -----------------------------------------------------------------------------------------------
 
     def make(self) -> None:
-        """Make `say` and `advance` now, all being wired: against the wall clock the first tick has no time for that."""
+        """Generate `say` and `advance` now, since all is wired: in real time the first tick has no time for it."""
         self.say = sayer(self)
         if self.plant:
             self.advance = mover(self)
@@ -166,7 +166,7 @@ class Step(Held):
         return (self.x, found) if self.plant else found
 
     def hand_on(self, t: int, rows: Rows) -> None:
-        """Hand on what no answer of the block is: to the readers here and to those elsewhere."""
+        """Forward what is not an answer of the block to subscribers in this and other processes."""
         if not self.plain:
             self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
         for fill in (*self.readers, *self.doubters):
@@ -213,7 +213,7 @@ class Step(Held):
         return x, self.held() if own is None else own
 
     def plan(self, changes: Iterable[Change]) -> None:
-        """Take these changes of parameters, and no others, when their times come."""
+        """Schedule these changes of parameters, and no others."""
         self.changes = tuple(changes)
         self.change_at = self.changes[0].at if self.changes else math.inf
 
@@ -235,7 +235,7 @@ class Step(Held):
         return [name for name in values if name in waiting]
 
     def _change(self, t: int) -> None:
-        """Take the changes that are due, those up to `t`, as one: so they are recorded, and so a rerun takes them."""
+        """Apply the changes due up to `t` as one change, so that they are recorded and repeated as one."""
         taken: dict[str, Any] = {}
         for change in self.changes:
             taken |= change.values if change.at <= t else {}
@@ -260,7 +260,7 @@ class Step(Held):
         return rows
 
     def hands_to(self, output: str, reader: Step, name: str, pick: Pick | None) -> None:
-        """Have an output fill an input of another step of this process.
+        """Connect an output to an input of another step in this process.
 
         Parameters
         ----------
@@ -277,7 +277,7 @@ class Step(Held):
         reader.stamps[name] = fill.told
 
     def doubt(self, t: int, port: Port, found: Row) -> None:
-        """Take a message that may be bad, as one that comes over a wire: what an input refuses never reaches the block.
+        """Accept a message that may be bad, such as one from a wire; what an input rejects never reaches the block.
 
         Raises
         ------

@@ -42,7 +42,7 @@ class Tables:
         return found
 
     def go_back(self, moment: Moment) -> None:
-        """Have them hold what was kept, of them or of the same rig wired by another hand; as often as wanted.
+        """Restore stored values, of these tables or of the same rig wired again; any number of times.
 
         Raises
         ------

@@ -203,7 +203,7 @@ class CanLine:
             self._gone(error)
 
     def _await(self, done: Callable[[], bool], end: float) -> bool:
-        """Take frames until a condition holds; return whether it did before a time."""
+        """Receive frames until a condition holds; return whether it held before a time."""
         while not done():
             left = end - self._clock()
             if left <= 0.0:
@@ -215,7 +215,7 @@ class CanLine:
         return True
 
     def _pump(self) -> None:
-        """Take the frames that have come."""
+        """Process the frames that have arrived."""
         while self._there() and (message := self._received(0.0)) is not None:
             self._take(message)
 
@@ -289,7 +289,7 @@ class CanLine:
         return True
 
     def _filter(self) -> None:
-        """Have the bus pass the node's messages alone: others may be many."""
+        """Let only the node's messages pass the bus filter, since other traffic may be heavy."""
         if self._bus is not None:
             ready = self._messages.ready
             keys = [*self._back, *([ready.key] if ready is not None else [])]

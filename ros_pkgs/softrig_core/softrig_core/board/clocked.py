@@ -75,7 +75,7 @@ class Clocked(Elsewhere):
         return {"answers": self._guests[0].who if self._guests else "not there yet"}
 
     def update(self, x: LinkState, t: int, **inputs: Any) -> tuple[LinkState, Mapping[str, Any]]:
-        """Hand the inputs over, advance the node's clock to t, and return its answer.
+        """Set the inputs, advance the node's clock to t, and return its answer.
 
         Raises
         ------

@@ -265,7 +265,7 @@ def _found(database: Any, prefix: str, values: Sequence[Value], where: str) -> t
 
 
 def _head(signals: dict[str, Any], names: Sequence[str], message: str, where: str) -> dict[str, Any]:
-    """Take the whole numbers that softrig counts by off the signals of a message."""
+    """Separate softrig's counters from the other signals of a message."""
     found = {name: signals.pop(name) for name in names if name in signals}
     for name, signal in found.items():
         plain = not signal.is_signed and not signal.is_float and (signal.scale, signal.offset) == (1, 0)

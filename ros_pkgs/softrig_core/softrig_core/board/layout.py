@@ -54,7 +54,7 @@ class Layout:
 
     @property
     def real(self) -> str:
-        """How `struct` names the board's numbers."""
+        """Return `struct`'s code of the board's numbers."""
         return "f" if self.single else "d"
 
     @property

@@ -124,7 +124,7 @@ class Line:
         self.begin(b"")
 
     def begin(self, params: bytes) -> None:
-        """Have the next request begin a session, with these parameters."""
+        """Begin a session with the next request, with these parameters."""
         self._stage = Kind.HELLO
         self._asked: tuple[int, float] | None = None  # number, and when it is sent again
         self._greeted: Frame | None = None
@@ -137,7 +137,7 @@ class Line:
         return self.counts.told()
 
     def close(self) -> None:
-        """Let the port go."""
+        """Close the port."""
         if self.wire is not None:
             self.wire.close()
             self.wire = None
@@ -235,7 +235,7 @@ class Line:
     # joining ------------------------------------------------------------------------------------------------------
 
     def _join(self, end: float) -> None:
-        """Go on with hello, reset, parameters until a time; the board answers each."""
+        """Repeat hello, reset and parameters until a time; the board answers each."""
         while not self.joined and self._there():
             now = self._clock()
             if self._greeted is not None:
@@ -378,7 +378,7 @@ class Line:
             self._pump(end)
 
     def _pump(self, end: float) -> None:
-        """Take what comes until a time, or the first bytes."""
+        """Receive bytes until a time, or until the first ones."""
         if self.wire is None:
             return
         try:

@@ -34,7 +34,7 @@ class Wire(Protocol):
         """Return what has come within so many s, at once when something has; an OSError says that the board is gone."""
 
     def close(self) -> None:
-        """Let the port go."""
+        """Close the port."""
 
 
 class FileWire:
@@ -76,7 +76,7 @@ class FileWire:
         return data
 
     def close(self) -> None:
-        """Let the port go."""
+        """Close the port."""
         self._port.close()
 
 
@@ -117,7 +117,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def _end_with_parent() -> None:
-    """Have Linux end the simulator with this process: qemu does not end when its input does."""
+    """Let Linux end the simulator with this process: qemu does not end when its input does."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 

@@ -30,7 +30,7 @@ class Robot(Drawing):
     trail = 1.5
 
     def setup(self) -> None:
-        """Take the joints of the description, look for a place of the camera."""
+        """Read the joints of the description, and place the camera."""
         scene = self.plant.block_class.scene(self.p)
         assert scene is not None
         self.scene: Scene = scene
@@ -75,7 +75,7 @@ class Robot(Drawing):
         readings(pen, (430.0, max(40.0, 190.0 - 11.0 * len(rows))), rows, 190.0)
 
     def _places(self, q: Sequence[float]) -> dict[str, Place]:
-        """Where each frame is in the base, m."""
+        """Return the place of each frame in the base, m."""
         where: dict[str, tuple[Place, tuple[float, float, float, float]]] = {
             self.base: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         }

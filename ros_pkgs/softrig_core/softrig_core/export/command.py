@@ -109,7 +109,7 @@ def _written(done: Exported, folder: Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Be the verb."""
+    """Run the verb."""
     parser = Parser(
         prog="softrig export c",
         description="Nodes of a scenario as C99, with golden rows and a program that replays them.",

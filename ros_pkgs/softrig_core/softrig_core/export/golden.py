@@ -108,7 +108,7 @@ def golden_calls(rig: Rig, node: str, seed: int, most: int) -> list[Call | Chang
 
 
 def watched(step: Step, calls: list[Call | Changed]) -> None:
-    """Have a list take the calls of a step's block, and the changes of its parameters; before its first tick."""
+    """Record the calls of a step's block and its parameter changes in a list; call this before its first tick."""
     for name in methods(step.block):
         _watch(step.block, name, calls)
     _watch_changes(step, calls)

@@ -82,7 +82,7 @@ class Reader(Calls):
         return head + "{\n" + "\n".join(body) + "\n}\n", Signature(name, result, self.discards)
 
     def _without_unread(self) -> None:
-        """Leave out what is assigned and never read; of a call, what it returns."""
+        """Remove assignments that are never read, and unused results of calls."""
         while True:
             lines: list[str] = []
             for line in self.lines:

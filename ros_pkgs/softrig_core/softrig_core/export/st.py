@@ -276,7 +276,7 @@ class _Printer:
         return found
 
     def signature(self, decl: Any) -> None:
-        """Take note of a function."""
+        """Register a function."""
         parameters: list[tuple[str, Any, bool]] = []
         for one in decl.type.args.params if decl.type.args else ():
             kind = self.type_of(one.type)

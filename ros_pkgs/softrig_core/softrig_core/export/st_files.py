@@ -112,7 +112,7 @@ def _flag(name: str, ports: Sequence[Port]) -> str:
 
 
 def _named(ports: Sequence[Port], words: Iterator[str], flag: str) -> Iterator[tuple[str, float | int | bool]]:
-    """Take the values of ports off a row, each with the name that the function block has for it."""
+    """Name the values of a row by the ports of the function block."""
     for port in ports:
         own = identifier(port.name)
         if getattr(port, flag):
@@ -224,7 +224,7 @@ def _type(parent: Element, kind: str) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Be the verb."""
+    """Run the verb."""
     parser = Parser(
         prog="softrig export st",
         description="Controllers of a scenario as function blocks in structured text (IEC 61131-3), for a PLC.",

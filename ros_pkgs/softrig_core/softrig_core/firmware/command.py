@@ -18,7 +18,7 @@ CORES = ("cortex-m3", "cortex-m4", "cortex-m7")
 
 
 def arduino(arguments: Sequence[str]) -> int:
-    """Be the verb ``export arduino``."""
+    """Run the verb ``export arduino``."""
     parser = _parser(
         "arduino", "A node of a scenario as an Arduino sketch that answers its ticks over the serial port."
     )
@@ -30,7 +30,7 @@ def arduino(arguments: Sequence[str]) -> int:
 
 
 def cortex_m(arguments: Sequence[str]) -> int:
-    """Be the verb ``export cortex-m``."""
+    """Run the verb ``export cortex-m``."""
     parser = _parser("cortex-m", "A node of a scenario as firmware of a Cortex-M, without CMSIS, with a linker script.")
     parser.add_argument("--core", choices=CORES, default=CORES[1], help="of the board (cortex-m4)")
     parser.add_argument("--check", action="store_true", help="build NODE.elf, run it in qemu and compare")
@@ -39,7 +39,7 @@ def cortex_m(arguments: Sequence[str]) -> int:
 
 
 def dbc(arguments: Sequence[str]) -> int:
-    """Be the verb ``export dbc``."""
+    """Run the verb ``export dbc``."""
     parser = Parser(prog="softrig export dbc", description="The ports of a node as the signals of a CAN bus.")
     parser.add_argument("scenario", help="name or YAML file")
     parser.add_argument("node", metavar="NODE", help="of the scenario")

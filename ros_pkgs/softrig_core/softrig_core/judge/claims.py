@@ -117,7 +117,7 @@ class Claim(Entry):
         return value == wanted or abs(value - wanted) <= self.width(wanted) * (1.0 + 1e-9)
 
     def width(self, wanted: float) -> float:
-        """How far from a number agrees."""
+        """Return the distance from a number that still agrees."""
         if isinstance(self.tolerance, int | float):
             return float(self.tolerance)
         found = _PERCENT.fullmatch(self.tolerance) if self.tolerance else None

@@ -44,7 +44,7 @@ class Expectation(Entry):
 
     @property
     def follows(self) -> bool:
-        """Whether its numbers are taken from the nodes, or are no numbers of a machine: none of them is but zero."""
+        """Return whether the numbers come from nodes, or none of them except zero belongs to a machine."""
         return bool(self.text) or not any((self.expected, self.tolerance, self.at_most, self.at_least))
 
     def resolved(self, value: Callable[[str], Any]) -> Expectation:
@@ -80,7 +80,7 @@ class Expectation(Entry):
         )
 
     def margin(self, value: float) -> float:
-        """How far a value is within its bounds, negative beyond one; NaN without a bound.
+        """Return how far a value is within its bounds, negative beyond one; NaN without a bound.
 
         It is a margin as requirements have it: two-sided expectations, of a value known beforehand, have none.
         """

@@ -164,7 +164,7 @@ def _parsed(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tr
 
 
 def _timed(given: str, known: Mapping[str, float | None]) -> str:
-    """Put numbers in the place of arithmetic over names in a formula's intervals."""
+    """Evaluate arithmetic over names in a formula's intervals."""
 
     def value(name: str) -> float:
         found = known.get(name)
@@ -217,7 +217,7 @@ def _negated(tree: Tree) -> bool:
 
 
 def _rewrite(given: str, known: Mapping[str, float | None]) -> tuple[str, dict[str, Condition]]:
-    """Put comparisons in the place of conditions, which sentil does not know."""
+    """Replace conditions by comparisons, since sentil does not know conditions."""
     tokens = _TOKEN.findall(given)
     conditions: dict[str, Condition] = {}
     out: list[str] = []
@@ -296,7 +296,7 @@ def _map(tree: Tree, change: Callable[[str, Any], tuple[str, Any]]) -> Tree:
 
 
 def horizon(tree: Tree) -> float:
-    """How far into the future of an instant a formula looks, ns; operators without end look to the record's end."""
+    """Return how far into the future of an instant a formula looks, ns; open operators look to the record's end."""
     if isinstance(tree, list):
         return max(map(horizon, tree), default=0.0)
     if not isinstance(tree, dict):

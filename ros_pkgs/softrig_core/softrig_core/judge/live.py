@@ -64,7 +64,7 @@ class Live:
         truths: Mapping[str, float],
         late: Mapping[str, bool],
     ) -> tuple[Opened, ...]:
-        """Take an instant in.
+        """Add an instant.
 
         Parameters
         ----------
@@ -118,12 +118,12 @@ class _Part:
         self.back, self.ahead = max(s[0] for s in spans), max(s[1] for s in spans)
 
     def first(self) -> Opened:
-        """Nothing is sure."""
+        """Return the initial state: nothing is certain."""
         none = INF if self.kind == "Always" else -INF
         return Opened((np.full((2, 2), none), np.full((2, 2), INF)))
 
     def push(self, x: Opened, t: float, *given: Mapping[str, Any]) -> Opened:
-        """Take an instant in."""
+        """Add an instant."""
         sure, _, over, after, before, columns = x
         if over:
             return x
@@ -154,7 +154,7 @@ class _Part:
         return Opened(sure, value, over, after, times[gone:], left)
 
     def _fold(self, sure: Any, times: Array, values: list[Array], begin: int, end: int) -> Any:
-        """Go on from what is sure with the instants from `begin` to before `end`."""
+        """Extend the certain part by the instants from `begin` to before `end`."""
         value, held = sure
         if self.kind == "Until":
             for k in range(begin, end):
@@ -170,7 +170,7 @@ class _Part:
 
 
 def span(tree: Tree) -> tuple[float, float]:
-    """How far a formula looks back and ahead of an instant, ns."""
+    """Return how far a formula looks back and ahead of an instant, ns."""
     ((kind, body),) = tree.items()
     if kind == "Predicate":
         return 0.0, 0.0

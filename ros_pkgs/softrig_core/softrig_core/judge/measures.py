@@ -551,7 +551,7 @@ def _one_each(times: Array, at: Array) -> NDArray[np.intp]:
 
 
 def newest_step(signals: SignalMap, references: str) -> tuple[float, float]:
-    """Give when (s) any of some signals was last another than before, and to what value; a first sample is a step, too.
+    """Return when (s) any of some signals last changed, and to what value; a first sample counts as a step.
 
     Parameters
     ----------

@@ -343,7 +343,7 @@ class Record:
 
 
 def truth(condition: Condition, now: Array | float, before: Array | float) -> Array:
-    """Say whether a condition holds: infinity or less infinity, it decides but is no distance; NaN where undefined.
+    """Return infinity if a condition holds, else minus infinity (it decides, but is no distance); NaN: undefined.
 
     Parameters
     ----------

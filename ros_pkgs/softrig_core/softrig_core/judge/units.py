@@ -10,7 +10,7 @@ _TOKEN = re.compile(r"(\*|/)?\s*([^\s*/^]+)(?:\^(-?\d+))?")
 
 
 def powers(unit: str) -> dict[str, int]:
-    """Take a unit apart: ``m/s^2`` gives ``{"m": 1, "s": -2}``; a slash concerns the next unit only."""
+    """Parse a unit: ``m/s^2`` gives ``{"m": 1, "s": -2}``; a slash concerns the next unit only."""
     found: dict[str, int] = {}
     for over, name, power in _TOKEN.findall(unit):
         if name != "1":
@@ -19,7 +19,7 @@ def powers(unit: str) -> dict[str, int]:
 
 
 def compose(template: str, signal: str) -> str:
-    """Put a signal's unit in the place of ``{signal}``: ``{signal}/s`` of ``V`` is ``V/s``.
+    """Replace ``{signal}`` by a signal's unit: ``{signal}/s`` of ``V`` is ``V/s``.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ _OTHERS = {
 
 @cache
 def base(unit: str) -> tuple[float, dict[str, int]]:
-    """Take a unit down to those of the SI: ``mV`` is 0.001 times ``kg m^2/s^3/A``; unknown ones stay as they are."""
+    """Reduce a unit to SI base units: ``mV`` is 0.001 times ``kg m^2/s^3/A``; unknown units stay as they are."""
     factors, total = 1.0, dict[str, int]()
     for name, power in powers(unit).items():
         one, below = _base(name)

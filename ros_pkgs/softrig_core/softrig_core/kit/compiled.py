@@ -122,7 +122,7 @@ class Compiled:
 
     @cached_property
     def places(self) -> tuple[int, int, int, int]:
-        """Where its four tables begin in `scratch`, in numbers: arguments, results, whole numbers, numbers."""
+        """Return where its four tables begin in `scratch`, in numbers: arguments, results, whole numbers, numbers."""
         f = self._function
         arguments = self.n_in + self.n_out
         results = arguments + f.sz_arg()
@@ -131,7 +131,7 @@ class Compiled:
 
     @property
     def address(self) -> int:
-        """Where the compiled code is, a C function of (casadi_real** arg, res, casadi_int* iw, casadi_real* w, mem)."""
+        """Return the address of the C function (casadi_real** arg, res, casadi_int* iw, casadi_real* w, mem)."""
         found = getattr(ctypes.CDLL(str(self._library)), self._function.name())
         return ctypes.cast(found, ctypes.c_void_p).value or 0
 
@@ -163,7 +163,7 @@ class Compiled:
 
 
 def cache_folder() -> Path:
-    """Where compiled code and locks are kept: ``$XDG_CACHE_HOME/softrig``, by default ``~/.cache/softrig``.
+    """Return the folder of compiled code and locks: ``$XDG_CACHE_HOME/softrig``, by default ``~/.cache/softrig``.
 
     Where that cannot be (no home, a read-only one), ``/tmp/softrig-UID``, and only if it is the user's alone: what is
     in it is executed.

@@ -25,7 +25,7 @@ _CAPABILITIES = 0x20080522  # version of capset
 
 
 def confine(keep: Iterable[str | Path] = ()) -> None:
-    """Give up all rights of this process for good. It must have one thread.
+    """Drop all rights of this process permanently. It must have one thread.
 
     Parameters
     ----------

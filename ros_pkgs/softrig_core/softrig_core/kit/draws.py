@@ -28,7 +28,7 @@ class Stream:
         self._generator, self._begin, self._at = generator, generator.bit_generator.state, 0
 
     def at(self, k: int) -> np.random.Generator:
-        """Give a generator whose next number is the k-th of the stream, and that is to draw as far as `drawn` says."""
+        """Return a generator whose next number is the k-th of the stream, for as many draws as `drawn` says."""
         if k != self._at:
             bits: Any = self._generator.bit_generator
             bits.state = self._begin

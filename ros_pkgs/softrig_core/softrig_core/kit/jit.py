@@ -175,7 +175,7 @@ class _Parts(NamedTuple):
 
 
 def _parts(value: Any, path: str, kinds: dict[str, type]) -> _Parts:
-    """Give the parts of what stands at a path of the arguments, and the classes of tuples by their names in `made`."""
+    """Return the parts of the argument at a path, and the classes of tuples by their names in `made`."""
     word = path.replace("[", "_").replace("]", "")
     if not isinstance(value, tuple) or not value:
         return _Parts([word], path, word, [])

@@ -70,7 +70,7 @@ class Answers(NamedTuple):
         return self.numbers.tolist(), self.stamps.tolist()
 
     def put(self, k: int, numbers: Sequence[float], stamps: Sequence[int]) -> None:
-        """Put what was said at one more tick in its place, row k."""
+        """Store the answer of one more tick in row k."""
         for table, row in ((self.numbers, numbers), (self.stamps, stamps)):
             if isinstance(table, list):
                 table.append(row)
@@ -79,7 +79,7 @@ class Answers(NamedTuple):
 
 
 def numbers_of(step: Step) -> tuple[float, ...]:
-    """Give all that the newest answer of a step says, zeros where it is silent; flags of those that may be after it."""
+    """Return all numbers of a step's newest answer, zeros for silent outputs, and flags of sporadic ones."""
     if step.plain:
         return tuple(map(float, step.numbers))
     rows: Sequence[Any] = step.said or [None] * len(step.outputs)
@@ -122,7 +122,7 @@ class Audience:
         self.tick_by_tick = {w.name for w in slow}
 
     def hand_out(self, core: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:
-        """Hand out what the steps have said to those who record it."""
+        """Pass the answers of the steps to their recorders."""
         times: dict[tuple[Any, range], Any] = {}
         for s in core:
             own = self._plan.own(s.schedule, first, last)
@@ -135,7 +135,7 @@ class Audience:
             s.link.send_all(times[ticks], numbers, stamps)
 
     def watch(self, recorded: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:
-        """Let those who only watch see what was said, tick after tick."""
+        """Show the answers to blocks that only watch, tick after tick."""
         if not self.watchers:
             return
         watchers = [
@@ -175,7 +175,7 @@ class Audience:
     def _at_once(
         self, watcher: Step, recorded: Sequence[Step], first: int, last: int, said: Mapping[int, Answers]
     ) -> bool:
-        """Let one who watches have all that its ticks see, if it takes that so."""
+        """Pass all ticks to a watching block in one batch, if it supports that."""
         ticks = self._plan.own(watcher.schedule, first, last)
         if watcher.name in self.tick_by_tick:
             return False

@@ -73,7 +73,7 @@ class Form:
         return found
 
     def put(self, state: Any, numbers: Any, whole: Any) -> None:
-        """Put a state of this form into a row."""
+        """Write a state of this form into a row."""
         for path, table, at, kind in self.parts:
             value = state
             for k in path:

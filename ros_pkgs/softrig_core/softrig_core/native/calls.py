@@ -110,7 +110,7 @@ class Calls(Expressions):
         return Record(found)
 
     def _turns(self, node: ast.ListComp | ast.GeneratorExp | ast.DictComp, read: Callable[[], Value]) -> list[Value]:
-        """Go through what a list or mapping is made of; `read` gives one of its parts."""
+        """Iterate over the parts of a list or mapping; `read` returns one of them."""
         items: list[Value] = []
         outer = dict(self.env)
 
@@ -405,7 +405,7 @@ class Calls(Expressions):
         return Dynamic(f"drawn_({name}, n, {self.dynamic(k).code})", 0.5)
 
     def _newest(self, called: Newest[Any, Any], path: Path, key: Value) -> Static:
-        """Take the newest answer, as long as nothing else is asked."""
+        """Return the newest answer, as long as no other is requested."""
         self.program.newest.add(path)
         known = self.dynamic(Static(called.key, (*path, ("attr", "key"))))
         self.emit(f"if {self.dynamic(key).code} != {known.code}:")

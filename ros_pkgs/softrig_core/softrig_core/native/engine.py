@@ -151,7 +151,7 @@ class Engine:
             self._arrays = ()  # large: who recorded them has them
 
     def tell(self) -> None:
-        """Have the steps know what of them was native, as far as it goes."""
+        """Report to the steps which of them ran natively, and how far."""
         found = self.native
         ticks = {"were given up": found.given_up, "decided something": found.decided}
         left = [f"{count:,} of its ticks {what}" for what, count in ticks.items() if count]
@@ -238,7 +238,7 @@ class Engine:
                 return
 
     def _compile_beside(self, k: int) -> bool:
-        """Have the text compiled in a thread, where somebody is to be served meanwhile; whether that is under way."""
+        """Compile in a thread if messages must be served meanwhile; return whether compilation is under way."""
         kept = self._kept
         assert kept is not None
         if self._alone is None or kept.made or not self._typed:
@@ -392,7 +392,7 @@ class Engine:
         return reached
 
     def _on(self, first: int, reached: int, last: int, after: Any, rows: dict[int, Answers]) -> int:
-        """Go on where members want a tick to be Python's; all that was said is handed out at the end, at once."""
+        """Continue where a node wants a tick in Python; everything is published at the end in one batch."""
         at = first
 
         def hand_out() -> None:
@@ -433,7 +433,7 @@ class Engine:
         return reached
 
     def _places(self, first: int, last: int) -> dict[int, Answers]:
-        """Give what native code writes the answers of ticks from `first` up to `last` into, and have it handed that."""
+        """Return buffers for native answers of the ticks `first` to `last`, and pass them to native code."""
         counts = {id(s): len(self._plan.own(s.schedule, first, last)) for s in self._recorded}
         rows = {
             id(s): Answers(np.empty((size, counts[id(s)])).T, np.empty((counts[id(s)], stamps), np.int64))
@@ -452,7 +452,7 @@ class Engine:
         return rows
 
     def _name(self, rows: dict[int, Answers]) -> None:
-        """Put what native code is handed in its order."""
+        """Order the arguments of native code."""
         assert self._kept is not None
         named = self._tables | {WHEN: self._when, "told": self._told}
         for k, s, _, _ in self._written:
@@ -554,7 +554,7 @@ class _Later(Link):
         self._take(Link.send, t, rows, numbers)
 
     def over(self, t: int) -> None:
-        """Take note of it, or keep that."""
+        """Apply it, or store it."""
         self._take(Link.over, t)
 
     def send_all(self, times: Any, numbers: Any, stamps: Any) -> None:
@@ -563,7 +563,7 @@ class _Later(Link):
         self.inner.send_all(times, numbers, stamps)
 
     def hand_on(self) -> None:
-        """Do what is kept."""
+        """Apply what was stored."""
         for call, *arguments in self.kept or ():
             call(self, *arguments)
 

@@ -55,7 +55,7 @@ class Holding:
 
 
 def holdings(steps: Sequence[Step]) -> list[Holding]:
-    """Give those between native members that are silent at times, or late, or doubted, and those from other members."""
+    """Return links between native nodes that are sporadic, delayed or checked, and links from other nodes."""
     found: list[Holding] = []
     for k, s in enumerate(steps):
         found += [Holding(k, fill) for fill in (*(f for f in s.readers if f.silent), *s.doubters)]
@@ -232,7 +232,7 @@ class Turns:
         return made(program, getattr(type(step.block), name), given, inputs, self.arrays)
 
     def _answered(self, k: int, value: Value, state: str | None) -> list[str]:
-        """Take an answer: its state, its numbers checked, written into the table."""
+        """Process an answer: its state, and its checked numbers, which are written into the table."""
         step, typed, writer = self.steps[k], self.typed, self._writer(k)
         x, size = Dynamic(""), sum(p.size for p in step.outputs)
         try:
@@ -268,13 +268,13 @@ class Turns:
         return lines
 
     def _state(self, k: int, value: Dynamic) -> str:
-        """Take a state, which must be of the type of the one before."""
+        """Store a state, which must have the type of the previous one."""
         typed = self.typed
         known = not typed and is_sure(value) and alike(value.sample, packed(self.steps[k].x, typed))
         return f"x{k} = {value.code}" if known else f"x{k} = same_(x{k}, {value.code})"
 
     def _handed_on(self, k: int) -> list[str]:
-        """Hand what is said to those who keep it, with its time; what is new in kind or not to be taken is Python's."""
+        """Pass outputs with their time to their recorders; leave new kinds and invalid values to Python."""
         step, kept = self.steps[k], self.kept
         lines: list[str] = []
         flag = sum(p.size for p in step.outputs)
@@ -303,7 +303,7 @@ class Turns:
 def rows_of(
     writer: Writer, value: Value, outputs: Sequence[Port]
 ) -> Iterator[tuple[list[str], list[str], Value, list[Value]]]:
-    """Take an answer apart: of each output its flag and stamp, where it has one, its row, and the row's numbers.
+    """Split an answer: for each output its flag and stamp, if any, its row, and the row's numbers.
 
     Raises
     ------

@@ -61,7 +61,7 @@ def unpacked(value: Any) -> Any:
 
 
 def applied(way: Way, value: Any) -> Any:
-    """Take a way of `packer` or `unpacker`."""
+    """Apply a function of `packer` or `unpacker`."""
     return value if way is None else way(value)
 
 

@@ -56,7 +56,7 @@ def fingerprints(classes: Iterable[type[Block]], modules: Iterable[str] = ()) ->
 
 @cache
 def _folder(package: str) -> Path | None:
-    """Where the files of a package or module are; None for what was typed, not imported."""
+    """Return the folder of a package's or module's files; None for code that was typed, not imported."""
     if package == "__main__" or package in sys.stdlib_module_names:
         return None
     try:

@@ -47,7 +47,7 @@ def contents(block: Block) -> dict[str, str]:
 
 
 def _outside(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
-    """Give what a method names outside of itself and can change: variables of its module and of functions around it."""
+    """Return the mutable names that a method uses from outside: variables of its module and of enclosing functions."""
     for name in function.__code__.co_names:
         if isinstance(value := function.__globals__.get(name), _CHANGEABLE) and not name.isupper():
             yield name, value

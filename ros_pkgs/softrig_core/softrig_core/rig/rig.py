@@ -55,7 +55,7 @@ class Rig(Members):
         return cls(scenario, (), clock).having(scenario, members, members)
 
     def listened(self, scenario: Scenario, names: Iterable[str]) -> Rig:
-        """Give the rig with more nodes of a scenario, or others in the place of those of their names, that only listen.
+        """Return the rig with more nodes of a scenario, or with others of the same names, that only subscribe.
 
         Parameters
         ----------

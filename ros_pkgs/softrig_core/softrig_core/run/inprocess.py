@@ -109,7 +109,7 @@ def check_here(rig: Rig) -> None:
 
 @cache
 def _keep_memory() -> None:
-    """Have glibc keep what a run gives back for the next one: fresh pages are a third of a short run's time."""
+    """Let glibc keep freed memory for the next run: fresh pages are a third of a short run's time."""
     libc = ctypes.CDLL(None)
     if hasattr(libc, "mallopt"):
         libc.mallopt(-3, 1 << 25)  # M_MMAP_THRESHOLD
@@ -118,7 +118,7 @@ def _keep_memory() -> None:
 
 @contextmanager
 def _searched_seldom() -> Iterator[None]:
-    """Have Python look for reference cycles seldom, which takes up to a tenth of a tick; where it does so at all."""
+    """Run the garbage collector less often (it can take a tenth of a tick); no effect if collection is disabled."""
     usual = gc.get_threshold()
     if usual[0]:
         gc.set_threshold(max(YOUNG, usual[0]), *usual[1:])
@@ -151,7 +151,7 @@ def step_of(member: Member, block: Block) -> Step:
 
 
 def record(rig: Rig, steps: Mapping[str, Step], sink: Sink, said: Mapping[str, int] | None = None) -> None:
-    """Have a sink get every message of the steps of a rig; it has some already, so many by topic."""
+    """Send every message of a rig's steps to a sink; it already has a number of them per topic."""
     numbers = {topic: number for number, topic in enumerate(rig.topics)}
     for step in steps.values():
         ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
@@ -162,7 +162,7 @@ def record(rig: Rig, steps: Mapping[str, Step], sink: Sink, said: Mapping[str, i
 def keeper(
     step: Step, sink: Sink, ports: Sequence[Port], numbers: Sequence[int], said: Mapping[str, int] | None = None
 ) -> Link:
-    """Have a sink get the messages of a step.
+    """Send the messages of a step to a sink.
 
     Parameters
     ----------

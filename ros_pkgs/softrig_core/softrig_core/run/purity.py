@@ -69,7 +69,7 @@ def _key(member: Member) -> Any:
 
 
 def _watched(member: Member, block: Block) -> list[tuple[Block, str]]:
-    """Have the methods of a block compute each answer twice."""
+    """Let the methods of a block compute each answer twice."""
     methods = ("outputs", "advance") if isinstance(block, Plant) else ("update",)
     if isinstance(block, Observer) and not member.outputs:
         return []

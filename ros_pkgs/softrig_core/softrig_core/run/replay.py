@@ -77,7 +77,7 @@ class _Input:
         step.stamps[name] = lambda: self._stamp
 
     def bring(self, t: int) -> None:
-        """Have the step hold what is newest at time `t`."""
+        """Let the step hold the newest values at time `t`."""
         following = self._next if self._topic is None else bisect_right(self._topic.times, t, self._next)
         if self._topic is None or following == 0:
             if not self._source.sporadic:

@@ -204,7 +204,7 @@ class Session:
         }
 
     def rewind(self, t: float) -> dict[str, Any]:
-        """Go back: as if no tick from t (s) on had been answered, and nothing been set from there on.
+        """Go back, as if no tick from t (s) on had been answered and nothing had been set from then on.
 
         Returns
         -------
@@ -259,7 +259,7 @@ class Session:
         return min(k + (schedule.time(k) < at), self.ticks + 1)
 
     def _come(self, blocks: dict[str, Block], k: int) -> None:
-        """Have blocks where the run was before tick k: from the newest state that is kept, and on from there."""
+        """Restore the blocks before tick k: from the newest stored state, and by ticks from there."""
         begin = max(self._kept, default=None)
         if begin is None:
             raise RunError(f"this run cannot go back: {self._why}")

@@ -94,14 +94,14 @@ class Run:
 
     @property
     def stopped_at(self) -> str:
-        """How far a run came that was stopped from outside, in words; empty when it was not."""
+        """Describe how far a run came that was interrupted; empty if it was not."""
         if not self.stopped:
             return ""
         return f"stopped by {signal.Signals(self.stopped).name} at t = {self.reached_s:.9g} s"
 
     @property
     def reached_s(self) -> float:
-        """How far it came: time of the newest message, s."""
+        """Return the time of the newest message, s."""
         newest = max((t.times[-1] for t in self.recording.topics.values() if t.times), default=self.epoch)
         return (newest - self.epoch) / SECOND
 
@@ -127,7 +127,7 @@ class Run:
 
     @cached_property
     def published_for(self) -> str:
-        """What the machine had for which the scenario's numbers are published; empty of a run that was not changed."""
+        """Return the machine's values for which the scenario's numbers are published; empty for an unchanged run."""
         before = changed_from(self.rig)
         return before or (f"the scenario without {self.changed}" if self.changed else "")
 
@@ -222,7 +222,7 @@ class Run:
         progress: Callable[[int], object] | bool | None = None,
         runs: int = 1,
     ) -> Run:
-        """Go back to a time, and on from there with other parameters.
+        """Go back to a time, and continue from there with other parameters.
 
         Parameters
         ----------

@@ -46,7 +46,7 @@ class Changing(Protocol):
 
 
 def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changing]) -> None:
-    """Give each member its changes, in the order of their times, each checked against those before it.
+    """Return each node's changes in the order of their times, each checked after those before it.
 
     Parameters
     ----------

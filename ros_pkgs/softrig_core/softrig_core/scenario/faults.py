@@ -51,7 +51,7 @@ def insert(
     ports: Mapping[str, Ports],
     params: Mapping[str, BlockParams],
 ) -> dict[str, Any]:
-    """Put the faults of a scenario between its nodes, in the order in which they stand.
+    """Insert the faults of a scenario between its nodes, in the order of the file.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def insert(
 
 
 def _unheard(topic: str, reader: str, subscribers: list[str]) -> str:
-    """Say that nothing would change with a fault, since no node of those that it concerns subscribes to its link."""
+    """Report that a fault has no effect, since none of the nodes concerned subscribes to its link."""
     if reader and subscribers:
         return f"{reader} does not subscribe to {topic}; its subscribers are {', '.join(subscribers)}"
     return (

@@ -362,7 +362,7 @@ def _at(entry: Any, name: str) -> Any:
 
 
 def _override(raw: dict[str, Any], key: str, value: Any) -> None:
-    """Lay one changed parameter or shared value over a resolved scenario."""
+    """Apply one changed parameter or shared value to a resolved scenario."""
     node, _, parameter = key.partition(".")
     nodes, shared = raw.get("nodes"), raw.get("shared") or {}
     nodes = nodes if isinstance(nodes, Mapping) else {}

@@ -174,7 +174,7 @@ def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
-    """Lay a scenario's own entry over what it inherits.
+    """Merge a scenario's own entry into what it inherits.
 
     Mappings merge level by level, null removes, and the keys `OWN` come from the entry alone. A node with another
     executable loses the inherited parameters, a figure with another function all that is inherited: it would mean
@@ -215,7 +215,7 @@ class Over(NamedTuple):
 
 
 def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay one mapping over another, level by level; null removes a key.
+    """Merge one mapping into another, level by level; null removes a key.
 
     Parameters
     ----------

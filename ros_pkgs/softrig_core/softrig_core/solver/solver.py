@@ -174,12 +174,12 @@ class Solver(Block[S]):
         return SolverState()
 
     def reset(self, seed: int) -> None:
-        """Go back to the initial state; work under way is killed."""
+        """Restore the initial state; kill the current work."""
         self.worker = Worker(type(self).solve)
         super().reset(seed)
 
     def rest(self) -> None:
-        """Leave the process that works to others, if it does nothing: the run is over."""
+        """Release the worker process if it is idle, since the run is over."""
         self.worker.rest()
 
     def working(self, x: Any) -> bool:
@@ -191,11 +191,11 @@ class Solver(Block[S]):
         return self._finish(self.begin(x, t, **inputs), t)
 
     def refused(self, x: Any, t: int) -> tuple[Any, Values | None]:
-        """Go on with what is under way; a request that was refused asks nothing."""
+        """Continue with the current work; a tick with a rejected input makes no request."""
         return self._finish(self.carry_on(x, t), t)
 
     def begin(self, x: Any, t: int, **inputs: Any) -> Any:
-        """Take the request of a tick and begin to work; the first of the three parts of `update`."""
+        """Read the request of a tick and start to work; the first of the three parts of `update`."""
         x, asked = self.request(x, t, **inputs)
         if asked is not None:
             jobs: Jobs = replace(x.jobs, waiting=Job(t, asked))
@@ -238,7 +238,7 @@ class Solver(Block[S]):
         return self.end(x, t)
 
     def end(self, x: Any, t: int) -> tuple[Any, Values]:
-        """Take the result that is due and give the outputs; the last part of `update`.
+        """Return the outputs with the result that is due; the last part of `update`.
 
         Raises
         ------

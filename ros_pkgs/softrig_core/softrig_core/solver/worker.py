@@ -44,7 +44,7 @@ class Work:
         self._send("status", figures)
 
     def best(self, answer: Any) -> None:
-        """Leave the best answer so far: it is the result when the time limit strikes."""
+        """Store the best answer so far: it is the result if the time limit is reached."""
         self._send("best", answer)
 
 
@@ -139,13 +139,13 @@ class Worker:
         self.state, self.struck = "done", True
 
     def rest(self) -> None:
-        """Leave an idle process to others until there is work again."""
+        """Release an idle process until there is work again."""
         if self._process is not None and self.state != "working":
             self._end()
             self._process = None
 
     def heard(self, process: _Process, kind: str, content: Any) -> None:
-        """Take what a process says."""
+        """Process a message of the worker process."""
         with self._changed:
             if process is not self._process:
                 return  # a killed one's last words
@@ -238,7 +238,7 @@ class _Process:
                     pipe.close()
 
     def _listen(self) -> None:
-        """Hand on what it says until its end; holds no reference to the worker, whose end must be seen."""
+        """Forward the process's messages until its end; hold no reference to the worker, so that its end is noticed."""
 
         def tell(kind: str, content: Any) -> None:
             if (worker := self.owner()) is not None:
@@ -305,7 +305,7 @@ def _read(pipe: IO[bytes]) -> bytes:
 
 
 def main() -> None:
-    """Be the process: read requests until the caller's end of the pipe is closed."""
+    """Run the worker process: read requests until the caller closes the pipe."""
     incoming = os.fdopen(os.dup(0), "rb")
     outgoing = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)

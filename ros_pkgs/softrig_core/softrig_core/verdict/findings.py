@@ -58,7 +58,7 @@ class Finding(BaseModel):
 
     @property
     def statement(self) -> tuple[str, ...]:
-        """What the paper says and how it fared, which may be held against several scenarios, figures and bounds."""
+        """Describe what the paper states and the outcome, over all scenarios, figures and bounds compared."""
         if self.text == _words(self.key):
             return self.scenario, self.key
         return self.text, self.where, str(self.published), self.verdict

@@ -84,7 +84,7 @@ class Kept(NamedTuple):
         return self.dropped or (oldest != b"" and STAMP.unpack_from(oldest)[0] < self.since)
 
     def taken(self, row: struct.Struct, stamp: int, values: Any, t: int, reach: int) -> Kept:
-        """Take a message in at a tick t, if it is new; what is older than `reach` before t leaves the window (ns).
+        """Add a message at tick t, if it is new; messages older than `reach` before t leave the window (ns).
 
         `row` packs it (`row_of`).
         """
@@ -103,7 +103,7 @@ class Kept(NamedTuple):
         return _new(Kept, (blocks, filling, newest, stamp, since, dropped))
 
     def taken_at_once(self, messages: Messages, t: int, reach: int) -> Kept:
-        """Take new messages in, the oldest first; what `taken` gives that gets one after the other up to a tick t."""
+        """Add new messages, oldest first; equal to calling `taken` for one after the other up to a tick t."""
         since = max(self.since, t - reach)
         if not messages:
             return self if self.stamp == EVER else self._replace(since=since)
@@ -163,7 +163,7 @@ class Watch(Observer[W]):
         self.nothing = (Kept(),) * len(inputs)
 
     def first(self) -> Any:
-        """Nothing seen yet."""
+        """Return the initial state: nothing seen yet."""
         return Window(self.nothing)
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:

@@ -108,7 +108,7 @@ class ShardWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything to the operating system; raises OSError (disk full), never drops silently."""
+        """Pass everything to the operating system; raises OSError (disk full), never drops silently."""
         while self._buffer:
             written = self._file.write(self._buffer)
             del self._buffer[: written or 0]
@@ -453,7 +453,7 @@ def read_shards(paths: Iterable[Path]) -> Recording:
 
 
 def shard_topics(path: Path) -> dict[str, str]:
-    """Give name and message type of the topics of a shard, without changes; nothing when it is cut off in its head."""
+    """Return name and message type of a shard's topics, without changes; nothing if its head is cut off."""
     head, _ = _read_head(memoryview(path.read_bytes()))
     return {} if head is None else {name: msgtype for name, msgtype in head["topics"] if name != EVENTS}
 

@@ -26,7 +26,7 @@ class Writer:
         self.written: list[tuple[int, int]] = []
 
     def room(self, code: str, n: int) -> int:
-        """Leave room for `n` values of a struct's code; gives where."""
+        """Reserve room for `n` values of a struct's code; return where it begins."""
         size = struct.calcsize(code)
         if n:
             self.data += bytes(-(len(self.data) - 4) % size)

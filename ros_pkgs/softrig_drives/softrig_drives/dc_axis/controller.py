@@ -157,7 +157,7 @@ class FsfbController(Block[FsfbControllerParams]):
         return State(self._nominal.rest(0.0), history, xi=self._law.settle((0.0, 0.0)))
 
     def go_on(self, x: State, before: FsfbControllerParams) -> State:
-        """Take other gains without a bump; the known commands and the set point stay."""
+        """Continue with other gains without a jump; the known commands and the set point stay."""
         law = _law(before)
         xi = self._law.go_on(x.xi, law, x.state, x.set_point.value)
         return x._replace(xi=xi, nominal=self._nominal.go_on(x.nominal, law))
@@ -226,7 +226,7 @@ class FsfbController(Block[FsfbControllerParams]):
         return True
 
     def _measure(self, x: State, feedback: Sample) -> State:
-        """Take the measurement; the first one says where to begin."""
+        """Process the measurement; the first one defines the initial value."""
         stamp, (y, v) = feedback
         measured = v, y + self._half_count
         if x.stamp is None:

@@ -35,7 +35,7 @@ class SetPoint:
         self._step, self._report, self._largest = step, report, largest
 
     def __call__(self, x: Asked, reference: float | None, forward: bool, reverse: bool) -> Asked:
-        """Take this period's inputs."""
+        """Process this period's inputs."""
         value, newest, was_forward, was_reverse = x
         if reference is not None and reference != newest:
             value = newest = reference

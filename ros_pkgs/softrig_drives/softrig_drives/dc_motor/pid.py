@@ -43,7 +43,7 @@ class DcMotorPid(SpeedControl[DcMotorPidParams]):
         return State(self.p.set_point)
 
     def go_on(self, x: State, before: DcMotorPidParams) -> State:
-        """Take other gains without a bump, see `softrig_control.pid.Pid.go_on`."""
+        """Continue with other gains without a jump, see `softrig_control.pid.Pid.go_on`."""
         x = super().go_on(x, before)
         return State(x.r, self._pid.go_on(x.pid, before))
 

@@ -82,12 +82,12 @@ class SurfaceControl(SpeedControl[P]):
         self._k, self._k_per_ref = p.k, p.k_per_ref
 
     def go_on(self, x: Any, before: P) -> Any:
-        """Take other gains; another set point scales K."""
+        """Continue with other gains; another set point scales K."""
         x = super().go_on(x, before)
         return x._replace(size=abs(x.r) or x.size)
 
     def law(self, size: float, r: float, w: float, wd: float) -> Mapping[str, tuple[float, ...]]:
-        """Answer for the reference r, the size of it that scales K, the speed w and its derivative wd."""
+        """Compute the command for the reference r, the size of it that scales K, the speed w and its derivative wd."""
         s = self._c * (r - w) - wd
         k_gain = (self._k_per_ref * size if self._k is None else self._k) / self._gain
         u = self._w_gain * w + self._wd_gain * wd + k_gain * switching(s, self._delta)

@@ -50,7 +50,7 @@ def measured(x: Sequence[Any], inv_L_sigma: Any, p: Any) -> tuple[Any, Any, Any,
 
 @lru_cache(maxsize=16)
 def step_function(substeps: int = 1) -> ca.Function:
-    """One Runge-Kutta step of order 4 per sub-step with the voltage and the load torque held.
+    """Return one Runge-Kutta step of order 4 per sub-step with the voltage and the load torque held.
 
     In the stator frame, amplitude-invariant space vectors, x = (psi_s, psi_R, omega, theta)::
 

@@ -75,7 +75,7 @@ class ImPlant(Plant[ImPlantParams]):
 
     @classmethod
     def agreed(cls, params: ImPlantParams) -> Mapping[str, Any]:
-        """What its converters resolve, in which their errors are counted, and what makes torque of flux and current."""
+        """Return the resolution of the converters (the unit of errors) and the pole pairs."""
         return {"induction_dtc/lsb": params.lsb, "induction_dtc/pole_pairs": params.pole_pairs}
 
     def setup(self) -> None:

@@ -41,11 +41,11 @@ class SpeedController(Block[SpeedControllerParams]):
         self._rise = self.p.slew * self.p.period
 
     def first(self) -> State:
-        """Stand still."""
+        """Return the state at standstill."""
         return State()
 
     def go_on(self, x: State, before: SpeedControllerParams) -> State:
-        """Take other gains without a bump, see `softrig_control.pid.Pid.go_on`."""
+        """Continue with other gains without a jump, see `softrig_control.pid.Pid.go_on`."""
         return x._replace(pid=self._pid.go_on(x.pid, before))
 
     def update(

@@ -62,7 +62,7 @@ class CurrentController(Block[CurrentControllerParams]):
     OUTPUTS = (PHASE_VOLTAGE,)
 
     def setup(self) -> None:
-        """Lay the constants out for the compiled law."""
+        """Arrange the constants for the compiled law."""
         p = self.p
         self._geometry = p.numbers()
         self._law = np.array([p.K_pc, p.K_ic, p.U_dc, p.I_max, p.threshold, p.zero_current, p.resolution, p.period,
@@ -73,7 +73,7 @@ class CurrentController(Block[CurrentControllerParams]):
         return State()
 
     def go_on(self, x: State, before: CurrentControllerParams) -> State:
-        """Take other gains; what the integrals give stays."""
+        """Continue with other gains; the output of the integrals stays."""
         if self.p.K_ic == before.K_ic:
             return x
         share = before.K_ic / self.p.K_ic if self.p.K_ic else 0.0

@@ -128,7 +128,7 @@ def turn(x: float, phase: int, geometry: Array) -> float:
 def charged(
     flux: float, u: float, R: float, x: float, phase_: int, turned: float, geometry: Array
 ) -> tuple[float, float]:
-    """Give the rate of a flux linkage (V) and the force (N) of its phase; `turned`: its pole pitches, nearly always."""
+    """Return the rate of a flux linkage (V) and the force (N) of its phase; `turned`: its pole pitches, mostly."""
     if not flux > 0.0:
         return (u if u > 0.0 else 0.0), 0.0
     xi = x - phase_ * geometry[1] - turned

@@ -40,7 +40,7 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
         return PidState()
 
     def go_on(self, x: PidState, before: LsrmPiParams) -> PidState:
-        """Take other gains without a bump, see `softrig_control.pid.Pid.go_on`."""
+        """Continue with other gains without a jump, see `softrig_control.pid.Pid.go_on`."""
         return self._pid.go_on(x, _gains(before))
 
     def update(

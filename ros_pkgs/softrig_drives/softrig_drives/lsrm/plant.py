@@ -75,7 +75,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
         return {"robot_description": axis_urdf("lsrm", *TRANSLATOR, "prismatic", (1e4, 1e2), tag)}
 
     def setup(self) -> None:
-        """Lay the constants out for the compiled step."""
+        """Arrange the constants for the compiled step."""
         p = self.p
         self._geometry = p.numbers()
         self._constants = np.array([p.U_dc, p.R, p.M, p.C + p.k_p, p.period / p.substeps, p.substeps, float(p.locked)])

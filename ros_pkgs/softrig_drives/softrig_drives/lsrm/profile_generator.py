@@ -88,7 +88,7 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
 
 @lru_cache(maxsize=64)
 def largest_force(profile: Profile, M: float, damping: float) -> float:
-    """Give the largest force (N) that moves a mass M (kg) against a damping (N s/m) through the ramps of a profile."""
+    """Return the largest force (N) that moves a mass M (kg) with damping (N s/m) through the ramps of a profile."""
     times = [profile.t_d * n / SAMPLES for n in range(SAMPLES + 1)]
     if profile.t_b < inf:
         times += [profile.t_b + profile.t_db * n / SAMPLES for n in range(SAMPLES + 1)]

@@ -232,7 +232,7 @@ class BldcPlant(Plant[BldcPlantParams]):
         return {"machines/pole_pairs": params.pole_pairs}
 
     def setup(self) -> None:
-        """Lay out the constants."""
+        """Arrange the constants."""
         p = self.p
         mechanics = p.mechanics_numbers()
         self._m = np.array([p.R, 1.0 / p.L, p.k_e, float(p.pole_pairs), *mechanics[:6], p.load_square])

@@ -92,7 +92,7 @@ class MachinePlant(Plant[P]):
         """Return what `step.stepper` moves."""
 
     def setup(self) -> None:
-        """Lay out the constants for the compiled step."""
+        """Arrange the constants for the compiled step."""
         p = self.p
         self._m = self.constants()
         self._inverter, self._mechanics = p.inverter_numbers(), np.array(p.mechanics_numbers())

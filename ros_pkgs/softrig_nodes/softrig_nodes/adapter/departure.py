@@ -109,7 +109,7 @@ class Departure:
         self._heard(said)
 
     def say(self, words: Sequence[str]) -> None:
-        """Tell all nodes, those that start anew, too, that the clock of the rig is held, or let go."""
+        """Publish to all nodes, also those that start later, that the clock of the rig is held or released."""
         self._words = words
         self._say_start()
 

@@ -42,7 +42,7 @@ class Sender(Input):
     # the way of a message ------------------------------------------------------------------------------------------
 
     def receive(self, data: bytes) -> None:
-        """Take the bytes of a message."""
+        """Receive the bytes of a message."""
         if self.deaf():
             return
         self.heard = True
@@ -85,7 +85,7 @@ class Sender(Input):
             node.record.sink.add(self._number, t, data)
 
     def in_order(self, number: int) -> bool:
-        """Whether an array is new to an input that takes the newest; refuses one that is repeated, counts lost ones.
+        """Return whether an array is new to an input that uses the newest; reject repeated ones, count lost ones.
 
         Number 0 may begin anew: a bag that is played in a loop.
 

@@ -53,7 +53,7 @@ def failure(adapter: Adapter, error: Exception) -> Exception:
 
 
 def conclude(adapter: Adapter, stopped: bool) -> int:
-    """Leave what the node has recorded and how it ended; returns the exit status."""
+    """Store what the node has recorded and how it ended; return the exit status."""
     if adapter.record.shard is not None:
         try:
             adapter.record.shard.close()

@@ -114,11 +114,11 @@ class Arrival:
         self._call = _Heard(call)
 
     def begin(self) -> None:
-        """Tell from now on, of what is there already as well."""
+        """Report writers from now on, including those that exist already."""
         self._set(self._call)
 
     def end(self) -> None:
-        """Tell of nothing more; what is under way returns first."""
+        """Stop reporting; reports under way finish first."""
         self._set(_Heard())
 
     def _set(self, call: Any) -> None:
@@ -127,7 +127,7 @@ class Arrival:
             raise RCLError(f"{self.subscription.topic_name}: cannot be told of its messages")
 
     def look(self) -> None:
-        """Tell of the writers, if they are more or less than at the last look."""
+        """Report the writers if their number has changed since the last look."""
         if self._rcl.rcl_subscription_get_publisher_count(self._reader, ctypes.byref(self._counted)):
             self._rcl.rcutils_reset_error()
         elif self._counted.value != self._writers:

@@ -18,7 +18,7 @@ PATIENCE = 2  # s: time to leave the graph; it takes some ms
 
 
 def leave(nodes: Sequence[Node], status: int) -> NoReturn:
-    """Take the nodes of this process out of the graph, so that their peers see at once that they are gone, and end it.
+    """Remove the nodes of this process from the graph, so that peers notice immediately, and end it.
 
     Fast DDS 2.14 cannot be trusted with either step: `destroy_node` waits for ever when news of another node that
     leaves comes at the same moment (eProsima/Fast-DDS#6513; once in some hundred runs, for nodes in lockstep finish
@@ -59,7 +59,7 @@ class _SigEvent(ctypes.Structure):
 
 
 def _exit_after(seconds: int, status: int) -> None:
-    """Have the C library end the process: a thread or signal handler of Python's would wait for the interpreter."""
+    """Let the C library end the process: a thread or signal handler in Python would wait for the interpreter."""
     libc = ctypes.CDLL(None)
     if not hasattr(libc, "timer_create"):  # glibc before 2.34, and not Linux
         return

@@ -172,7 +172,7 @@ class _Type:
         return Sequence(addressof(data), len(items), len(items))
 
     def _callbacks(self, element: Handle) -> Callbacks:
-        """All but the names are those of the element: how large it may become, which is without a bound."""
+        """Return the element's callbacks except for the names: how large a message may become has no bound."""
         theirs = Callbacks.from_address(element.data or 0)
         return self._keep(Callbacks(b"tf2_msgs::msg", b"TFMessage", theirs.functions))  # type: ignore[no-any-return]
 

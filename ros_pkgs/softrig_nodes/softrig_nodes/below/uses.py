@@ -214,19 +214,19 @@ def descriptors(node: Node) -> Mapping[str, Any]:
 
 
 def make_empty(node: Node, name: str, kind: Parameter.Type) -> None:
-    """Give a parameter that is an empty list its type: rclpy takes it for bytes."""
+    """Set the type of a parameter that is an empty list: rclpy treats it as bytes."""
     if works("parameters"):
         node._parameters[name] = Parameter(name, kind, [])
         node.describe_parameter(name).type = kind.value
 
 
 def leave_to_us(node: Node, subscription: Any) -> None:
-    """Take a subscription from what the executor asks for; see `works("subscriptions")` first."""
+    """Remove a subscription from the executor's wait set; see `works("subscriptions")` first."""
     node._subscriptions.remove(subscription)
 
 
 def leave_to_executor(node: Node, subscription: Any) -> None:
-    """Have the executor ask for a subscription again."""
+    """Return a subscription to the executor's wait set."""
     node._subscriptions.append(subscription)
 
 
@@ -238,7 +238,7 @@ def executor() -> Any:
 
 
 def answer_by(service: Any, wrap: Callable[[Any], Any]) -> None:
-    """Have a service send its answers by what `wrap` makes of its own way to send."""
+    """Let a service send its answers by `wrap` of its own send function."""
     if works("send_response"):
         service.send_response = wrap(service.send_response)
 

@@ -93,7 +93,7 @@ class Faces:
         self._diagnostics.publish(diagnostic_array(time.time_ns(), self._name, level, text, values))
 
     def _measure(self, block: Any) -> None:
-        """Have the figures measured: of a long window they take longer than many ticks, which no wall clock waits for.
+        """Measure the figures outside of the tick: for a long window this takes longer than many ticks.
 
         What they are of is a value, which the ticks meanwhile do not change.
         """

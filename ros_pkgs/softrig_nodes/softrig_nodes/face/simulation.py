@@ -154,7 +154,7 @@ class Simulation:
     # steps -----------------------------------------------------------------------------------------------------
 
     def _take(self, count: int, told: Callable[[int], object], over: Callable[[str], object]) -> str:
-        """Take steps; says why not."""
+        """Run steps; return why not, if refused."""
         adapter = self._adapter
         if adapter.state != "running" or not adapter.hold.held:
             return f"steps are taken of a paused run: this one is {'running' if adapter.ticks else adapter.state}"
@@ -196,7 +196,7 @@ class Simulation:
         return response
 
     def _send_unless_late(self, response: Any, header: Any) -> None:
-        """Answer, or keep for later to whom."""
+        """Answer, or store the client for later."""
         if id(response) in self._late:
             self._late[id(response)] = response, header
         else:
@@ -221,7 +221,7 @@ class Simulation:
     # entities --------------------------------------------------------------------------------------------------
 
     def _poses(self, q: list[float]) -> dict[str, Pose]:
-        """Where the bodies are with the joints at q."""
+        """Return the places of the bodies with the joints at q."""
         scene = self._scene
         return {} if scene is None else {pose.child: pose for pose in (*scene.fixed(), *scene.moving(q))}
 

@@ -69,7 +69,7 @@ class Spoken:
         return keep
 
     def again(self) -> None:
-        """Say it again."""
+        """Publish it again."""
         for send, kept in self._kept:
             for message in kept:
                 send(*message)
@@ -88,7 +88,7 @@ class _Heard:
         self.next = 0  # the first that is not used
 
     def bring(self, t: int) -> None:
-        """Have the input hold what had come up to tick t."""
+        """Let the input hold what had arrived up to tick t."""
         row, node = self.row, self._node
         first = self.next
         while self.next < len(self.times) and self.times[self.next] <= t:
@@ -165,7 +165,7 @@ class Comeback:
         self._resume()
 
     def lacks(self, t: int) -> bool:
-        """Have the inputs hold what had come up to tick t; whether something that the tick needs had not."""
+        """Let the inputs hold what had arrived up to tick t; return whether the tick lacks something."""
         if time.monotonic() - self._told > WATCH_PERIOD * 1e-9:  # the runner sees that it lives
             self._told = time.monotonic()
             self._node.account.write_status()
@@ -188,7 +188,7 @@ class Comeback:
         return want < 0 or (not row.silent and bool(times) and times[-1] >= want)
 
     def _resume(self) -> None:
-        """Have the table of senders go on from here."""
+        """Let the table of senders continue from here."""
         drive, node = self._drive, self._node
         for row in (*drive.senders.rows, *drive.senders.unpaced):
             heard = self._paired.get(row)

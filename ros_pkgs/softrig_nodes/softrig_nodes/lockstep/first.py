@@ -12,7 +12,7 @@ from ..seam.endpoint import Output
 
 
 def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> None:
-    """Have outputs keep their first message and publish it again when a reader comes.
+    """Keep the first message of outputs and publish it again when a subscriber appears.
 
     Parameters
     ----------

@@ -285,7 +285,7 @@ class Lockstep(Link):
         return hold.held or hold.waits or (self.solving is not None and self.solving.working)
 
     def counts(self) -> dict[str, int]:
-        """Nothing is ever late."""
+        """Return no counts: nothing is late in lockstep."""
         return {}
 
     def native(self) -> dict[str, Any]:

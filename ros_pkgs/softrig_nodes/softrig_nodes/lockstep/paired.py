@@ -208,12 +208,12 @@ class Paired(Sender):
         return want
 
     def resume(self, used: int, reached: int) -> None:
-        """Go on after a tick of the sender whose message is used, and one up to which its silences tell; -1: none."""
+        """Continue after the sender's tick in use and the tick up to which its silences are known; -1: none."""
         self.used, self.reached = max(self.used, used), max(self.reached, reached)
         self.want, self._holds, self.have = -_FOREVER, 0, False
 
     def learn(self, reached: int) -> None:
-        """Take it that the sender has spoken up to one of its ticks, and said nothing but what has come."""
+        """Record that the sender has published up to one of its ticks, and nothing except what has arrived."""
         self.reached = max(self.reached, reached)
         if not self.have and self._complete():
             self._use()
@@ -224,7 +224,7 @@ class Paired(Sender):
         return self.want <= self.used or self.want <= self.reached or (not self.silent and self.want in self.said)
 
     def _use(self) -> None:
-        """Take the newest of what was said up to the awaited tick; forget the rest."""
+        """Use the newest message up to the awaited tick; drop the others."""
         self.used = max(self.used, self.want)
         found: Any = KEEP
         for position in sorted(p for p in self.said if p <= self.want):
@@ -248,7 +248,7 @@ class Paired(Sender):
     # what has come -------------------------------------------------------------------------------------------------
 
     def came(self, stamp: int, found: Any, data: bytes, tick: int | None = None) -> None:
-        """Take a message of a tick of its sender: that of its stamp, unless it is given."""
+        """Accept a message for a tick of its sender: the tick of its stamp, unless given."""
         position = stamp if tick is None else tick
         if position == self.want and not self.have and not self.said and not self.silent:  # nearly always
             if self._number is not None:
@@ -271,7 +271,7 @@ class Paired(Sender):
             self.node.account.refuse(self, f"stamp {got:.9g} s from {self.who}, expected {want:.9g} s{twice}")
 
     def recall(self, number: int, data: bytes) -> None:
-        """Take the bytes of a message from the record of its sender: its number there, from 0."""
+        """Accept a message from the record of its sender: its number there, from 0."""
         self.receive(data)
 
     def spoilt(self, data: bytes) -> None:
@@ -345,12 +345,12 @@ class Counted(Paired):
         self._told = max(self._told, reached)
 
     def count(self, received: int, announced: Iterable[int]) -> None:
-        """Go on with so many messages used, and those of some ticks told of and still to be heard."""
+        """Continue after a number of used messages; messages of some announced ticks are still to come."""
         self.received = received
         self._announced.extend(announced)
 
     def receive(self, data: bytes) -> None:
-        """Take the bytes of a message, without the number behind them."""
+        """Receive the bytes of a message, without the number behind them."""
         if self._behind and not self.deaf():
             number, data = split(data)
             if not self._in_turn(number):
@@ -362,7 +362,7 @@ class Counted(Paired):
         self.receive(numbered(number, data) if self._behind else data)
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:
-        """Take a message, None for a refused one, at its number."""
+        """Accept a message (None for a rejected one) at its number."""
         if not (self.port.stamped or self._in_turn(stamp)):
             return
         self._queue.append((stamp, found, data))
@@ -397,7 +397,7 @@ class Counted(Paired):
                 super().came(stamp, values, data, position)
 
     def _in_turn(self, number: int) -> bool:
-        """Whether a message is the next one; one that is repeated is refused, one that is missing ends the run."""
+        """Return whether a message is the next one; reject a repeated one; end the run if one is missing."""
         node, expected = self.node, self.received
         if number in (-1, expected):
             return True
@@ -473,7 +473,7 @@ class Ticks(Pace):
         self.read = TickReader()  # type: ignore[method-assign]
 
     def came(self, stamp: int, found: Collection[str], data: bytes) -> None:
-        """Tell the rows of its sporadic ports, then go on as after any tick."""
+        """Notify the rows of its sporadic ports, then continue as after any tick."""
         for row in self._silent_rows:
             row.told(stamp, row.silent in found)
         super().came(stamp, found, data)

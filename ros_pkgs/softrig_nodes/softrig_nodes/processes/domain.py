@@ -88,7 +88,7 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
 
 
 def holders(domains: Iterable[int]) -> str:
-    """Say in brackets which processes hold the names of domains, as far as this user may see that; empty for none."""
+    """Describe in brackets which processes hold domains, as far as visible to this user; empty for none."""
     names = {f"@softrig-domain-{number}" for number in domains}
     with suppress(OSError):  # not Linux
         lines = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()]

@@ -196,7 +196,7 @@ def prepare(variables: Mapping[str, str]) -> ForkServer:
 
 
 def forget() -> None:
-    """Let the next node have a new server; the one there is ends with its last node."""
+    """Start a new server for the next node; the present one ends with its last node."""
     global _server
     _server = None
 
@@ -301,7 +301,7 @@ def _fork(request: Mapping[str, Any], asleep: set[str]) -> int:
 
 
 def _become(link: socket.socket, request: Mapping[str, Any], output: int) -> Any:
-    """Be the node that was asked for."""
+    """Become the requested node."""
     link.close()
     os.dup2(output, 1)
     os.dup2(output, 2)
@@ -317,7 +317,7 @@ def _become(link: socket.socket, request: Mapping[str, Any], output: int) -> Any
 
 
 def _call_itself(command: Sequence[str]) -> None:
-    """Be found under the own name in /proc, by ps and by kill."""
+    """Set the process name in /proc, for ps and kill."""
     LIBC.prctl(PR_SET_NAME, os.fsencode(Path(command[1]).name))
     fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
     begin, end = int(fields[45]), int(fields[46])  # arg_start and arg_end of proc(5)

@@ -118,8 +118,9 @@ def _gatherer(rig: Rig) -> Member | None:
 
 
 def _pacers(rig: Rig, member: Member) -> list[Member]:
-    """Give those by whose ticks a source paces itself when the clock is outside and may publish no /clock: its readers,
-    or who commands the clock.
+    """Return the nodes whose ticks pace a source when an outside clock may not publish /clock.
+
+    These are its readers, or the node that commands the clock.
     """
     if not rig.clock.external or member.external or member.is_plant or member.links:
         return []

@@ -165,7 +165,7 @@ class Ears:
 
 
 def _judged(segment: bytes, path: Path) -> int:
-    """Give where a port keeps the time (ms) at which its readers were looked at last; -1 where that is not to be seen.
+    """Return where a port stores the time (ms) of the last look at its readers; -1 if this cannot be found.
 
     Of Fast DDS 2.14 (`SharedMemGlobal::PortNode`): the number of the port, its readers, the time after which it is
     judged and a third of it stand 20 bytes further on.

@@ -72,7 +72,7 @@ def stoppable() -> Iterator[Stopping]:
 
 @contextmanager
 def unstopped() -> Iterator[None]:
-    """Let signals wait while something is written that is worth nothing by halves."""
+    """Delay signals while something is written that must not be left incomplete."""
     with undisturbed() as came:
         yield
     if came:

@@ -45,7 +45,7 @@ class Beat:
             self._timer.again(SOON)
 
     def _tick(self) -> None:
-        """Have those answer that are due; who is late does so first, with what was said before."""
+        """Answer with the nodes that are due; late ones answer first, with the values up to their tick."""
         first, grid = self._drives[0], self._grid
         if first.node.state != "running" and not any(d.node.state == "running" for d in self._drives):
             self._timer.cancel()
@@ -66,7 +66,7 @@ class Beat:
         self._say(number, t, first.clock())
 
     def _say(self, number: int, t: int, now: int) -> None:
-        """Have those answer who are due at a tick."""
+        """Answer with the nodes that are due at a tick."""
         self._number = number
         for drive, every in self._members:
             if number % every == 0:

@@ -78,7 +78,7 @@ class Gathering(Link):
         return (x if self._count < self._most else self._taken(x)), NOTHING
 
     def _taken(self, x: Any) -> Any:
-        """Have the block take in what was put together."""
+        """Let the block process the collected ticks."""
         if not self._count:
             return x
         self._count = 0
@@ -86,13 +86,13 @@ class Gathering(Link):
         return self.step.block.at_once(x, self._t, messages)
 
     def settle(self) -> None:
-        """Take in what was put together so far."""
+        """Process the ticks collected so far."""
         self.step.x = self._taken(self.step.x)
         super().settle()
 
 
 def gather(step: Step) -> None:
-    """Have a step take some ticks at once, where it is an observer that can and as fast that it is worth it."""
+    """Let a step process some ticks in one batch, if it is an observer that can and is fast enough to pay off."""
     block, ticks = step.block, STRETCH // step.schedule.time(1)
     if ticks > 1 and isinstance(block, Observer) and not step.outputs and block.at_once(step.x, 0, NOTHING) is not None:
         Gathering(step, ticks)

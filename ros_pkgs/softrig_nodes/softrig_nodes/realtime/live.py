@@ -165,7 +165,7 @@ class Live(Sender):
     # what has come -------------------------------------------------------------------------------------------------
 
     def receive(self, data: bytes) -> None:
-        """Take the bytes of a message, and do what they make due."""
+        """Receive the bytes of a message, and run what is due because of it."""
         super().receive(data)
         self.table.act()
 

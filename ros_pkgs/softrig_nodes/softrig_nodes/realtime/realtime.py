@@ -83,11 +83,11 @@ class Realtime(Link):
         self.departure: Departure | None = None
 
     def tell(self, output: Output, reader: Realtime, row: Live, pick: Pick | None) -> None:
-        """Hand what an output says to a node of this process, too."""
+        """Pass an output to a node of this process, too."""
         self._told.setdefault(reader, []).append((output.number, row.teller(pick, output.port.unchecked)))
 
     def follow(self, begun: Callable[[], object]) -> None:
-        """Take the ticks that a `Beat` says, which hears when it runs: its inputs are fed, nobody is waited for."""
+        """Follow the ticks of a `Beat`, which sees when it runs: its inputs are filled, it waits for no message."""
         self._begun = begun
         self._fed = [f for f in self.senders.rows if f.local]
 
@@ -143,7 +143,7 @@ class Realtime(Link):
             self._stand.serve(self.departure.say)
 
     def progress(self) -> None:
-        """Tell a silence again while it lasts; end a node whose senders have ended before it, after the run."""
+        """Report a silence again while it lasts; end a node whose senders ended before it, after the run."""
         node = self.node
         if self.departure is not None:
             node.lacking = self.departure.handshake.lacking
@@ -243,7 +243,7 @@ class Realtime(Link):
         node.record.change(node.epoch + t, node.middleware.name, values)
 
     def hear(self, parts: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows) -> None:
-        """Take what a node of this process says at a tick: all of it, before any of it makes this one answer."""
+        """Receive the outputs of a node of this process at a tick: all of them, before any makes this one answer."""
         if self.node.state != "running":
             return
         now = self.clock()
@@ -254,7 +254,7 @@ class Realtime(Link):
     # ticks -----------------------------------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        """Take the newest tick by the timer of a plant or a source."""
+        """Run the newest tick by the timer of a plant or a source."""
         node, schedule = self.node, self.node.schedule
         if node.state != "running":
             self._timer.cancel()
@@ -311,7 +311,7 @@ class Realtime(Link):
         self._ticked(due)
 
     def _use(self, t: int) -> None:
-        """Have the values of tick `t`, and record those from outside."""
+        """Hold the values of tick `t`, and record those from outside."""
         if self._paired or self.senders.unrecorded:
             stamp = self.node.epoch + t
             for row in self._paired:

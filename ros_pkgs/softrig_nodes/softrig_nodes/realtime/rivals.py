@@ -26,7 +26,7 @@ class Rivals:
         self._since = 0
 
     def hear(self, number: int | None, now: int, silence: int) -> None:
-        """Take the number of a message.
+        """Receive the number of a message.
 
         Parameters
         ----------

@@ -99,7 +99,7 @@ class Acknowledgements(Sender):
         """Another one follows."""
 
     def came(self, stamp: int, found: Collection[str], data: bytes) -> None:
-        """Tell the rows."""
+        """Notify the rows."""
         for row, name in self._rows:
             row.told(stamp, name in found)
         self._table.act()

@@ -35,7 +35,7 @@ class Stand:
         self._say: Callable[[Sequence[str]], object]
 
     def follow(self, ns: int) -> None:
-        """Go by the clock of the rig, which is so far ahead of this host's."""
+        """Follow the clock of the rig, which is ahead of this host's by so much."""
         host = self._own
         self._own = lambda: host() + ns
         self._go_by(self._own)
@@ -53,7 +53,7 @@ class Stand:
             self._turn()
 
     def hear(self, words: Iterable[str]) -> None:
-        """Stand, or go on, as is said."""
+        """Pause or resume, as received."""
         said = {key: int(value) for key, _, value in (word.partition("=") for word in words) if value}
         if not said.keys() >= {"ahead", "from", "until"}:
             return
@@ -62,7 +62,7 @@ class Stand:
         self._go_by(lambda: min(max(own() + ahead, first), until))
 
     def _turn(self) -> None:
-        """Have the rig do what its `Hold` says."""
+        """Set the rig to what its `Hold` says."""
         node, now, ahead = self._node, self._clock(), self._ahead
         hold, epoch, schedule = node.hold, node.epoch, node.schedule
         if now >= self._until and (hold.steps or not hold.held):  # it stands: from there on

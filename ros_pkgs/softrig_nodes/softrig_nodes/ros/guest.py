@@ -72,14 +72,14 @@ class Guest:
         self._meet(entry.start_timeout)
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Remove the node from the graph."""
         if self._context.ok():
             self._executor.shutdown(0)
             self._node.destroy_node()
             rclpy.shutdown(context=self._context)
 
     def ask(self, t: int, inputs: Mapping[str, Any], answers: bool) -> Mapping[str, tuple[float, ...]]:
-        """Hand over the inputs of a tick, advance the clock to it, and wait for one message on each output.
+        """Publish the inputs of a tick, advance the clock to it, and wait for one message on each output.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class Guest:
         return future.result()
 
     def _spun(self) -> bool:
-        """Take what has come; whether anything has."""
+        """Process what has arrived; return whether anything has."""
         before = sum(map(len, self._come.values()))
         self._executor.spin_once(0)
         return sum(map(len, self._come.values())) != before

@@ -63,7 +63,7 @@ def diagnostic_array(stamp: int, name: str, level: Level, text: str, values: Map
 
 
 def range_descriptor(declaration: Declaration) -> Any:
-    """Make the rcl_interfaces/ParameterDescriptor of a parameter: described, with its range, read-only unless live."""
+    """Return the ParameterDescriptor of a parameter: described, with its range, read-only unless live."""
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
     unit = f" [{declaration.unit}]" if declaration.unit else ""

@@ -78,7 +78,7 @@ def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterato
 
 
 def look_after_ports(node: Node) -> None:
-    """Have a tool's node look at its ports each second: who opens one then need not wait to see whether it lives."""
+    """Check the ports of a tool's node each second, so that a process that opens one knows that it is alive."""
     node.create_timer(1.0, Ears().lost, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 

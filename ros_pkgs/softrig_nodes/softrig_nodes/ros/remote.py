@@ -52,7 +52,7 @@ class Remote:
         self._triggers: dict[str, Any] = {}
 
     def ask(self, request: dict[str, Any]) -> None:
-        """Have a node do something; what is wrong with the request itself is answered at once."""
+        """Send a node a request; an error in the request itself is answered immediately."""
         try:
             name = str(request["node"])
             if "set" in request:

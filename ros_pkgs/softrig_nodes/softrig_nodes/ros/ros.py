@@ -111,7 +111,7 @@ class Credit:
 
     @contextmanager
     def spent(self) -> Iterator[None]:
-        """Take off what the block within takes."""
+        """Subtract the time of the block within."""
         start = time.monotonic()
         try:
             yield
@@ -274,7 +274,7 @@ class ServingNode(Node):  # type: ignore[misc]
         return result
 
     def _misfit(self, wanted: Parameter) -> str:
-        """Say why a value cannot take the place of the one there is: rclpy takes any kind, and none for a removal."""
+        """Describe why a value cannot replace the present one: rclpy accepts any kind, and none for a removal."""
         known = parameters(self)
         kind = known[wanted.name].type_ if wanted.name in known else Parameter.Type.NOT_SET
         if kind in (Parameter.Type.NOT_SET, wanted.type_):
@@ -334,7 +334,7 @@ Arguments = ParamSpec("Arguments")
 
 
 def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
-    """Let a callback end without a word in which a signal has shut the context down; the executor would log its stack.
+    """End a callback silently if a signal has shut the context down; the executor would log its stack.
 
     Parameters
     ----------
@@ -476,7 +476,7 @@ class RosMiddleware(Middleware):
         return lambda status: call(status.current_count)
 
     def _in_turn(self, callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
-        """Have a callback of the executor's wait for the end of a tick in another thread."""
+        """Let a callback of the executor wait for the end of a tick in another thread."""
 
         @wraps(callback)
         def call(*data: Arguments.args, **named: Arguments.kwargs) -> None:
@@ -488,7 +488,7 @@ class RosMiddleware(Middleware):
     # answers where messages arrive -------------------------------------------------------------------------------
 
     def be_prompt(self, place: Place) -> None:
-        """Take the messages of what is subscribed so far in the thread that receives them."""
+        """Process messages of the present subscriptions in the thread that receives them."""
         rcl = library()
         if rcl is None:
             return
@@ -516,7 +516,7 @@ class RosMiddleware(Middleware):
 
     @contextmanager
     def _deaf(self) -> Iterator[None]:
-        """Be told of no message for the length of a ``with`` block: see `arrival` for why."""
+        """Ignore messages for the length of a ``with`` block: see `arrival` for why."""
         for arrival in self._arrivals:
             arrival.end()
         try:
@@ -526,7 +526,7 @@ class RosMiddleware(Middleware):
                 arrival.begin()
 
     def close(self) -> None:
-        """Hand over nothing more; a RunError when a tick does not come to its end."""
+        """Stop delivering messages; a RunError if a tick does not end."""
         if not self.monitor.close(PATIENCE):
             raise RunError(f"a tick has not come to its end within {PATIENCE:g} s")
         while self._arrivals:
@@ -538,7 +538,7 @@ class RosMiddleware(Middleware):
         self.monitor.serve()
 
     def _overrides(self, topic: str) -> QoSOverridingOptions | None:
-        """Have rclpy read what is given of a topic's profile, into the profile that it got: a copy is made for each.
+        """Let rclpy read overrides of a topic's QoS profile into the given profile, since a copy is made for each.
 
         Without anything given there are no six parameters for each.
         """

@@ -55,7 +55,7 @@ class Input:
         self.last_refusal = ""
 
     def receive(self, data: bytes) -> None:
-        """Take the bytes of a message."""
+        """Receive the bytes of a message."""
         raise NotImplementedError
 
     @property

@@ -96,11 +96,11 @@ class Exchange:
         self._queue.append(call)
 
     def hand(self, receive: Receive, data: bytes) -> None:
-        """Hand a message from another process to a node then."""
+        """Deliver a message from another process to a node at a time."""
         self._queue.append(partial(receive, data))
 
     def carry(self, publish: Receive, data: bytes) -> None:
-        """Have a message published to other processes: soon, in a burst, when the loop has no time."""
+        """Queue a message for other processes: it is published soon, in a burst, when the loop has time."""
         self._outbox.append((publish, data))
         if len(self._outbox) >= BURST:
             self.flush()
@@ -156,7 +156,7 @@ class Exchange:
             pass
 
     def _drain(self, until: int) -> None:
-        """Do what is queued and what comes of it until nothing is left or `until` (ns, monotonic) has passed."""
+        """Process the queue and what follows from it until it is empty or `until` (ns, monotonic) has passed."""
         queue, now = self._queue, time.monotonic_ns
         take = queue.popleft
         call: Callable[[], object] | None = None

@@ -44,7 +44,7 @@ def figures(held: Held) -> dict[str, Any]:
 
 
 def _exchange(new: Path, path: Path) -> None:
-    """Put a file in the place of another at once: who has opened that one goes on reading it, whole.
+    """Replace a file by another atomically: readers that have it open continue to read the old one.
 
     Over a file that exists a plain rename takes 0.2 to 8 ms on ext4, which then begins to write to the disk; to
     exchange the names of the two takes 70 us with all that belongs to it. Not every system and file system can.

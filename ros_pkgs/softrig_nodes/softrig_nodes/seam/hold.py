@@ -49,7 +49,7 @@ class Hold:
 
     @property
     def pace(self) -> float:
-        """As it is now."""
+        """Return the present pace."""
         return self._pace.pace
 
     @property
@@ -65,7 +65,7 @@ class Hold:
         self.go_at(self.pace)
 
     def go_at(self, pace: float) -> bool:
-        """Take another pace from now on; whether this node has one."""
+        """Change the pace from now on; return whether this node has one."""
         if not self.has_pace:
             return False
         self._pace.change(pace, self._middleware.steady())
@@ -88,7 +88,7 @@ class Hold:
             self._turn()
 
     def _tell(self) -> None:
-        """Have the peers be patient while it is held."""
+        """Tell the other nodes to wait while the rig is held."""
         if self._tells or not self._paced:
             return
         self._tells = True

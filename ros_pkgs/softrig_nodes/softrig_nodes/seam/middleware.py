@@ -81,7 +81,7 @@ class Middleware(Protocol):
         """
 
     def be_prompt(self, place: Place) -> None:
-        """Take messages of what is subscribed so far where they arrive, if that is possible; for ticks of some us.
+        """Process messages of the present subscriptions where they arrive, if possible; for ticks of some us.
 
         They come one at a time, and never while anything else calls the node.
 
@@ -129,10 +129,10 @@ class Middleware(Protocol):
         """Describe why what others send cannot arrive any more; empty while it can."""
 
     def log(self, level: Level, text: str) -> None:
-        """Say something to whoever operates the node."""
+        """Log a message for whoever operates the node."""
 
     def close(self) -> None:
-        """Hand over nothing more; what is under way returns first, or a RunError. Raises what nobody has seen yet."""
+        """Stop delivering messages after those under way, or raise a RunError; raise pending errors."""
 
     def drain(self) -> None:
         """Wait, in bounded time, until every reader has what was sent."""

@@ -49,7 +49,7 @@ class Monitor:
         self.closed = False
 
     def arrive(self, work: Callable[[], object]) -> None:
-        """Do some work, now or when whatever is under way has returned; for any thread, which is never held up.
+        """Run some work now, or when other work has returned; callable from any thread, which it never blocks.
 
         Parameters
         ----------
@@ -84,7 +84,7 @@ class Monitor:
         self._short = self._short + 1 if self._clock() - begun < LONG else 0
 
     def serve(self) -> None:
-        """Do what has come; raises what work in another thread has raised."""
+        """Run the queued work; raise errors of work in another thread."""
         with self:
             pass
 

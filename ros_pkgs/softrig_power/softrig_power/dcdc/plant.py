@@ -87,7 +87,7 @@ class DcdcPlant(Plant[DcdcPlantParams]):
     OUTPUTS = (CONVERTER,)
 
     def setup(self) -> None:
-        """Lay out the constants."""
+        """Arrange the constants."""
         p = self.p
         self._m = np.array([p.C, p.L, p.L_sat, p.i_sat, p.R_L, p.R_on, p.v_diode, p.R_C, 1.0 / p.R])
         self._boost = p.topology == "boost"

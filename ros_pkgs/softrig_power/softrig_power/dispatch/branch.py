@@ -301,7 +301,7 @@ def _meets(problem: Problem, P: Any) -> Any:
 
 @jit
 def _mended(problem: Problem, P: Any) -> Any:
-    """Put a nearly balanced dispatch onto the balance by one unit; its cost, infinite when no unit can.
+    """Move a nearly balanced dispatch onto the balance by one unit; return its cost, infinite if no unit can.
 
     The unit is the one with which it costs least; P is changed in place.
     """
@@ -331,7 +331,7 @@ def _mended(problem: Problem, P: Any) -> Any:
 
 @jit
 def _room(n: Any, depth: Any, corners: Any) -> Any:
-    """Make room for `depth` boxes and the relaxation of one; without conditions all weights stay one."""
+    """Allocate `depth` boxes and the relaxation of one; without conditions all weights stay one."""
     lo, hi = np.empty((depth, n)), np.empty((depth, n))
     x, y = np.empty((depth, n, corners)), np.empty((depth, n, corners))
     boxes = Boxes(lo, hi, x, y, np.empty((depth, n), np.int64), np.empty(depth))
@@ -344,7 +344,7 @@ def _room(n: Any, depth: Any, corners: Any) -> Any:
 
 @jit
 def _begin(problem: Problem, start: Any, boxes: Boxes) -> Any:
-    """Put the whole box on the stack; return the cost of the dispatch to begin with, infinite if it does not do."""
+    """Push the whole box onto the stack; return the cost of the initial dispatch, infinite if it is not feasible."""
     table, low, high, cost = problem.table, problem.low, problem.high, 0.0
     boxes.bound[0] = -np.inf
     for j in range(start.shape[0]):
@@ -356,7 +356,7 @@ def _begin(problem: Problem, start: Any, boxes: Boxes) -> Any:
 
 @jit
 def _cut(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
-    """Put all units to their lower ends; return the cost of that, the balance of both ends, the number of pieces."""
+    """Set all units to their lower ends; return the cost of that, the balance of both ends, the number of pieces."""
     x, y = boxes.x[t], boxes.y[t]
     _, _, weight, P, slope, width, owner, beyond, _, _ = relaxed
     table, ready, reserve, count = problem.table, problem.ready, problem.reserve, boxes.count[t]

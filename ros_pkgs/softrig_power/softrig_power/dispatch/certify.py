@@ -240,7 +240,7 @@ class Optimiser:
                 return
 
     def _missing(self, j: int, p: float, points: Array, low: Array) -> tuple[float, float]:
-        """Where to split the segment that p lies in, and by how much the model is below the cost there, $/h."""
+        """Return where to split the segment that p lies in, and how far the model is below the cost there, $/h."""
         if len(points) < 2:
             return p, 0.0
         k = max(0, min(int(np.searchsorted(points, p, "right")) - 1, len(points) - 2))

@@ -97,7 +97,7 @@ class Conditions:
     def of(
         cls, units: Units, losses: Losses | None = None, reserve: float = 0.0, now: Array | None = None
     ) -> Conditions:
-        """Take the ramps and the readiness of the units' table over; `now`: their outputs, the table's when absent."""
+        """Create conditions from ramps and readiness of the units' table; `now`: outputs, the table's when absent."""
         at = units.now if now is None else now
         low, high = units.p_min.copy(), units.p_max.copy()
         known = np.isfinite(at)

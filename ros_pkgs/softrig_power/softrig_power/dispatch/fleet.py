@@ -47,7 +47,7 @@ class UnitFleet(Plant[FleetParams]):
 
     @classmethod
     def ports(cls, params: FleetParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One channel a unit."""
+        """Declare one channel per unit."""
         units = Units.read(params.unit_table)
         setpoints = command(
             "setpoints", "dispatch/setpoints", units.ids, "MW", sporadic=True, safe=tuple(units.p_min.tolist())
@@ -60,7 +60,7 @@ class UnitFleet(Plant[FleetParams]):
         self._units = Units.read(self.p.unit_table)
 
     def first(self) -> Any:
-        """All units at their lower limits; the state is the output P (MW) of each."""
+        """Return all units at their lower limits; the state is the output P (MW) of each."""
         return state_type(("P", self._units.ids))(*self._units.p_min.tolist())
 
     def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:

@@ -125,7 +125,7 @@ class DispatchSolver(Solver[DispatchParams]):
 
     @classmethod
     def ports(cls, params: DispatchParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One channel a unit."""
+        """Declare one channel per unit."""
         units = Units.read(params.unit_table)
         n = len(units)
         inputs = (

@@ -251,7 +251,7 @@ def infeasible(units: Units, demand: float) -> str:
 
 
 def balanced(units: Units, given: ArrayLike, demand: float) -> Array:
-    """Put a dispatch exactly within the limits and onto the balance, moving as few units as little as possible.
+    """Move a dispatch exactly within the limits and onto the balance, changing as few units as little as possible.
 
     Parameters
     ----------

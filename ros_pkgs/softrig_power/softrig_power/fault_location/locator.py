@@ -88,7 +88,7 @@ class FaultLocator(Block[FaultLocatorParams]):
     def update(
         self, x: State, t: int, *, locate: tuple[float, ...] | None, **inputs: tuple[float, ...]
     ) -> tuple[State, Answer]:
-        """Take a sample or a record in; answer when the button goes down."""
+        """Process a sample or a record; answer when the button goes down."""
         pressed = locate is not None and locate[0] != 0.0
         down = pressed and not x.pressed
         x = self._take(x, t, inputs, pressed)
@@ -97,7 +97,7 @@ class FaultLocator(Block[FaultLocatorParams]):
     def finish(
         self, x: State, t: int, *, locate: tuple[float, ...] | None, **inputs: tuple[float, ...]
     ) -> tuple[State, Answer]:
-        """Take the last sample in and answer."""
+        """Process the last sample and answer."""
         return self._answer(self._take(x, t, inputs, x.pressed))
 
     def _take(self, x: State, t: int, inputs: Mapping[str, tuple[float, ...]], pressed: bool) -> State:

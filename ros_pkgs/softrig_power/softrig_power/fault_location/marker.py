@@ -31,7 +31,7 @@ class LocationMarker(Observer[LocationMarkerParams]):
         return (location_port(),), ()
 
     def first(self) -> tuple[float, ...] | None:
-        """Nothing located yet; the state is the newest location."""
+        """Return the initial state, without a location; the state is the newest location."""
         return None
 
     def update(

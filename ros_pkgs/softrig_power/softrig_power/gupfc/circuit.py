@@ -131,7 +131,7 @@ def mean_voltage(theta: float, turn: float, sigma: float, pulse: int) -> complex
 def advance(
     circuit: Circuit, lines: Lines, state: State, first: int, turning: Turning, pulse: int, tripped: bool, rows: Rows
 ) -> Any:
-    """Take the steps of one control period.
+    """Run the steps of one control period.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def advance(
 def moved(
     circuit: Circuit, lines: Lines, state: State, rows: Rows, first: int, turning: Turning, pulse: int, tripped: bool
 ) -> Any:
-    """Take the steps of one control period from a state that stays as it is; see `advance`.
+    """Run the steps of one control period from a state that stays unchanged; see `advance`.
 
     Parameters
     ----------

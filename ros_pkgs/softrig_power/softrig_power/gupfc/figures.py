@@ -43,7 +43,7 @@ def drift(
     start: float | None = None,
     end: float | None = None,
 ) -> float:
-    """How far a signal is from a periodic steady state, in its unit.
+    """Return how far a signal is from a periodic steady state, in its unit.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def distortion(
 
 
 def _first_cycle(signals: SignalMap, axis: str, cycle: float) -> Array:
-    """One component of the generator's voltage over the first cycle."""
+    """Return one component of the generator's voltage over the first cycle."""
     t, x = window(signals, f"pulses/voltage/{axis}", None, None, least=2)
     t = t - t[0]
     half = 0.5 * float(t[1])  # stamps are whole ns: no sample is counted that is nearer to the next cycle

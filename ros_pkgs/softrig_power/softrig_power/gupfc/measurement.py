@@ -16,7 +16,7 @@ from softrig_core.kit import dense
 
 @jit
 def weigh(weights: NDArray[np.float64], samples: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Give the sums of samples, shape (k, n), by complex weights, shape (2, k), in real arithmetic, in their order."""
+    """Sum samples, shape (k, n), by complex weights, shape (2, k), in real arithmetic, in their order."""
     found = np.empty_like(samples[0])
     for j in range(found.size):
         rr = ri = ir = ii = 0.0

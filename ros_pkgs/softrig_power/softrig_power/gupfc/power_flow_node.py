@@ -70,7 +70,7 @@ class PowerFlowNode(Block[PowerFlowParams]):
         self._solver = PowerFlow(self.p.network)
 
     def first(self) -> State:
-        """Nothing answered yet."""
+        """Return the initial state: nothing answered yet."""
         return State()
 
     def update(

@@ -54,7 +54,7 @@ class PulseGenerator(Block[PulseGeneratorParams]):
 
     @classmethod
     def agreed(cls, params: PulseGeneratorParams) -> Mapping[str, Any]:
-        """How long a command turns on: the cycle over which its figures look."""
+        """Return the cycle over which its figures look, which is how long a command turns on."""
         return {"gupfc/pulses.command_period": params.command_period}
 
     def setup(self) -> None:

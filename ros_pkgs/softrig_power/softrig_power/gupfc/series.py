@@ -89,7 +89,7 @@ class SeriesController(Block[SeriesControllerParams]):
         return p.kp if p.law == "printed" else 0.0
 
     def go_on(self, x: State, before: SeriesControllerParams) -> State:
-        """Take other gains without a bump; filters and loop go on."""
+        """Continue with other gains without a jump; filters and loop keep their states."""
         kp = self._gain(before)
         if self._kp != kp and self.p.ki:
             return x._replace(integral=x.integral + (kp - self._kp) * x.error)

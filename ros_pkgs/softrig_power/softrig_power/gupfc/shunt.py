@@ -78,7 +78,7 @@ class ShuntController(Block[ShuntControllerParams]):
         )
 
     def go_on(self, x: State, before: ShuntControllerParams) -> State:
-        """Take other gains without a bump; filters and loop go on."""
+        """Continue with other gains without a jump; filters and loop keep their states."""
         voltage, current = self._gains(before)
         return x._replace(
             voltage=self._voltage.go_on(x.voltage, voltage), current=self._current.go_on(x.current, current)

@@ -142,7 +142,7 @@ def steady_history(prepared: Lines, voltages: Complex, currents: Complex, omega:
 
 @jit
 def histories(lines: Lines, ring: Any, k: int, out: Any) -> None:
-    """Give H(t - tau) of every section and end at step k, before that step is stored.
+    """Return H(t - tau) of every section and end at step k, before that step is stored.
 
     Parameters
     ----------

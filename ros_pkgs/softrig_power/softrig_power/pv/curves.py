@@ -43,7 +43,7 @@ class PvCurves(Block[PvCurvesParams]):
 
     @classmethod
     def ports(cls, params: PvCurvesParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One column a point."""
+        """Declare one column per point."""
         request = button("request", "pv/curves/request", held=True)
         units = [unit for unit in ("V", "A", "W") for _ in range(params.n_points)]
         curves = array("curves", "pv/curves", {"quantity": 3, "point": params.n_points}, units)
@@ -54,7 +54,7 @@ class PvCurves(Block[PvCurvesParams]):
         self._curves = lru_cache(maxsize=2)(self._computed)
 
     def first(self) -> State:
-        """Nothing published yet, conditions of the parameters."""
+        """Return the initial state: nothing published yet, conditions of the parameters."""
         return State(self.p.irradiance + self.p.temperature)
 
     def update(

@@ -80,9 +80,9 @@ class MpptOptimizer(CommandSearch[MpptParams]):
         return super().no_signal(sample, value) and sample[1] <= 0.1 * (self.p.floor or 0.0)
 
     def characteristic(self, n: int) -> FallingCurve:
-        """What sees another light, unless all that is measured later is as it was: that is left to the rescan."""
+        """Detect another irradiance, unless all later measurements are unchanged: the rescan finds that."""
         return FallingCurve(n)
 
     def slew(self) -> float:
-        """As the parameter says."""
+        """Return the rate of the parameter."""
         return self.p.duty_slew

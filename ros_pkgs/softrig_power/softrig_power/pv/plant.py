@@ -79,7 +79,7 @@ class PvPlant(Plant[PvPlantParams]):
 
     @classmethod
     def ports(cls, params: PvPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One irradiance and one temperature a module; near open circuit without a valid command."""
+        """Declare one irradiance and one temperature per module; near open circuit without a valid command."""
         duty = command("duty", "converter/duty", ("duty",), "1", safe=(params.d_min,))
         state = scalars("converter", "converter/state", {"v_in": "V", "i_L": "A", "v_out": "V", "p_in": "W"})
         return (duty, environment(len(params.irradiance), held=True)), (array_port("port"), state)

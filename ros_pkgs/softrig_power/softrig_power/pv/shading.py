@@ -70,7 +70,7 @@ class ShadingSource(Block[ShadingSourceParams]):
 
     @classmethod
     def ports(cls, params: ShadingSourceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One irradiance and one temperature a module."""
+        """Declare one irradiance and one temperature per module."""
         return (), (environment(params.modules),)
 
     def setup(self) -> None:

@@ -130,7 +130,7 @@ def walk(step: Callable[..., None]) -> Callable[..., float]:
 
 @jit
 def switching(t: float, stop: float, x: Array, p: tuple[Circuit, Period]) -> None:
-    """One Runge-Kutta step of either averaged model."""
+    """Make one Runge-Kutta step of either averaged model."""
     if x.size == 3:
         step_dq(t, x, stop - t, 1, p)
     else:

@@ -95,7 +95,7 @@ def limited(v_rd: float, v_rq: float, v: float, reach: float) -> tuple[float, fl
 
 @jit
 def phases(d: float, q: float, angle: float) -> tuple[float, float, float]:
-    """Give x_a, x_b, x_c of a dq vector at the grid angle: x_a = d sin(angle) + q cos(angle), b and c 120 deg later."""
+    """Return x_a, x_b, x_c of a dq vector at a grid angle: x_a = d sin(angle) + q cos(angle), b and c 120 deg later."""
     s, c = math.sin(angle), math.cos(angle)
     x_a = d * s + q * c
     quarter = 0.5 * math.sqrt(3.0) * (q * s - d * c)

@@ -46,7 +46,7 @@ class ArmPlant(Plant[ArmPlantParams]):
 
     @classmethod
     def ports(cls, params: ArmPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One torque a joint, and a force that pushes on the tool, in the base frame."""
+        """Declare one torque per joint, and a force on the tool in the base frame."""
         states = joint_state(
             "joint_states", "joint_states", params.joints, position="rad", velocity="rad/s", effort="N m"
         )

@@ -79,7 +79,7 @@ class VcsController(Block[VcsControllerParams]):
 
     @classmethod
     def ports(cls, params: VcsControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One motor a joint."""
+        """Declare one motor per joint."""
         joints = params.joints
         kinds = {"e": "rad", "s": "rad/s", "sigma": "rad/s^2", "fhat": "V/s"}
         state = {f"{kind}{i + 1}": unit for kind, unit in kinds.items() for i in range(len(joints))}
@@ -101,7 +101,7 @@ class VcsController(Block[VcsControllerParams]):
         return State(tuple(law.first() for law in self.laws))
 
     def go_on(self, x: State, before: VcsControllerParams) -> State:
-        """Take other gains; each law goes on, as its docstring says."""
+        """Continue with other gains; each law's docstring says how its state continues."""
         return State(tuple(law.go_on(own) for law, own in zip(self.laws, x.laws, strict=True)))
 
     def update(

@@ -122,7 +122,7 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
 
     @classmethod
     def ports(cls, params: ManipulatorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One motor a joint."""
+        """Declare one motor per joint."""
         motors = motor_names(params.joints)
         return (command("motor_command", "motor_command", motors, "V", also=params.joints),), (
             joint_state("joint_states", "joint_states", params.joints, position="rad", velocity="rad/s", effort="N m"),

@@ -32,7 +32,7 @@ class TrajectorySource(Block[TrajectoryParams]):
 
     @classmethod
     def ports(cls, params: TrajectoryParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One output, no input."""
+        """Declare one output and no input."""
         return (), (
             reference(
                 "reference", "reference", params.joints, position="rad", velocity="rad/s", acceleration="rad/s^2"

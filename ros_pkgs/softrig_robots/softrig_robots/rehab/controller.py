@@ -138,7 +138,7 @@ class VoltageController(Block[VoltageControllerParams]):
         return State(tuple(law.first() for law in self._laws))
 
     def go_on(self, x: State, before: VoltageControllerParams) -> State:
-        """Take other gains; each law goes on, as its docstring says. Warn as at the start."""
+        """Continue with other gains; each law's docstring says how its state continues. Warn as at the start."""
         self._check_stability()
         return x
 

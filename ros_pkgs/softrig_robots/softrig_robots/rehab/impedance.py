@@ -106,7 +106,7 @@ class Impedance(Block[ImpedanceParams]):
         return State(spread("damping", self.p.damping, n), spread("stiffness", self.p.stiffness, n))
 
     def go_on(self, x: State, before: ImpedanceParams) -> State:
-        """Take another impedance; where it did not change, that of the topic stays."""
+        """Continue with another impedance; an unchanged one stays that of the topic."""
         now, p = self.first(), self.p
         return x._replace(
             damping=x.damping if p.damping == before.damping else now.damping,
@@ -114,7 +114,7 @@ class Impedance(Block[ImpedanceParams]):
         )
 
     def _wanted(self, name: str, value: Vector | None, now: Vector) -> Vector:
-        """Take a new value for both joints, unless there is none or it is negative."""
+        """Accept a new value for both joints, unless it is missing or negative."""
         if value is None:
             return now
         if value[0] < 0.0:
@@ -158,7 +158,7 @@ class Impedance(Block[ImpedanceParams]):
         return State(B, K, tuple(q_next), tuple(v_next)), {"regenerated": (*q, *v, *a)}
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Vector] | None]:
-        """Say the last again, after `stale_after` ticks stand still."""
+        """Repeat the last value; after `stale_after` ticks hold still."""
         refusals = x.refusals + 1
         if not x.q or refusals <= self.p.stale_after:
             return x._replace(refusals=refusals), None

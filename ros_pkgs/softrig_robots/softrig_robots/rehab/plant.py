@@ -198,7 +198,7 @@ class RehabPlant(DrivenRobot[RehabParams]):
         return super().torque_constants(table)
 
     def first(self) -> State:
-        """Put the leg at its initial state and say what is odd about the motor table."""
+        """Return the initial state of the leg and report inconsistencies of the motor table."""
         table = self._table
         shaft = [k * r for k, r in zip(self.torque_constants(table), table["gear"], strict=True)]
         ratios = [k / b for k, b in zip(shaft, table["back_emf_constant"], strict=True)]

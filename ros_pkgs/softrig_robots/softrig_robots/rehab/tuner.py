@@ -247,7 +247,7 @@ class Tuner(Solver[TunerParams]):
         return cost(*request)
 
     def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Values]:
-        """Tell the best so far."""
+        """Return the best candidate so far."""
         found = x.search
         if found is None:
             return x, {"result": (0.0, 0.0, 0.0)}

@@ -27,7 +27,7 @@ class CollocationPlanner(Planner[CollocationParams]):
 
     @classmethod
     def shape(cls, params: Any) -> tuple[int, int]:
-        """One column a sample."""
+        """Return one column per sample."""
         return 1, params.samples
 
     @staticmethod

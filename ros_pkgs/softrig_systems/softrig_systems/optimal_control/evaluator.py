@@ -102,7 +102,7 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         polynomials(np.zeros((1, 1, 1)), 0.0)
 
     def first(self) -> State:
-        """Nothing seen."""
+        """Return the initial state: nothing seen."""
         return State(Figures(J_exact=self._exact))
 
     def update(
@@ -115,7 +115,7 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         plan: tuple[float, ...] | None,
         summary: tuple[float, ...] | None,
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Take one sample in."""
+        """Process one sample."""
         now, at = to_s(t), np.array(state[: self._n])
         found, begin, newest = x
         if begin is None:

@@ -48,7 +48,7 @@ class MvimPlanner(Planner[MvimParams]):
 
     @classmethod
     def shape(cls, params: Any) -> tuple[int, int]:
-        """One column a power."""
+        """Return one column per power."""
         return params.stages, params.last + 1
 
     @staticmethod

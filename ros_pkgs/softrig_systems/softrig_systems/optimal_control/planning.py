@@ -108,7 +108,7 @@ class Planner(Solver[P]):
         self._T = self.p.statement().horizon
 
     def first(self) -> State:
-        """Nothing planned."""
+        """Return the initial state: nothing planned."""
         return State()
 
     def request(

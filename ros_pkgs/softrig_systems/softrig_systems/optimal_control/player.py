@@ -100,7 +100,7 @@ class OcpPlayer(Block[PlayerParams]):
         return x, self._play(x.plan, t)
 
     def refused(self, x: State, t: int) -> Answer:
-        """Go on with the plan."""
+        """Continue with the plan."""
         return x, self._play(x.plan, t)
 
     def _take(self, before: Plan, t: int, state: tuple[float, ...], values: tuple[float, ...]) -> Plan:

@@ -141,7 +141,7 @@ class Problem:
         return self.name, self.ode, self.cost, self.R, tuple(self.states), tuple(self.controls)
 
     def end_error(self, end: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What is missing at the end: x(T) - x_T, or the costate where the end is free; `end` is (x, lambda) at T."""
+        """Return the error at the end: x(T) - x_T, or the costate where the end is free; `end` is (x, lambda) at T."""
         n = len(self.states)
         return end[n:] if self.x_end is None else end[:n] - np.array(self.x_end)
 

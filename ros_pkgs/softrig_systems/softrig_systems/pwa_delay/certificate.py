@@ -59,7 +59,7 @@ class CriterionParams(SystemParams):
         return len(shapes), max(s[0] for s in shapes), max(s[1] for s in shapes)
 
     def pad(self, matrices: Mapping[str, Array]) -> tuple[float, ...]:
-        """Lay matrices into the array."""
+        """Copy matrices into the array."""
         total = np.zeros(self.padded())
         for k, name in enumerate(self.shapes()):
             rows, columns = matrices[name].shape
@@ -67,7 +67,7 @@ class CriterionParams(SystemParams):
         return tuple(total.ravel().tolist())
 
     def unpad(self, values: tuple[float, ...]) -> dict[str, Array]:
-        """Take the matrices out of the array."""
+        """Copy the matrices out of the array."""
         total = np.array(values).reshape(self.padded())
         return {name: total[k, :r, :c].copy() for k, (name, (r, c)) in enumerate(self.shapes().items())}
 

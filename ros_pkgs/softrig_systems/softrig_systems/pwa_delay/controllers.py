@@ -134,7 +134,7 @@ class DelayLine(Block[DelayLineParams]):
         return self._out(x.delay, past, t)
 
     def refused(self, x: Line, t: int) -> tuple[Line, Mapping[str, tuple[float, ...]] | None]:
-        """Take the last value again."""
+        """Use the last value again."""
         return (x, None) if x.past is None else self._out(x.delay, x.past.again(), t)
 
     def _out(self, delay: Delay, past: History, t: int) -> tuple[Line, Mapping[str, tuple[float, ...]]]:

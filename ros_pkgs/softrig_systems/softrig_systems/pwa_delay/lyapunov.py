@@ -184,7 +184,7 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
         return State(known, rows, slopes, (*values, value)[-m - 1 :]), {"value": (value, rate)}
 
     def refused(self, x: State, t: int) -> Answer:
-        """Say nothing; the record begins again."""
+        """Return no output; the record begins again."""
         return State(x.certificate), {}
 
     def _take(self, matrices: tuple[float, ...], h: float) -> State:

@@ -68,7 +68,7 @@ class DelayPlant(Plant[P]):
         self._unread = Track(trajectory(self._h, 2.0 * self._h, begin))
 
     def first(self) -> Any:
-        """Stand still in the past.
+        """Return the state at rest, including its past.
 
         Beside the state of the paper: periods since the start, the cell in force (-1: not looked up yet), the delay
         over time, and the steps that lie within it (None without a delay).
@@ -133,7 +133,7 @@ class SwitchedDelayPlant(DelayPlant[SwitchedDelayPlantParams]):
 
     @classmethod
     def ports(cls, params: SwitchedDelayPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """As many states as the system has."""
+        """Declare as many states as the system has."""
         return (), (state(params.states), mode("pwa/mode"))
 
     def names(self) -> Sequence[str]:
@@ -256,7 +256,7 @@ class PendulumPlant(DelayPlant[PendulumPlantParams]):
 
     @classmethod
     def agreed(cls, params: PendulumPlantParams) -> Mapping[str, Any]:
-        """Which pendulum."""
+        """Return which pendulum it is."""
         return {"pendulum/model": params.model}
 
     def advance(self, x: Any, t: int, *, torque: tuple[float, ...]) -> Any:

@@ -263,5 +263,5 @@ def tank() -> PwaSystem:
 
 
 def linear(A: ArrayLike, Ad: ArrayLike) -> PwaSystem:
-    """One cell: x' = A x + Ad x_d."""
+    """Return one cell: x' = A x + Ad x_d."""
     return from_lines([A], [Ad])

@@ -112,7 +112,7 @@ class AqmController(Block[AqmControllerParams]):
         return State(0.0, self.p.set_point)
 
     def go_on(self, x: State, before: AqmControllerParams) -> State:
-        """Take other gains; the record of the state goes on."""
+        """Continue with other gains; the record of the state stays."""
         share = INTEGRAL[self.p.law]
         was, now = share(before), share(self.p)
         return x._replace(integral=x.integral * (was / now)) if was != now and now else x

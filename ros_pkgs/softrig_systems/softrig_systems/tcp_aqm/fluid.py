@@ -32,7 +32,7 @@ class Constants(NamedTuple):
 
 @jit
 def slopes(t: float, x: Array, past: Trajectory, c: Constants, dx: Array) -> None:
-    """Give w' and q', eq. (1)-(5) of the paper.
+    """Compute w' and q', eq. (1)-(5) of the paper.
 
     With R(t) = q/C + tau_p, and w_R, R_R the values of w and R at t - R(t)::
 

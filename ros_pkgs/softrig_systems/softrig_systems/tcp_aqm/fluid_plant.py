@@ -86,5 +86,5 @@ class TcpFluid(Network[TcpFluidParams]):
         return x._replace(q=min(max(x.q + packets, 0.0), self.p.q_max))
 
     def changed(self, x: State, net: Net) -> State:
-        """Take the network as it is now."""
+        """Set the present network."""
         return x._replace(net=net)

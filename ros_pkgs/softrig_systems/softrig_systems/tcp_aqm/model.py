@@ -42,7 +42,7 @@ def equilibrium(network: Bottleneck, queue: float) -> Equilibrium:
 
 
 def phi(w: float, R: float, N: float, C: float, *, printed: bool = False) -> float:
-    """What q'' is without drops, so that q'' = Phi + Psi p (packet/s^2).
+    """Return q'' without drops, so that q'' = Phi + Psi p (packet/s^2).
 
     ::
 
@@ -65,7 +65,7 @@ def phi(w: float, R: float, N: float, C: float, *, printed: bool = False) -> flo
 
 
 def psi(w: float, R: float, w_R: float, R_R: float, N: float) -> float:
-    """How q'' answers the drop probability, Psi = -N w w_R/(2 R R_R) < 0 (packet/s^2).
+    """Return the gain of the drop probability on q'', Psi = -N w w_R/(2 R R_R) < 0 (packet/s^2).
 
     The paper prints a difference, "-N - w/(2R) ...", eq. (17), where this product stands.
 

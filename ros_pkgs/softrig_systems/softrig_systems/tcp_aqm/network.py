@@ -143,7 +143,7 @@ class Network(Plant[P]):
         return self.changed(x, x.net._replace(rate=x.net.rate + p.disturbance_value))
 
     def _happened(self, x: Any, flows: float, capacity: float, propagation: float, rate: float) -> Any:
-        """Take new constants of the network, unless they are impossible."""
+        """Apply new constants of the network, unless they are impossible."""
         net, count = x.net._replace(events=(flows, capacity, propagation, rate)), round(flows)
         possible = 1 <= count <= self.most_flows and capacity > 0.0 and propagation > 0.0
         if possible and self.p.q_max / capacity + propagation <= self.p.history and 4.0 * self._h <= propagation:
@@ -172,13 +172,13 @@ class Network(Plant[P]):
         raise NotImplementedError
 
     def moved(self, x: Any, steps: int, p: float) -> Any:
-        """Take internal steps of size `_h` with the drop probability p."""
+        """Run internal steps of size `_h` with the drop probability p."""
         raise NotImplementedError
 
     def jumped(self, x: Any, packets: float) -> Any:
-        """Put packets into the queue at once."""
+        """Add packets to the queue in one batch."""
         raise NotImplementedError
 
     def changed(self, x: Any, net: Net) -> Any:
-        """Go on in another network."""
+        """Continue in another network."""
         raise NotImplementedError

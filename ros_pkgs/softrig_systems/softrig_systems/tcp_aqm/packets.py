@@ -113,7 +113,7 @@ class Traffic:
 
 @jit
 def schedule(agenda: Agenda, counts: Ints, t: float, kind: int, flow: int, marked: int, sent: float) -> None:
-    """Put an event on the heap."""
+    """Push an event onto the heap."""
     place = counts[EVENTS]
     counts[EVENTS] = place + 1
     if place + 1 > counts[MOST_EVENTS]:
@@ -135,7 +135,7 @@ def schedule(agenda: Agenda, counts: Ints, t: float, kind: int, flow: int, marke
 
 @jit
 def remove_first(agenda: Agenda, counts: Ints) -> None:
-    """Take the earliest event off the heap."""
+    """Pop the earliest event from the heap."""
     size = counts[EVENTS] - 1
     counts[EVENTS] = size
     t = agenda.time[size]
@@ -161,7 +161,7 @@ def remove_first(agenda: Agenda, counts: Ints) -> None:
 
 @jit
 def arrive(inside: Inside, now: float, flow: int, marked: int, C: float, room: int) -> bool:
-    """Let a packet into the queue; false when there is no room."""
+    """Accept a packet into the queue; return false if there is no room."""
     _, agenda, fifo, counts = inside
     waiting = counts[WAITING]
     if waiting >= room:
@@ -177,7 +177,7 @@ def arrive(inside: Inside, now: float, flow: int, marked: int, C: float, room: i
 
 @jit
 def run_until(end: float, rules: Rules, rng: np.random.Generator, inside: Inside) -> None:
-    """Let everything up to `end` (s) happen.
+    """Run all events up to `end` (s).
 
     Congestion avoidance: an acknowledgement without a mark makes w + 1/w, one with a mark w/2 (floor `w_min`), at
     most once per round trip: packets sent before the last halving do not count. A source sends while fewer than

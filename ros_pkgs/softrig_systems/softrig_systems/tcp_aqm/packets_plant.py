@@ -65,7 +65,7 @@ class TcpPackets(Network[TcpPacketsParams]):
     """
 
     def setup(self) -> None:
-        """Make room for twice the flows, which events may start."""
+        """Allocate room for twice the flows, which events may start."""
         p = self.p
         self._h, self._steps = p.period, 1
         self._room = int(p.q_max)
@@ -107,7 +107,7 @@ class TcpPackets(Network[TcpPacketsParams]):
         return Seen(window, queue, float(inside.counts[SERVED]), *x.past.at(queue / net.capacity + net.propagation))
 
     def moved(self, x: State, steps: int, p: float) -> State:
-        """Let the events of the period happen."""
+        """Run the events of the period."""
         c, (step, net, traffic, past, stream) = self.p, x
         inside = traffic.copy()
         counts = inside.counts
@@ -122,7 +122,7 @@ class TcpPackets(Network[TcpPacketsParams]):
         return State(step + steps, net, Traffic(inside), past, stream)
 
     def jumped(self, x: State, packets: float) -> State:
-        """Let packets of nobody arrive at once; what finds no room is lost."""
+        """Add packets that belong to no flow in one batch; what finds no room is lost."""
         inside = x.traffic.copy()
         self._fill(inside, x.step * self._h, packets, x.net.capacity)
         return x._replace(traffic=Traffic(inside))

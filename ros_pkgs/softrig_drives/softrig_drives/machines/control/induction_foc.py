@@ -160,7 +160,7 @@ class VhzController(Block[VhzParams]):
         self._reach = linear_range(self.p.modulation)
 
     def first(self) -> VhzState:
-        """Stand still."""
+        """Return the state at standstill."""
         return VhzState()
 
     def update(

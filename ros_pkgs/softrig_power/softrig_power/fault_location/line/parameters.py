@@ -149,7 +149,7 @@ class RigParams(Params):
 
     @property
     def shift(self) -> int:
-        """How late R samples, steps."""
+        """Return the delay of the samples of R, steps."""
         return round(self.measurement.shift_us_r * 1e-6 / self.step)
 
     @model_validator(mode="after")

@@ -175,7 +175,7 @@ class FaultedLine:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the steady state at t = 0; nothing jumps."""
+        """Restore the steady state at t = 0, without a jump."""
         p, found = self.p, self.steady
         omega, step = p.source.omega, p.step
         self.k = 0

@@ -120,7 +120,7 @@ def shifted(record: Record, late: float) -> Array:
 
 
 def conditions(record: Record, p: LocatorParams, window: str) -> str:
-    """Tell in a few lines what a location rests on: the line, the record, the window and who said it."""
+    """Describe in a few lines what a location depends on: the line, the record, the window and their sources."""
     line, end = p.line, record.start + (len(record.samples) - 1) / record.rate
     lines = [
         f"  line {line.length:g} km, {line.r1:g} ohm/km, {line.l1:g} H/km, {line.c1:g} F/km",
@@ -131,7 +131,7 @@ def conditions(record: Record, p: LocatorParams, window: str) -> str:
 
 
 def describe(found: Location, trust: Confidence | None, length: float) -> str:
-    """Tell a location in a few lines for a person."""
+    """Describe a location in a few lines for a person."""
     if found.x_km is None or trust is None:
         return found.text
     lines = [

@@ -161,7 +161,7 @@ class PowerFlow:
         return np.array([*sizes, *angles, *device])
 
     def _newton(self, x: Array, references: References, tolerance: float, surplus: float) -> Solution | Diverged:
-        """Go from a start; at most 20 steps."""
+        """Iterate from a start; at most 20 steps."""
         target = [getattr(references, name) for name in ("p1", "q1", "p2", "q2", "v")] + [surplus]
         residual, jacobian = self._equations(x, target)
         mismatch = float(np.abs(residual).max())
@@ -180,7 +180,7 @@ class PowerFlow:
         return self._solution(x, ITERATIONS, mismatch) if mismatch <= tolerance else Diverged(ITERATIONS, mismatch)
 
     def _equations(self, x: Array, target: list[float]) -> tuple[Array, Array]:
-        """All 18 residuals, shape (18,), and their derivatives, shape (18, 18)."""
+        """Return all 18 residuals, shape (18,), and their derivatives, shape (18, 18)."""
         u = Dual(x, np.eye(UNKNOWNS))
         v, a = u[0:6], u[6:12]
         e, f, p_sh, q_sh = u[[12, 14]], u[[13, 15]], u[16], u[17]

@@ -369,7 +369,7 @@ def _reason(found: Solution, eps: float, eps_res: float) -> str:
 
 
 def several(found: Solution) -> str:
-    """Say at which orders there were several roots, and what the plant pays under each, that of the one taken first."""
+    """Describe the orders with several roots, and what the plant pays under each, the first chosen one first."""
     said = []
     for order, roots in found.roots.items():
         paid = ", ".join(f"{r.paid:.5g}" if np.isfinite(r.paid) else "without end" for r in roots)

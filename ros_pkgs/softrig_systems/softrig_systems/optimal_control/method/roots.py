@@ -44,7 +44,7 @@ class Root(NamedTuple):
 
 
 def starts(alpha: Array) -> list[Array]:
-    """Where Newton's method begins: at 0 and in all directions of 0, +, - in each costate, at several distances."""
+    """Return starts of Newton's method: at 0 and in all directions of 0, +, - in each costate, at several distances."""
     size = max(float(np.sqrt(np.sum(alpha * alpha))), 1e-3)
     scale = np.maximum(np.abs(alpha), 0.1 * size)
     around = [np.array(d) * scale for d in product((0.0, 1.0, -1.0), repeat=alpha.size) if any(d)]

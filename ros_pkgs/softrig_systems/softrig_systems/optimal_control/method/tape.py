@@ -44,7 +44,7 @@ class Tape(NamedTuple):
 
     @classmethod
     def of(cls, function: ca.Function) -> Tape:
-        """Take a casadi SX function of one vector with one output vector over.
+        """Convert a casadi SX function of one vector with one output vector.
 
         Raises
         ------

@@ -164,7 +164,7 @@ def certified_margin(
 
 
 def _walk(ask: Callable[..., Certificate], best: Certificate, step: float, width: float, most: float) -> Certificate:
-    """Go up from a certificate by certified steps, halved where there is none.
+    """Step up from a certificate by certified steps, halving a step that has none.
 
     The largest step that can be certified is a third to a half of the way that is left: it ends at a tenth of `width`.
     """

@@ -162,7 +162,7 @@ class Problem:
         )
 
     def _coefficients(self, inequality: Inequality) -> dict[str, Array]:
-        """Give, for each unknown, the matrix from its free entries to the scaled upper triangle of the inequality."""
+        """Return, for each unknown, the matrix from its free entries to the scaled upper triangle of the inequality."""
         i, j = _triangle(inequality.size)
         weight = np.where(i == j, 1.0, np.sqrt(2.0))[:, None]
         found: dict[str, Array] = {}
