@@ -182,13 +182,13 @@ def test_signals_and_figures_are_listed_as_told(capsys):
     assert [r[0] for r in rows] == listing.registered()
     assert all(r[2] for r in rows)
     asked = []
-    options = {"signals": None, "figures": None, "filter": "x"}
-    for name in ("list_signals", "list_figures", "list_scenarios_of"):
+    options = {"signals": None, "parameters": None, "figures": None, "filter": "x"}
+    for name in ("list_signals", "list_parameters", "list_figures", "list_scenarios_of"):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(listing, name, lambda what, name=name: asked.append((name, what)) or 5)
-            key = {"list_signals": "signals", "list_figures": "figures"}.get(name)
+            key = {f"list_{k}": k for k in ("signals", "parameters", "figures")}.get(name)
             assert listing.main(SimpleNamespace(**options | ({key: ""} if key else {}))) == 5
-    assert asked == [("list_signals", ""), ("list_figures", ""), ("list_scenarios_of", "x")]
+    assert asked == [("list_signals", ""), ("list_parameters", ""), ("list_figures", ""), ("list_scenarios_of", "x")]
 
 
 # bars -----------------------------------------------------------------------------------------------------------------

@@ -95,6 +95,19 @@ def _bag(text: str) -> Path:
     return inside if (path / "metrics.json").is_file() and inside.exists() else path
 
 
+# what people type, and what does it
+MEANT = {
+    "ls": "softrig bag info BAG",
+    "list": "softrig bag info BAG",
+    "show": "softrig view BAG",
+    "view": "softrig view BAG",
+    "plot": "softrig draw plot BAG",
+    "convert": "softrig bag export BAG",
+    "reindex": "softrig bag repair BAG",
+    "diff": "softrig bag compare A B",
+}
+
+
 @_leaving
 @_command
 def main_record(argv: list[str]) -> int:
@@ -282,7 +295,11 @@ TOOLS = {
 @_command
 def main_bag(argv: list[str]) -> int:
     """Tools for a bag: info, repair, export; record, play and compare have parsers of their own."""
-    parser = Parser(prog="softrig bag", description="Record, play, compare, look into, repair or export rosbag2 bags.")
+    parser = Parser(
+        prog="softrig bag",
+        description="Record, play, compare, look into, repair or export rosbag2 bags.",
+        meant=MEANT,
+    )
     verbs = parser.add_subparsers(required=True, metavar="VERB", dest="verb")
     for name, (_, text) in TOOLS.items():
         verbs.add_parser(name, help=text)

@@ -90,6 +90,33 @@ FORMER = {
     "colcon": "env colcon",
     "pages": "docs pages",
 }
+# what people type who know other tools, and what does it here
+MEANT = {
+    "show": "softrig view RUN",
+    "open": "softrig view RUN",
+    "info": "softrig bag info RUN",
+    "ls": "softrig list",
+    "scenarios": "softrig list",
+    "topics": "softrig list --signals SCENARIO",
+    "params": "softrig list --parameters SCENARIO",
+    "test": "softrig check SCENARIO",
+    "judge": "softrig check SCENARIO",
+    "simulate": "softrig run SCENARIO",
+    "sim": "softrig run SCENARIO",
+    "start": "softrig run SCENARIO",
+    "launch": "softrig run SCENARIO",
+    "sweep": "softrig study SCENARIO",
+    "optimise": "softrig study SCENARIO --search FIGURE",
+    "optimize": "softrig study SCENARIO --search FIGURE",
+    "tune": "softrig study SCENARIO --search FIGURE",
+    "create": "softrig new NAME",
+    "init": "softrig new NAME",
+    "zip": "softrig pack RUN",
+    "repeat": "softrig run --like RUN",
+    "linearize": "softrig linearise SCENARIO",
+    "install": "softrig setup",
+    "ros2": "softrig env ros2",
+}
 _STOPPABLE = ("verbs.results", "study.page", "verbs.check", "falsify.outcome")  # others listen where they run a rig
 
 
@@ -114,6 +141,10 @@ def _verb(arguments: list[str]) -> int:
             asked = {"-q", "--quiet"} & set(given)
             with quietly() if asked else nullcontext():
                 return int(getattr(importlib.import_module(module), function)([a for a in given if a not in asked]))
+    if arguments[:1] == ["help"]:
+        arguments = [*arguments[1:], "--help"]
+    if arguments == ["version"]:
+        arguments = ["--version"]
     if arguments and arguments[0] in FORMER:
         raise ScenarioError(f"`softrig {arguments[0]}` is `softrig {FORMER[arguments[0]]}` now")
     if not asks and arguments and arguments[0] not in VERBS:
@@ -133,18 +164,23 @@ def _verb(arguments: list[str]) -> int:
 
 def _check_verb(word: str) -> None:
     """Refuse what is the name of something in the place of a verb; name the verb that takes it."""
+    from difflib import get_close_matches
     from pathlib import Path
 
-    from softrig_core.scenario.scenario_file import find
+    from softrig_core.scenario.scenario_file import find, list_scenarios
 
     from .folder import MARKS
 
     path = Path(word)
     kind = next((kind for mark, kind in MARKS.items() if (path / mark).is_file()), "")
+    if kind == "run":
+        raise ScenarioError(f"{word!r} is a run, expected a verb before it: `softrig report {word}`")
     if kind:
-        raise ScenarioError(f"{word!r} is a {kind}, expected a verb before it: `softrig report {word}`")
+        raise ScenarioError(f"{word!r} is a {kind}; its page is {path / 'report.html'}")
     if (path.suffix in (".yaml", ".yml") and path.is_file()) or find(word) is not None:
         raise ScenarioError(f"{word!r} is a scenario, expected a verb before it: `softrig run {word}`")
+    if "_" in word and (near := get_close_matches(word, list_scenarios([]), 1)):
+        raise ScenarioError(f"{word!r} is no verb and no scenario; did you mean `softrig run {near[0]}`?")
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -154,12 +190,13 @@ def make_parser() -> argparse.ArgumentParser:
         description="Closed loops over ROS 2 topics that come out the same every time.",
         epilog="Before the verb: --workspace DIR, also the packages in DIR; remembered, until --workspace none.",
         formatter_class=_InGroups,
+        meant=MEANT,
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print version and commit")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
 
-    def verb(name: str, function: str, text: str, among: Any = verbs) -> argparse.ArgumentParser:
-        sub: argparse.ArgumentParser = among.add_parser(name, help=text, description=text)
+    def verb(name: str, function: str, text: str, among: Any = verbs, **options: str) -> argparse.ArgumentParser:
+        sub: argparse.ArgumentParser = among.add_parser(name, help=text, description=text, **options)
         sub.set_defaults(verb=partial(_late, function))
         if name != "node":  # whose words are those of the executable
             sub.add_argument(

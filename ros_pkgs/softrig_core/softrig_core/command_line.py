@@ -6,10 +6,13 @@ import argparse
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 from .errors import ScenarioError, closest
+
+#: What options that take ``NAME=VALUE`` are called, here or in another verb.
+NAMING = {"set", "draw", "grid", "over", "param", "params", "parameter", "parameters", "range", "vary", "sweep"}
 
 
 class Number:
@@ -50,7 +53,19 @@ def named(text: str, option: str, form: str) -> tuple[str, str]:
     name, _, given = (part.strip() for part in text.partition("="))
     if not (name and given):
         raise ScenarioError(f"{option} {text!r}: expected NAME={form}")
+    if name.endswith(":"):  # as ROS remaps
+        raise ScenarioError(f"{option} {text!r}: expected {name[:-1]}={given}, without the colon of ros2")
     return name, given
+
+
+def pair(text: str) -> str:
+    """Return ``NAME=VALUE`` or ``NAME+=VALUE`` without spaces around its sign: type of an option that is so named."""
+    return re.sub(r"\s*(\+?=)\s*", r"\1", text.strip(), count=1)
+
+
+def _half(value: object) -> bool:
+    """Return whether an option that takes ``NAME=VALUE`` was given a name alone, as `--set a = 2` does."""
+    return isinstance(value, list) and any(isinstance(text, str) and not text.partition("=")[2] for text in value)
 
 
 def without_ros(arguments: Sequence[str]) -> list[str]:
@@ -68,10 +83,18 @@ class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, with the nearest of what there is beside what was misspelt.
 
     A shell that completes a command line (argcomplete) is answered in place of parsing.
+
+    Parameters
+    ----------
+    meant : mapping of str to str
+        Words that people take for a subcommand, and the command that they mean.
+    surplus : str
+        What a second word in the place of the only positional one asks for.
     """
 
-    def __init__(self, *args: Any, **options: Any) -> None:
+    def __init__(self, *args: Any, meant: Mapping[str, str] | None = None, surplus: str = "", **options: Any) -> None:
         super().__init__(*args, **options)
+        self.meant, self.surplus = dict(meant or {}), surplus
         self._negative_number_matcher = re.compile(r"-\.?\d")  # of Python 3.14; before it -1e-3 is an option
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore[override]
@@ -86,15 +109,32 @@ class Parser(argparse.ArgumentParser):
         """Parse, and refuse the rest here, where it is known which options there are."""
         found, rest = super().parse_known_args(args, namespace)
         if rest:
-            options = [o for a in self._actions for o in a.option_strings]
-            what = "option" if rest[0].startswith("-") else "argument"
-            more = "; each NAME=... has its own option before it" if "=" in rest[0] and what == "argument" else ""
-            if rest[0].startswith("=") or (
-                what == "argument" and {"--set", "--grid"} & {*options} and "=" not in rest[0]
-            ):
-                more = "; NAME=VALUE is one word, without spaces"
-            self.error(f"unexpected {what} {rest[0]!r}{closest(rest[0].partition('=')[0], options)}{more}")
+            self.error(self._unexpected(found, rest[0]))
         return found, rest
+
+    def _unexpected(self, found: argparse.Namespace, word: str) -> str:
+        """Describe a word that no option takes, and what it may have been meant for."""
+        from difflib import get_close_matches
+
+        pairs = [a for a in self._actions if a.option_strings and "NAME=" in str(a.metavar)]
+        named = " or ".join(a.option_strings[0] for a in pairs)
+        if not word.startswith("-"):
+            if any(_half(getattr(found, a.dest, None)) for a in pairs):
+                return f"unexpected argument {word!r}; NAME=VALUE is one word, without spaces"
+            if "=" in word and named:
+                return f"unexpected argument {word!r}; each NAME=... has its own option before it, {named}"
+            return f"unexpected argument {word!r}" + (f"; {self.surplus}" if self.surplus else "")
+        name = word.partition("=")[0].lstrip("-")
+        options = {o.lstrip("-"): o for a in self._actions for o in a.option_strings if o.startswith("--")}
+        values = {c: a for a in self._actions if a.option_strings for c in a.choices or ()}
+        near = get_close_matches(name, [o for o in options if len(name) > 1], 1)
+        if name in values:
+            near_text = f" (did you mean '{values[name].option_strings[0]} {name}'?)"
+        elif named and (name in NAMING or not near):
+            near_text = f"; parameters are named by {named}"
+        else:
+            near_text = f" (did you mean {options[near[0]]!r}?)" if near else ""
+        return f"unexpected option {word!r}{near_text}"
 
     def error(self, message: str) -> NoReturn:
         """Raise what the command line turns into one line and status 2.
@@ -106,7 +146,8 @@ class Parser(argparse.ArgumentParser):
         wrong = re.match(r"argument (\S+): invalid choice: '(.*)' \(choose from (.*)\)", message)
         if wrong:
             known = [name.strip(" '") for name in wrong[3].split(",")]
-            message = f"{wrong[1]} {wrong[2]!r} is unknown{closest(wrong[2], known)}; expected {', '.join(known)}"
+            near = f" (did you mean `{self.meant[wrong[2]]}`?)" if wrong[2] in self.meant else closest(wrong[2], known)
+            message = f"{wrong[1]} {wrong[2]!r} is unknown{near}; expected {', '.join(known)}"
         verb = self.prog.partition(" ")[2]
         place = f"{verb}: " if verb else ""
         raise ScenarioError(f"{place}{message}; `{self.prog} --help` shows what there is")

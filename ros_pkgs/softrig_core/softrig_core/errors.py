@@ -40,5 +40,19 @@ def closest(name: str, known: Iterable[str]) -> str:
     from difflib import get_close_matches
 
     folded = {one.casefold(): one for one in known}  # a capital letter is the most likely mistake of all
-    near = get_close_matches(name.casefold(), list(folded), 1)
+    word = name.casefold()
+    near = get_close_matches(word, list(folded), 1)
+    if not near and len(word) > 2:  # a part of it: `velocity` of motor/state/shaft/velocity
+        near = sorted((one for one in folded if word in one), key=len)[:1]
     return f" (did you mean {folded[near[0]]!r}?)" if near else ""
+
+
+def nearby(path: Path) -> str:
+    """Suggest which results are meant by a path that is not there, as the end of a message."""
+    from difflib import get_close_matches
+
+    if (there := Path("runs", path.name)).exists():  # where results are written without --out
+        return f" (did you mean {str(there)!r}?)"
+    folder = path.parent
+    near = get_close_matches(path.name, [p.name for p in folder.iterdir()], 1) if folder.is_dir() else []
+    return f" (did you mean {str(folder / near[0])!r}?)" if near else ""

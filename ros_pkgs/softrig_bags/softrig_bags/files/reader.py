@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 import numpy as np
+from softrig_core.errors import nearby
 from softrig_core.guard import incomplete
 from softrig_core.wire.recording import relative
 
@@ -33,6 +34,7 @@ from .sqlite_source import SqliteSource
 BATCH = 1 << 22  # bytes of messages that are given at a time, about
 _SQLITE = b"SQLite format 3\0"
 LATEST = 2**63 - 1
+SHOWN = 5  # bags below a folder that is none: named, so that one of them can be chosen
 
 
 class _Waiting(NamedTuple):
@@ -109,7 +111,7 @@ class BagReader:
 
     def _open(self) -> None:
         if not self.path.exists():
-            raise BagError(f"{self.path} does not exist")
+            raise BagError(f"{self.path} does not exist{nearby(self.path)}")
         if self.path.is_dir():
             self._check_directory()
             try:
@@ -150,7 +152,9 @@ class BagReader:
                 f"{self.path} has no metadata.yaml: the recording was cut off; "
                 f"`softrig bag repair {self.path}` restores it"
             )
-        raise BagError(f"{self.path} is not a bag: no metadata.yaml, no .mcap and no .db3 file in it")
+        below = sorted({p.parent for depth in ("*", "*/bag") for p in self.path.glob(f"{depth}/metadata.yaml")})
+        more = f"; bags below it: {', '.join(map(str, below[:SHOWN]))}{', ...' * (len(below) > SHOWN)}" if below else ""
+        raise BagError(f"{self.path} is not a bag: no metadata.yaml, no .mcap and no .db3 file in it{more}")
 
     def _file(self, name: str) -> Path:
         """Return a file of the bag: older versions name it with its folder, and it may be compressed since."""

@@ -16,7 +16,7 @@ from softrig_core.scenario.yaml_file import read_yaml
 from .names import check_names
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_SPAN = re.compile(rf"(log )?\s*({NUMBER})\.\.({NUMBER})(?:([*~])(\d+))?")
+_SPAN = re.compile(rf"(log )?\s*({NUMBER})\s*\.\.\s*({NUMBER})(?:([*~])(\d+))?")
 FORMS = "expected LOW..HIGH, 'log LOW..HIGH', of lists and signals LOW..HIGH*N (steps), of signals LOW..HIGH~N (lines)"
 MOST = 10_000  # values of a list of them
 MANY = 50  # numbers of one profile or list: a search over more finds nothing in its budget
@@ -43,6 +43,7 @@ class Span:
     linear: bool = False
 
 
+_TWO = re.compile(rf"({NUMBER})\s*(?:-|,|:|to|\.\.\.)\s*({NUMBER})")  # a range as others write it
 _COMMA = re.compile(r"[-+]?\d+,\d+")
 
 
@@ -65,6 +66,11 @@ def settings(texts: Iterable[str], scenario: str = "") -> dict[str, Any]:
         if _COMMA.fullmatch(value):
             point, items = value.replace(",", "."), value.replace(",", ", ")
             raise ScenarioError(f"--set {name}={value}: expected a decimal point, {name}={point}, or a list, [{items}]")
+        if _SPAN.fullmatch(value):
+            raise ScenarioError(
+                f"--set {name}={value}: expected one value; a study draws from a range, "
+                f"`softrig study {scenario or 'SCENARIO'} --draw {name}={value}`"
+            )
         found[name] = read_yaml(value, f"--set '{name}={value}'")
     if scenario and found:
         check_names(read_draft(scenario), found)
@@ -75,6 +81,8 @@ def values(name: str, text: str) -> list[Any]:
     """Read ``A,B,C``, ranges ``LOW:HIGH:STEP`` among them with both ends."""
     given = read_yaml(f"[{text}]", f"{name}={text}")
     assert isinstance(given, list)
+    if re.fullmatch(rf"{NUMBER}(?:[\s;]+{NUMBER})+", text.strip()):
+        raise ScenarioError(f"{name}={text}: expected A,B,C: {name}={','.join(re.split(r'[ ;]+', text.strip()))}")
     return [value for one in given for value in (_steps(name, one) if isinstance(one, str) else [one])]
 
 
@@ -105,8 +113,10 @@ def span(name: str, text: object) -> Span:
     """
     found = _SPAN.fullmatch(str(text).strip())
     if not found:
-        steps = re.fullmatch(rf"{NUMBER}:{NUMBER}(:{NUMBER})?", str(text).strip())
-        raise ScenarioError(f"{name}={text}: {FORMS}" + ("; LOW:HIGH:STEP is a grid, --grid" if steps else ""))
+        steps = re.fullmatch(rf"{NUMBER}:{NUMBER}:{NUMBER}", str(text).strip())
+        two = _TWO.fullmatch(str(text).strip())
+        near = f" (did you mean {name}={two[1]}..{two[2]}?)" if two else ""
+        raise ScenarioError(f"{name}={text}: {FORMS}{near}" + ("; LOW:HIGH:STEP is a grid, --grid" if steps else ""))
     low, high, count = float(found[2]), float(found[3]), int(found[5] or 0)
     if not (math.isfinite(low) and math.isfinite(high)):
         raise ScenarioError(f"{name}={text}: expected numbers below 1.8e308")

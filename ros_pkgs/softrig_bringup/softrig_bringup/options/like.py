@@ -19,6 +19,7 @@ from softrig_bags.tape import written
 from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
+from softrig_core.errors import nearby
 from softrig_core.rig.code import LETTERS
 from softrig_core.rig.members import Member
 from softrig_core.timebase import SECOND
@@ -124,9 +125,10 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
         options = parse(command[command.index("run") + 1 :])
         recording = read_bag(bag)
     except (BagError, OSError, ValueError, KeyError, TypeError, argparse.ArgumentError):
+        near = "" if path.exists() else nearby(path)
         raise ScenarioError(
             f"{path}: expected the directory of a run, the bag of one that says how it was "
-            "made, or a file of `softrig pack`"
+            f"made, or a file of `softrig pack`{near}"
         ) from None
     need_packages(path, made_with.get("code", ()))
     return Recalled(path, options, bag.absolute(), recording, epoch, late, made_with, bag_says=data)

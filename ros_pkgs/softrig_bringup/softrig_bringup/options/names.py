@@ -28,10 +28,13 @@ def check_names(draft: Draft, given: Iterable[str]) -> None:
     nodes, shared = draft.raw.get("nodes") or {}, draft.raw.get("shared") or {}
     known = {*nodes, *shared, *(draft.raw.get("faults") or {})}
     for name in given:
-        node, _, parameter = name.partition(".")
-        if node in known or not isinstance(nodes, dict):
+        node, _, parameter = name.replace("/", ".").partition(".")
+        if (node in known and "/" not in name) or not isinstance(nodes, dict):
             continue
-        meant = sorted(f"{owner}.{field}" for owner in nodes for field in {parameter, name} & _parameters(nodes[owner]))
+        words = {parameter.casefold(), name.casefold()}
+        every = ((owner, field) for owner in nodes for field in _parameters(nodes[owner]))
+        meant = sorted(f"{owner}.{field}" for owner, field in every if field.casefold() in words)
+        meant = [one for one in meant if one.startswith(f"{node}.")] or meant
         if meant:
             raise ScenarioError(f"{name}: expected node.parameter; did you mean {' or '.join(meant)}?")
 

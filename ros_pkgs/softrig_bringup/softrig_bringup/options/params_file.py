@@ -121,7 +121,7 @@ def read_sections(file: Path) -> dict[str, dict[str, Any]]:
     try:
         text = file.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{where}: {error}") from None
+        raise ScenarioError(f"{where}: {getattr(error, 'strerror', None) or error}") from None
     read_yaml(text, str(file))  # bounds, keys that stand twice, what is no YAML
     if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader)):
         raise ScenarioError(f"{where}: it has an alias (*name), which rcl refuses; write the values out")

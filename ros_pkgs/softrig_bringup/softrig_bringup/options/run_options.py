@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from softrig_core import ScenarioError
-from softrig_core.command_line import Number
+from softrig_core.command_line import Number, pair
 
 from .naming import elsewhere, folder_of, from_here, scenario_file
 
@@ -48,6 +48,7 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
     parser.add_argument(
         "--set",
         action="append",
+        type=pair,
         default=[],
         metavar="NAME=VALUE",
         help="change a parameter (node.parameter) or a shared value",

@@ -53,6 +53,8 @@ def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[floa
     ScenarioError
         No such signal, or the scenario has no plots of its own.
     """
+    shared = rig.scenario.shared  # as formulas name signals
+    names = [str(shared.get(name, name)) for name in names]
     own = (PlotEntry(title=title, signals=dict.fromkeys(names, "")),) if names else rig.scenario.plots
     if not own:
         known = ", ".join(signal_units(rig))

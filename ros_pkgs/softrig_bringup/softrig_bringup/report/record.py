@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from softrig_core import ScenarioError
+from softrig_core.errors import nearby
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.verdict.figures import Result
 
@@ -120,6 +121,8 @@ def read_run(directory: Path) -> RunRecord:
     try:
         return record_of(json.loads(path.read_text()), str(path))
     except OSError:
+        if not directory.exists():
+            raise ScenarioError(f"{directory}: no such folder, expected that of a run{nearby(directory)}") from None
         raise ScenarioError(f"{directory}: no metrics.json in it, expected the directory of a run") from None
     except ValueError as error:
         raise ScenarioError(f"{path}: not valid JSON: {error}") from None

@@ -15,6 +15,7 @@ from softrig_bags.files.reader import BagReader
 from softrig_bags.read import BagSignals, signals
 from softrig_core import Rig, ScenarioError, rig_of
 from softrig_core.command_line import Parser
+from softrig_core.errors import nearby
 from softrig_core.guard import say
 from softrig_core.rig.members import other_names
 from softrig_core.scenario.scenario import PlotEntry
@@ -75,7 +76,7 @@ def _recalled(directory: Path, namespace: str) -> tuple[Rig, BagSignals]:
     if (directory / ABOUT).is_file():  # a pack that somebody has unpacked
         return rig_of_pack(directory)
     if not directory.exists():
-        raise ScenarioError(f"{directory}: no such file or folder, hence no bag in it; expected a run, a bag or a pack")
+        raise ScenarioError(f"{directory}: no such file or folder, expected a run, a bag or a pack{nearby(directory)}")
     bag = directory / "bag" if (directory / "metrics.json").is_file() else directory
     if not bag.exists():
         raise ScenarioError(

@@ -12,6 +12,7 @@ from softrig_core import ScenarioError
 from softrig_core.guard import say
 from softrig_core.verdict.figures import Result
 
+from ..folder import MARKS
 from ..options.packed import is_pack, opened
 from ..page.html import e, write_page
 from ..page.paper_table import Column, write_paper_table
@@ -101,6 +102,8 @@ def write_report(
     if not runs:
         part = any(any(Path(directory, "log").glob("*.shard")) for directory in without)
         rest = "; of parts of a rig (--only) softrig bag repair makes one bag from their .shard files" if part else ""
+        for kind, path in ((MARKS.get(mark), Path(d)) for d in without for mark in MARKS if Path(d, mark).exists()):
+            raise ScenarioError(f"{path}: is a {kind}; its page is {path / 'report.html'}, and its verb writes it")
         raise ScenarioError(f"{', '.join(without)}: no metrics.json there, expected directories of runs{rest}")
     records = [run for _, run in runs]
     if len(labels) > len(runs):

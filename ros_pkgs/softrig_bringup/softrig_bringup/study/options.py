@@ -11,7 +11,8 @@ from typing import Any
 
 from softrig_core import ScenarioError
 from softrig_core.command_line import named
-from softrig_core.scenario.scenario_file import find, locate
+from softrig_core.errors import closest
+from softrig_core.scenario.scenario_file import ends, find, list_scenarios, locate
 from softrig_core.scenario.yaml_file import read_yaml
 
 from ..options.grammar import NUMBER, settings, span, values
@@ -35,19 +36,41 @@ def study_of(options: Namespace) -> Study:
     changes = _changes(options)
     path = Path(name)
     file = path.suffix in (".yaml", ".yml") and isfile(path)
+    _check_counts(options)
     if name in list_studies() or (file and "scenario" in (read_yaml(path.read_text(), path.name) or {})):
-        return make_study(load_study(name).model_dump() | changes)
+        return make_study(_recounted(load_study(name).model_dump(), options) | changes)
+    if options.draws and not options.draw:
+        raise ScenarioError(f"--draws {options.draws}: nothing is drawn, expected --draw NAME=LOW..HIGH")
     if not file and find(name) is None:
+        known = [*list_studies(), *list_scenarios([])]
+        near = closest(name, known) or ends(name, known)
         raise ScenarioError(
-            f"{name!r} is neither a study nor a scenario; `softrig study list`, `softrig list` show them"
+            f"{name!r} is neither a study nor a scenario{near}; `softrig study list`, `softrig list` show them"
         )
     slug = locate(name)[0]
     return make_study({"name": slug, "title": f"Study of {slug}", "scenario": name} | changes)
 
 
+def _check_counts(options: Namespace) -> None:
+    """Refuse options that would do nothing."""
+    if options.maximise and not options.search:
+        raise ScenarioError("--maximise: there is no search, expected --search FIGURE")
+
+
+def _recounted(study: dict[str, Any], options: Namespace) -> dict[str, Any]:
+    """Return a study of a file with as many draws, or candidates of its search, as the command line asks for."""
+    if not options.draws or options.draw:
+        return study
+    for key in ("draws", "search"):
+        if study[key]:
+            return study | {key: study[key] | {"count": options.draws}}
+    raise ScenarioError(f"--draws {options.draws}: {options.study} draws nothing, expected --draw NAME=LOW..HIGH")
+
+
 def folder_name(name: str, options: Namespace) -> str:
     """Name the folder of a study by what is varied, so that studies that differ do not meet in one."""
     draws = [f"{_method(options)}_{_draws(options)}"] if options.draw else []
+    draws += [f"draws_{options.draws}"] if options.draws and not options.draw else []
     search = [f"{'max' if options.maximise else 'min'}_{options.search}", *options.subject_to] if options.search else []
     against = [f"against_{other}" for other in options.against]
     parts = [f"study_{name}", *against, *options.grid, *options.draw, *draws, *search]

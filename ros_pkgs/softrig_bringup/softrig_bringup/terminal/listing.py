@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.text import Text
 from rich.tree import Tree
 from softrig_core import Scenario, ScenarioError, list_scenarios, load_scenario, rig_of
+from softrig_core.block.params import LARGEST, declarations, flatten
 from softrig_core.errors import closest
 from softrig_core.guard import plain, say
 from softrig_core.judge.registry import find, registered
@@ -50,6 +51,8 @@ def main(options: argparse.Namespace) -> int:
     """Print scenarios, or signals of one, or figure functions, as the options say; returns the exit status."""
     if options.signals is not None:
         return list_signals(options.signals)
+    if options.parameters is not None:
+        return list_parameters(options.parameters)
     return list_scenarios_of(options.filter) if options.figures is None else list_figures(options.figures)
 
 
@@ -136,4 +139,16 @@ def list_signals(scenario: str) -> int:
             readers = ", ".join(m.name for m, _ in rig.readers(member, own)) if member else ""
             said = f"{member.name if member else 'outside'} -> {readers or '-'}"
             print(f"{short_name(label, units)}\t{units[label] or '1'}\t{port.msgtype.replace('/msg/', '/')}\t{said}")
+    return 0
+
+
+def list_parameters(scenario: str) -> int:
+    """Print the parameters of a scenario's nodes: name as --set takes it, value, unit, bounds, live, what it is."""
+    for member in rig_of(scenario).members:
+        values = flatten(member.params)
+        for d in declarations(type(member.params)):
+            low, high = (f"{x:g}" if x is not None and abs(x) < LARGEST else "" for x in (d.lower, d.upper))
+            bounds = f"{low}..{high}" if low or high else ""
+            cells = [f"{member.name}.{d.name}", values[d.name], d.unit or "1", bounds, "live" if d.live else "", d.doc]
+            print(plain("\t".join(map(str, cells))))
     return 0

@@ -58,7 +58,8 @@ def main(options: argparse.Namespace) -> int:
     if options.marks is not None:
         replace(options.marks, _marks(suites))
     if kinds := sorted({outcome["kind"] for outcome in outcomes} - {""}):
-        say(f"of {len(outcomes)} scenarios not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")
+        of = f"of {len(outcomes)} scenarios " if len(outcomes) > 1 else ""
+        say(f"{of}not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")
         return 3 if "broke" in kinds else 2
     return 1 if any(suite.failures for suite in suites) else 0
 

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from datetime import date
 from pathlib import Path
 
-from softrig_core.command_line import Number
+from softrig_core.command_line import Number, pair
 
 from ..options import run_options
 from ..study import RUNS
 
+ONE = {"surplus": "one scenario at a time; `softrig study ONE --against OTHER` compares two"}
 Verb = Callable[..., argparse.ArgumentParser]  # of name, function and text, and of the verb whose part it is
 
 
@@ -59,11 +60,12 @@ def verbs(verb: Verb) -> None:
 
 
 def _run_and_look(verb: Verb) -> None:
-    run_options.arguments(verb("run", "verbs.run_verb:run", "run a scenario: metrics, bag, plots, report"))
+    run_options.arguments(verb("run", "verbs.run_verb:run", "run a scenario: metrics, bag, plots, report", **ONE))
     look = verb(
         "view",
         "verbs.view_verb:view",
         "look at a run or a bag in the browser, or run a scenario that begins paused there",
+        **ONE,
     )
     run_options.arguments(look, "name or YAML file; or a run: its folder, its bag, or a file of `pack`")
     look.add_argument(
@@ -155,6 +157,11 @@ def _run_and_look(verb: Verb) -> None:
         help="signals of a scenario: unit, message type, who publishes and who reads them",
     )
     listed.add_argument(
+        "--parameters",
+        metavar="SCENARIO",
+        help="parameters of a scenario: value, unit, bounds, whether they change in a run, what they are",
+    )
+    listed.add_argument(
         "--figures",
         nargs="?",
         const="",
@@ -179,6 +186,7 @@ def _vary(verb: Verb) -> None:
         "study",
         "study.page:main",
         "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on",
+        **ONE,
     )
     study.add_argument(
         "study", nargs="?", default="", help="name or file of a study, or a scenario; `study list` shows the studies"
@@ -187,6 +195,7 @@ def _vary(verb: Verb) -> None:
     study.add_argument(
         "--grid",
         action="append",
+        type=pair,
         default=[],
         metavar="NAME=A,B,C",
         help="every combination; also LOW:HIGH:STEP with both ends",
@@ -194,6 +203,7 @@ def _vary(verb: Verb) -> None:
     study.add_argument(
         "--draw",
         action="append",
+        type=pair,
         default=[],
         metavar="NAME=LOW..HIGH",
         help="drawn uniformly; also 'log LOW..HIGH', of a list LOW..HIGH*N, one of A,B,C",
@@ -201,6 +211,7 @@ def _vary(verb: Verb) -> None:
     study.add_argument(
         "--against",
         action="append",
+        type=pair,
         default=[],
         metavar="SCENARIO|NAME=VALUE",
         help="held against the same draws and seeds of another scenario, or of this one changed",
@@ -230,6 +241,7 @@ def _vary(verb: Verb) -> None:
     study.add_argument(
         "--width",
         action="append",
+        type=pair,
         default=[],
         metavar="FIGURE=W",
         help="how many runs its 95 %% interval needs to be so wide; also of a requirement or a --subject-to",
@@ -249,6 +261,7 @@ def _vary(verb: Verb) -> None:
     falsify.add_argument(
         "--over",
         action="append",
+        type=pair,
         default=[],
         metavar="NAME=LOW..HIGH",
         help="of a node, fault or signal; 'log LOW..HIGH', list or signal: LOW..HIGH*N (steps), of "
@@ -328,7 +341,7 @@ def _analyse(verb: Verb) -> None:
         sub.add_argument("scenario", help="name or YAML file")
         sub.add_argument("--at", type=Number(float, 0), metavar="S", help="when (the scenario's end)")
         sub.add_argument("--output", action="append", metavar="SIGNAL", help="signal that counts (what plants say)")
-        sub.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="as in run")
+        sub.add_argument("--set", action="append", type=pair, default=[], metavar="NAME=VALUE", help="as in run")
 
 
 def _ros(verb: Verb) -> None:

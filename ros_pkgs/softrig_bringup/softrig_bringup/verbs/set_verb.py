@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from typing import Any
 
 from softrig_core import ScenarioError
@@ -23,8 +24,15 @@ def set_values(options: argparse.Namespace) -> int:
     return 1 if refusals else 0
 
 
+def _parts(word: str) -> list[str]:
+    """Split ``NODE.PARAM=VALUE``, as the options of other verbs have it."""
+    found = re.fullmatch(r"([\w/]+\.[\w.]+)\s*=\s*(.+)", word, re.DOTALL)
+    return [found[1], found[2]] if found else [word]
+
+
 def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:
     """Sort pairs of words by node, values read as YAML."""
+    words = [part for word in words for part in _parts(word)]
     if len(words) % 2:
         raise ScenarioError(f"set: {words[-1]!r} has no value, expected NODE.PARAM VALUE")
     found: dict[str, dict[str, Any]] = {}

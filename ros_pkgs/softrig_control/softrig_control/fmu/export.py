@@ -116,9 +116,18 @@ def _check(member: Member) -> None:
         raise ScenarioError(f"node {member.name} is external: its code is not here")
 
 
+KINDS = ("fmu", "c", "st", "arduino", "cortex-m")  # of the verb `export`; all but the first have a parser of their own
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the verb."""
-    parser = Parser(prog="softrig export", description="Nodes of a scenario for other tools.")
+    parser = Parser(
+        prog="softrig export",
+        description="Nodes of a scenario for other tools.",
+        epilog="Other kinds have a help of their own: export c, st, arduino, cortex-m --help.",
+    )
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in KINDS:
+        parser.error(f"kind {arguments[0]!r} is unknown{closest(arguments[0], KINDS)}; expected {', '.join(KINDS)}")
     parser.add_argument("kind", choices=["fmu"], help="a Functional Mock-up Unit for co-simulation")
     parser.add_argument("scenario", help="name or YAML file")
     parser.add_argument("nodes", nargs="+", metavar="NODE", help="of the scenario, with its parameters there")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import re
 from collections.abc import Mapping
@@ -12,6 +11,7 @@ from typing import Any, get_args
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
 from ..entry import Entry
+from ..errors import closest
 from .schedule import rational
 
 LARGEST = 1e12  # of any number in SI units: what lies beyond is a slip, and its square or cube soon no number any more
@@ -249,9 +249,7 @@ def _explain(model: type[Params], error: Any) -> str:
     name = ".".join(str(part) for part in error["loc"]) or model.__qualname__
     if error["type"] == "extra_forbidden":
         known = [d.name for d in declarations(model)]
-        near = difflib.get_close_matches(name, known, 1)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
-        return f"parameter {name} is unknown{hint}; this block has {', '.join(known)}"
+        return f"parameter {name} is unknown{closest(name, known)}; this block has {', '.join(known)}"
     message = error["msg"].removeprefix("Value error, ")
     if error["type"] == "value_error" and not error["loc"]:
         return f"parameters: {message}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from itertools import chain
 from os.path import isfile, samefile
@@ -73,14 +73,22 @@ def locate(name: str) -> tuple[str, Path]:
     if path.suffix in (".yaml", ".yml") and isfile(path):
         return path.stem, path
     found = find(name)
+    if found is None and (path / "metrics.json").is_file():
+        raise ScenarioError(f"{name}: is a run, expected a scenario; `softrig run --like {name}` repeats that run")
     if found is None and (path.suffix in (".yaml", ".yml") or len(path.parts) > 1):
-        raise ScenarioError(f"{name}: no such file, expected a scenario's YAML file or its name")
+        listed = f"; a scenario of this name is there: {path.stem}" if find(path.stem) is not None else ""
+        raise ScenarioError(f"{name}: no such file, expected a scenario's YAML file or its name{listed}")
     if found is None:
         known = list_scenarios()
-        raise ScenarioError(
-            f"scenario {name!r} is unknown{closest(name, known)}; `softrig list` shows all {len(known)}"
-        )
+        near = closest(name, known) or ends(name, known)
+        raise ScenarioError(f"scenario {name!r} is unknown{near}; `softrig list` shows all {len(known)}")
     return name, found
+
+
+def ends(name: str, known: Iterable[str]) -> str:
+    """Suggest the scenarios of which a name is the last part."""
+    found = [one for one in known if one.endswith(f"_{name}")][:3]
+    return f" (did you mean {' or '.join(map(repr, found))}?)" if found else ""
 
 
 def read(path: Path) -> dict[str, Any]:
