@@ -45,7 +45,7 @@ KINDS = {
     "reference": (
         "Reference",
         "Everything by name; most of it is made from the code.",
-        ("scenario_file", "file_formats", "model_kit", "licences"),
+        ("scenario_file", "names", "file_formats", "model_kit", "licences"),
     ),
     "lab": (
         "Laboratory",
@@ -76,6 +76,7 @@ KEYWORDS = {
     "classroom": "course, students, teaching, lecturer, marks, grading, windows, wsl",
     "learning": "gym, gymnasium, reinforcement, agent, rl",
     "linear_view": "bode, nyquist, poles, margin, linearize, eigenvalues",
+    "names": "vocabulary, glossary, simulink, units, jointstate, ampere, volt, renamed, alias, deprecated",
     "file_formats": "urdf, comtrade, fmu, csv, tags, columns, mimic, damping, friction",
     "outside_tools": "plotjuggler, foxglove, rviz, gif, video, animation",
     "board_tutorial": "arduino, uno, firmware, serial, simavr, hil",

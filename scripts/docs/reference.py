@@ -7,7 +7,6 @@ import importlib
 import inspect
 import re
 from collections.abc import Callable
-from importlib.metadata import distribution
 from pathlib import Path
 from typing import get_args
 from unittest import mock
@@ -18,6 +17,7 @@ from softrig_bringup import cli
 from softrig_control.nodes.fault import Fault, FaultParams, Kind
 from softrig_core import ScenarioError
 from softrig_core.judge.registry import find, registered
+from softrig_core.renamed import executables
 from softrig_core.rig.installed import load_block
 from softrig_core.wire.types import TYPES
 
@@ -128,9 +128,8 @@ def all_nodes() -> dict[str, str]:
     ]
     pages: dict[str, str] = {}
     for package in PACKAGES:
-        found = sorted(distribution(package).entry_points.select(group="console_scripts").names)
         shown = []
-        for executable in found:
+        for executable in executables(package):
             try:
                 load_block(package, executable)
             except ScenarioError:

@@ -15,6 +15,7 @@ A page holds pairs of markers; what stands between them is made from the code an
                                                                     anew only with --runs
     <!-- format: softrig_robots.urdf_file URDF -->                 a table of what is used, ignored, refused of a file
     <!-- exported: all -->                                          classes that have C; anew only with --runs
+    <!-- names: nodes -->                                      nodes, topics, parameters or verbs with the field's names
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
 
@@ -50,10 +51,11 @@ from softrig_core.verdict.findings import hold
 from . import drawn, numbers
 from .exported import exported
 from .licences import licences
+from .names import names
 from .plots import animate, animation, draw, picture
 from .rooms import rooms
 
-_KINDS = "exported|format|licences|rooms|code|nodes|claims|scenarios|sources|picture|animation|measured"
+_KINDS = "names|exported|format|licences|rooms|code|nodes|claims|scenarios|sources|picture|animation|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 LONG = 6  # rows of measurements; more are folded
 ANIMATION = re.compile(r"<!-- animation: (\S+) (\S+) (\S+) -->")
@@ -78,6 +80,7 @@ def generate(page: str, runs: bool = False) -> str:
             "exported": lambda: exported([] if first == "all" else [first, *words]),
             "rooms": lambda: house(first),
             "code": lambda: code(first, words),
+            "names": lambda: names(first),
             "licences": lambda: licences(found[3]),
             "format": lambda: file_format(getattr(import_module(first), words[0])),
         }
@@ -104,9 +107,36 @@ def node(package: str, executable: str) -> tuple[str, str]:
     inputs, outputs = block.ports(block.Params())
     text = ["| topic | | type | values |", "|---|---|---|---|"]
     text += [_topic(port, "reads") for port in inputs] + [_topic(port, "publishes") for port in outputs]
-    text += ["", *parameters(block.Params)]
+    text += ["", *carried((*inputs, *outputs)), *parameters(block.Params)]
     head = (block.__doc__ or "").strip().splitlines()[0]
     return re.sub(":math:(`[^`]*`)", _plain, head), "\n".join(text)
+
+
+_MECHANICAL = {"position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "effort": ("N m", "N")}
+
+
+def carried(ports: Sequence[Port]) -> list[str]:
+    """Return a paragraph on fields of JointState that carry another unit than a joint's, and why; none, no lines."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for port in ports:
+        if port.msgtype.endswith("/JointState"):
+            for label, unit in zip(port.labels, port.units, strict=True):
+                field = label.rpartition("/")[2]
+                if unit not in _MECHANICAL[field]:
+                    units = found.setdefault(field, {}).setdefault(port.topic, [])
+                    units += [unit or "no unit"] if (unit or "no unit") not in units else []
+    why = {
+        "position": "measured or computed values with a name",
+        "velocity": "rates in the unit of their position",
+        "effort": "what an actuator or a source is told to apply, as in the effort interface of ros2_control",
+    }
+    if not found:
+        return []
+    parts = []
+    for field in (f for f in _MECHANICAL if f in found):
+        topics = (f"`{topic}` ({', '.join(units)})" for topic, units in found[field].items())
+        parts.append(f"`{field}` of {', '.join(topics)}: {why[field]}")
+    return [f"JointState carries other quantities than a joint's here (page *Names*): {'; '.join(parts)}.", ""]
 
 
 def _plain(formula: re.Match[str]) -> str:

@@ -31,6 +31,15 @@ def test_layouts_of_a_package_are_as_the_plots_of_its_scenarios_say(name):
     assert held == made, f"out of date: run {write}"
 
 
+def test_legends_and_titles_have_units():
+    made = files(rig_of("pmsm_foc"))
+    panels = json.loads(made["pmsm_foc.foxglove.json"])["configById"].values()
+    labels = {path["value"]: path["label"] for panel in panels for path in panel["paths"]}
+    assert labels["/joint_states.velocity[0]"] == "speed (rad/s)"
+    assert labels["/currents.vector.x"].endswith("(A)")
+    assert 'tab_name="Torque, N m"' in made["pmsm_foc.plotjuggler.xml"]
+
+
 def test_no_layout_is_left_of_what_is_gone():
     held = {(p.parent, p.name.partition(".")[0]) for p in ROOT.glob("ros_pkgs/*/layouts/*")}
     assert held == {(folder(name), scenario) for name, scenario in SHOWN.items()}

@@ -7,11 +7,11 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from pages import drawn, generated as pages, numbers
+from pages import drawn, generated as pages, names, numbers
 from pages.drawn import rectifier_mpc
 from pages.plots import animate
 from ruamel.yaml import YAML
-from softrig_bringup.cli import main, make_parser
+from softrig_bringup.cli import VERBS, main, make_parser
 from softrig_bringup.study.definition import list_studies, make_study
 from softrig_core import ScenarioError, figures_of, list_scenarios, load_scenario, rig_of, simulate
 from softrig_nodes.processes.executables import find_executable
@@ -228,6 +228,11 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
     assert told("9.87", rest="bench gupfc") == []
     assert told("9.87", rest="paper Table 1") == ["'rest' is no number"]
     assert told("0.0166667 and 1.5", **{"1.5": "scenario gupfc", "0.0166667": "= 1/60"}) == []
+
+
+def test_the_page_of_names_has_every_node_and_command_and_no_other():
+    assert set(names.NODES) == set(names.blocks())
+    assert set(names.VERBS) == VERBS
 
 
 def test_a_stale_page_is_told_and_mended(tmp_path, capsys):

@@ -21,6 +21,7 @@ from softrig_core import (
     ScenarioError,
     Solver,
     param,
+    renamed,
     rig_of,
     run_inprocess,
 )
@@ -36,8 +37,7 @@ EXTREME = (*NUMBERS, *SLIPS)
 def executables() -> Iterator[tuple[str, str, type[Block]]]:
     """Give package, executable and block of every node that is installed."""
     for package in sorted({d.name for d in importlib.metadata.distributions() if d.name.startswith("softrig_")}):
-        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
-        for name in sorted(points.names):
+        for name in renamed.executables(package):
             try:
                 yield package, name, load_block(package, name)
             except ScenarioError:  # a tool

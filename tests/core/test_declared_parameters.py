@@ -1,6 +1,5 @@
 """Each declared parameter of each executable keeps type, range and existence, whatever is asked of the services."""
 
-import importlib.metadata
 import math
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from softrig_core.block.params import build, declarations, flatten
 from softrig_core.errors import ScenarioError
+from softrig_core.renamed import executables
 from softrig_core.rig.installed import load_block
 from softrig_core.rig.options import Links, RunOptions
 from softrig_nodes.adapter.adapter import Adapter
@@ -30,7 +30,7 @@ TINY = 5e-324
 
 def blocks():
     for file in sorted(ROOT.glob("ros_pkgs/*/setup.cfg")):
-        for name in sorted(importlib.metadata.distribution(file.parent.name).entry_points.names):
+        for name in executables(file.parent.name):
             try:
                 block = load_block(file.parent.name, name)
                 block.Params()

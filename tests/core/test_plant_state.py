@@ -1,7 +1,5 @@
 """Every plant names its state, and can be linearised."""
 
-import configparser
-import re
 from pathlib import Path
 
 import control
@@ -11,6 +9,7 @@ from softrig_control.discretise import zero_order_hold
 from softrig_control.nodes.linear_plant import LinearPlant
 from softrig_core import ByHand, Plant, Sampled, ScenarioError, equilibrium, state_type, to_ns
 from softrig_core.kit.floats import numbers
+from softrig_core.renamed import executables
 from softrig_core.rig.installed import load_block
 from softrig_drives.dc_motor.model import state_space
 from softrig_drives.dc_motor.plant import DcMotorPlant
@@ -26,10 +25,7 @@ def plants():
     """Executable to class."""
     found = {}
     for file in sorted(ROOT.glob("ros_pkgs/*/setup.cfg")):
-        config = configparser.ConfigParser()
-        config.read(file)
-        scripts = config.get("options.entry_points", "console_scripts", fallback="")
-        for name in re.findall(r"^(\w+) *=", scripts, re.M):
+        for name in executables(file.parent.name):
             try:
                 kind = load_block(file.parent.name, name)
             except ScenarioError:  # a tool

@@ -219,7 +219,7 @@ def test_a_recording_keeps_numbers_until_somebody_asks_for_bytes_and_both_say_th
 
 
 @pytest.mark.parametrize(
-    ("package", "executable"), [("softrig_systems", "aqm_controller"), ("softrig_control", "certificate")]
+    ("package", "executable"), [("softrig_systems", "aqm_controller"), ("softrig_control", "gpc_certificate")]
 )
 def test_nothing_is_loaded_in_the_first_tick_of_a_node_in_real_time(package, executable):
     code = f"""

@@ -2,7 +2,6 @@
 
 import math
 from contextlib import contextmanager
-from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from softrig_core import renamed
 from softrig_core.block.params import declarations, flatten
 from softrig_core.errors import ScenarioError
 from softrig_core.rig.installed import load_block
@@ -22,13 +22,13 @@ from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.ros.ros import RosMiddleware, ServingNode, plain
 
 ROOT = Path(__file__).parents[2]
-FMUS = ("fmu_law", "fmu_plant")  # nothing without a file
+FMUS = ("fmu_controller", "fmu_plant")  # nothing without a file
 DAILY = ("dc_motor_smc", "profile_generator", "reference_source", "rectifier_plant")  # optional numbers, lists, a plant
 
 
 def executables():
     for file in sorted(ROOT.glob("ros_pkgs/*/setup.cfg")):
-        for name in sorted(distribution(file.parent.name).entry_points.select(group="console_scripts").names):
+        for name in renamed.executables(file.parent.name):
             if name in FMUS:
                 continue
             try:

@@ -334,7 +334,7 @@ COMPUTED = {  # what figures take from the rig, once more
     "pv_in_global_basin": at_end,
     "pv_local_maximum": lambda s, n, a: sorted(p.p for p in string(s, n, a["at"]).peaks)[-2],
     "pwa_level_covered": covered,
-    "dispatch_setpoint": first_unit,
+    "dispatch_set_point": first_unit,
 }
 
 
@@ -672,7 +672,7 @@ def measured_for_each_change(scenario):
 RECORDED = {  # scenario: functions that must move there with what they take
     "tcp_aqm_smc_s5_sspd": {"aqm_mean_square_window"},
     "tcp_aqm_smc_s4": {"aqm_utilisation"},
-    "economic_dispatch_wood": set(),  # dispatch_setpoint takes names, of which there is no little change
+    "economic_dispatch_wood": set(),  # dispatch_set_point takes names, of which there is no little change
     "fault_location_m4k": {"fault_location_error", "fault_location_error_percent"},
     "gupfc": {"gupfc_drift"},
     "gupfc_s2": set(),  # gupfc_distortion takes a frequency that the pulses fix

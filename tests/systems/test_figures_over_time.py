@@ -127,7 +127,7 @@ CASES = {
     "aqm_deviation": one(slow, last=1.0),
     "aqm_mean_square_window": one(lambda t: 8.0 + slow(t), queue=50.0, N=20, C=500.0, tau_p=0.1, sign=None),
     "aqm_utilisation": Case({"network/truth/served/position": lambda t: 40.0 * t}, capacity=50.0, sign=None),
-    "dispatch_setpoint": Case({"dispatch/setpoints/u1/effort": slow}, units=("u1",), sign=-1.0),
+    "dispatch_set_point": Case({"dispatch/setpoints/u1/effort": slow}, units=("u1",), sign=-1.0),
     "dtc_circle_centre": Case({k: v for k, v in FLUX.items() if "true" in k}, tolerance=0.05),
     "dtc_converter_error": Case(
         {"currents_meas/x": lambda t: slow(t) + 0.1 * np.sin(7.0 * t), "currents_true/x": slow},

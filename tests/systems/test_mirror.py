@@ -12,21 +12,22 @@ from conftest import make_scenario
 from softrig_control.pid import Pid, PidParams, PidState
 from softrig_control.state_feedback import StateFeedback
 from softrig_core import Plant, Sample, simulate
+from softrig_core.renamed import executables
 from softrig_core.rig.installed import block_of, load_main
 
 ODD = {
     "softrig_control": "fieldbus_delay forward_command gpc_controller linear_plant unit_delay",
-    "softrig_drives": "dc_motor_pid dc_motor_smc fsfb_controller lsrm_fuzzy lsrm_pi speed_controller",
+    "softrig_drives": "dc_motor_pid dc_motor_smc dc_axis_controller lsrm_fuzzy lsrm_pi speed_controller",
     "softrig_systems": "delay_line momentum_feedback scalar_plant",
 }
 LATER = {
-    "softrig_drives": "bldc_plant current_sensor foc_controller im_foc_controller induction_plant pmsm_plant "
+    "softrig_drives": "bldc_plant current_sensor foc_controller induction_foc_controller induction_plant pmsm_plant "
     "shaft_sensor six_step_controller vhz_controller "
-    "current_controller dc_axis_plant dc_motor_plant dc_motor_smc_kalman im_plant lsrm_mrac "
+    "current_controller dc_axis_plant dc_motor_plant dc_motor_smc_kalman induction_dtc_plant lsrm_mrac "
     "lsrm_plant",
     "softrig_power": "dcdc_plant series_controller shunt_controller pv_plant",
-    "softrig_robots": "arm_controller arm_plant impedance manipulator_plant rehab_plant vcs_controller "
-    "voltage_controller",
+    "softrig_robots": "arm_controller arm_plant impedance manipulator_plant rehab_plant manipulator_controller "
+    "rehab_controller",
     "softrig_systems": "aqm_controller ocp_plant pendulum_controller pendulum_plant spacecraft_plant "
     "switched_delay_plant tank_controller tank_plant tcp_fluid tcp_packets two_state_plant",
 }
@@ -34,18 +35,18 @@ TIME = {  # what they do is a function of time, by name or by the grid's angle
     "softrig_control": "command_source reference_source scalar_source",
     "softrig_drives": "dtc_controller flux_observer lsrm_load profile_generator step_buttons",
     "softrig_power": "gupfc_plant line_plant pulse_generator rectifier_plant shading_source unit_fleet",
-    "softrig_robots": "patient prom_reference trajectory_source tuner",
+    "softrig_robots": "patient rehab_reference trajectory_source tuner",
 }
 NOT_OPEN = {  # no numbers in, no numbers out, a file or seconds of a solver are needed
     "softrig_bags": "tape",
     "softrig_core": "clock figures",
-    "softrig_control": "c_controller c_plant certificate fault fmu_law fmu_plant pid_controller policy "
+    "softrig_control": "c_controller c_plant fault fmu_controller fmu_plant gpc_certificate pid_controller policy "
     "requirement_monitor",
     "softrig_drives": "dc_motor_uno",
     "softrig_optim": "optimiser",
-    "softrig_power": "dispatch_solver fault_locator gpc_controller location_marker mppt_optimizer power_flow pv_curves",
+    "softrig_power": "dispatch_solver fault_locator rectifier_gpc location_marker mppt_optimiser power_flow pv_curves",
     "softrig_robots": "robot_dynamics",
-    "softrig_systems": "certificate collocation_planner lyapunov_monitor margin_search mvim_planner "
+    "softrig_systems": "pwa_certificate collocation_planner lyapunov_monitor margin_search mvim_planner "
     "ocp_evaluator ocp_player",
 }
 
@@ -79,11 +80,11 @@ def driven(package, executable, sign=1.0, begin=0):
 
 def test_every_executable_is_here():
     found = {
-        (d.metadata["Name"], point.name)
+        (d.metadata["Name"], name)
         for d in importlib.metadata.distributions()
         if (d.metadata["Name"] or "").startswith("softrig")
-        for point in d.entry_points.select(group="console_scripts")
-        if block_of(load_main(d.metadata["Name"], point.name)) is not None
+        for name in executables(d.metadata["Name"])
+        if block_of(load_main(d.metadata["Name"], name)) is not None
     }
     assert sorted(found) == sorted(pairs(ODD, LATER, TIME, NOT_OPEN))
 

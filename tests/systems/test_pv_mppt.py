@@ -43,7 +43,7 @@ from softrig_power.pv.converter import (
 from softrig_power.pv.curves import PvCurves
 from softrig_power.pv.figures import POWER
 from softrig_power.pv.module import ModuleParams, cell
-from softrig_power.pv.mppt import MpptOptimizer
+from softrig_power.pv.mppt import MpptOptimiser
 from softrig_power.pv.plant import PvPlant
 from softrig_power.pv.shading import ShadingSource
 from softrig_power.pv.string import characteristic
@@ -469,7 +469,7 @@ def power_of(plant):
 def after_a_cloud(algorithm, light, begin, end, seconds, seed=0):
     """Power at each tick after a cloud over pattern 1, and the states."""
     powers, states = [], []
-    plant, tracker = ByHand(PvPlant()), ByHand(MpptOptimizer(algorithm=algorithm))
+    plant, tracker = ByHand(PvPlant()), ByHand(MpptOptimiser(algorithm=algorithm))
     tracker.reset(seed)
     for tick in range(round((end + seconds) * 1000)):
         t = tick * 1_000_000
@@ -561,10 +561,10 @@ def test_noise_costs_a_percent():
 
 def test_tracker_knows_nothing_of_the_plant():
     """Its only measurement is the port of the string."""
-    inputs, outputs = MpptOptimizer.ports(MpptOptimizer.Params())
+    inputs, outputs = MpptOptimiser.ports(MpptOptimiser.Params())
     assert [p.topic for p in inputs] == ["pv/port", "mppt/start", "mppt/stop", "mppt/restart"]
     assert [p.topic for p in outputs] == ["converter/duty", "mppt/status"]
-    assert not {"module", "converter", "irradiance", "R_L"} & set(MpptOptimizer.Params.model_fields)
+    assert not {"module", "converter", "irradiance", "R_L"} & set(MpptOptimiser.Params.model_fields)
 
 
 def test_curves_on_request():
@@ -684,7 +684,7 @@ def test_impossible_conditions_are_refused(change, text):
 
 def test_darkness_and_light_again():
     """All modules dark: no power, no division; the tracker keeps its duty and searches when the light is back."""
-    plant, tracker = ByHand(PvPlant()), ByHand(MpptOptimizer(algorithm="ramp"))
+    plant, tracker = ByHand(PvPlant()), ByHand(MpptOptimiser(algorithm="ramp"))
     phases, duties, t = [], [], 0
     for tick in range(2000):
         light = PATTERN1 if tick < 500 or tick >= 1500 else (0.0,) * 4
@@ -703,7 +703,7 @@ def test_darkness_and_light_again():
 
 def in_changing_light(light, duration, *, seed=0, **values):
     """Run tracker and string with light(s) on the modules; give the power at the end and the states."""
-    plant, tracker, states = ByHand(PvPlant()), ByHand(MpptOptimizer(**values)), []
+    plant, tracker, states = ByHand(PvPlant()), ByHand(MpptOptimiser(**values)), []
     tracker.reset(seed)
     for tick in range(round(duration * 1000)):
         t = tick * 1_000_000
@@ -779,7 +779,7 @@ def test_the_proven_bound_goes_when_the_light_changes(algorithm):
 @pytest.mark.parametrize("algorithm", ["certified", "ramp"])
 def test_refused_measurements_leave_a_gap_and_no_trace(algorithm):
     """The node refuses NaN: the tracker stays with its duty, measures it again, and finds what it finds without."""
-    plant, tracker, found = ByHand(PvPlant()), ByHand(MpptOptimizer(algorithm=algorithm)), []
+    plant, tracker, found = ByHand(PvPlant()), ByHand(MpptOptimiser(algorithm=algorithm)), []
     for tick in range(1500):
         t, duty = tick * 1_000_000, found[-1] if found else None
         if tick % 50 == 30:
@@ -794,7 +794,7 @@ def test_refused_measurements_leave_a_gap_and_no_trace(algorithm):
 
 
 def test_search_in_the_dark_makes_no_claim():
-    tracker = ByHand(MpptOptimizer(algorithm="issa"))
+    tracker = ByHand(MpptOptimiser(algorithm="issa"))
     for tick in range(4000):
         state = tracked(tracker, tick * 1_000_000, (0.0, 0.0, 25.0))["state"]
         assert state[0] == 1.0

@@ -15,7 +15,7 @@ from softrig_power.pv import array, converter, figures, string
 from softrig_power.pv.converter import BuckBoostMatching, ConverterParams, seen_resistance, steady_state
 from softrig_power.pv.curves import PvCurves
 from softrig_power.pv.module import Cell, ModuleParams, cell
-from softrig_power.pv.mppt import MpptOptimizer, MpptParams
+from softrig_power.pv.mppt import MpptOptimiser, MpptParams
 from softrig_power.pv.plant import PvPlant, PvPlantParams
 from softrig_power.pv.shading import ShadingSource, ShadingSourceParams
 from softrig_power.pv.string import Characteristic, Peak, characteristic
@@ -363,7 +363,7 @@ def test_the_tracker_makes_the_search_that_is_asked_for():
     ramp = MpptParams(algorithm="ramp", ramp_time=0.12, period=0.04).search(rng)
     assert isinstance(ramp, RampScan)
     assert not isinstance(MpptParams().search(rng), CertifiedSearch | RampScan)
-    tracker = MpptOptimizer(duty_slew=3.0)
+    tracker = MpptOptimiser(duty_slew=3.0)
     assert (tracker.objective((20.0, 2.5, 40.0)), tracker.slew()) == (50.0, 3.0)
 
 
@@ -380,7 +380,7 @@ def test_the_tracker_makes_the_search_that_is_asked_for():
     ],
 )
 def test_darkness_is_no_power_and_no_current(floor, sample, dark):
-    tracker = MpptOptimizer(floor=floor)
+    tracker = MpptOptimiser(floor=floor)
     assert tracker.no_signal(sample, sample[0] * sample[1]) == dark
 
 

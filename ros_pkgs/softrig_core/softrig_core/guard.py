@@ -10,8 +10,10 @@ import re
 import shlex
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +54,9 @@ def guarded(work: Callable[[], int]) -> int:
     try:
         try:
             _need_directory()
-            status = work()
+            with warnings.catch_warnings():
+                warnings.showwarning = partial(_warn, warnings.showwarning)
+                status = work()
             return 1 if _incomplete and not status else status
         finally:
             _flush()  # while there is still somebody to tell that the disk is full
@@ -137,6 +141,14 @@ def is_quiet() -> bool:
 def say(what: object) -> None:
     """Print one line about what happens, short enough to read."""
     tell("softrig", what)
+
+
+def _warn(other: Callable[..., None], message: Warning | str, category: type[Warning], *rest: Any) -> None:
+    """Print a warning about an old name as one line; Python shows all others."""
+    if issubclass(category, FutureWarning):
+        say(message)
+    else:
+        other(message, category, *rest)
 
 
 def incomplete(what: object) -> None:

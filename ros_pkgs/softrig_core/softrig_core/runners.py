@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 from .errors import ScenarioError
 from .guard import tell
 from .interrupt import interrupt
+from .renamed import former, notice
 
 GROUP = "softrig_runner"
 
@@ -50,10 +51,13 @@ def run_node(block_class: type[Any], args: Sequence[str] | None = None) -> NoRet
     """
     interrupt.install()
     argv = sys.argv if args is None else list(args)
+    package, name = block_class.__module__.partition(".")[0], Path(argv[0]).name
+    if name in former(package):
+        tell(name, notice(package, name))
     try:
         run = find_runner("node")
     except ScenarioError as error:
-        tell(Path(argv[0]).name, error)
+        tell(name, error)
         sys.exit(2)
     run(block_class, argv)
     raise AssertionError("a node ends its process")

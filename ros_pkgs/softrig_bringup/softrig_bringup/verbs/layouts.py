@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree.ElementTree import indent, tostring
 
 from softrig_core import Port, Rig, ScenarioError, rig_of
+from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
 from softrig_core.wire.signals import topic_of
 
@@ -67,12 +68,15 @@ class Plotted:
     ----------
     title : str
         With the unit.
+    unit : str
+        Of all curves, as people read it; empty for a number without one.
     curves : tuple of (topic, port, label of the value, what it is called)
     over : str
         Label of the value on the x axis, of the same topic; empty for time.
     """
 
     title: str
+    unit: str
     curves: tuple[tuple[str, Port, str, str], ...]
     over: str = ""
 
@@ -88,7 +92,7 @@ def _plots(rig: Rig) -> Iterator[Plotted]:
         for unit, row in rows.items():
             topics = {name: topic_of(name, rig.topics) for name in row}
             curves = tuple((t, rig.topics[t], name[len(t) + 1 :], row[name]) for name, t in topics.items())
-            yield Plotted(axis_title(entry.title, unit), curves, entry.x)
+            yield Plotted(axis_title(entry.title, unit), pretty_unit(unit), curves, entry.x)
 
 
 def _plotjuggler(plots: Sequence[Plotted]) -> str:
@@ -125,11 +129,11 @@ def _foxglove(plots: Sequence[Plotted], rig: Rig) -> str:
     if scene is not None:
         panels["3D!robot"] = {"followTf": scene.base, "topics": {"/robot_description": {"visible": True}}}
     for number, plot in enumerate(plots, 1):
-        paths = [_path(topic, port, label, said) for topic, port, label, said in plot.curves]
+        paths = [_path(topic, port, label, said, plot.unit) for topic, port, label, said in plot.curves]
         own: dict[str, Any] = {"xAxisVal": "timestamp"}
         if plot.over:
             topic, port, *_ = plot.curves[0]
-            over = _path(topic, port, plot.over, "")
+            over = _path(topic, port, plot.over, "", "")
             own = {"xAxisVal": "custom", "xAxisPath": {"value": over["value"], "enabled": True}}
         panels[f"Plot!plot{number:02d}"] = {
             "title": plot.title,
@@ -170,14 +174,14 @@ def _column(names: Sequence[str]) -> Any:
     }
 
 
-def _path(topic: str, port: Port, label: str, said: str) -> Mapping[str, Any]:
-    """Return a message path, with the time of the header where there is one."""
+def _path(topic: str, port: Port, label: str, said: str, unit: str) -> Mapping[str, Any]:
+    """Return a message path, with the time of the header where there is one, and the unit in its legend."""
     stamp = "headerStamp" if port.stamped else "receiveTime"
     return {
         "value": f"/{topic}.{_place(port, label)}",
         "enabled": True,
         "timestampMethod": stamp,
-        "label": said or label,
+        "label": f"{said or label} ({unit})" if unit else said or label,
     }
 
 

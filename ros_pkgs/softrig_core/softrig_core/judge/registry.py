@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from ..errors import ScenarioError, closest
+from ..renamed import former, report
 from . import measures
 from .measures import Function
 
@@ -25,7 +26,12 @@ def _installed(_: tuple[str, ...]) -> dict[str, importlib.metadata.EntryPoint]:
 
 def registered() -> list[str]:
     """Names of all figure functions that are installed."""
-    return sorted({*measures.__all__, *_points()})
+    new = (name for name, point in _points().items() if name not in former(_package(point)))
+    return sorted({*measures.__all__, *new})
+
+
+def _package(point: importlib.metadata.EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else ""
 
 
 def find(name: str) -> Function:
@@ -44,6 +50,7 @@ def find(name: str) -> Function:
             f"no figure function {name!r} is registered{closest(name, registered())}; "
             f"a package registers its own in the group {GROUP}"
         )
+    report(_package(point), name)
     try:
         function: Any = point.load()
     except (ImportError, AttributeError) as error:

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..block.block import Block
 from ..errors import ScenarioError, closest, describe
+from ..renamed import executables
 
 _NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the C library and its loader
 
@@ -65,8 +66,8 @@ def _found(package: str, executable: str, _: tuple[str, ...]) -> type[Block]:
     except importlib.metadata.PackageNotFoundError:
         near = closest(package, (d.name for d in importlib.metadata.distributions()))
         raise ScenarioError(f"package {package!r} is not installed in this environment{near}") from None
-    names = sorted(points.names)
-    if executable not in names:
+    names = executables(package)
+    if executable not in points.names:
         raise ScenarioError(
             f"package {package} has no executable {executable!r}{closest(executable, names)}; it has {', '.join(names)}"
         )

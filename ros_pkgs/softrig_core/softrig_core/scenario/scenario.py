@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
 
+from .. import renamed
 from ..board.clocked import ClockEntry
 from ..board.entry import LinkEntry
 from ..entry import Entry
@@ -52,6 +53,15 @@ class NodeEntry(Entry):
         False, description="somebody else starts it; our executable only tells its ports"
     )
     link: LinkEntry | None = Field(None, description="a board with its exported firmware answers its ticks")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_its_new_name(cls, given: Any) -> Any:
+        if isinstance(given, Mapping):
+            package, executable = given.get("package"), given.get("executable")
+            if isinstance(package, str) and isinstance(executable, str):
+                return {**given, "executable": renamed.report(package, executable)}
+        return given
 
 
 class FigureEntry(Entry):

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from ..errors import ScenarioError, closest
 from ..kit.resource import prefixes
+from ..renamed import report
 from .yaml_file import SIZE, read_mapping
 
 SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
@@ -198,6 +199,7 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
     if not isinstance(change, Mapping):
         raise ScenarioError(f"a variant is a mapping of changes, got {change!r}")
     below = {k: v for k, v in base.items() if k not in OWN}
+    change = _by_new_names(below.get("nodes"), change)
     for part, what, lost in (
         ("nodes", "executable", ("parameters",)),
         ("figures", "function", ("arguments", "unit", "since")),
@@ -206,6 +208,21 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
         if isinstance(old, Mapping) and isinstance(new, Mapping):
             below[part] = {k: _without(v, new.get(k), what, lost) for k, v in old.items()}
     return merge(below, change)
+
+
+def _by_new_names(below: Any, change: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Give executables their new names: one that is inherited by its new name is no other one."""
+    nodes, below = change.get("nodes"), below if isinstance(below, Mapping) else {}
+    if not isinstance(nodes, Mapping):
+        return change
+    found = dict(nodes)
+    for name, entry in nodes.items():
+        if isinstance(entry, Mapping) and isinstance(executable := entry.get("executable"), str):
+            old = below.get(name)
+            package = entry.get("package", old.get("package") if isinstance(old, Mapping) else None)
+            if isinstance(package, str):
+                found[name] = {**entry, "executable": report(package, executable)}
+    return {**change, "nodes": found}
 
 
 def _without(old: Any, new: Any, what: str, lost: tuple[str, ...]) -> Any:

@@ -9,7 +9,7 @@ from softrig_core.judge.measures import final_value
 
 
 @figure("MW", ("dispatch/setpoints/*",), {"units": "dispatch/units"})
-def setpoint(signals: SignalMap, *, units: Sequence[str], place: int = 1, end: float | None = None) -> float:
+def set_point(signals: SignalMap, *, units: Sequence[str], place: int = 1, end: float | None = None) -> float:
     """Newest set point (MW) of a unit by its place in the table, whatever its name.
 
     Parameters

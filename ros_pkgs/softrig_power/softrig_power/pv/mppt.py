@@ -59,7 +59,7 @@ class MpptParams(SearchParams):
                 return make(algorithm, lower, upper, rng, self, maximise=True)
 
 
-class MpptOptimizer(CommandSearch[MpptParams]):
+class MpptOptimiser(CommandSearch[MpptParams]):
     """Tracker of the maximum power point; sees only voltage and current of the string.
 
     See `CommandSearch` for when it searches and restarts, `softrig_optim` for the algorithms.
