@@ -11,12 +11,13 @@ import pytest
 from conftest import differences, in_process
 from softrig_bringup.cli import main
 from softrig_bringup.falsify import engine, picture
+from softrig_bringup.falsify.definition import falsification_of
 from softrig_bringup.falsify.search import search
 from softrig_bringup.falsify.shrink import shrink
 from softrig_bringup.falsify.space import parse, space_of
 from softrig_bringup.run.run import checked
 from softrig_bringup.study.work import run, trial
-from softrig_core import Scenario, ScenarioError, load_scenario, rig_of, simulate
+from softrig_core import RunError, Scenario, ScenarioError, load_scenario, rig_of, simulate
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
 from told import check_told, figure_lines, on_paper
 
@@ -266,8 +267,8 @@ def outcome(folder):
 
 
 def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, tmp_path, capsys):
-    given = ["falsify", str(file), "--over", "dc_motor_plant.R=0.5..2.5", "--budget", "12", "--workers", "1",
-             "--over", "dc_motor_smc.delta=log 0.5..20", "--no-plots"]  # fmt: skip
+    given = ["falsify", str(file), "--strict", "--over", "dc_motor_plant.R=0.5..2.5", "--budget", "12",
+             "--workers", "1", "--over", "dc_motor_smc.delta=log 0.5..20", "--no-plots"]  # fmt: skip
     assert main([*given, "--out", str(tmp_path / "a")]) == 1
     said = " ".join(capsys.readouterr().out.split())
     found = outcome(tmp_path / "a")
@@ -293,7 +294,7 @@ def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, t
 @pytest.mark.parametrize(
     "words",
     [
-        ["falsify", "--over", "dc_motor_plant.R=0.5..2.5"],
+        ["falsify", "--strict", "--over", "dc_motor_plant.R=0.5..2.5"],
         ["study", "--search", "overshoot", "--draw", "dc_motor_plant.R=0.5..2.5"],
     ],
 )
@@ -312,12 +313,42 @@ def test_a_rig_that_does_not_repeat_is_not_searched(file, words, tmp_path, capsy
 
 def test_where_nothing_violates_it_says_what_came_nearest(file, tmp_path, capsys):
     assert main(["falsify", str(file), "--over", "dc_motor_plant.R=0.6..0.7", "--budget", "8", "--workers", "1",
-                 "--no-plots", "--out", str(tmp_path / "a")]) == 0  # fmt: skip
+                 "--no-plots", "--requirement", "tracking", "--out", str(tmp_path / "a")]) == 0  # fmt: skip
     found = outcome(tmp_path / "a")
     assert (found["violated"], found["runs"]) == ([], 8)
     said = " ".join(capsys.readouterr().out.split())
     assert f"no violation in {found['runs']} runs; least margin {found['least']:.6g}" in said
     assert "dc_motor_plant.R = " in said
+    assert "asked by name: tracking, published for dc_motor_plant.R = 0.4" in said
+
+
+def test_bounds_of_another_machine_judge_none_unless_they_are_asked_for(file, tmp_path, capsys):
+    few = ["--over", "dc_motor_plant.R=0.6..0.7", "--budget", "2", "--workers", "1", "--no-plots"]
+    assert main(["falsify", str(file), *few, "--out", str(tmp_path / "a")]) == 2
+    error = capsys.readouterr().err
+    assert "no requirement follows the machine; tracking: published for dc_motor_plant.R = 0.4; expected --str" in error
+    assert not (tmp_path / "a").exists()
+    file.write_text(f"{FILE}  limited: always abs(speed) <= 10 * set_point\n")
+    assert main(["falsify", str(file), *few, "--out", str(tmp_path / "a")]) == 0
+    assert "not judged: tracking, published for dc_motor_plant.R = 0.4" in capsys.readouterr().out
+    found = outcome(tmp_path / "a")
+    assert (found["requirements"], found["not_judged"]) == (["limited"], ["tracking"])
+    assert list(found["worst"]) == ["limited"]
+    assert found["published_for"] == "dc_motor_plant.R = 0.4"
+    assert main(["falsify", str(file), *few, "--strict", "--out", str(tmp_path / "b")]) == 0
+    assert outcome(tmp_path / "b")["requirements"] == ["tracking", "limited"]
+
+
+def test_a_search_in_which_nothing_runs_has_no_verdict(file, tmp_path, monkeypatch):
+    def breaks(*_, **__):
+        raise RunError("gone")
+
+    task = falsification_of(str(file), {"over": {"dc_motor_plant.R": "0.6..0.7"}, "strict": True, "budget": 2})
+    prepared = engine.prepare(task)
+    monkeypatch.setattr("softrig_bringup.study.work.simulate", breaks)
+    monkeypatch.setattr("softrig_bringup.falsify.outcome.prepare", lambda _: prepared)
+    few = ["--over", "dc_motor_plant.R=0.6..0.7", "--budget", "2", "--workers", "1", "--no-plots", "--strict"]
+    assert main(["falsify", str(file), *few, "--out", str(tmp_path / "a")]) == 3
 
 
 @pytest.mark.parametrize(
@@ -341,7 +372,7 @@ def test_bad_input_is_one_line_before_the_first_run(file, arguments, reason, tmp
     assert not (tmp_path / "a").exists()
 
 
-FEW = ("--over", "dc_motor_plant.R=0.6..0.7", "--budget", "4", "--workers", "1", "--no-plots")  # of one range
+FEW = ("--strict", "--over", "dc_motor_plant.R=0.6..0.7", "--budget", "4", "--workers", "1", "--no-plots")
 
 
 def test_a_package_that_one_range_needs_is_named_before_anything_is_written(file, tmp_path, capsys, monkeypatch):
@@ -365,7 +396,7 @@ def test_what_its_runs_do_not_ask_for_is_judged_before_the_first_one(wrong, file
 
 
 def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(tmp_path):
-    assert main(["falsify", "dc_motor_smc_faults", "--over", "dc_motor_plant.R=0.9..1.3", "--over",
+    assert main(["falsify", "dc_motor_smc_faults", "--strict", "--over", "dc_motor_plant.R=0.9..1.3", "--over",
                  "dc_motor_smc.delta=1..20", "--budget", "8", "--workers", "1", "--no-plots", "--out",
                  str(tmp_path / "a")]) == 1  # fmt: skip
     small = load_scenario(str(tmp_path / "a" / "dc_motor_smc_faults_small.yaml"))

@@ -492,6 +492,17 @@ claims: {largest: {published: 0.1, where: Table I, verdict: refuted, reason: lar
     assert "the verdict refuted does not hold" in capsys.readouterr().out
     content = json.loads((folder / "runs" / "study_gains" / "summaries.json").read_text())
     assert (content["runs"], content["claims"][0]["holds"]) == (2, False)
+    # of another study than the one that is written nothing is judged
+    file.write_text(text.replace("LIMIT", "1000"))
+    assert main(["study", "gains", "--workers", "1", "--duration", "0.2", "--out", "other"]) == 0
+    assert "summaries and claims are not judged: published for the study without other duration" in (
+        capsys.readouterr().out
+    )
+    content = json.loads((folder / "other" / "summaries.json").read_text())
+    assert content["claims"][0]["holds"] is None
+    assert content["summaries"][0]["published_for"] == "the study without other duration"
+    assert ">not judged</span>" in (folder / "other" / "report.html").read_text()
+    assert main(["study", "gains", "--workers", "1", "--figures", "last", "--out", "same"]) == 1  # the same runs
 
 
 def a_row(number, k, value, seed=0, never=()):

@@ -224,6 +224,7 @@ def of_case(number, k=1.0):
     [
         ({}, True), ({"number": "0"}, False), ({"error": None}, False), ({"figures": {"f": "1"}}, False),
         ({"figures": {"f": None, "g": 1}}, True), ({"wall_s": 1}, True), ({"more": 1}, False), ({"never": "f"}, False),
+        ({"passed": None}, True), ({"not_judged": "a"}, False),
         ({"signals": {}}, True), ({"signals": []}, False), ({"passed": 1}, False), ({"seed": 1.0}, False),
     ],
 )  # fmt: skip
@@ -282,11 +283,11 @@ def test_a_batch_runs_what_is_left_and_gives_all_in_order(tmp_path, monkeypatch,
 
 
 def done(results, *, missed=(), signals=None, wanted=None):
-    return SimpleNamespace(results=results, missed=missed, signals=signals or {}, wanted=wanted)
+    return SimpleNamespace(results=results, missed=missed, signals=signals or {}, wanted=wanted, published_for="R = 1")
 
 
 def test_a_run_leaves_its_figures_in_its_row(monkeypatch):
-    results = [SimpleNamespace(name=n, number=v) for n, v in
+    results = [SimpleNamespace(name=n, number=v, judged=n == "a", published_for="") for n, v in
                (("a", 1.5), ("b", math.inf), ("c", math.nan), ("d", -math.inf))]  # fmt: skip
     t = np.array([0.0, 0.1, 0.3, 0.4])
     ran = done(results, missed=results[:1], signals={"s": (t, 10.0 * t), "none": (t[:0], t[:0])})
@@ -304,6 +305,13 @@ def test_a_run_leaves_its_figures_in_its_row(monkeypatch):
     ran.missed = []
     some = work.run(work.Work(case(0), figures=("b", "a")))
     assert (some["figures"], some["passed"], "signals" in some) == ({"a": 1.5, "b": None}, True, False)
+    assert not {"not_judged", "published_for"} & some.keys()
+    results[0].judged, results[0].published_for = False, "R = 1"
+    open_ = work.run(work.Work(case(0)))
+    assert (open_["passed"], open_["not_judged"], open_["published_for"]) == (None, ["a"], "R = 1")
+    assert ran.strict is False
+    work.run(work.Work(case(0), strict=True))
+    assert ran.strict is True
     with pytest.raises(ScenarioError, match="lag has no figure 'x'"):
         work.run(work.Work(case(0), figures=("x", "y")))
 

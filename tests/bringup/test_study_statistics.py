@@ -14,7 +14,7 @@ from softrig_bringup.study.draw import count, drafts_of, draw, points_of
 from softrig_bringup.study.engine import check_seeds
 from softrig_bringup.study.estimate import Estimate
 from softrig_bringup.study.options import study_of
-from softrig_bringup.study.statistics import statistics
+from softrig_bringup.study.statistics import not_judged, statistics
 from softrig_bringup.study.table import results
 from softrig_core import ScenarioError
 from test_study import folder  # noqa: F401  (a scenario `lag` in a folder of its own)
@@ -37,6 +37,20 @@ def rows_of(given, figure, cases=("",)):
         yield {"number": number, "scenario": "lag", "case": case, "seed": seed, "overrides": dict(point), "error": "",
                "figures": {"f": value if value is not None and math.isfinite(value) else None}, "missed": [],
                "never": ["f"] if value == math.inf else []}  # fmt: skip
+
+
+def test_a_requirement_counts_in_the_runs_that_it_judges(folder):  # noqa: F811
+    with (folder / "scenarios" / "lag.yaml").open("a") as file:
+        file.write("shared: {x: lag/state/x/position}\nrequirements: {low: always x <= 1, high: always x >= 0.1}\n")
+    rows, required = [*rows_of(given := study(seeds=4), lambda *at: at[-1])], ["low", "high"]
+    other = {"not_judged": required, "published_for": "pv_plant.N = 1"}
+    one = statistics(given, [rows[0], rows[1] | {"missed": required}, *(row | other for row in rows[2:])], {})
+    assert [(s.requirement, s.held, s.n) for s in one.shares] == [(name, 1, 2) for name in required]
+    none = [row | other for row in rows]
+    assert statistics(given, none, {}).shares == []
+    said = f"not judged in 4 of 4 runs: {', '.join(required)}, published for pv_plant.N = 1 (--strict judges them)"
+    assert not_judged(none) == said
+    assert not_judged(rows) == ""
 
 
 # single numbers ---------------------------------------------------------------------------------------------------

@@ -28,7 +28,9 @@ class Falsification(Entry):
     scenario : str
         Name or file.
     requirements : tuple of str
-        Which; all of the scenario's when empty.
+        Which; when empty, those of the scenario that follow the machine.
+    strict : bool
+        With no `requirements`: all of the scenario's, also those with numbers for the machine as it was.
     over : dict of str to str
         Range by parameter or signal, see `softrig_bringup.falsify.space.parse`.
     budget : int
@@ -43,6 +45,7 @@ class Falsification(Entry):
     title: str = ""
     scenario: str
     requirements: tuple[str, ...] = ()
+    strict: bool = False
     over: dict[str, str] = Field(min_length=1)
     duration: float | None = Field(None, gt=0.0)
     budget: int = Field(200, ge=1, le=1_000_000)

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from softrig_core import Scenario, ScenarioError, load_scenario
+from softrig_core import Scenario, ScenarioError, figures_of, load_scenario
 from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.run.purity import check_pure
+from softrig_core.verdict.figures import follows
 
 from ..folder import replace
 from ..run.run import checked
@@ -21,7 +22,8 @@ from ..study.work import LARGE, repeating, run, trial
 from .definition import Falsification
 from .search import Found, Point, needs, search
 from .shrink import Case, shrink
-from .space import Space, parse, space_of
+from .space import Over, Space, parse, space_of
+from .words import shown
 
 SHRINKING = 100  # runs that a violation is made small with
 
@@ -46,6 +48,12 @@ class Outcome:
         Runs that this took.
     broken : list of (dict, str)
         Changes and reason of the runs that broke.
+    own : tuple of str
+        Of `names`, those with bounds for the machine as it was.
+    not_judged : tuple of str
+        Requirements of the scenario that were left out, as nobody asked for them and they have such bounds.
+    machine : str
+        What that machine had.
     """
 
     space: Space
@@ -58,11 +66,20 @@ class Outcome:
     small_margins: dict[str, float | None]
     shrinking: int
     broken: list[tuple[dict[str, Any], str]]
+    own: tuple[str, ...] = ()
+    not_judged: tuple[str, ...] = ()
+    machine: str = ""
 
     @property
     def violated(self) -> list[str]:
         """Requirements that the worst run violates."""
         return [name for name, margin in self.worst.items() if margin is not None and margin < 0.0]
+
+    @property
+    def bounds(self) -> list[str]:
+        """Describe which bounds are published for the machine as it was: those that were asked for, and the others."""
+        said = {"asked by name": self.own, "not judged": self.not_judged}
+        return [f"{how}: {', '.join(names)}, published for {self.machine}" for how, names in said.items() if names]
 
 
 class Prepared(NamedTuple):
@@ -76,12 +93,17 @@ class Prepared(NamedTuple):
         Their margins without changes.
     content : dict
         What makes it this one and no other.
+    own, not_judged, machine
+        See `Outcome`.
     """
 
     space: Space
     names: tuple[str, ...]
     nominal: dict[str, float | None]
     content: dict[str, Any]
+    own: tuple[str, ...] = ()
+    not_judged: tuple[str, ...] = ()
+    machine: str = ""
 
 
 def prepare(task: Falsification) -> Prepared:
@@ -95,8 +117,17 @@ def prepare(task: Falsification) -> Prepared:
     scenario = load_scenario(task.scenario).changed(duration=task.duration)
     names = _requirements(scenario, task.requirements)
     space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
+    machine = ", ".join(map(_before, space.overs, space.nominal))
     free = {"name", "title", "expect", "budget", "first"}
     rig = checked(scenario)
+    own = {f.name for f in figures_of(rig) if not follows(f, rig.scenario.expect.get(f.name))}
+    left = () if task.requirements or task.strict else tuple(name for name in names if name in own)
+    if len(left) == len(names):
+        raise ScenarioError(
+            f"{task.scenario}: no requirement follows the machine; {', '.join(left)}: published for {machine}; "
+            "expected --strict, which judges other machines by them, or --requirement NAME"
+        )
+    names = tuple(name for name in names if name not in left)
     content = task.model_dump(mode="json", exclude=free) | made_of({task.scenario: scenario}, [rig])
     check_pure(rig)
     if package := needs(task.sampler, space.size):
@@ -104,7 +135,12 @@ def prepare(task: Falsification) -> Prepared:
     nominal = repeating(trial(scenario, {}, names, runs=task.budget))
     if nominal["error"]:
         raise ScenarioError(f"{task.scenario}: the run without changes cannot be judged: {nominal['error']}")
-    return Prepared(space, names, nominal["figures"], content)
+    return Prepared(space, names, nominal["figures"], content, tuple(n for n in names if n in own), left, machine)
+
+
+def _before(over: Over, nominal: Any) -> str:
+    """Describe what the machine has that a search changes."""
+    return f"{over.key} as it is" if nominal is None else f"{over.key} = {shown(nominal)}"
 
 
 def falsify(
@@ -126,7 +162,7 @@ def falsify(
     ScenarioError
         The folder holds another falsification.
     """
-    space, names, nominal, content = prepared
+    space, names, nominal, content, own, left, machine = prepared
     replace(out / "falsification.json", same(content, out / "falsification.json", "falsification"))
     sizes = _sizes(nominal)
     asked: list[Point] = []
@@ -160,7 +196,7 @@ def falsify(
         small, runs = shrink(space, case[1], lambda c: _violates(c, violated), SHRINKING)
         small_margins = run(trial(*small, names, runs=SHRINKING))["figures"]
     margins = worst["figures"] if worst is not None else {}
-    return Outcome(space, names, nominal, margins, found, case, small, small_margins, runs, broken)
+    return Outcome(space, names, nominal, margins, found, case, small, small_margins, runs, broken, own, left, machine)
 
 
 def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:

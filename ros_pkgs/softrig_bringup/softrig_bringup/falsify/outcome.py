@@ -32,14 +32,15 @@ PICTURE = "worst.svg"
 
 
 def main(options: argparse.Namespace) -> int:
-    """Search and write the results; 1 when a requirement is violated, or an expected margin missed."""
+    """Search and write the results; return 1 for a violation or a missed margin, 3 when no run could be judged."""
     if options.what == "list":
         print("\n".join(sorted(list_falsifications())))
         return 0
-    keys = ("budget", "seed", "sampler", "duration", "first")
+    keys = ("budget", "seed", "sampler", "duration", "first", "strict")
     changes = {k: v for k in keys if (v := getattr(options, k)) is not None}
     changes |= {"requirements": options.requirement} if options.requirement else {}
     changes["over"] = dict(named(text, "--over", "LOW..HIGH") for text in options.over)
+    written = not any(changes.values())
     task = falsification_of(options.what, changes)
     said = [*options.over, *options.requirement, *(f"{k}_{changes[k]}" for k in keys if k in changes)]
     out = options.out or Path("runs") / folder_of([f"falsify_{task.name}", *said])
@@ -52,7 +53,9 @@ def main(options: argparse.Namespace) -> int:
         finally:
             folder.close()
     _print(task, outcome, out, files)
-    if task.expect is not None:
+    if outcome.case is None:
+        return 3
+    if task.expect is not None and written:
         return 0 if task.expect.holds(outcome.found.least) else 1
     return 1 if outcome.violated else 0
 
@@ -162,6 +165,8 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
         "sampler": task.sampler,
         "over": task.over,
         "requirements": list(outcome.names),
+        "not_judged": list(outcome.not_judged),
+        "published_for": outcome.machine if outcome.own or outcome.not_judged else "",
         "runs": outcome.found.runs,
         "least": outcome.found.least,
         "least_at_corners": outcome.found.corners,
@@ -192,6 +197,7 @@ def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Pa
     say = [verdict(outcome)]
     if outcome.case is not None:
         say += [f"  {k} = {shown(v)}" for k, v in (outcome.small or outcome.case)[1].items()]
+    say += outcome.bounds
     if outcome.broken:
         say.append(f"{len(outcome.broken)} runs broke, the first: {outcome.broken[0][1]}")
     say += [f"{name} case: {path}" for name, path in files.items()] + [f"results in {out}"]

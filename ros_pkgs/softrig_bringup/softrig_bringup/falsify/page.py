@@ -60,6 +60,7 @@ def lead(task: Falsification, outcome: Outcome, units: Mapping[str, str], files:
         e("h2", "Margins"),
         e("p", MEANING, class_="note"),
         _margins(outcome, units),
+        *(e("p", f"{note[0].upper()}{note[1:]}.", class_="note") for note in outcome.bounds),
     ]
     if outcome.case is not None:
         worst, small = outcome.case[1], outcome.small[1] if outcome.small else {}

@@ -172,11 +172,14 @@ _KINDS: dict[str, type | tuple[type, ...]] = {
     "figures": dict,
     "never": list,
     "missed": list,
-    "passed": bool,
+    "not_judged": list,
+    "published_for": str,
+    "passed": (bool, type(None)),
     "error": str,
     "wall_s": (int, float),
     "signals": dict,
 }
+_OPTIONAL = {"signals", "never", "missed", "not_judged", "published_for"}
 
 
 def _row(line: bytes) -> dict[str, Any] | None:
@@ -185,7 +188,7 @@ def _row(line: bytes) -> dict[str, Any] | None:
         row = json.loads(line)
     except ValueError:
         return None
-    if not isinstance(row, dict) or not _KINDS.keys() - {"signals", "never", "missed"} <= row.keys() <= _KINDS.keys():
+    if not isinstance(row, dict) or not _KINDS.keys() - _OPTIONAL <= row.keys() <= _KINDS.keys():
         return None
     right = all(isinstance(v, _KINDS[k]) for k, v in row.items())
     return row if right and all(v is None or isinstance(v, float | int) for v in row["figures"].values()) else None

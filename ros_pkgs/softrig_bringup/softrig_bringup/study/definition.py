@@ -143,8 +143,12 @@ class Study(Entry):
         Signals that are kept, at `samples` times, and drawn with bands over the seeds.
     require : dict of str to Expectation
         Figures and what is required of them: how often it holds is estimated.
+    strict : bool
+        Whether changed runs are judged also by what is published for the machine as it was, as `run --strict` does.
     summaries, expect, claims
         Numbers over the runs, what they should be, what the paper says of them.
+    changed : tuple of str
+        Entries that the command line has changed: `expect` and `claims` are of the study as it is written.
     """
 
     name: str
@@ -161,9 +165,11 @@ class Study(Entry):
     signals: list[str] = []
     samples: int = Field(200, ge=2, le=10_000)
     require: dict[str, Expected] = {}
+    strict: bool = False
     summaries: dict[str, Summary] = {}
     expect: dict[str, Expected] = {}
     claims: dict[str, Claim] = {}
+    changed: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _fits(self) -> Study:
@@ -179,6 +185,11 @@ class Study(Entry):
             if (name := claim.figure or key) in mixed:
                 raise ValueError(f"claims: {name} is of {len(self.cases)} cases; choose one: where: {{case: ...}}")
         return self
+
+    @property
+    def written(self) -> str:
+        """Return for what its expectations are published where it was changed; else nothing."""
+        return f"the study without other {', '.join(self.changed)}" if self.changed else ""
 
     def each_case(self, summary: Summary) -> bool:
         """Return whether a summary is a number of each case."""

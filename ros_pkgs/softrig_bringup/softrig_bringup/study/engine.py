@@ -79,7 +79,7 @@ def run_study(
 
 def content_of(study: Study, drafts: Mapping[str, Draft], rigs: Iterable[Rig]) -> dict[str, Any]:
     """Return what the rows of a study depend on."""
-    free = {"title", "source", "require", "summaries", "expect", "claims", "name"}
+    free = {"title", "source", "require", "summaries", "expect", "claims", "name", "changed"}
     scenarios = {name: draft.filled() for name, draft in drafts.items()}
     return study.model_dump(mode="json", exclude=free) | {"figures": _kept(study)} | made_of(scenarios, rigs)
 
@@ -117,6 +117,7 @@ def _work(study: Study, case: Case, drafts: Mapping[str, Draft]) -> Work:
         study.samples,
         count(study) // max(1, len(study.cases)),
         drafts[case.scenario],
+        study.strict,
     )
 
 

@@ -19,6 +19,7 @@ from ..options.grammar import NUMBER, settings, span, values
 from ..options.naming import elsewhere, folder_of, scenario_file
 from .definition import Study, list_studies, load_study, make_study
 
+VIEWS = ("figures", "signals", "samples", "strict")  # what of the same runs is kept, and by what each is judged
 DRAWN, BALANCED = 100, 128  # draws by default; of methods that need a power of two
 
 
@@ -38,7 +39,10 @@ def study_of(options: Namespace) -> Study:
     file = path.suffix in (".yaml", ".yml") and isfile(path)
     _check_counts(options)
     if name in list_studies() or (file and "scenario" in (read_yaml(path.read_text(), path.name) or {})):
-        return make_study(_recounted(load_study(name).model_dump(), options) | changes)
+        written = load_study(name).model_dump()
+        changed = make_study(_recounted(written, options) | changes)
+        others = [k for k, v in changed.model_dump().items() if k not in VIEWS and v != written[k]]
+        return changed.model_copy(update={"changed": tuple(others)}) if written["summaries"] else changed
     if options.draws and not options.draw:
         raise ScenarioError(f"--draws {options.draws}: nothing is drawn, expected --draw NAME=LOW..HIGH")
     if not file and find(name) is None:
@@ -75,13 +79,14 @@ def folder_name(name: str, options: Namespace) -> str:
     against = [f"against_{other}" for other in options.against]
     parts = [f"study_{name}", *against, *options.grid, *options.draw, *draws, *search]
     parts += [f"{key}_{value}" for key in ("seeds", "duration") if (value := getattr(options, key)) is not None]
-    parts += [*options.figures, *options.signals]
+    parts += [*options.figures, *options.signals, *(["strict"] if options.strict else [])]
     return folder_of(parts, elsewhere(scenario_file(options.study)))
 
 
 def _changes(options: Namespace) -> dict[str, Any]:
     changes: dict[str, Any] = {k: getattr(options, k) for k in ("figures", "signals") if getattr(options, k)}
     changes |= {k: getattr(options, k) for k in ("duration", "seeds") if getattr(options, k) is not None}
+    changes |= {"strict": True} if options.strict else {}
     grid = dict(named(text, "--grid", "A,B,C or LOW:HIGH:STEP") for text in options.grid)
     if grid:
         changes["grid"] = {name: values(name, text) for name, text in grid.items()}

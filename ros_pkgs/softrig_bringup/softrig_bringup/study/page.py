@@ -31,7 +31,7 @@ from .engine import beyond, run_study
 from .options import folder_name, study_of
 from .packed import FILE, differing, saved, unpacked
 from .pictures import chosen, draw_study
-from .statistics import Statistics, statistics
+from .statistics import Statistics, not_judged, statistics
 from .table import Row, claims, command, in_short, label, results, without_signals, write_table
 from .tabled import Tabled, for_paper, tables
 from .work import absent, value_of
@@ -67,6 +67,7 @@ def main(options: argparse.Namespace) -> int:
         "study": study.name,
         "runs": len(rows),
         "broken": sum(bool(r["error"]) for r in rows),
+        "not_judged": not_judged(rows),
         "summaries": [r.model_dump(by_alias=True) for r in found],
         "claims": [c.model_dump() for c in held],
     } | over.content()
@@ -161,6 +162,7 @@ def _print(
     cells: list[list[Cell]] = []
     for r in found:
         verdict = styled(("pass" if r.judged else "", "green")) if r.passed else styled(("MISS", "red"), f" {r.error}")
+        verdict = styled(("not judged", "yellow")) if r.published_for else verdict
         cells.append([r.name, short(r.value), accepted(r), short(r.published), r.unit, verdict])
     if found:
         print_judged(console, ("summary", "value", "expected", "published", "unit", ""), cells)
@@ -174,7 +176,7 @@ def _print(
         print_columns(console, written.heads, written.rows[:MOST], written.keys)
         if len(written.rows) > MOST:
             console.print(f"the first {MOST} of {len(written.rows)} rows; summaries.json has them all")
-    for note in over.notes:
+    for note in _notes(study, rows, found, over):
         console.print(note, soft_wrap=True)
     for claim in held:
         if claim.holds is False:
@@ -192,6 +194,13 @@ def _print(
     for row in broken[:3]:
         console.print(f"run {row['number']} broke: {row['error']}; {command(row, study.duration)}", soft_wrap=True)
     console.print(f"{len(rows)} runs, {len(broken)} broke; results in {out}")
+
+
+def _notes(study: Study, rows: Sequence[Row], found: Sequence[Result], over: Statistics) -> list[str]:
+    """Return sentences about the study as a whole."""
+    written = any(r.published_for for r in found) or (study.claims and study.written)
+    own = f"summaries and claims are not judged: published for {study.written}" if written else ""
+    return [*over.notes, *filter(None, (own, not_judged(rows)))]
 
 
 def _cell(value: Any) -> str:
@@ -230,7 +239,7 @@ def _page(
                 short(r.value),
                 pretty_unit(r.unit),
                 accepted(r),
-                mark(r.passed, "pass" if r.passed else "miss") if r.judged else "",
+                _verdict(r),
             )
             for r in found
         ]
@@ -248,7 +257,7 @@ def _page(
                 c.measured_text,
                 e(
                     "div",
-                    e("b", c.verdict.replace("_", " ")) if c.holds else mark(False, f"{c.verdict}: not borne out"),
+                    mark(False, f"{c.verdict}: not borne out") if c.holds is False else _word(study, c),
                     e("div", c.reason, class_="note"),
                 ),
             )
@@ -260,7 +269,7 @@ def _page(
         ]
     for written in tables(over):
         body += [e("h2", written.title), _statistics(written)]
-    body += [e("p", f"{note[0].upper()}{note[1:]}.", class_="note") for note in over.notes]
+    body += [e("p", f"{note[0].upper()}{note[1:]}.", class_="note") for note in _notes(study, rows, found, over)]
     winners = best(study, rows)
     if winners:
         about = [
@@ -295,6 +304,19 @@ def _page(
         note = f"The first {LONGEST} of {len(rows)} runs. {note}"
     body.append(e("p", note, class_="note"))
     return [*body, *([e("h2", "Sources")] if papers else []), *sources(papers)]
+
+
+def _verdict(result: Result) -> Element | str:
+    if result.published_for:
+        return e("span", "not judged", title=f"published for {result.published_for}")
+    return mark(result.passed, "pass" if result.passed else "miss") if result.judged else ""
+
+
+def _word(study: Study, claim: Finding) -> Element:
+    """Write the verdict on a claim that is not refuted; of a changed study it says nothing."""
+    if study.written and claim.holds is None:
+        return e("span", "not judged", title=f"published for {study.written}")
+    return e("b", claim.verdict.replace("_", " "))
 
 
 def _statistics(written: Tabled) -> Element:

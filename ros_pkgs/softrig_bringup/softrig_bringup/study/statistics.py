@@ -39,7 +39,7 @@ class Line(NamedTuple):
 
 
 class Share(NamedTuple):
-    """How often a requirement holds; a run that broke or that could not be judged does not count as one."""
+    """How often a requirement holds, of the runs that it judges; one that broke or does not decide it does not."""
 
     group: str
     requirement: str
@@ -223,12 +223,28 @@ def _shares(study: Study, group: str, sample: Sample) -> Iterator[Share]:
     asked: dict[str, Callable[[Row], float]] = {}
     if all("missed" in row for row in sample.rows):  # rows of an older version do not say
         for name in load_scenario(sample.rows[0]["scenario"]).requirements:
-            asked[name] = lambda row, name=name: not row["error"] and name not in row["missed"]  # type: ignore[misc]
+            if not all(name in row.get("not_judged", ()) for row in sample.rows):
+                asked[name] = partial(_holds, name)
     for figure, limits in study.require.items():
         asked[bound_text(figure, limits)] = lambda row, f=figure, of=limits: of.holds(value_of(row, f))  # type: ignore[misc]
     for name, holds in asked.items():
-        held = sample.table(holds)
+        table = sample.table(holds)
+        held = table[~np.isnan(table).any(axis=1)]
         yield Share(group, name, round(held.sum()), held.size, estimate.share(float(held.mean()), len(held)))
+
+
+def _holds(name: str, row: Row) -> float:
+    """Return whether a requirement holds in a run; NaN where it does not judge that run."""
+    return math.nan if name in row.get("not_judged", ()) else not row["error"] and name not in row["missed"]
+
+
+def not_judged(rows: Sequence[Row]) -> str:
+    """Describe what does not judge the runs of a study, and for what machine that is published; empty for nothing."""
+    others = [row for row in rows if row.get("not_judged")]
+    names = dict.fromkeys(name for row in others for name in row["not_judged"])
+    machine = max((row["published_for"] for row in others), key=len, default="")  # that of which most was changed
+    said = f"not judged in {len(others)} of {len(rows)} runs: {', '.join(names)}, published for {machine}"
+    return f"{said} (--strict judges them)" if others else ""
 
 
 def bound_text(figure: str, limits: Expectation) -> str:

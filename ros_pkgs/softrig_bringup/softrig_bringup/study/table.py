@@ -27,7 +27,7 @@ def without_signals(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def write_table(rows: Sequence[Row], folder: Path, duration: float | None = None) -> None:
-    """Write ``table.parquet`` and ``table.csv``: number, scenario, parameters, figures, which never happen."""
+    """Write ``table.parquet`` and ``table.csv``: a row a run, with what was changed, measured and judged of it."""
     import pyarrow
     import pyarrow.csv
     import pyarrow.parquet
@@ -37,7 +37,8 @@ def write_table(rows: Sequence[Row], folder: Path, duration: float | None = None
     columns: dict[str, list[Any]] = {k: [row[k] for row in rows] for k in ("number", "scenario", "case", "seed")}
     columns |= {name: _column([row["overrides"].get(name) for row in rows]) for name in parameters}
     columns |= {f"figure.{name}": [row["figures"].get(name) for row in rows] for name in figures}
-    columns["never"] = [" ".join(row.get("never", ())) for row in rows]
+    for key in ("never", "missed", "not_judged"):
+        columns[key] = [" ".join(row.get(key, ())) for row in rows]
     columns |= {k: [row[k] for row in rows] for k in ("passed", "error", "wall_s")}
     columns["command"] = [*_commands(rows, duration)]
     table = pyarrow.table(columns)
@@ -130,7 +131,7 @@ def each_case(study: Study) -> Iterator[tuple[str, str, Summary]]:
 
 
 def results(study: Study, rows: Sequence[Row], units: Mapping[str, str]) -> list[Result]:
-    """Judge the summaries of a study; `units` has those of figures."""
+    """Judge the summaries of a study as it is written, of a changed one compute them; `units` has those of figures."""
     found = []
     for name, entry, summary in each_case(study):
         value = summarise(rows, summary)
@@ -148,12 +149,13 @@ def results(study: Study, rows: Sequence[Row], units: Mapping[str, str]) -> list
                 passed=limits is None or limits.holds(value),
                 error="" if sure else f"the result is {value}",
                 **(limits or Expectation()).model_dump(),
-            )
+            ).not_judged(study.written)
         )
     return found
 
 
 def claims(study: Study, found: Sequence[Result]) -> list[Finding]:
-    """Hold the claims of a study against its summaries."""
+    """Hold the claims of a study against its summaries; those of a changed one stay open."""
     values = {r.name: r.number for r in found}
-    return hold(study.name, study.claims, lambda name: values if name == study.name else None, {})
+    held = hold(study.name, study.claims, lambda name: values if name == study.name else None, {})
+    return [claim.model_copy(update={"holds": None}) for claim in held] if study.written else held

@@ -29,6 +29,8 @@ class Work(NamedTuple):
         So many of the kind are to come, in all workers.
     scenario : Draft or Scenario, optional
         What the case names, read before; absent: read by that name.
+    strict : bool
+        Whether a changed run is judged also by what is published for the machine as it was, as `run --strict` does.
     margins : bool
         Whether of `figures`, requirements or figures of which a bound is expected, the margins are wanted.
     """
@@ -40,6 +42,7 @@ class Work(NamedTuple):
     samples: int = 0
     runs: int = 1
     scenario: Draft | Scenario | None = None
+    strict: bool = False
     margins: bool = False
 
 
@@ -125,7 +128,8 @@ def recorded(work: Work, seed: int) -> Mapping[str, Any]:
 
 
 def _figures(done: Run, work: Work) -> dict[str, Any]:
-    done.strict = True  # a study asks how far the bounds hold for other machines
+    done.strict = work.strict
+    judged, others = any(r.judged for r in done.results), [r.name for r in done.results if r.published_for]
     wanted = [r for r in done.results if not work.figures or r.name in work.figures]
     missing = set(work.figures) - {r.name for r in wanted}
     if missing:
@@ -135,8 +139,10 @@ def _figures(done: Run, work: Work) -> dict[str, Any]:
         "figures": {r.name: r.number if np.isfinite(r.number) else None for r in wanted},
         "never": [r.name for r in wanted if r.number == np.inf],
         "missed": [r.name for r in done.missed],
-        "passed": not done.missed,
-    } | ({"signals": sampled} if sampled else {})
+        "passed": not done.missed if judged or done.missed else None,  # nothing judged is no verdict
+        **({"not_judged": others, "published_for": done.published_for} if others else {}),
+        **({"signals": sampled} if sampled else {}),
+    }
 
 
 def _margins(done: Run, names: Collection[str]) -> dict[str, Any]:

@@ -247,6 +247,9 @@ def _vary(verb: Verb) -> None:
         help="how many runs its 95 %% interval needs to be so wide; also of a requirement or a --subject-to",
     )
     study.add_argument("--force", action="store_true", help="also seeds of a rig that draws no random number")
+    study.add_argument(
+        "--strict", action="store_true", help="judge changed runs also by what is published for the machine as it was"
+    )
     study.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
     study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")
@@ -257,7 +260,19 @@ def _vary(verb: Verb) -> None:
         "falsify", "falsify.outcome:main", "look for the run that violates a requirement, made small and kept"
     )
     falsify.add_argument("what", metavar="SCENARIO", help="or the name of a falsification in config/studies; `list`")
-    falsify.add_argument("--requirement", action="append", default=[], metavar="NAME", help="default: all")
+    falsify.add_argument(
+        "--requirement",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="also a figure of which a bound is expected; default: all requirements that follow the machine",
+    )
+    falsify.add_argument(
+        "--strict",
+        action="store_true",
+        default=None,
+        help="all requirements, also those with numbers for the machine as it was",
+    )
     falsify.add_argument(
         "--over",
         action="append",
