@@ -6,10 +6,12 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
 from ruamel.yaml import YAML
+from scipy.io import loadmat
 from sensor_msgs.msg import JointState
 from softrig_bags.align import align
 from softrig_bags.cli import main_bag, main_compare
@@ -18,6 +20,7 @@ from softrig_bags.content.definitions import UnknownType, complete, types_of
 from softrig_bags.content.layouts import LONGEST, LONGEST_OCTETS, Undecodable, template
 from softrig_bags.content.topics import BagTopic, typestore
 from softrig_bags.errors import BagError
+from softrig_bags.export import ROWS
 from softrig_bags.files.bag import BagWriter
 from softrig_bags.files.metadata import profiles
 from softrig_bags.files.reader import BagReader
@@ -683,6 +686,95 @@ def test_a_topic_without_a_name_is_exported_as_a_table_of_text(tmp_path):
     file = mcap(tmp_path / "a.mcap", speeds(2, topic="/"))
     assert main_bag(["export", str(file), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out/topic.csv").read_text().splitlines()[1] == "0,0,0"
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet", "mat"])
+def test_whole_numbers_of_64_bits_are_exported_as_they_are(tmp_path, form):
+    """2^53 + 1 is the first whole number that no float has; nanoseconds since 1970 are beyond it."""
+    rows = [
+        ("/x", "a/msg/X", START + k, struct.pack("<HHqQd", 0x100, 0, 2**53 + k, 2**64 - 1 - k, k)) for k in range(3)
+    ]
+    types = [("a/msg/X", ("int64 a\nuint64 b\nfloat64 c", "ros2msg"))]
+    file = mcap(tmp_path / "a.mcap", rows, definitions=types)
+    assert main_bag(["export", str(file), "--out", str(tmp_path / "out"), "--format", form]) == 0
+    table = tmp_path / f"out/x.{form}"
+    if form == "csv":
+        found = [[int(field) for field in line.split(",")[2:4]] for line in table.read_text().splitlines()[1:]]
+    elif form == "parquet":
+        columns = pyarrow.parquet.read_table(table)
+        found = [list(row) for row in zip(columns["a"].to_pylist(), columns["b"].to_pylist(), strict=True)]
+    else:
+        columns = loadmat(table)
+        found = [[int(a), int(b)] for a, b in zip(columns["a"].ravel(), columns["b"].ravel(), strict=True)]
+        assert columns["c"].dtype == float
+    assert found == [[2**53 + k, 2**64 - 1 - k] for k in range(3)]
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_whole_numbers_that_some_messages_lack_stay_whole(tmp_path, form):
+    """Elements of an array that grows: a column that is added on the way, and one that is empty from then on."""
+
+    def row(k, *values):
+        return "/x", "a/msg/X", START + k, struct.pack(f"<HHIi{len(values)}q", 0x100, 0, len(values), 0, *values)
+
+    rows = [row(k, 2**53 + 1) for k in range(ROWS)] + [row(ROWS, 2**53 + 3, 2**53 + 5), row(ROWS + 1)]
+    file = mcap(tmp_path / "a.mcap", rows, definitions=[("a/msg/X", ("int64[] a", "ros2msg"))])
+    assert main_bag(["export", str(file), "--out", str(tmp_path), "--format", form]) == 0
+    if form == "csv":
+        lines = [line.split(",")[2:] for line in (tmp_path / "x.csv").read_text().splitlines()]
+        assert [lines[1], *lines[-2:]] == [["9007199254740993", ""], ["9007199254740995", "9007199254740997"], ["", ""]]
+    else:
+        columns = pyarrow.parquet.read_table(tmp_path / "x.parquet")
+        assert [columns[f"a/{k}"].to_pylist()[-2:] for k in (0, 1)] == [[2**53 + 3, None], [2**53 + 5, None]]
+
+
+def test_files_have_names_that_every_system_takes_and_topics_are_named_where_they_differ(tmp_path, capsys):
+    topics = ["/Speed", "/speed", "/a/b", "/a.b", "/../up", "/nul\0", "/" + "long" * 80, "/c\nd", '/a<b>:"|?*\\c']
+    file = mcap(tmp_path / "a.mcap", [row for k, t in enumerate(topics) for row in speeds(k + 1, topic=t)])
+    assert main_bag(["export", str(file), "--out", str(tmp_path / "out")]) == 0
+    made = sorted(path.name for path in (tmp_path / "out").iterdir())
+    long = "long" * 50 + ".csv"
+    assert made == sorted(
+        [
+            "Speed.csv",
+            "speed_2.csv",
+            "a.b.csv",
+            "a.b_2.csv",
+            "_..up.csv",
+            "nul_.csv",
+            long,
+            "c_d.csv",
+            "a_b_______c.csv",
+        ]
+    )
+    assert sorted(len((tmp_path / "out" / name).read_text().splitlines()) for name in made) == list(range(2, 11))
+    said = capsys.readouterr().err
+    assert "topic speed is in the file speed_2" in said
+    assert "topic a/b " not in said
+    assert main_bag(["info", str(file)]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2 + len(topics)
+
+
+@pytest.mark.parametrize(("head", "what"), [(b"#ROSBAG V2.0\n", "a bag of ROS 1"), (b"ULog\1", "a log of PX4"),
+    (b"PK\3\4", "a ZIP archive"), (b"\x1f\x8b", "by gzip"), (b"", "has 0 bytes")])  # fmt: skip
+def test_what_people_take_for_bags_is_called_by_its_name(tmp_path, head, what):
+    (tmp_path / "x.bag").write_bytes(head + bytes(100) if head else b"")
+    with pytest.raises(BagError, match=what), BagReader(tmp_path / "x.bag"):
+        pass
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "rosbag2_bagfile_information: 5", "a: 1", "rosbag2_bagfile_information: {files: [1]}"]
+)
+def test_metadata_that_is_none_is_refused_in_words(tmp_path, text):
+    mcap(tmp_path / "bag/a.mcap", speeds())
+    (tmp_path / "bag/metadata.yaml").write_text(text)
+    with (
+        pytest.raises(BagError, match=r"metadata\.yaml is not that of a bag: (it has no|expected)") as error,
+        BagReader(tmp_path / "bag"),
+    ):
+        pass
+    assert "Error" not in str(error.value)
 
 
 def test_a_comparison_of_nothing_is_refused(tmp_path, capsys):

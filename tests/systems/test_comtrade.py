@@ -404,6 +404,9 @@ def test_counts_that_do_not_agree_are_said(tmp_path):
         ("4,0\r\n", "Q,0\r\n", "tmq_code is 'Q'"),
         ("4,0\r\n", "4,0\r\nmore\r\n", "'more' stands after the last field of revision 2013"),
         ("4000,400", "4000", "1 fields, expected 2"),
+        ("4000,400", "1e-300,400", "expected 0 or a rate of 0.001 to 1e"),
+        ("4000,400", "inf,400", "samp is 'inf', expected a number"),
+        ("4000,400", "４000,400", "samp is '４000', expected a number"),
         ("\r\n1\r\n4000,400", "\r\n2\r\n4000,400\r\n1000,300", "rising last sample"),
     ],
 )

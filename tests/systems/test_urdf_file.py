@@ -10,7 +10,8 @@ from softrig_core import ByHand
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.manipulator.plant import ManipulatorParams, ManipulatorPlant
-from softrig_robots.rigid_body import SymbolicRobot, load_model, ties
+from softrig_robots.rigid_body import SymbolicRobot, frame_id, load_model, ties
+from softrig_robots.urdf import read_urdf
 from softrig_robots.urdf_file import URDF, read_robot
 
 FULL = """<robot name="arm" version="1.1">
@@ -144,6 +145,8 @@ def test_what_is_ignored_is_noted_once_and_changes_nothing(name):
         (FULL.replace('<axis xyz="0 0 1"/>', '<axes xyz="0 0 1"/>'), "joint/axes is no part.*mean 'joint/axis'"),
         (FULL.replace('<axis xyz="0 0 1"', '<axis xyz="0 0 0"'), "joint j3: axis@xyz is 0 0 0"),
         (FULL.replace('damping="0.5"', 'damping="0,5"'), "dynamics@damping is '0,5', expected a number"),
+        (FULL.replace('<mass value="2"', '<mass value="１"'), "mass@value is '１', expected a number"),
+        (FULL.replace('xyz="0 0 1"', 'xyz="0 0 1_0"', 1), "origin@xyz is '0 0 1_0', expected 3 numbers"),
         (FULL.replace('damping="0.5"', 'damping="-0.5"'), "no negative values"),
         (FULL.replace('lower="-1"', 'lower="2"'), "expected lower <= upper"),
         (FULL.replace('mimic joint="j1"', 'mimic joint="nix"'), "j2 mimics 'nix', which is no moving joint"),
@@ -162,6 +165,33 @@ def test_what_is_ignored_is_noted_once_and_changes_nothing(name):
 def test_what_cannot_be_right_is_refused(text, message):
     with pytest.raises(ValueError, match=message):
         read_robot(text)
+
+
+@pytest.mark.parametrize("number", [" 2", "2 ", "+2", "+2.0e0 ", "&#10;2\t", "0.2E+1"])
+def test_a_number_is_the_same_in_every_form(number):
+    """urdfdom drops the whole inertial of a link where its mass has a space behind it."""
+    assert reading(FULL.replace('<mass value="2"/>', f'<mass value="{number}"/>')) == reading(FULL)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "declared"),
+    [("utf-16", "utf-16"), ("utf-8-sig", ""), ("latin-1", "ISO-8859-1"), ("cp1251", "windows-1251")],
+)
+def test_a_file_is_read_in_the_encoding_that_it_declares(tmp_path, encoding, declared):
+    word = "Ж" if encoding == "cp1251" else "Ä"
+    text = f"<?xml version='1.0'{f' encoding={declared!r}' if declared else ''}?><!-- {word} -->{FULL}"
+    (tmp_path / "a.urdf").write_text(text, encoding=encoding)
+    found = read_urdf(str(tmp_path / "a.urdf"))
+    assert found == f"<?xml version='1.0'?><!-- {word} -->{FULL}"
+    assert reading(found) == reading(FULL)
+    (tmp_path / "a.urdf").write_bytes("<!-- Ä -->".encode("latin-1") + FULL.encode())
+    with pytest.raises(ValueError, match=r"a\.urdf: its bytes are not utf-8-sig; name it in"):
+        read_urdf(str(tmp_path / "a.urdf"))
+
+
+def test_a_link_is_found_beside_a_joint_of_its_name():
+    model = load_model(FULL.replace('"j3"', '"tool"'))
+    assert model.frames[frame_id(model, "tool")].type == pin.FrameType.BODY
 
 
 def test_a_disc_of_rounded_decimals_and_a_rod_without_thickness_are_accepted():

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from softrig_core import SECOND
 from softrig_core.extras import need
-from softrig_core.guard import naming
+from softrig_core.guard import naming, say
 
 from .errors import BagError
 from .files.reader import BagReader
 from .read import epoch_of, say_left_out
-from .tables import Columns, Piece, stacked
+from .tables import Columns, Piece, lacking, stacked
 
 ROWS = 1 << 14  # that are written at a time
 FORMATS = ("csv", "parquet", "mat")
 LONGEST = 63  # letters of a variable of MATLAB
+LONGEST_NAME = 200  # bytes of a file's name; file systems take 255, and a part of a table has a longer one
 OWN = ("time", "stamp")  # columns that every table has
 
 
@@ -81,15 +82,23 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
 
 
 def _file_names(labels: list[str], known: list[str]) -> Iterator[str]:
-    """Return a name for the file of each topic that has none, no two of them equal."""
-    taken = set(known)
+    """Return a name for the file of each topic that has none, which every file system takes.
+
+    Some file systems do not tell capital letters from small ones: no two names differ by them alone. A name that is not
+    that of its topic with points for slashes is reported.
+    """
+    taken = {name.casefold() for name in known}
     for label in labels[len(known) :]:
-        name = plain = label.strip("/").replace("/", ".") or "topic"
+        dotted = label.strip("/").replace("/", ".")
+        short = dotted.encode(errors="replace")[:LONGEST_NAME].decode(errors="ignore")
+        name = first = re.sub(r'^\.|[\x00-\x1f\x7f<>:"\\|?*]', "_", short) or "topic"
         k = 1
-        while name in taken:
+        while name.casefold() in taken:
             k += 1
-            name = f"{plain}_{k}"
-        taken.add(name)
+            name = f"{first}_{k}"
+        taken.add(name.casefold())
+        if name != dotted:
+            say(f"topic {label} is in the file {name}")
         yield name
 
 
@@ -99,7 +108,7 @@ class _TopicFile:
     def __init__(self, path: Path, epoch: int) -> None:
         self._path, self._epoch = path, epoch
         self._parts: list[Path] = []
-        self._labels: dict[str, None] = {}
+        self._kinds: dict[str, Any] = {}  # types by label
         self._waiting: list[Piece] = []
         self._rows = 0
         self._writer: Any = None
@@ -116,19 +125,30 @@ class _TopicFile:
 
         piece = stacked(self._waiting)
         self._waiting, self._rows = [], 0
-        if self._writer is None or not piece.columns.keys() <= self._labels.keys():
-            self._labels |= dict.fromkeys(piece.columns)
+        if self._writer is None or not piece.columns.keys() <= self._kinds.keys():
+            self._kinds |= {label: x.dtype for label, x in piece.columns.items() if label not in self._kinds}
             self._next_part()
-        absent = np.full(len(piece.t), np.nan)
-        arrays = [(x - self._epoch) / SECOND for x in (piece.t, piece.stamp)]
-        arrays += [piece.columns.get(label, absent) for label in self._labels]
-        self._writer.write_table(pyarrow.table(arrays, names=_headings(self._labels)))
+        arrays: list[Any] = [(x - self._epoch) / SECOND for x in (piece.t, piece.stamp)]
+        for label, kind in self._kinds.items():
+            if kind.kind == "f":
+                arrays.append(piece.columns.get(label, lacking(len(piece.t), kind)))
+                continue
+            none = piece.absent.get(label) if label in piece.columns else np.ones(len(piece.t), bool)
+            arrays.append(pyarrow.array(piece.columns.get(label, lacking(len(piece.t), kind)), mask=none))
+        self._writer.write_table(pyarrow.table(arrays, schema=self._schema))
 
     def _next_part(self) -> None:
         if self._writer is not None:
             self._writer.close()
         self._parts.append(self._path.with_name(f".{self._path.name}.{len(self._parts)}.part"))
-        self._writer = _writer(self._parts[-1], self._path.suffix, _headings(self._labels))
+        self._writer = _writer(self._parts[-1], self._path.suffix, self._schema)
+
+    @property
+    def _schema(self) -> Any:
+        import pyarrow
+
+        kinds = [np.dtype(float)] * len(OWN) + [*self._kinds.values()]
+        return pyarrow.schema(list(zip(_headings(self._kinds), map(pyarrow.from_numpy_dtype, kinds), strict=True)))
 
     def close(self) -> Path:
         """Write what is waiting, put the table in its place and return that."""
@@ -138,14 +158,18 @@ class _TopicFile:
             self._flush()
         self._writer.close()
         if len(self._parts) > 1:
-            headings = _headings(self._labels)
+            schema = self._schema
             joined = self._path.with_name(f".{self._path.name}.part")
-            writer = _writer(joined, self._path.suffix, headings)
+            writer = _writer(joined, self._path.suffix, schema)
             for part in self._parts:
-                for rows in _batches(part, self._path.suffix):
-                    absent = pyarrow.array(np.full(rows.num_rows, np.nan))
-                    arrays = [rows[name] if name in rows.schema.names else absent for name in headings]
-                    writer.write_table(pyarrow.table(arrays, names=headings))
+                for rows in _batches(part, self._path.suffix, schema):
+                    none = {pyarrow.float64(): pyarrow.array(np.full(rows.num_rows, np.nan))}
+                    arrays = [
+                        rows[field.name] if field.name in rows.schema.names
+                        else none.get(field.type, pyarrow.nulls(rows.num_rows, field.type))
+                        for field in schema
+                    ]  # fmt: skip
+                    writer.write_table(pyarrow.table(arrays, schema=schema))
             writer.close()
             self.abort()
             self._parts = [joined]
@@ -159,33 +183,29 @@ class _TopicFile:
             part.unlink(missing_ok=True)
 
 
-def _headings(labels: dict[str, None]) -> list[str]:
+def _headings(labels: Iterable[str]) -> list[str]:
     """Return the names of all columns; a field that is called as one of the table's own gets another."""
     return [*OWN, *(f"field/{label}" if label in OWN else label for label in labels)]
 
 
-def _writer(path: Path, suffix: str, headings: list[str]) -> Any:
-    import pyarrow
+def _writer(path: Path, suffix: str, schema: Any) -> Any:
     import pyarrow.csv
     import pyarrow.parquet
 
-    schema = pyarrow.schema([(name, pyarrow.float64()) for name in headings])
     if suffix == ".csv":
         return pyarrow.csv.CSVWriter(str(path), schema)
     return pyarrow.parquet.ParquetWriter(str(path), schema, use_dictionary=False)
 
 
-def _batches(path: Path, suffix: str) -> Iterator[Any]:
+def _batches(path: Path, suffix: str, schema: Any) -> Iterator[Any]:
     """Read a table in parts of bounded size."""
-    import pyarrow
     import pyarrow.csv
     import pyarrow.parquet
 
     if suffix == ".parquet":
         yield from pyarrow.parquet.ParquetFile(path).iter_batches(ROWS)
         return
-    names = pyarrow.csv.open_csv(path).schema.names
-    numbers = pyarrow.csv.ConvertOptions({name: pyarrow.float64() for name in names}, null_values=[])
+    numbers = pyarrow.csv.ConvertOptions(schema, null_values=[""])
     yield from pyarrow.csv.open_csv(path, convert_options=numbers)
 
 
@@ -202,7 +222,7 @@ def _mat(table: Path) -> Path:
         while name in variables:
             k += 1
             name = f"{plain[: LONGEST - 4]}_{k}"
-        variables[name] = columns[heading].to_numpy()
+        variables[name] = _doubles(columns[heading])
     variables["names"] = np.array(columns.column_names, dtype=object)
     file = table.with_suffix(".mat")
     part = table.with_name(f".{file.name}.part")
@@ -215,6 +235,15 @@ def _mat(table: Path) -> Path:
         part.unlink(missing_ok=True)
     table.unlink()
     return file
+
+
+def _doubles(column: Any) -> Any:
+    """Return a column as doubles, the numbers of MATLAB; as whole numbers where doubles would round them."""
+    exact = column.to_numpy()
+    doubles = exact.astype(np.float64)
+    if exact.dtype.kind == "f" or (np.abs(doubles) <= 2.0**53).all():
+        return doubles
+    return exact
 
 
 def _identifier(heading: str) -> str:

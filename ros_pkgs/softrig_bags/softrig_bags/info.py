@@ -28,11 +28,12 @@ def describe(path: Path | str) -> str:
         if bag.start >= WALL_CLOCK:
             start = datetime.fromtimestamp(bag.start / SECOND, UTC).isoformat(" ", "milliseconds")
         lines.append(f"{bag.count} messages in {(bag.end - bag.start) / SECOND:.9g} s from {start}")
-        width = max((len(t.name) for t in bag.topics), default=0)
+        names = [" ".join(topic.name.split()) for topic in bag.topics]  # one line each, whatever they have in them
+        width = max(map(len, names), default=0)
         for i, (topic, count) in enumerate(zip(bag.topics, counts, strict=True)):
             profiles = {(q.reliability.name.lower(), q.durability.name.lower()) for q in topic.offered}
             offered = "; ".join(" ".join(p) for p in sorted(profiles)) or "QoS unknown"
-            lines.append(f"  {topic.name:{width}}  {count:8}  {topic.msgtype}  ({offered})")
+            lines.append(f"  {names[i]:{width}}  {count:8}  {topic.msgtype}  ({offered})")
             try:
                 bag.types(i)
             except UnknownType as error:

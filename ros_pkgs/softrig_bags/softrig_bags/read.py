@@ -92,10 +92,8 @@ class BagSignals(Signals):
         for i in bag.chosen:
             label = bag.labels[i]
             if columns.decoder(i) is not None and not columns.reason(i):
-                piece = tables.get(i, Growing()).piece()
-                t, stamp = ((x - epoch) / SECOND for x in (piece.t, piece.stamp))
-                self._tables[label] = Table(t, stamp, piece.columns)
-                self.absent[label] = piece.absent
+                t, stamp, found, self.absent[label] = tables.get(i, Growing()).whole()
+                self._tables[label] = Table((t - epoch) / SECOND, (stamp - epoch) / SECOND, found)
         self.left_out = {bag.labels[i]: left for i, left in columns.left.items()}
         self.undecodable = [x for i in bag.chosen if bag.counts[i] and (x := bag.labels[i]) not in self._tables]
 

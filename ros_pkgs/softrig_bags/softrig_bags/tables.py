@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .content.block import Block, Ints, distinct
 from .content.definitions import UnknownType
-from .content.layouts import Decoder, Template, Undecodable
+from .content.layouts import Column, Decoder, Template, Undecodable
 from .files.reader import BagReader
 
 Array = NDArray[np.float64]
@@ -20,12 +20,13 @@ Array = NDArray[np.float64]
 class Piece(NamedTuple):
     """Some messages of a topic: bag times and header stamps in ns (bag times where there is none), and columns.
 
-    What messages lack is NaN in a column; `absent` says of such columns which messages those are.
+    What messages lack is NaN in a column, 0 in one of whole numbers; `absent` says of such columns which messages those
+    are.
     """
 
     t: Ints
     stamp: Ints
-    columns: dict[str, Array]
+    columns: dict[str, Column]
     absent: dict[str, NDArray[np.bool_]]
 
 
@@ -143,7 +144,7 @@ class Columns:
 def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray[np.uint8]]]) -> Piece:
     """Merge messages of several shapes into one table; values that a message lacks are NaN."""
     stamp = block.t.copy()
-    columns: dict[str, Array] = {}
+    columns: dict[str, Column] = {}
     absent: dict[str, NDArray[np.bool_]] = {}
     decoded = np.zeros(len(block), bool)
     for rows, made, data in groups:
@@ -152,7 +153,7 @@ def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray
             stamp[rows] = made.stamps(data)
         for label, x in made.columns(data).items():
             if label not in columns:
-                columns[label] = np.full(len(block), np.nan)
+                columns[label] = lacking(len(block), x.dtype)
                 absent[label] = np.ones(len(block), bool)
             columns[label][rows] = x
             absent[label][rows] = False
@@ -162,14 +163,19 @@ def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray
     return Piece(block.t[decoded], stamp[decoded], columns, absent)
 
 
+def lacking(n: int, kind: np.dtype[Any]) -> Column:
+    """Return a column of which no message has a value: NaN, or 0 where the type has no NaN."""
+    return np.full(n, np.nan) if kind.kind == "f" else np.zeros(n, kind)
+
+
 def stacked(pieces: list[Piece]) -> Piece:
-    """Return the rows of several tables one after the other; columns that one of them lacks are NaN there."""
+    """Return the rows of several tables one after the other; columns that one of them lacks are NaN or 0 there."""
     if len(pieces) == 1:
         return pieces[0]
-    labels = dict.fromkeys(label for piece in pieces for label in piece.columns)
+    kinds = {label: x.dtype for piece in pieces for label, x in piece.columns.items()}
     columns, absent = {}, {}
-    for label in labels:
-        parts = (p.columns[label] if label in p.columns else np.full(len(p.t), np.nan) for p in pieces)
+    for label, kind in kinds.items():
+        parts = (p.columns[label] if label in p.columns else lacking(len(p.t), kind) for p in pieces)
         columns[label] = np.concatenate([*parts])
         if any(label in p.absent or label not in p.columns for p in pieces):
             lacks = (p.absent.get(label, np.full(len(p.t), label not in p.columns)) for p in pieces)
@@ -180,7 +186,7 @@ def stacked(pieces: list[Piece]) -> Piece:
 
 
 class Growing:
-    """The table of a topic while it is read: columns that grow in place, so that no row is there twice."""
+    """The table of a topic while it is read: float columns that grow in place, so that no row is there twice."""
 
     def __init__(self) -> None:
         self._rows = 0
@@ -209,9 +215,9 @@ class Growing:
                     array.resize(max(last, len(array) * 3 // 2), refcheck=False)
                 array[first:last] = found.get(name, (name in lacking) if fill is None else fill)
 
-    def piece(self) -> Piece:
-        """Return all rows."""
+    def whole(self) -> tuple[Ints, Ints, dict[str, Array], dict[str, NDArray[np.bool_]]]:
+        """Return the times, stamps, columns and absences of all rows, as a piece has them."""
         for arrays in (self._times, self._columns, self._absent):
             for array in arrays.values():
                 array.resize(self._rows, refcheck=False)
-        return Piece(self._times["t"], self._times["stamp"], self._columns, self._absent)
+        return self._times["t"], self._times["stamp"], self._columns, self._absent

@@ -129,6 +129,8 @@ def frame_id(model: pin.Model, frame: str) -> int:
     ValueError
         There is none; lists the frames.
     """
+    if model.existFrame(frame, pin.FrameType.BODY):  # a joint may have the name of a link
+        return int(model.getFrameId(frame, pin.FrameType.BODY))
     if not model.existFrame(frame):
         raise ValueError(f"the robot has no frame {frame!r}; it has {', '.join(f.name for f in model.frames)}")
     return int(model.getFrameId(frame))

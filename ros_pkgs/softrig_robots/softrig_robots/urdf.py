@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
 from softrig_core import resource
+from softrig_core.kit.file_format import UTF_16
 
 Vector = tuple[float, float, float]
 ENDLESS = "1e9"  # rad
+_ENCODING = re.compile(rb"<\?xml[^>]*?encoding=(['\"])([A-Za-z0-9._-]+)\1")
+# attributes that are a number or several
+_NUMBERS = frozenset(
+    ["xyz", "rpy", "quat_xyzw", "value", "ixx", "ixy", "ixz", "iyy", "iyz", "izz"]
+    + ["damping", "friction", "lower", "upper", "effort", "velocity", "multiplier", "offset"]
+)
 _PHYSICS = ("inertial", "parent", "child", "origin", "axis", "limit", "dynamics", "mimic")
 
 
@@ -174,9 +182,19 @@ def read_urdf(source: str) -> str:
     Raises
     ------
     ValueError
-        There is no such file or package; says where it was looked for.
+        There is no such file or package; says where it was looked for. Bytes that are not of the file's encoding.
     """
-    return resource(source, "URDF file").read_text()
+    data = resource(source, "URDF file").read_bytes()
+    declared = _ENCODING.match(data)
+    if data.startswith(UTF_16):
+        encoding = "utf-16"
+    else:
+        encoding = declared[2].decode() if declared else "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except (UnicodeDecodeError, LookupError):
+        raise ValueError(f"{source}: its bytes are not {encoding}; name it in <?xml ... encoding=...?>") from None
+    return re.sub(r"^(<\?xml[^>]*?)\s+encoding=(['\"]).*?\2", r"\1", text)  # which a text no longer has
 
 
 def root_link(urdf: str) -> str:
@@ -198,6 +216,8 @@ def for_pinocchio(urdf: str) -> str:
     Continuous joints become revolute ones without an end, whose one coordinate is the angle: pinocchio gives them
     cosine and sine instead, and no message carries those. An inertial of zero is removed: adding it to the link before
     would move that link's centre of mass by a rounding error. So is what softrig ignores, which pinocchio might refuse.
+    Numbers are written as Python does: urdfdom takes no space or plus sign at some of them, and then drops the whole
+    inertial with a line on the terminal.
 
     Parameters
     ----------
@@ -219,6 +239,9 @@ def for_pinocchio(urdf: str) -> str:
             limit.set(key, limit.get(key, ENDLESS))
         limit.set("lower", f"-{ENDLESS}")
         limit.set("upper", ENDLESS)
+    for element in robot.iter():
+        for key in _NUMBERS & element.attrib.keys():
+            element.set(key, " ".join(repr(float(word)) for word in element.attrib[key].split()))
     for limit in robot.iterfind("joint/limit"):  # urdfdom takes no infinity
         for key, text in limit.attrib.items():
             if math.isinf(float(text)):

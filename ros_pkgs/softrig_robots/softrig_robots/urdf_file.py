@@ -11,7 +11,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-from softrig_core.kit.file_format import FileFormat, Use
+from softrig_core.kit.file_format import FileFormat, Use, number_of
 
 from .urdf import check_inertia
 
@@ -236,11 +236,8 @@ def _check_tree(root: ElementTree.Element, where: str) -> str:
 
 def _number(element: ElementTree.Element, key: str, where: str, default: float | None = None) -> float:
     text = element.get(key)
-    try:
-        value = float(str(default) if text is None else text)
-    except ValueError:
-        value = math.nan
-    if math.isnan(value) or "_" in str(text):  # Python alone takes 1_000 for a number
+    value = number_of(str(default) if text is None else text)
+    if math.isnan(value):
         raise ValueError(f"{where}: {element.tag}@{key} is {text!r}, expected a number")
     return value
 
@@ -249,10 +246,7 @@ def _vector(element: ElementTree.Element, key: str, size: int, where: str) -> tu
     text = element.get(key)
     if text is None:
         return ()
-    try:
-        values = tuple(float(word) for word in text.split())
-    except ValueError:
-        values = ()
+    values = tuple(map(number_of, text.split()))
     if len(values) != size or not all(map(math.isfinite, values)):
         raise ValueError(f"{where}: {element.tag}@{key} is {text!r}, expected {size} numbers")
     return values

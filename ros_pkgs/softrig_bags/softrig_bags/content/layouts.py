@@ -21,6 +21,7 @@ from softrig_core.wire.types import TYPES
 from .block import Bytes, Ints, distinct, numbers_at, rows_of
 from .definitions import Types
 
+Column = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.uint64]
 LONGEST = 4096  # elements of an array that become columns of their own
 LONGEST_OCTETS = 64  # elements of arrays of uint8, byte or char, which are images and other files more often
 MANY = 20_000  # values of a message; more make no table
@@ -121,13 +122,17 @@ class Template:
         seconds, rest = (part.astype(np.int64) for part in parts)
         return seconds * 10**9 + rest
 
-    def columns(self, rows: Bytes) -> dict[str, NDArray[np.float64]]:
-        """Return the numbers of messages as float64 columns by label, each of shape (n,)."""
-        found: dict[str, NDArray[np.float64]] = {}
-        blocks: dict[int, NDArray[np.float64]] = {}
+    def columns(self, rows: Bytes) -> dict[str, Column]:
+        """Return the numbers of messages as columns by label, each of shape (n,).
+
+        They are float64, but whole numbers of 64 bits keep their type: a float has 53 bits of them.
+        """
+        found: dict[str, Column] = {}
+        blocks: dict[int, Column] = {}
         for label, leaf, k in self.labels:
             if leaf.at not in blocks:
-                blocks[leaf.at] = np.array(self.values(rows, leaf).T, np.float64, order="C")
+                kind = leaf.kind if leaf.kind in ("i8", "u8") and not leaf.flag else "f8"
+                blocks[leaf.at] = np.array(self.values(rows, leaf).T, kind, order="C")
             found[label] = blocks[leaf.at][k]
         return found
 

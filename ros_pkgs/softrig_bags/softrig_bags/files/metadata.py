@@ -76,8 +76,10 @@ def read_metadata(path: Path) -> Metadata:
         return parsed(content["rosbag2_bagfile_information"])
     except (yaml.YAMLError, UnicodeError, RecursionError) as error:
         raise Damaged(f"metadata.yaml is no YAML: {' '.join(str(error).split())[:200]}") from None
-    except (KeyError, TypeError, AttributeError) as error:
-        raise Damaged(f"metadata.yaml is not that of a bag: {error!r}"[:200]) from None
+    except KeyError as error:
+        raise Damaged(f"metadata.yaml is not that of a bag: it has no {error.args[0]}") from None
+    except (TypeError, AttributeError):
+        raise Damaged("metadata.yaml is not that of a bag: expected the fields that rosbag2 writes") from None
 
 
 def embedded(text: str) -> Metadata:

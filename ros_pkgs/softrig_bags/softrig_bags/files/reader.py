@@ -33,6 +33,16 @@ from .sqlite_source import SqliteSource
 
 BATCH = 1 << 22  # bytes of messages that are given at a time, about
 _SQLITE = b"SQLite format 3\0"
+_OTHERS = {  # first bytes of files that people take for bags
+    b"#ROSBAG V": "a bag of ROS 1; convert it by rosbags-convert of the Python package rosbags",
+    b"ULog": "a log of PX4 (ULog), not a bag",
+    b"PK\3\4": "a ZIP archive; unpack it first",
+    b"\x1f\x8b": "compressed by gzip; unpack it first",
+    b"BZh": "compressed by bzip2; unpack it first",
+    b"\xfd7zXZ": "compressed by xz; unpack it first",
+    b"\x04\x22\x4d\x18": "compressed by lz4 as a whole; unpack it first",
+    b"version https://git-lfs": "a pointer of Git LFS, not the file itself; fetch it by `git lfs pull`",
+}
 LATEST = 2**63 - 1
 SHOWN = 5  # bags below a folder that is none: named, so that one of them can be chosen
 
@@ -182,7 +192,10 @@ class BagReader:
             return McapSource(file)
         if head == _SQLITE:
             return SqliteSource(file)
-        raise Damaged(f"{file.name} is neither an MCAP file nor one of SQLite")
+        known = next((what for begin, what in _OTHERS.items() if head.startswith(begin)), "")
+        if known:
+            raise BagError(f"{self.path}: {file.name} is {known}")
+        raise Damaged(f"{file.name} {'is neither an MCAP file nor one of SQLite' if head else 'has 0 bytes'}")
 
     def _map_topics(self) -> None:
         """Create one topic of all that have a name and a type, whichever file or channel they are in."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from ..errors import ScenarioError, closest
 
+UTF_16 = (BOM_UTF16_LE, BOM_UTF16_BE)
 Use = Literal["used", "ignored", "refused"]
 BELOW = "/**"  # ends a name that stands for an element and everything in it
 
@@ -79,3 +82,21 @@ class FileFormat:
     def known(self) -> list[str]:
         """Return the names that may stand in a file."""
         return [key.removesuffix(BELOW) for key, (use, _) in self.table.items() if use != "refused"]
+
+
+def number_of(text: str) -> float:
+    """Return a number as C reads it, NaN where it is none: Python alone takes 1_000 and the digits of other scripts."""
+    try:
+        return float(text) if text.isascii() and "_" not in text else math.nan
+    except ValueError:
+        return math.nan
+
+
+def text_of(data: bytes) -> str:
+    """Decode what other programs write: UTF-16 or UTF-8 with a byte order mark, UTF-8, else cp1252."""
+    if data.startswith(UTF_16):
+        return data.decode("utf-16", errors="replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", errors="replace")

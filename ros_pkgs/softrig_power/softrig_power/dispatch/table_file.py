@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from softrig_core.guard import say
-from softrig_core.kit.file_format import FileFormat
+from softrig_core.kit.file_format import FileFormat, number_of, text_of
 
 UNITS = FileFormat(
     "a table of units",
@@ -75,7 +75,7 @@ class Row:
         except ValueError:
             hint = "; it has a decimal comma in a file with decimal points" if text.count(",") == 1 else ""
             raise TableError(f"{self.where}, column {column}: {shown!r} is no number{hint}") from None
-        if "_" in text or not math.isfinite(found):
+        if not math.isfinite(number_of(text)):
             raise TableError(f"{self.where}, column {column}: {shown}, expected a finite number")
         return found
 
@@ -96,11 +96,7 @@ def read_rows(path: Path) -> tuple[tuple[str, ...], list[Row]]:
     TableError
         A row that is wider or narrower than the head, a column that stands twice or has no name.
     """
-    data = path.read_bytes()
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("cp1252", errors="replace")  # what Excel writes on Windows
+    text = text_of(path.read_bytes())
     head = text.partition("\n")[0]
     separator = next((mark for mark in (";", "\t") if mark in head), ",")
     lines = [(k, [f.strip() for f in row]) for k, row in _numbered(text, separator)]

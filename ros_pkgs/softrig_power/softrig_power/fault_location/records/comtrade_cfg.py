@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from softrig_core.errors import closest
-from softrig_core.kit.file_format import FileFormat
+from softrig_core.kit.file_format import FileFormat, number_of
 
 REVISIONS = ("1991", "1999", "2001", "2013")
 FORMS = ("ASCII", "BINARY", "BINARY32", "FLOAT32")
+SLOWEST, FASTEST = 1e-3, 1e9  # sampling rates, Hz
 UNTRUSTED = 1e-4  # s; clocks that are no nearer than this place a fault nowhere on a line
 _QUALITY = "0123456789AB"  # tmq_code: locked, then within 1 ns, 10 ns, ... 10 s
 
@@ -195,11 +196,8 @@ class _Lines:
 
     def number(self, text: str, name: str) -> float:
         """Return a finite number."""
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value) or "_" in text:
+        value = number_of(text)
+        if not math.isfinite(value):
             raise self.wrong(f"{name} is {text!r}, expected a number")
         return value
 
@@ -249,8 +247,11 @@ def _rates(lines: _Lines) -> tuple[tuple[float, int], ...]:
     for _ in range(max(count, 1)):
         samp, end = lines.fields("a sampling rate and its last sample", (2,))
         rate, last = lines.number(samp, "samp"), lines.count(end, "endsamp")
-        if rate < 0.0 or (found and last <= found[-1][1]):
-            raise lines.wrong(f"samp {samp} and endsamp {end}: expected no negative rate and a rising last sample")
+        if not (rate == 0.0 or SLOWEST <= rate <= FASTEST) or (found and last <= found[-1][1]):
+            raise lines.wrong(
+                f"samp {samp} and endsamp {end}: expected 0 or a rate of {SLOWEST:g} to {FASTEST:g} Hz, "
+                "and a rising last sample"
+            )
         found.append((rate if count else 0.0, last))
     if len(found) > 1 and any(rate == 0.0 for rate, _ in found):
         raise lines.wrong("one of several sampling rates is 0")

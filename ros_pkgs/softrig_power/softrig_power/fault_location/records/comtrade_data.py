@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core.kit.file_format import number_of
 
 from .comtrade_cfg import Settings
 
@@ -82,10 +83,11 @@ def _ascii(settings: Settings, data: bytes) -> tuple[Array, Array, Array]:
             fields.pop()  # some recorders end each line with a comma
         if len(fields) != size:
             raise DataError(f"line {k} of the data has {len(fields)} fields, expected {size}")
-        try:
-            rows.append([float(field) if field.strip() else np.nan for field in fields[: 2 + analog]])
-        except ValueError as error:
-            raise DataError(f"line {k} of the data: {error}") from None
+        found = [number_of(field) for field in fields[: 2 + analog]]
+        for field, value in zip(fields, found, strict=False):
+            if value != value and field.strip().lower() not in ("", "nan"):
+                raise DataError(f"line {k} of the data: {field.strip()!r} is no number")
+        rows.append(found)
     table = np.array(rows, dtype=np.float64).reshape(len(rows), 2 + analog)
     raw = table[:, 2:]
     if settings.revision != "1991":  # there only an empty field is missing
@@ -96,7 +98,8 @@ def _ascii(settings: Settings, data: bytes) -> tuple[Array, Array, Array]:
 def _binary(settings: Settings, data: bytes, words: int) -> tuple[Array, Array, Array]:
     layout = [("n", "<u4"), ("t", "<u4"), ("x", _KINDS[settings.form], (len(settings.analog),)), ("s", "<u2", (words,))]
     table = np.frombuffer(data, dtype=layout, count=len(data) // np.dtype(layout).itemsize)
-    raw = table["x"].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN, as of bytes in another order
+        raw = table["x"].astype(np.float64)
     if settings.form == "FLOAT32":
         raw[(table["x"] == np.finfo(np.float32).min) | ~np.isfinite(raw)] = np.nan
     elif settings.form == "BINARY32":

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core.kit.file_format import text_of
 
 from .comtrade_cfg import COMTRADE, UNTRUSTED, Analog, Settings, SettingsError, read_settings, sections
 from .comtrade_data import DataError, read_samples, stretch, times
@@ -133,7 +134,7 @@ def _pair(path: Path) -> tuple[Settings, bytes]:
     if len(found) != 1:
         names = ", ".join(p.name for p in found)
         raise SettingsError(f"several data files beside it: {names}" if found else "no .dat file beside it")
-    return read_settings(_text(path.read_bytes())), found[0].read_bytes()
+    return read_settings(text_of(path.read_bytes())), found[0].read_bytes()
 
 
 def _cff(data: bytes) -> tuple[Settings, bytes]:
@@ -142,7 +143,7 @@ def _cff(data: bytes) -> tuple[Settings, bytes]:
     for name in ("CFG", "DAT"):
         if name not in found:
             raise SettingsError(f"no section {name}")
-    settings = read_settings(_text(found["CFG"][1]).strip("\r\n"))
+    settings = read_settings(text_of(found["CFG"][1]).strip("\r\n"))
     form, samples = found["DAT"]
     if form and form != settings.form:
         raise SettingsError(f"the section DAT is {form}, but ft is {settings.form}")
@@ -169,14 +170,6 @@ def _aligned(files: Sequence[Recorder]) -> tuple[list[float], list[str], float]:
             )
     first = min(stamps)
     return [(stamp - first) * 1e-9 for stamp in stamps], notes, max(clocks)
-
-
-def _text(data: bytes) -> str:
-    """Decode what recorders write: UTF-8, with a byte order mark or not, else the Western code page of Windows."""
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("cp1252", errors="replace")
 
 
 def _phases(known: Sequence[Analog]) -> list[int | None]:
