@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from conftest import PATIENCE, fork
+from conftest import PATIENCE, few, fork
 from softrig_bringup.cli import main
 from softrig_core.rig.options import RunOptions
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
@@ -96,7 +96,7 @@ def test_other_shells_get_a_script_that_they_can_read(shell, capsys):
         assert subprocess.run([shell, "-n", "/dev/stdin"], input=said, text=True, timeout=PATIENCE).returncode == 0
 
 
-@pytest.mark.parametrize("stray", ["delta:=2", "--params-file", "-p"])
+@pytest.mark.parametrize("stray", few(["delta:=2", "--params-file", "-p"], 1))
 def test_stray_arguments_of_a_node_are_refused(stray, tmp_path):
     logs = os.environ | {"ROS_LOG_DIR": str(tmp_path)}
     with ExitStack() as stack:

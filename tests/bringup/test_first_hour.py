@@ -157,6 +157,7 @@ def test_a_place_that_cannot_be_written_is_one_line(user):
     assert "Permission denied" in error
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_the_package_runs_at_once_in_both_lockstep_modes(user, package):
     command = f"cd heater && '{SOFTRIG}' --workspace . run heater --no-plots --mode"

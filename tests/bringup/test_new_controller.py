@@ -4,6 +4,7 @@ import subprocess
 
 import pytest
 import yaml
+from conftest import few
 from docs.outline import GALLERY, ROOT
 from softrig_bringup.cli import main
 from softrig_bringup.new.controller import replaced
@@ -19,7 +20,7 @@ NAMED = {
 }
 
 
-@pytest.mark.parametrize("system", GALLERY)
+@pytest.mark.parametrize("system", few(GALLERY, 7))
 def test_each_system_has_a_controller_to_replace_by_one_with_its_ports(system, tmp_path, capsys):
     scenario = NAMED.get(system, system)
     assert main(["new", "my_law", "--only", "law", "--for", scenario, "--into", str(tmp_path)]) == 0

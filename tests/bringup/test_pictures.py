@@ -623,6 +623,7 @@ def test_many_figures_of_few_runs_stand_one_a_row():
     assert cells == {2: [3], 9: [9, 5]}
 
 
+@pytest.mark.long
 def test_the_report_of_several_runs_overlays_their_bags(tmp_path):
     runs = [str(tmp_path / "a"), str(tmp_path / "b")]
     (plot,) = (p for p in load_scenario("dc_motor_smc_c1").plots if p.title == "Armature voltage and current")

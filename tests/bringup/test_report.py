@@ -229,6 +229,7 @@ def test_quantised_measurement_of_a_plant_is_drawn_as_steps(make_rig, draw):
     assert count.get_drawstyle() == "steps-post"
 
 
+@pytest.mark.long
 def test_legends_cover_no_data(whole):
     for figure in whole[1].values():
         figure.draw_without_rendering()

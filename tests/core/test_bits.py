@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import few
 from softrig_core import bits, needs
 from softrig_core.solver import worker
 from softrig_nodes.processes.executables import environment
@@ -57,7 +58,7 @@ print(json.dumps(softrig_core.simulate("dc_motor_smc_b2", duration=0.1).kernels)
 """
 
 
-@pytest.mark.parametrize("order", ["first", "after"])
+@pytest.mark.parametrize("order", few(["first", "after"], 1))
 def test_an_import_changes_nothing_in_the_process_of_a_user(order):
     command = [sys.executable, "-c", WIDE + FOREIGN, order]
     done = subprocess.run(command, capture_output=True, text=True, env=UNPINNED)

@@ -320,6 +320,7 @@ def test_what_is_refused_while_it_runs_changes_nothing():
     assert "parameter_events" not in run.recording.topics
 
 
+@pytest.mark.long
 @settings(max_examples=40)
 @given(st.dictionaries(st.text(max_size=5), st.one_of(
     st.none(), st.booleans(), st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False), st.text(max_size=9),

@@ -108,6 +108,7 @@ print(digest.hexdigest(), "numba" in sys.modules)
 """
 
 
+@pytest.mark.long
 def test_native_plain_and_every_kernel_give_the_same_bits():
     def said(before="", **variables):
         done = subprocess.run(

@@ -104,6 +104,7 @@ def test_an_action_is_cut_at_its_bounds():
     assert runs[0] == runs[1]
 
 
+@pytest.mark.long
 def test_side_by_side_they_are_what_each_is_alone():
     one = motor()
     one.reset(seed=5)
@@ -398,6 +399,7 @@ def test_a_policy_of_an_installed_package_runs_as_a_node_and_is_judged_as_the_la
     assert told["mode"] == "container"
 
 
+@pytest.mark.long
 def test_the_page_trains_a_policy_and_says_what_it_does(tmp_path, monkeypatch, capsys):
     pytest.importorskip("cmaes")
     monkeypatch.chdir(tmp_path)

@@ -7,6 +7,7 @@ import subprocess
 from graphlib import TopologicalSorter
 
 import pytest
+from conftest import few
 from softrig_core import ScenarioError, rig_of
 from softrig_core.export.check import BOARDS, FLAGS, TOOLS, replayed
 from softrig_core.export.command import export_c, export_rig, main
@@ -173,7 +174,7 @@ def test_an_error_leaves_the_state_and_gives_the_safe_value_and_parameters_can_b
     assert float(words[6]) == python(2 * delta) != python(delta)
 
 
-@pytest.mark.parametrize("board", BOARDS)
+@pytest.mark.parametrize("board", few(BOARDS, 1))
 def test_a_board_has_the_bits_of_python(law, board, tmp_path):
     if not all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm"))):
         pytest.skip(f"needs {TOOLS}")

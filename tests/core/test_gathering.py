@@ -3,6 +3,7 @@
 import random
 
 import pytest
+from conftest import few
 from softrig_core import Sample, rig_of
 from softrig_core.run.inprocess import step_of
 from softrig_nodes.realtime.gathering import STRETCH, gather
@@ -28,7 +29,7 @@ def kept(step):
     return columns, [(k.stamp, k.forgot) for k in step.x.seen]
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", few(range(4), 2))
 def test_what_it_keeps_is_what_its_ticks_saw(seed):
     chance, (gathering, plain) = random.Random(seed), watchers()
     newest = {}

@@ -331,6 +331,7 @@ def test_the_delay_margin_of_the_rectifier_is_the_true_one():
         assert grows(run, "dc_link/voltage/position", 0.5) == swings, n
 
 
+@pytest.mark.long
 def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
     """Near only: a force that ripples along the track makes a loop that changes with the position."""
     view = linear_view("lsrm_fuzzy_pi_fast", "force_cmd/translator", at=1.0, overrides={"current_period": 1e-4})
@@ -347,6 +348,7 @@ def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
     assert 1e-3 < view.variation < 0.1
 
 
+@pytest.mark.long
 def test_a_loop_that_cannot_be_seen_is_told():
     motor = {"overrides": {"period": T}, "at": 1.0}
     with pytest.raises(RunError, match=r"motor_reference hears nothing of what motor/reference/.* does: no loop"):

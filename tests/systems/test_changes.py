@@ -114,6 +114,7 @@ def _free_fall(plant):
     return pinocchio.aba(model, data, q, np.zeros(3), np.zeros(3)).tolist()
 
 
+@pytest.mark.long
 def test_rehab_robot_of_twice_the_stiffness_gives_way_half_as_far():
     """Active exercise under a constant force of the patient: K_d e = J' F at rest."""
     ways = []

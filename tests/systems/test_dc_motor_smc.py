@@ -56,7 +56,7 @@ def speed(name):
 
 
 @pytest.mark.parametrize(
-    "name", few(sorted({n for n in list_scenarios() if n.startswith("dc_motor_smc")} - ELSEWHERE), 14)
+    "name", few(sorted({n for n in list_scenarios() if n.startswith("dc_motor_smc")} - ELSEWHERE), 6)
 )
 def test_every_scenario_meets_its_figures(name):
     assert figures(name)

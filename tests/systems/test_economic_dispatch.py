@@ -135,6 +135,7 @@ def test_dispatch_of_the_published_cases(case):
         assert P[[34, 35]] == pytest.approx([200.0, 194.3978], abs=1e-3)
 
 
+@pytest.mark.long
 def test_kink_enumeration_agrees_with_the_proof():
     """An independent method that is exact if at most one unit is off its valve points."""
     for table in ("units_13", "units_13_e3_150"):
@@ -174,6 +175,7 @@ def test_scip_confirms_the_13_units():
         assert model.getObjVal() == pytest.approx(found.cost, abs=2e-3)
 
 
+@pytest.mark.long
 def test_the_plain_two_stages_are_no_proof():
     """One segment an arch ends in other arches: the method of the paper finds the optimum only with luck."""
     units = Units.read("units_3")
@@ -215,6 +217,7 @@ def test_no_chord_lowered_is_above_the_cost():
     assert [chord_excess((0.0, 9.0, 1.0, 0.0, 0.0, 10.0, 1.0), k * np.pi, (k + 1) * np.pi) for k in range(2)] == [0, 0]
 
 
+@pytest.mark.long
 def test_the_bound_holds_for_random_units():
     """Against brute force on a fine grid: three random units, the third takes the residual."""
     chance = np.random.default_rng(1)
@@ -264,6 +267,7 @@ def test_the_proof_takes_few_boxes(name, boxes):
     assert Optimiser(Units.read(table)).certified(demand).nodes == pytest.approx(boxes, rel=0.05)
 
 
+@pytest.mark.long
 def test_where_boxes_run_out_the_adaptive_milps_prove_it():
     """The certificate of the paper's own machinery: chords lowered below the cost and split where they are too low."""
     units = Units.read("units_3")

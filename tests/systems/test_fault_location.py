@@ -10,7 +10,7 @@ from pathlib import Path
 import comtrade
 import numpy as np
 import pytest
-from conftest import replay
+from conftest import few, replay
 from matplotlib.figure import Figure
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
@@ -186,6 +186,7 @@ def test_published_table_agrees_with_itself():
     assert PUBLISHED[Case("ABG", 100.0, 5.0)].woa_km == PUBLISHED[Case("ABG", 100.0, 15.0)].woa_km
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("profile", "largest", "mean"),
     [
@@ -227,7 +228,7 @@ def test_other_types(case):
     assert found.x_km == pytest.approx(case.x_km, abs=0.015)
 
 
-@pytest.mark.parametrize("x", [5.0, 50.0, 100.0, 115.0])
+@pytest.mark.parametrize("x", few([5.0, 50.0, 100.0, 115.0], 3))
 @pytest.mark.parametrize("rf", [0.0, 15.0])
 def test_types_that_share_the_mode(x, rf):
     """Three-phase, two-phase and two-phase to ground have the same a - b signals, so the same estimate."""
@@ -524,7 +525,7 @@ WIRED = {  # what is wrong at an end, and what the locator says about it
 }
 
 
-@pytest.mark.parametrize("name", WIRED)
+@pytest.mark.parametrize("name", few(WIRED, 3))
 @pytest.mark.parametrize(
     "case",
     [
@@ -631,6 +632,7 @@ def test_uncertainties_add_by_their_squares():
     assert Confidence(3.0, {"a": 4.0, "b": 12.0}, 1.0).total_km == 13.0
 
 
+@pytest.mark.long
 def test_confidence_covers_the_error():
     """The scatter told by one noisy record agrees with the spread over records; the budget covers what it names."""
     p = LocatorParams()
@@ -753,7 +755,7 @@ VARIANTS = ["", "_record", "_woa", "_gwo", "_integer_grid", "_phasor", "_printed
 
 
 @pytest.mark.parametrize(
-    "variant", [pytest.param(v, marks=[pytest.mark.long] * (v in ("_gwo", "_500kv"))) for v in VARIANTS]
+    "variant", few([pytest.param(v, marks=[pytest.mark.long] * (v in ("_gwo", "_500kv"))) for v in VARIANTS], 4)
 )
 def test_scenarios(variant):
     run = simulate(f"fault_location{variant}")

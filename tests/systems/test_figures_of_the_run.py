@@ -16,6 +16,7 @@ from functools import cache
 import numpy as np
 import pytest
 from board_by_hand import UNO
+from conftest import few
 from softrig_core import (
     Observer,
     ParameterError,
@@ -613,7 +614,7 @@ HEADLINES = (
 )
 
 
-@pytest.mark.parametrize("scenario", HEADLINES)
+@pytest.mark.parametrize("scenario", few(HEADLINES, 6))
 def test_figures_of_a_system_follow_its_nodes(scenario):
     follows(scenario)
     no_time_beside_a_node_s(scenario)

@@ -97,6 +97,7 @@ for step in (0.005, 0.01):
 """
 
 
+@pytest.mark.long
 def test_a_source_follows_the_clock_of_the_tool_in_several_instances_and_refuses_loudly(tmp_path):
     """FMPy, in a process of its own, which has to end well: PythonFMU 0.7 aborted it, found no class a second time, and
     went on over a refused step with zeros."""
@@ -172,6 +173,7 @@ def motor(exported, **given):
     return ByHand(FmuPlant(name="motor", log=True, **given))
 
 
+@pytest.mark.long
 def test_inputs_that_nobody_feeds_begin_as_in_the_scenario(tmp_path):
     rig = rig_of("rectifier_mpc", duration=0.01)
     run = simulate(rig)
@@ -196,6 +198,7 @@ def test_inputs_that_nobody_feeds_begin_as_in_the_scenario(tmp_path):
     assert set_to.update(0, y=measured[0])["to_u"] != (commands[0],)
 
 
+@pytest.mark.long
 def test_a_longer_step_is_several_periods(exported):
     long, short = motor(exported, period=5e-4), motor(exported)
     long.advance(0, u=(5.0,))

@@ -7,6 +7,7 @@ import random
 
 import numpy as np
 import pytest
+from conftest import few
 from scipy.optimize import minimize_scalar, root
 from softrig_power.gupfc import pulses
 from softrig_power.gupfc.flow.injection import converter_power, series_power
@@ -153,6 +154,7 @@ def reachable(rng):
             yield references(flows, v=size), u, max(abs(v12), abs(v34))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("draws", "seed"), [(60, 1), *(pytest.param(1000, seed, marks=pytest.mark.long) for seed in range(1, 12))]
 )
@@ -307,7 +309,7 @@ def test_levels_and_steps():
     assert np.all(np.diff(np.flatnonzero(steps)) == 64)
 
 
-@pytest.mark.parametrize("sigma", [0.3, 2.0, SIGMA, math.pi])
+@pytest.mark.parametrize("sigma", few([0.3, 2.0, SIGMA, math.pi], 2))
 def test_mean_over_a_step_is_exact(sigma):
     """Against a fine midpoint sum, steps that hold edges included."""
     rng = np.random.default_rng(1)

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import differences, in_process
+from conftest import differences, few, in_process
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.sparse import lil_matrix
@@ -53,12 +53,18 @@ def status(found, name):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "gupfc",
-        "gupfc_s2",
-        "gupfc_s5",
-        *(pytest.param(n, marks=pytest.mark.long) for n in ("gupfc_s3", "gupfc_s4", "gupfc_s5_sweep", "gupfc_stretch")),
-    ],
+    few(
+        [
+            "gupfc",
+            "gupfc_s2",
+            "gupfc_s5",
+            *(
+                pytest.param(n, marks=pytest.mark.long)
+                for n in ("gupfc_s3", "gupfc_s4", "gupfc_s5_sweep", "gupfc_stretch")
+            ),
+        ],
+        1,
+    ),
 )
 def test_scenario(name):
     """Every figure as expected, every verdict of a claim borne out by the measurement."""
@@ -207,6 +213,7 @@ class Ladder:
         return b
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["expm", pytest.param("DOP853", marks=pytest.mark.long)])
 def test_line_against_a_pi_ladder(solver):
     """Open-loop step of both series voltages against 60 pi sections: rms 0.008 pu of 0.63 in P1, 0.003 pu in V1."""
@@ -253,6 +260,7 @@ def test_line_against_a_pi_ladder(solver):
     assert abs(u2[0] - found[2][0]) < 1e-4
 
 
+@pytest.mark.long
 def test_power_flow_against_pandapower():
     """Fed with the injections as constants and started at our solution, pandapower has nothing to do at 1e-8 MVA.
 

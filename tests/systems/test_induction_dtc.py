@@ -68,7 +68,7 @@ LATER = ("e1", "e2", "e2_3_lsb", "s1", "s4", "s5", "s6_offset", "s7", "s8_half",
             for n in sorted(list_scenarios())
             if n.startswith("induction_dtc")
         ],
-        3,
+        1,
     ),
 )
 def test_scenario_meets_its_numbers(name):
@@ -213,7 +213,7 @@ def test_converter_clips_to_its_codes_and_tells():
     assert not Converter(AdcParams(adc_mode="none")).beyond(99.0)
 
 
-@pytest.mark.parametrize(("p_d", "offset"), [(0.0, 0.5), (0.5, 0.5), (1.0, 0.5), (0.8, 0.8)])
+@pytest.mark.parametrize(("p_d", "offset"), few([(0.0, 0.5), (0.5, 0.5), (1.0, 0.5), (0.8, 0.8)], 2))
 def test_dither_moves_the_mean_by_its_probability(p_d, offset):
     converter = Converter(AdcParams(adc_mode="dither", dither_p=p_d, offset_lsb=offset))
     bits = np.random.default_rng(3).random(40000)
@@ -457,6 +457,7 @@ def test_saturated_converter_warns_after_ten_samples():
     assert plant.reports["adc_saturated"][0] == Level.WARN
 
 
+@pytest.mark.long
 def test_lost_flux_warns():
     signals_of = load_scenario(
         "induction_dtc_s0", {"speed_source.velocities": [0.0, 0.0], "load_source.values": [0, 0]}

@@ -50,7 +50,7 @@ def live(run):
             ("rectifier_mpc", 0.6, 5),
             ("gupfc_stretch", 1.5, 40),
         ],
-        5,
+        2,
     ),
 )
 def test_figures_while_running_equal_those_of_the_recording(name, duration, least):

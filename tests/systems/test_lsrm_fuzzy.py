@@ -62,13 +62,13 @@ def daily_or_long(names):
     return [pytest.param(n, marks=pytest.mark.long if n[11:] in MORE else []) for n in names]
 
 
-@pytest.mark.parametrize("name", few(daily_or_long(SCENARIOS), 5))
+@pytest.mark.parametrize("name", few(daily_or_long(SCENARIOS), 2))
 def test_scenario_meets_its_numbers(name):
     assert [row for row in measured(name).values() if not row.passed] == []
     assert any(row.judged for row in measured(name).values())
 
 
-@pytest.mark.parametrize("name", daily_or_long(n for n in SCENARIOS if load_scenario(n).claims))
+@pytest.mark.parametrize("name", few(daily_or_long(n for n in SCENARIOS if load_scenario(n).claims), 3))
 def test_verdicts_about_the_paper_hold(name):
     for key, claim in load_scenario(name).claims.items():
         others = {kind: value(*(r.rsplit(".", 1) if "." in r else (name, r))) for kind, r in claim.compared().items()}
@@ -169,6 +169,7 @@ def test_recorded_voltages_agree_with_an_independent_solver():
     assert signals["phase_currents/b/position"].x[-1] == 0.0 < signals["phase_currents/b/position"].x.max()
 
 
+@pytest.mark.long
 def test_finer_steps_give_the_same_figures():
     coarse, fine = (simulate("lsrm_fuzzy", overrides={"lsrm_plant.substeps": n}) for n in (5, 50))
     for figure in ("overshoot", "iae", "peak_force"):
@@ -187,6 +188,7 @@ def test_flux_ends_at_zero():
     assert plant.outputs(0)["phase_currents"] == OFF
 
 
+@pytest.mark.long
 def test_without_numba_the_same_bits():
     code = (
         "from softrig_core.run.simulate import simulate\n"
@@ -437,6 +439,7 @@ def test_reversed_force_switches_to_the_phases_with_negative_slope():
     assert carrying["phase_voltage"][2] == 0.0
 
 
+@pytest.mark.long
 def test_reversed_force_pushes_back_without_negative_current():
     signals = recorded("lsrm_fuzzy_n3_s")
     for phase in "abcd":
@@ -464,7 +467,7 @@ def test_position_is_quantised():
 # monitor
 
 
-@pytest.mark.parametrize("name", SHARED)
+@pytest.mark.parametrize("name", few(SHARED, 1))
 def test_a_motion_backwards_has_the_figures_of_its_mirror_image(name):
     """Old: overshoot -100 %, dip -0.3 %, peak force 0."""
     forwards, backwards = shared(name), simulate(name, overrides={"v_d": -0.5})

@@ -384,13 +384,14 @@ LATER = {f"manipulator_adsmc_{n}" for n in ("s2", "s2b", "s3", "s4_printed_mu1",
 NAMES = sorted(n for n in list_scenarios() if n.startswith("manipulator_adsmc"))
 
 
-@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 3))
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 1))
 def test_scenario_meets_its_numbers(name):
     found = evaluate(rig_of(name), run(name))
     assert any(m.judged for m in found)
     assert [f"{m.name} = {m.value}" for m in found if not m.passed] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("period", "substeps"), [*(pytest.param(T, 1, marks=pytest.mark.long) for T in (1e-4, 5e-4)), (2e-3, 4), (4e-3, 8)]
 )
@@ -402,6 +403,7 @@ def test_control_period_hardly_matters(period, substeps):
         assert measures.peak(other, signal) == pytest.approx(measures.peak(nominal, signal), rel=0.05)
 
 
+@pytest.mark.long
 def test_order_of_the_laws():
     adsmc, dsmc, smc = (run(f"manipulator_adsmc{s}") for s in ("", "_s4", "_s5"))
     for e, v in zip(E_SIGNAL, V_SIGNAL, strict=True):

@@ -5,6 +5,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import few
 from hypothesis import given, settings, strategies as st
 from softrig_systems.optimal_control.method import collocation, exact, mvim, series
 from softrig_systems.optimal_control.method.mvim import solve
@@ -295,6 +296,7 @@ def test_the_boundary_value_solver_agrees_with_the_exact_answers(problem):
     assert exact.tpbvp(problem).cost == pytest.approx(exact.least_cost(problem), rel=1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("problem", "off"),
     [
@@ -325,11 +327,11 @@ def test_a_warm_start_saves_iterations():
     assert abs(warm.J - solve(later, 30).J[-1]) < 1e-9
 
 
-@pytest.mark.parametrize(("times", "order", "stages", "off"), [
+@pytest.mark.parametrize(("times", "order", "stages", "off"), few([
     (1, 8, 1, 4.1e-8), (3, 8, 1, 4.4e-6), (5, 8, 1, 5.3e-5), (10, 8, 1, 1.5e-3), (20, 8, 1, 9.9e-2),
     (3, 16, 1, 5.6e-11), (5, 16, 1, 5.1e-9), (10, 16, 1, 3.5e-6), (20, 16, 1, 4.7e-3),
     (10, 24, 1, 8.2e-9), (20, 24, 1, 3.2e-4),
-])  # fmt: skip
+], 4))  # fmt: skip
 def test_end_error_over_rate(times, order, stages, off):
     assert true_end_error(times, order, stages) == pytest.approx(off, rel=0.05)
 

@@ -116,6 +116,7 @@ def test_poles_that_cannot_be_placed_are_refused():
         FsfbControllerParams(poles=[-1.0, -2.0, -3.0], integral=False)
 
 
+@pytest.mark.long
 def test_an_induction_machine_of_a_t_circuit_draws_its_current():
     R_r, leak, L_m = 1.395, 5.839e-3, 0.1722
     p = parameters("induction_dtc_4kw", "im_plant")
@@ -377,6 +378,7 @@ def test_values_of_an_arm_are_one_or_one_a_joint(name):
             arm(*values)
 
 
+@pytest.mark.long
 def test_another_leg_gives_way_by_its_impedance():
     run = simulate("rehab_impedance_winter")
     joints = ("hip", "knee")

@@ -140,7 +140,7 @@ def exact_voltage(i, irradiance, temperature):
 
 
 @pytest.mark.parametrize(
-    ("irradiance", "temperature"), [(PATTERN1, ROOM), (PATTERN2, (40.0, 60.0, -10.0, 25.0)), (UNIFORM, ROOM)]
+    ("irradiance", "temperature"), few([(PATTERN1, ROOM), (PATTERN2, (40.0, 60.0, -10.0, 25.0)), (UNIFORM, ROOM)], 2)
 )
 def test_string_against_lambert_w(irradiance, temperature):
     """The table inverts the exact voltage, and the peak powers agree to 1e-3 W."""
@@ -156,6 +156,7 @@ def test_string_against_lambert_w(irradiance, temperature):
         assert peak.p == pytest.approx(best, abs=1e-3)
 
 
+@pytest.mark.long
 @given(
     st.lists(st.sampled_from([0.0, 1e-3, 30.0, 400.0, 400.5, 1000.0, 1500.0]), min_size=4, max_size=4),
     st.lists(st.floats(-40.0, 100.0), min_size=4, max_size=4),
@@ -311,15 +312,18 @@ def static_runs(algorithm, n=400, **settings):
 
 @pytest.mark.parametrize(
     ("algorithm", "settings", "hits", "close"),
-    [
-        ("issa", {}, 230, 203),
-        ("ssa", {}, 293, 253),
-        ("pso", {}, 254, 247),
-        pytest.param("de_rand1", {}, 259, 225, marks=pytest.mark.long),
-        pytest.param("de_best1", {}, 220, 198, marks=pytest.mark.long),
-        ("fa", {}, 269, 201),
-        ("issa", {"c3_threshold": 0.0}, 51, 41),
-    ],
+    few(
+        [
+            ("issa", {}, 230, 203),
+            ("ssa", {}, 293, 253),
+            ("pso", {}, 254, 247),
+            pytest.param("de_rand1", {}, 259, 225, marks=pytest.mark.long),
+            pytest.param("de_best1", {}, 220, 198, marks=pytest.mark.long),
+            ("fa", {}, 269, 201),
+            ("issa", {"c3_threshold": 0.0}, 51, 41),
+        ],
+        2,
+    ),
 )
 def test_hit_rates(algorithm, settings, hits, close):
     """Acceptance 3: how many of 400 seeds end in the global basin of pattern 2, and above 99 % of its power.
@@ -356,7 +360,7 @@ LATER = {
 NAMES = [n for n in list_scenarios() if n.startswith("pv_mppt")]
 
 
-@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 10))
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 4))
 def test_scenario_meets_its_metrics(name):
     _, figures = result(name)
     assert figures
@@ -384,6 +388,7 @@ def test_perturb_and_observe(name, power, tolerance):
 STRING = {"module": {}, "first": (1000.0, 800.0, 600.0, 400.0, 25.0, 25.0, 25.0, 25.0)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", ["pv_mppt_s5", pytest.param("pv_mppt_s5_certified_transients", marks=pytest.mark.long)]
 )
@@ -427,6 +432,7 @@ OTHERS = [  # a sweep sees each voltage once
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("algorithm", [*DAILY, *(pytest.param(a, marks=pytest.mark.long) for a in OTHERS)])
 def test_light_that_comes_back_during_a_search_starts_another(algorithm):
     """What was found is right again at the end of the search, but what was measured in the shade is not."""
@@ -522,6 +528,7 @@ def test_a_light_that_never_rests_does_not_make_it_search_for_ever():
     assert tracker.reports["changed"][0] is Level.WARN
 
 
+@pytest.mark.long
 def test_same_seed_same_bits():
     """Acceptance 7, in process: every message of every topic; another seed draws other conditions."""
     rig = rig_of("pv_mppt_s4_issa")

@@ -137,22 +137,26 @@ def test_theorem_1_on_the_pendulum_with_cell_terms():
 
 @pytest.mark.parametrize(
     ("name", "order", "cell_terms", "low", "high", "least", "most"),
-    [
-        pytest.param("switched", 2, False, 0.0193, 0.0196, 0.01940, 0.020005, marks=pytest.mark.long),
-        pytest.param("pendulum", 2, True, 0.26, 0.27, 0.2655, 0.4192, marks=pytest.mark.long),
-        pytest.param("switched", 1, False, 0.019, 0.020, 0.01936, 0.01938, marks=pytest.mark.long),
-        pytest.param("switched", 3, False, 0.019, 0.020, 0.01942, 0.01944, marks=pytest.mark.long),
-        pytest.param("pendulum", 1, True, 0.26, 0.27, 0.2655, 0.2660, marks=pytest.mark.long),
-        pytest.param("pendulum", 3, True, 0.26, 0.27, 0.2657, 0.26617, marks=pytest.mark.long),
-        ("tank", 2, False, 7.5, 8.2, 7.82, 7.90),
-        ("benchmark", 1, False, 6.0, 6.1, 6.0583, 6.0593),
-        ("benchmark", 2, False, 6.1, 6.2, 6.1677, 6.1697),
-    ],
+    few(
+        [
+            pytest.param("switched", 2, False, 0.0193, 0.0196, 0.01940, 0.020005, marks=pytest.mark.long),
+            pytest.param("pendulum", 2, True, 0.26, 0.27, 0.2655, 0.4192, marks=pytest.mark.long),
+            pytest.param("switched", 1, False, 0.019, 0.020, 0.01936, 0.01938, marks=pytest.mark.long),
+            pytest.param("switched", 3, False, 0.019, 0.020, 0.01942, 0.01944, marks=pytest.mark.long),
+            pytest.param("pendulum", 1, True, 0.26, 0.27, 0.2655, 0.2660, marks=pytest.mark.long),
+            pytest.param("pendulum", 3, True, 0.26, 0.27, 0.2657, 0.26617, marks=pytest.mark.long),
+            ("tank", 2, False, 7.5, 8.2, 7.82, 7.90),
+            ("benchmark", 1, False, 6.0, 6.1, 6.0583, 6.0593),
+            ("benchmark", 2, False, 6.1, 6.2, 6.1677, 6.1697),
+        ],
+        2,
+    ),
 )
 def test_constant_delay_criterion(name, order, cell_terms, low, high, least, most):
     assert least <= margin(name, low, high, 0.0, cell_terms, order) <= most
 
 
+@pytest.mark.long
 def test_constant_delay_criterion_approaches_the_exact_margin_from_below():
     found = margin("benchmark", 6.17, 6.18, order=3, width=1e-6)
     assert found == pytest.approx(6.172, abs=0.001)
@@ -165,7 +169,7 @@ def test_exact_margin_of_the_benchmark():
     assert (math.pi - math.atan2(w, 0.9)) / w == pytest.approx(EXACT, abs=2e-5)
 
 
-@pytest.mark.parametrize(("make", "h"), [(switched, 0.0201), (lambda: linear(*BENCHMARK), 6.2)])
+@pytest.mark.parametrize(("make", "h"), few([(switched, 0.0201), (lambda: linear(*BENCHMARK), 6.2)], 2))
 @pytest.mark.parametrize("method", ["theorem1", "constant"])
 def test_no_certificate_beyond_the_true_margin(make, h, method):
     assert not certify(make(), h, Criterion(method, order=3)).valid
@@ -185,7 +189,7 @@ def test_no_constant_delay_is_certified_of_a_system_that_grows(order):
 
 
 @pytest.mark.parametrize(
-    ("k", "cell_terms", "valid", "not_valid"), [(3.0, False, 0.379, 0.381), (3.0, True, 0.387, 0.389)]
+    ("k", "cell_terms", "valid", "not_valid"), few([(3.0, False, 0.379, 0.381), (3.0, True, 0.387, 0.389)], 1)
 )
 def test_constant_delay_of_a_pendulum_with_a_weaker_gain(k, cell_terms, valid, not_valid):
     criterion = Criterion("constant", cell_terms=cell_terms)
@@ -202,6 +206,7 @@ def test_windows_of_the_oscillator():
     assert sorted(delays) == pytest.approx([0.81677, 1.735], rel=2e-4)
 
 
+@pytest.mark.long
 def test_the_search_of_constant_delays_ends_with_the_first_window():
     """A second window ends at 3.4576 s, and a bracket of 0.05 to 3 s finds both."""
     criterion = Criterion("constant")
@@ -352,6 +357,7 @@ def test_every_parameter_of_the_tank_is_held_against_its_certificate():
     assert fields == {*TANKS, *REFUSED_OF_THE_LEVEL, *FREE_OF_THE_LEVEL}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("parameter", "value"),
     [pytest.param(*row, marks=[pytest.mark.long] * (row[0] != "tank_controller.k_high")) for row in TANKS.items()],
@@ -427,6 +433,7 @@ def test_certificate_of_the_pendulum_is_of_its_gains():
 # C6: simulated margins
 
 
+@pytest.mark.long
 def test_margin_of_the_switched_system():
     found = pwa_margin(switched(), 0.0195, 0.021, (-2.0, 0.0), 60.0)
     assert found.h == pytest.approx(0.020005, abs=3e-5)
@@ -548,21 +555,24 @@ SLOW = {f"pwa_delay_{n}" for n in (
 )}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in SLOW)) for n in NAMES], 4))
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in SLOW)) for n in NAMES], 2))
 def test_figures_of_the_scenarios(name):
     assert [f"{r.name} = {r.value}" for r in run(name).missed] == []
 
 
 @pytest.mark.parametrize(
     ("system", "x0", "stable", "unstable", "mu", "seconds"),
-    [
-        pytest.param("switched", (-2.0, 0.0), 0.0192, 1.03 * 0.020005, 0.0, 60.0, marks=pytest.mark.long),
-        ("switched", (-2.0, 0.0), 0.01728, 1.03 * 0.020005, 0.3, 60.0),
-        ("continuous_tank", (0.3,), 7.84, 1.03 * 11.49, 0.0, 1000.0),
-        ("continuous_tank", (0.3,), 7.5, 1.03 * 11.49, 0.3, 1000.0),
-        ("pendulum", (1.0, 0.0), 0.2657, 1.03 * 0.4192, 0.0, 60.0),
-        ("pendulum", (1.0, 0.0), 0.2451, 1.03 * 0.4192, 0.3, 60.0),
-    ],
+    few(
+        [
+            pytest.param("switched", (-2.0, 0.0), 0.0192, 1.03 * 0.020005, 0.0, 60.0, marks=pytest.mark.long),
+            ("switched", (-2.0, 0.0), 0.01728, 1.03 * 0.020005, 0.3, 60.0),
+            ("continuous_tank", (0.3,), 7.84, 1.03 * 11.49, 0.0, 1000.0),
+            ("continuous_tank", (0.3,), 7.5, 1.03 * 11.49, 0.3, 1000.0),
+            ("pendulum", (1.0, 0.0), 0.2657, 1.03 * 0.4192, 0.0, 60.0),
+            ("pendulum", (1.0, 0.0), 0.2451, 1.03 * 0.4192, 0.3, 60.0),
+        ],
+        2,
+    ),
 )
 def test_plants_fall_at_the_certified_delay_and_grow_beyond_their_margin(system, x0, stable, unstable, mu, seconds):
     def sizes(delay, kind):
@@ -584,6 +594,7 @@ def test_plants_fall_at_the_certified_delay_and_grow_beyond_their_margin(system,
     assert after > 1.03 * before
 
 
+@pytest.mark.long
 def test_functional_falls_along_the_certified_trajectory_and_rises_beyond():
     assert run("pwa_delay").figures["largest_rise"] < 7e-4
     warned = run("pwa_delay_beyond").blocks["lyapunov_monitor"]

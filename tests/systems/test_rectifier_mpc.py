@@ -60,7 +60,7 @@ def run_of(name):
     return simulate(name)
 
 
-@pytest.mark.parametrize("name", few(SCENARIOS, 18))
+@pytest.mark.parametrize("name", few(SCENARIOS, 6))
 def test_scenario_meets_its_figures(name):
     run = run_of(name)
     assert run.results
@@ -501,6 +501,7 @@ def test_edges_are_exact_whatever_the_internal_step():
     assert moving(fine) == pytest.approx(moving(default), abs=1e-5)
 
 
+@pytest.mark.long
 def test_edges_against_a_fine_comparison():
     """Phase current over some carrier periods against a comparator sampled every 5 ns, without the plant's code."""
     c = CONSTANTS
@@ -714,6 +715,7 @@ def test_the_certificate_of_the_papers_model_does_not_help_the_plant():
     assert run_of("rectifier_mpc_seed19").figures["peak_to_peak"] < 0.1
 
 
+@pytest.mark.long
 def test_native_and_plain_code_give_the_same_bits(monkeypatch):
     native = [ByHand(RectifierPlant(model=m)) for m in ("averaged_dq", "averaged_abc", "switched")]
     for plant in native:

@@ -173,6 +173,7 @@ def test_plant_agrees_with_an_independent_integrator():
     np.testing.assert_allclose(numbers(plant.x)[:6], x, atol=1e-6)
 
 
+@pytest.mark.long
 def test_substeps_agree_to_four_digits():
     two, eight = (run("rehab_impedance", 5.0, rehab_plant__substeps=n) for n in (2, 8))
     for e in E_SIGNAL:
@@ -240,7 +241,7 @@ LATER = {f"rehab_impedance_{n}" for n in (
 NAMES = sorted(n for n in list_scenarios() if n.startswith("rehab_impedance"))
 
 
-@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 4))
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 2))
 def test_scenario_meets_its_numbers(name):
     found = evaluate(rig_of(name), run(name))
     assert any(m.judged for m in found)
@@ -267,6 +268,7 @@ def test_seconds_at_the_voltage_limit_are_said():
     assert text == "motor voltages at their limit of 24 V for [0.008, 0.0] s (motor after motor)"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("other", "times"),
     [
@@ -281,6 +283,7 @@ def test_order_of_the_laws(other, times):
 # B3: the identity behind the law
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("resistance", "drift"),
     [
@@ -306,6 +309,7 @@ def test_law_is_an_integrator_whatever_the_resistance(resistance, drift):
         assert np.abs(q[0] - q[1]).max() < 1e-9
 
 
+@pytest.mark.long
 def test_law_goes_on_from_the_voltage_that_the_plant_applied():
     tight = {"rehab_plant__v_max": 6.0, "rehab_plant__disturbance__torque": 0.0}
     fed = run("rehab_impedance", 6.0, **tight)
@@ -349,7 +353,7 @@ def test_stability_limits(lam, limit, delayed):
     assert alpha_hat_limit(1e-3, lam, True) == pytest.approx(delayed, abs=0.01)
 
 
-@pytest.mark.parametrize(("T", "delayed"), [(2e-3, 2.43), (5e-4, 1.42), (2.5e-4, 0.91)])
+@pytest.mark.parametrize(("T", "delayed"), few([(2e-3, 2.43), (5e-4, 1.42), (2.5e-4, 0.91)], 1))
 def test_stability_limit_over_the_period(T, delayed):
     assert alpha_hat_limit(T, 4.0, False) == pytest.approx(5.11e3 * T, rel=0.002)
     assert alpha_hat_limit(T, 4.0, True) == pytest.approx(delayed, abs=0.01)
@@ -397,7 +401,7 @@ def test_every_parameter_of_the_robot_is_held_against_the_stability_limit():
     assert set(flatten(RehabPlant.Params())) == {*ROBOTS, *FREE_OF_THE_LIMIT}
 
 
-@pytest.mark.parametrize("name", few(ROBOTS, 7))
+@pytest.mark.parametrize("name", few(ROBOTS, 2))
 def test_stability_limit_is_of_the_robot_in_the_rig(name):
     """Old: the published robot's, 5.11, whatever the plant was."""
     change = {f"rehab_plant.{name}": ROBOTS[name][0]}
@@ -411,11 +415,14 @@ def test_stability_limit_is_of_the_robot_in_the_rig(name):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(n, marks=[pytest.mark.long] * (n not in ("motors.resistance", "motors.inductance")))
-        for n in ROBOTS
-        if n != "torque_constant_side"
-    ],
+    few(
+        [
+            pytest.param(n, marks=[pytest.mark.long] * (n not in ("motors.resistance", "motors.inductance")))
+            for n in ROBOTS
+            if n != "torque_constant_side"
+        ],
+        1,
+    ),
 )
 def test_robot_is_quiet_below_its_limit_and_oscillates_above(name):
     value, told = ROBOTS[name]
@@ -438,6 +445,7 @@ def test_stability_limit_of_another_robot_is_refused_by_name():
     rig_of(load_scenario("rehab_impedance_r2", {"voltage_controller.robot.motors.resistance": 3.0}))
 
 
+@pytest.mark.long
 def test_each_joint_has_the_limit_of_its_own_motor():
     """A slow motor at the hip limits the hip alone."""
     values = {"robot.motors.inductance": [6e-3, 2.5e-3]}
@@ -447,6 +455,7 @@ def test_each_joint_has_the_limit_of_its_own_motor():
     assert "stability hip" in block.reports
 
 
+@pytest.mark.long
 def test_stretch_beats_the_default_gain():
     default, edge = (rms(run(n, 12.0)) for n in ("rehab_impedance_r7", "rehab_impedance_stretch"))
     np.testing.assert_allclose(np.degrees(default), (0.0040, 0.0025), atol=6e-5)
@@ -456,6 +465,7 @@ def test_stretch_beats_the_default_gain():
 # B10: the tuner, with smaller populations than the published 20; an exercise is the same one that the rig runs
 
 
+@pytest.mark.long
 def test_exercise_of_the_tuner_is_the_scenario():
     found = exercise(4.592)
     signals = run("rehab_impedance_r6")
@@ -464,6 +474,7 @@ def test_exercise_of_the_tuner_is_the_scenario():
     assert found.variation == pytest.approx(np.mean([measures.total_variation(signals, v) for v in V_SIGNAL]), rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("alpha_hat", "mse"),
     [
@@ -477,6 +488,7 @@ def test_cost_falls_up_to_the_edge(alpha_hat, mse):
     assert cost((alpha_hat,), guarded=False) == pytest.approx(mse, rel=0.02)
 
 
+@pytest.mark.long
 def test_beyond_the_edge_the_cost_rises_steeply():
     assert cost((6.8,), guarded=False) == pytest.approx(1.2e-3, rel=0.05)
     assert math.isinf(cost((9.0,), guarded=False))
@@ -603,6 +615,7 @@ def test_lost_patient_freezes_the_reference_and_is_taken_up_again():
     assert abs(again[2][0] - frozen[0]) < 1e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("answer", ["safe", pytest.param("hold", marks=pytest.mark.long)])
 def test_reference_lost_in_real_time_brings_0_volt_or_stands_still(answer):
     """At 7 s the hip moves at 6.4 degrees a second; the source ends there, all others go on."""
@@ -735,7 +748,7 @@ def test_fast_joint_stops_the_robot_after_the_start():
     assert "limit 0.5 rad/s" in plant.reports["safe"][1]
 
 
-@pytest.mark.parametrize("alone", [0, 4, 10])
+@pytest.mark.parametrize("alone", few([0, 4, 10], 1))
 def test_leg_that_stood_alone_is_taken_over(alone):
     plant, source, controller = ByHand(RehabPlant()), ByHand(PromReference()), ByHand(VoltageController())
     begin = alone * 1000

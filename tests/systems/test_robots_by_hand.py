@@ -11,6 +11,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from conftest import few
 from softrig_core import ByHand, Level, ParameterError, RunError, Sample, to_ns
 from softrig_core.block.params import build
 from softrig_robots.joints import JointGains, PerJoint, motor_names, require_positive, spread
@@ -475,7 +476,7 @@ def test_the_sampled_leg_is_the_plant_near_a_pose():
     np.testing.assert_allclose(np.array(pushes).T, B, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.parametrize(("delayed", "applied"), [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize(("delayed", "applied"), few([(False, False), (True, False), (True, True)], 1))
 def test_below_its_limit_the_sampled_loop_dies_away_above_it_grows(delayed, applied):
     """The law written as what it does in a tick."""
     limit = alpha_hat_limit(1e-3, 4.0, delayed, applied)
@@ -500,7 +501,9 @@ def test_below_its_limit_the_sampled_loop_dies_away_above_it_grows(delayed, appl
         assert is_stable(1e-3, (share * limit,) * 2, (4.0, 4.0), delayed, applied) is stable
 
 
-@pytest.mark.parametrize("drift", [{"resistance": 0.5, "constants": -0.3}, {"resistance": -0.4, "constants": 0.2}])
+@pytest.mark.parametrize(
+    "drift", few([{"resistance": 0.5, "constants": -0.3}, {"resistance": -0.4, "constants": 0.2}], 1)
+)
 def test_the_limit_of_motors_that_drift_is_that_of_the_worse_end(drift):
     """One of these motors is worse before its drift, the other after it."""
     R, K = 1.0 + drift["resistance"], 1.0 + drift["constants"]

@@ -85,6 +85,7 @@ def test_figures_of_the_queue_follow_the_set_point_and_the_network():
     assert status["J_q"] == pytest.approx(run.figures["J_q"], rel=0.05)
 
 
+@pytest.mark.long
 def test_evaluator_judges_the_plant_that_there_is():
     """A tenth more inertia than the planner knows: what it promises cannot be had, and the evaluator says so."""
     run = simulate("optimal_control_mvim_s4")

@@ -75,12 +75,13 @@ LATER = {f"tcp_aqm_smc_{n}" for n in (
 )}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 6))
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 2))
 def test_figures_of_the_scenarios(name):
     missed = [f"{r.name} = {r.value}" for r in figures(name).values() if not r.passed]
     assert missed == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "later", [LATER - {"tcp_aqm_smc_pi_raw"}, pytest.param(set(), marks=pytest.mark.long)], ids=["daily", "all"]
 )
@@ -91,6 +92,7 @@ def test_verdicts_on_the_paper_hold(later):
     assert {f.verdict for f in found} == {"reproduced", "refuted", "not_checkable"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", [pytest.param("sspd", marks=pytest.mark.long), "sspid"])
 @pytest.mark.parametrize("flows", [pytest.param(n, marks=[pytest.mark.long] * (n != 66)) for n in (54, 66, 72, 80)])
 def test_a_wrong_number_of_flows_moves_the_queue_to_where_the_law_rests(flows, law):
@@ -138,6 +140,7 @@ def test_sspd_without_switching_follows_its_closed_form(form):
     assert error < 0.005 if form == "corrected" else error > 1.0
 
 
+@pytest.mark.long
 def test_first_fill_is_the_same_for_every_law():
     for name in ("tcp_aqm_smc", "tcp_aqm_smc_sspid", "tcp_aqm_smc_pi_delay", "tcp_aqm_smc_pid"):
         t, q = run(name)[1][QUEUE]
@@ -167,6 +170,7 @@ def test_equilibrium_and_linearising_terms():
 HALVED = ["tcp_aqm_smc", "tcp_aqm_smc_sspid", "tcp_aqm_smc_pi_delay", "tcp_aqm_smc_pid", "tcp_aqm_smc_detuned"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (i > 0)) for i, n in enumerate(HALVED)])
 def test_halving_the_step_changes_no_mean_square(name):
     coarse, fine = figures(name), figures(name, tcp_fluid__h=0.0005)
@@ -174,6 +178,7 @@ def test_halving_the_step_changes_no_mean_square(name):
         assert fine[figure].value == pytest.approx(coarse[figure].value, rel=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param("tcp_aqm_smc", marks=pytest.mark.long), "tcp_aqm_smc_s4"])
 def test_runs_repeat_bit_for_bit(name):
     rig, signals = run(name)
@@ -470,6 +475,7 @@ def test_round_trips_beyond_the_record_read_the_oldest_value():
 # Laws
 
 
+@pytest.mark.long
 def test_the_boundary_layer_takes_the_chatter_away():
     def chatter(width):
         _, _, p = loop(ByHand(TcpFluid()), AqmController(boundary=width), 8.0)
