@@ -4,9 +4,12 @@ import random
 
 import pytest
 from conftest import few
-from softrig_core import Sample, rig_of
-from softrig_core.run.inprocess import step_of
-from softrig_nodes.realtime.gathering import STRETCH, gather
+from softrig_core import RunError, Sample, rig_of
+from softrig_core.block.gathering import MANY, STRETCH, gather
+from softrig_core.native import choice
+from softrig_core.run.inprocess import run_inprocess, step_of
+from softrig_core.wire.recording import Recording
+from softrig_drives.dc_motor.plant import DcMotorPlant
 
 PERIOD = 0.0005
 
@@ -18,7 +21,7 @@ def watchers():
     )
     (member,) = (m for m in rig.members if m.name == "flux_monitor")
     steps = [step_of(member, member.block(0)) for _ in range(2)]
-    gather(steps[0])
+    gather(steps[0], STRETCH // steps[0].schedule.time(1))
     return steps
 
 
@@ -76,7 +79,48 @@ def test_who_is_slow_or_says_something_is_asked_at_each_tick(period, gathers):
     for member in rig.members:
         step = step_of(member, member.block(0))
         before = step.respond
-        gather(step)
+        gather(step, STRETCH // step.schedule.time(1))
         if step.respond != before:
             found.add(member.name)
     assert found == ({"flux_monitor"} if gathers else set())
+
+
+class Breaking(DcMotorPlant):
+    """Fails after half of the run."""
+
+    def advance(self, x, t, **inputs):
+        return 1.0 / 0.0 if t == 250_000_000 else super().advance(x, t, **inputs)
+
+
+@pytest.mark.parametrize(
+    ("name", "duration", "breaks"),
+    [
+        ("dc_motor_smc_b2", 0.5, False),
+        ("dc_motor_smc_b2", 0.5, True),
+        ("dc_motor_fsfb_s2", 0.3, False),  # outputs that are silent at times, and late
+        ("dc_motor_smc_faults", 0.5, False),  # outputs that may be bad
+    ],
+)
+def test_a_run_in_process_that_gathers_ends_as_one_that_does_not(name, duration, breaks, monkeypatch):
+    monkeypatch.setattr(choice, "unwanted", lambda steps, left, runs: "a test")
+    monkeypatch.setattr(choice, "writes", lambda steps, left: False)
+    monkeypatch.setattr(choice, "cost", lambda steps: 0.0)
+    rig = rig_of(name, duration=duration)
+    figures = next(m.name for m in rig.members if m.block_class.__name__ == "Figures")
+    rig = rig_of(name, duration=duration, overrides={f"{figures}.window": 0.1})
+    if breaks:
+        rig.members[0].block_class = Breaking
+    found = []
+    for ticks in (1, 7, MANY):
+        steps, recording, error = {}, Recording((n, port.msgtype) for n, port in rig.topics.items()), ""
+        monkeypatch.setattr(
+            choice, "gather", lambda s, _, ticks=ticks, steps=steps: (steps.update({s.name: s}), gather(s, ticks))
+        )
+        try:
+            run_inprocess(rig, 1, recording)
+        except RunError as raised:
+            error = str(raised)
+        ends = {n: (s.t, repr(s.values), s.reports) for n, s in steps.items()}
+        found.append((recording.topics, error, ends, kept(steps[figures]), steps[figures].status()))
+    assert bool(found[0][1]) == breaks
+    assert found[0] == found[1] == found[2]

@@ -472,7 +472,7 @@ def watching(blocks: dict[str, Any], at_once: bool) -> type[Observer[Params]]:
         return tuple(x)
 
     if at_once:
-        Seeing.at_once = all_at_once  # type: ignore[method-assign]
+        Seeing.at_once, Seeing.in_batches = all_at_once, True  # type: ignore[attr-defined]
     return Seeing
 
 

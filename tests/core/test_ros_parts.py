@@ -15,9 +15,8 @@ from faultrig import Gain, Lag
 from rclpy.parameter import Parameter
 from softrig_core import Block, Observer, joint_state, number
 from softrig_core.block.block import Level
-from softrig_core.block.marker import Marker
 from softrig_core.block.params import Declaration, ParameterError
-from softrig_core.block.scene import Pose
+from softrig_core.block.scene import Marker, Pose
 from softrig_core.rig.options import Links, RunOptions
 from softrig_nodes import container as containers
 from softrig_nodes.adapter.adapter import Adapter

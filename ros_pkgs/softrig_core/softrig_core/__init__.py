@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     )
     from .block.block import Block as Block, Level as Level, Observer as Observer, Plant as Plant, Values as Values
     from .block.held import ByHand as ByHand, Held as Held
-    from .block.marker import Marker as Marker
     from .block.params import (
         BlockParams as BlockParams,
         ParameterError as ParameterError,
@@ -59,7 +58,7 @@ if TYPE_CHECKING:
         vector3 as vector3,
         wrench as wrench,
     )
-    from .block.scene import Pose as Pose, Scene as Scene
+    from .block.scene import Marker as Marker, Pose as Pose, Scene as Scene
     from .errors import RunError as RunError, ScenarioError as ScenarioError
     from .former import executable as executable, run_processes as run_processes
     from .judge.measures import SignalMap as SignalMap, figure as figure, window as window
@@ -93,13 +92,12 @@ else:
         "kit.history": "History",
         "kit.jit": "jit",
         "analysis.linear": "Sampled equilibrium linearise",
-        "block.marker": "Marker",
         "kit.ode": "rk4 rk4_loop",
         "block.params": "BlockParams ParameterError Params check_steps param",
         "block.port": "Port Refused Sample array button command joint_state number pose reference scalars vector3 "
         "wrench",
         "kit.resource": "resource",
-        "block.scene": "Pose Scene",
+        "block.scene": "Marker Pose Scene",
         "solver.solver": "Jobs Result Solver SolverParams",
         "kit.state": "state_type",
         "timebase": "SECOND to_ns to_s",

@@ -21,9 +21,7 @@ from .port import Port, Sample
 if TYPE_CHECKING:
     import numpy as np
 
-    from .answer import Messages
-    from .marker import Marker
-    from .scene import Scene
+    from .scene import Marker, Scene
 
 Values = Mapping[str, "Sequence[float] | Sample | None"]
 P = TypeVar("P", bound=BlockParams, default=Any)
@@ -425,22 +423,3 @@ class Observer(Block[P]):
     def status(self, *x: Any) -> Mapping[str, tuple[float, str]]:
         """Return name to (value, unit) of the figures so far; gets x."""
         raise NotImplementedError
-
-    def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:
-        """Process everything since the last tick in one batch, for runs that need not go tick by tick.
-
-        Parameters
-        ----------
-        x : named tuple
-        t : int
-            Its newest tick, ns.
-        messages : mapping of str to sequence of (int, tuple of float)
-            By input: stamp in ns and values of each message that its ticks have seen, the oldest first; inputs that
-            nobody fills are missing. A tuple, or `Heard`.
-
-        Returns
-        -------
-        named tuple or None
-            What `update` would have made of x, tick after tick; None, the default: it has to be asked at each.
-        """
-        return None

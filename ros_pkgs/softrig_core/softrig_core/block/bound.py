@@ -74,12 +74,29 @@ def sayer(step: Step) -> Callable[[int], None]:
     for number, fill in enumerate(fills):
         reader = fill.reader
         known |= {f"values{number}": reader.values, f"reader{number}": reader, f"port{number}": fill.port}
-    if step.link is not None:
-        known |= {"send": step.link.send, "over": step.link.over}
     wires = tuple([(f.output, f.port.name, taking(f"row{f.output}", f.pick, f.stamp)) for f in fills])
-    ends = not step.plant and _needs_over(step)
-    text = _say_text(step.plain, step.plant, step.outputs, step.asked_for, wires, step.link is not None, ends)
+    text = _say_text(step.plain, step.plant, step.outputs, step.asked_for, wires, _ends(step, known))
     return _made("say", text, step, known)
+
+
+def _ends(step: Step, known: dict[str, Any]) -> tuple[str, ...]:
+    """Write what a step calls of its links when it has answered: only those methods that do something of their own."""
+    sends, over = _overriding(step, "send"), _overriding(step, "over")
+    found: list[str] = []
+    if sends is not None and sends.add_row is not None and step.plain:
+        known["add_row"] = sends.add_row
+        found.append("    add_row(t, numbers)")
+    elif sends is not None:
+        known["send"] = sends.send
+        found.append("    send(t, rows, numbers)")
+    if over is not None and not step.plant:
+        known["over"] = over.over
+        found.append("    over(t)")
+    return tuple(found)
+
+
+def _overriding(step: Step, method: str) -> Link | None:
+    return None if step.link is None else step.link.overriding(method)
 
 
 @lru_cache(maxsize=256)
@@ -89,8 +106,7 @@ def _say_text(
     outputs: tuple[Port, ...],
     asked_for: tuple[str, ...],
     wires: tuple[tuple[int, str, str], ...],
-    linked: bool,
-    ends: bool,
+    ends: tuple[str, ...],
 ) -> str:
     rows = [f"row{k}" for k, _ in enumerate(outputs)]
     all_rows = "".join(f"{row}, " for row in rows)
@@ -113,7 +129,7 @@ def _say_text(
             handed.append(f"    {silent}reader{number}.doubt(t, port{number}, {taken})")
         else:
             handed.append(f"    {silent}values{number}[{name!r}] = {taken}")
-    handed += ["    send(t, rows, numbers)"] * linked + ["    over(t)"] * ends
+    handed += ends
     answer, kept = ("found", "") if plant else ("x, found", "    step.x = x")
     return SAY.format(
         asked="_, found" if plant else answer,
@@ -128,21 +144,14 @@ def _say_text(
 
 def mover(step: Step) -> Callable[..., None]:
     """Create the function that moves a plant on; see `Step.advance`."""
-    known = {"move": step.block.advance} | ({} if step.link is None else {"over": step.link.over})
-    return _made("advance", _move_text(tuple(step.values), _needs_over(step)), step, known)
+    over = _overriding(step, "over")
+    known = {"move": step.block.advance} | ({} if over is None else {"over": over.over})
+    return _made("advance", _move_text(tuple(step.values), over is not None), step, known)
 
 
 @lru_cache(maxsize=256)
 def _move_text(inputs: tuple[str, ...], ends: bool) -> str:
     return ADVANCE.format(inputs=_inputs(inputs), failed=FAILED, over="    over(t)" * ends)
-
-
-def _needs_over(step: Step) -> bool:
-    """Return whether any link of a step does something when a tick is over."""
-    link = step.link
-    while link is not None and type(link).over is Link.over:
-        link = link.inner
-    return link is not None
 
 
 def _inputs(names: Iterable[str]) -> str:

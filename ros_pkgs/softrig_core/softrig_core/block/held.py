@@ -7,8 +7,8 @@ from copy import copy
 from typing import Any, ClassVar, NamedTuple
 
 from .block import Block, Level, Reports, note
-from .marker import Marker
 from .params import BlockParams
+from .scene import Marker
 
 
 class Kept(NamedTuple):

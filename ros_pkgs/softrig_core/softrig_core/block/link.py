@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from .answer import Rows, parted
@@ -29,10 +29,19 @@ class Link:
     """
 
     READS: ClassVar[bool] = True  # whether its `respond` gets the inputs
+    add_row: Callable[[int, tuple[float, ...]], object] | None = None
+    """Gets time (ns) and numbers of each answer in place of `send`, of a step that is plain; None: `send` does."""
 
     def __init__(self, step: Step) -> None:
         self.step, self.inner = step, step.link
         step.link = self
+
+    def overriding(self, method: str) -> Link | None:
+        """Return the outermost link, from this one inwards, that does something of its own in a method."""
+        link: Link | None = self
+        while link is not None and getattr(type(link), method) is getattr(Link, method):
+            link = link.inner
+        return link
 
     def lacks(self, t: int) -> bool:
         """Return whether something that tick `t` needs has not come; what has come is in the values of the step."""

@@ -102,7 +102,7 @@ class Loop:
                 lacking = _answer(lacking, t)
             for plant in plants:
                 if k < ends or plan.moves(plant.schedule, k):
-                    while plant.link is not None and plant.link.lacks(t):
+                    while plant.waits and plant.link.lacks(t):
                         yield None
                     plant.advance(t)
             yield t
@@ -120,8 +120,8 @@ def _answer(steps: Sequence[Step], t: int) -> list[Step]:
     """Answer with all steps that lack nothing; return the others."""
     lacking: list[Step] = []
     for step in steps:
-        waits = lacking and any(fill.source in lacking for fill in step.fed.values())
-        if waits or (step.link is not None and step.link.lacks(t)):
+        behind = lacking and any(fill.source in lacking for fill in step.fed.values())
+        if behind or (step.waits and step.link.lacks(t)):
             lacking.append(step)
         else:
             step.say(t)

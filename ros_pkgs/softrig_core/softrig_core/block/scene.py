@@ -1,17 +1,43 @@
-"""What a viewer needs of a block that moves bodies: their description and where they are."""
+"""What a viewer needs of a block: its markers, and of one that moves bodies their description and where they are."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
 
 from ..wire.types import VECTOR
 from .port import WORLD, Port
 
-if TYPE_CHECKING:
-    from .marker import Marker
-
 Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A set of points drawn as lines or balls: a block's `markers` returns them, a node publishes them as MarkerArray.
+
+    Parameters
+    ----------
+    frame_id : str
+        Frame of the points.
+    name : str
+        Namespace of the marker; one marker a name.
+    kind : {"line_list", "line_strip", "sphere_list"}
+        A line for each pair of points, one line through all, or a ball at each.
+    points : tuple of (x, y, z)
+        m.
+    size : float
+        Width of the lines or diameter of the balls, m.
+    color : tuple of 4 floats
+        Red, green, blue, opacity, each from 0 to 1.
+    """
+
+    frame_id: str
+    name: str
+    kind: Literal["line_list", "line_strip", "sphere_list"]
+    points: tuple[Point, ...]
+    size: float
+    color: tuple[float, float, float, float] = (0.2, 0.4, 0.8, 1.0)
 
 
 class Pose(NamedTuple):

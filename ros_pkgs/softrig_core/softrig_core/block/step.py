@@ -63,6 +63,8 @@ class Step(Held):
         Gets t, ns, and by choice the values of the inputs: moves a plant from t over one period, or a RunError.
     link : Link or None
         What joins it to what is elsewhere; None: nothing does.
+    waits : bool
+        Whether its link can lack something; the loop asks no other link.
     native : (int, str)
         How many of its ticks native code answered, and why Python answered the others.
     """
@@ -111,6 +113,8 @@ class Step(Held):
     @link.setter
     def link(self, link: Link | None) -> None:
         self._link = link
+        self._asking = None if link is None else link.overriding("respond")
+        self.waits = link is not None and link.overriding("lacks") is not None
         self.say, self.advance = self._first_say, self._first_advance
 
     @property
@@ -131,13 +135,6 @@ class Step(Held):
     def asked_for(self) -> tuple[str, ...]:
         """Names of the inputs that `respond` gets."""
         return () if self.plant or (self._asking is not None and not self._asking.READS) else tuple(self.values)
-
-    @property
-    def _asking(self) -> Link | None:
-        link = self._link
-        while link is not None and type(link).respond is Link.respond:
-            link = link.inner
-        return link
 
     # what a tick is -----------------------------------------------------------------------------------------------
 

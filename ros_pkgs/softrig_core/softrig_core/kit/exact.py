@@ -6,6 +6,7 @@ products are cut off at the last bit carried. `settled` carries more bits until 
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Sequence
 from fractions import Fraction
@@ -88,28 +89,31 @@ def balance(rows: Rows) -> tuple[Rows, list[int]]:
     13, 1969.
     """
     n = len(rows)
-    found, exponents = [list(row) for row in rows], [0] * n
+    # the sums are of integers in units of 1/unit: sums of fractions take ten times as long
+    unit = math.lcm(*(x.denominator for row in rows for x in row))
+    sizes = [[abs(x.numerator) * (unit // x.denominator) for x in row] for row in rows]
+    exponents = [0] * n
     changed, sweeps = True, 0
     while changed and sweeps < SWEEPS:
         changed, sweeps = False, sweeps + 1
         for i in range(n):
-            of_row = sum((abs(x) for j, x in enumerate(found[i]) if j != i), Fraction(0))
-            of_column = sum((abs(row[i]) for j, row in enumerate(found) if j != i), Fraction(0))
-            if not of_row or not of_column:  # an input is a row of zeros: its column is made about 1
-                shift = _exponent(of_row) - _exponent(of_column)
-            else:
-                shift = (_exponent(of_row) - _exponent(of_column)) // 2
-                if of_column * Fraction(2) ** shift + of_row / Fraction(2) ** shift >= ENOUGH * (of_column + of_row):
+            # both in units of 2^-(up + down) / unit, so that no shift cuts off a bit
+            up, down = max(exponents) - exponents[i], exponents[i] - min(exponents)
+            of_row = sum(sizes[i][j] << e - exponents[i] + down for j, e in enumerate(exponents) if j != i) << up
+            of_column = sum(sizes[j][i] << exponents[i] - e + up for j, e in enumerate(exponents) if j != i) << down
+            low = up + down + unit.bit_length()
+            shift = (of_row.bit_length() - low if of_row else 0) - (of_column.bit_length() - low if of_column else 0)
+            if of_row and of_column:  # else an input is a row of zeros: its column is made about 1
+                shift //= 2
+                after = (of_column << max(0, 2 * shift)) + (of_row << max(0, -2 * shift))
+                if after >= ENOUGH * ((of_column + of_row) << abs(shift)):
                     continue
             if shift:
                 changed = True
                 exponents[i] += shift
-                by = Fraction(2) ** shift
-                for j in range(n):
-                    if j != i:
-                        found[j][i] *= by
-                        found[i][j] /= by
-    return found, exponents
+    return [
+        [x * Fraction(2) ** (exponents[j] - exponents[i]) for j, x in enumerate(row)] for i, row in enumerate(rows)
+    ], exponents
 
 
 def _exponent(x: Fraction) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 from ..block.answer import Heard, Messages, Where, part, parted, places
 from ..block.block import Observer
 from ..block.fill import Fill, picked
+from ..block.gathering import takes_batches
 from ..block.port import Sample
 from ..block.schedule import Plan
 from ..block.step import Step
@@ -118,8 +119,7 @@ class Audience:
     def __init__(self, steps: Sequence[Step], plan: Plan) -> None:
         self._plan = plan
         self.watchers = [s for s in steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
-        slow = [w for w in self.watchers if type(w.block).at_once is Observer.at_once]  # type: ignore[attr-defined]
-        self.tick_by_tick = {w.name for w in slow}
+        self.tick_by_tick = {w.name for w in self.watchers if not takes_batches(w.block)}
 
     def hand_out(self, core: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:
         """Pass the answers of the steps to their recorders."""
@@ -189,11 +189,7 @@ class Audience:
                 return False
             messages |= found
         t = watcher.schedule.time(ticks[-1])
-        x = watcher.block.at_once(watcher.x, t, messages)  # type: ignore[attr-defined]
-        if x is None:
-            self.tick_by_tick.add(watcher.name)
-            return False
-        watcher.x, watcher.t = x, t
+        watcher.x, watcher.t = watcher.block.at_once(watcher.x, t, messages), t  # type: ignore[attr-defined]
         if watcher.link is not None:
             nothing = np.empty((len(ticks), 0))
             watcher.link.send_all(watcher.schedule.times(ticks.start, ticks.stop), nothing, nothing.astype(np.int64))

@@ -10,6 +10,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
 from ..block.block import Observer
+from ..block.gathering import MANY, gather
 from ..block.loop import Loop
 from ..block.step import Step
 from .compile import compiled, plain
@@ -65,6 +66,8 @@ def ticks_of(
         reason = unwanted(steps, left, runs)
         if reason and not writes(steps, left):
             _spent[_classes(steps)] = _spent.get(_classes(steps), 0.0) + left
+            for step in steps if alone is None else ():
+                gather(step, MANY)
             yield from loop.run(first)
             return
         engines.append(Engine(steps, plain if reason else compiled, alone))

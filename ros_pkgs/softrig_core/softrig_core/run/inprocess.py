@@ -94,6 +94,8 @@ def run_inprocess(
             look.check()
     finally:
         for step in steps.values():
+            if step.link is not None:
+                step.link.settle()
             step.link = None  # it may go on without, and keeps nothing of the sink
             if isinstance(step.block, Solver):
                 step.block.rest()
@@ -194,7 +196,8 @@ class _RowKeeper(_ToSink):
 
     def __init__(self, step: Step, sink: Sink, layouts: Mapping[int, Layout]) -> None:
         super().__init__(step, sink)
-        self._add_row, self._add_rows = sink.row(layouts), sink.rows(layouts)
+        self.add_row = self._add_row = sink.row(layouts)
+        self._add_rows = sink.rows(layouts)
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Record an answer."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..block.answer import Heard, Messages
 from ..block.block import Observer
+from ..block.gathering import EVER
 from ..block.params import BlockParams, param
 from ..block.port import Port, Sample
 from ..judge.measures import UNMEASURED, Function, newest_step
@@ -33,7 +34,6 @@ W = TypeVar("W", bound=WatchParams)
 NONE: Mapping[str, Any] = MappingProxyType({})
 SOME = 1 << 11  # bytes of messages that are copied with each one that comes
 MANY = 1 << 16  # bytes of those that are copied at times: no more than these
-EVER = -(1 << 63)  # ns, before all stamps
 STAMP = struct.Struct("<q")
 
 
@@ -155,6 +155,7 @@ class Watch(Observer[W]):
 
     def setup(self) -> None:
         """Find the units of the signals."""
+        self.in_batches = type(self).update is Watch.update
         inputs, _ = self.ports(self.p)
         self._ports = {port.name: port for port in inputs}
         self._units = {f"{p.topic}/{label}": u for p in inputs for label, u in zip(p.labels, p.units, strict=True)}
@@ -179,9 +180,7 @@ class Watch(Observer[W]):
         return tuple(found)
 
     def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:
-        """See `Observer.at_once`."""
-        if type(self).update is not Watch.update:
-            return None
+        """See `softrig_core.block.gathering.Batched`."""
         seen = zip(self._ports, x.seen, strict=True)
         return Window(tuple(kept.taken_at_once(messages.get(name, ()), t, self._reach) for name, kept in seen))
 

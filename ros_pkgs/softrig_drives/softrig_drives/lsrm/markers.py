@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from softrig_core import Marker
-from softrig_core.block.marker import Point
+from softrig_core.block.scene import Point
 
 from .machine import Geometry
 

@@ -15,6 +15,7 @@ from typing import Any
 from softrig_core.block.answer import Row, Rows
 from softrig_core.block.block import Level, Plant
 from softrig_core.block.fill import Pick
+from softrig_core.block.gathering import STRETCH, gather
 from softrig_core.block.link import Link
 from softrig_core.block.port import Port
 from softrig_core.block.schedule import Schedule
@@ -28,7 +29,6 @@ from ..seam.endpoint import Input, Output
 from ..seam.health import percentiles
 from ..seam.middleware import Timer
 from .answering import Answering
-from .gathering import gather
 from .live import Live, LiveSenders
 from .sporadic import Sporadic, listen
 from .stand import Stand
@@ -69,7 +69,7 @@ class Realtime(Link):
         self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
         node.epoch = node.options.epoch
         super().__init__(node.step)
-        gather(node.step)
+        gather(node.step, STRETCH // node.step.schedule.time(1))
         node.begin(self)
         self._commands = [f for f in self.senders.rows if f.awaited and node.is_plant]
         block = node.block

@@ -8,9 +8,9 @@ from functools import cache
 from typing import Any
 
 from softrig_core.block.block import Level
-from softrig_core.block.marker import Marker
 from softrig_core.block.params import Declaration
 from softrig_core.block.port import WORLD
+from softrig_core.block.scene import Marker
 from softrig_core.kit.resource import prefixes
 from softrig_core.timebase import SECOND
 

@@ -1,26 +1,59 @@
-"""The ticks of an observer that only listens, some at a time: against the wall clock each costs the others theirs.
+"""The ticks of an observer that only listens, many in one batch: taken in one by one they cost the others theirs.
 
-To take in eight topics tick by tick is half the work of a loop of 20 kHz; what they said in a hundredth of a second is
-taken in at once in a fifth of that time, with the same result (`Observer.at_once`).
+To take in eight topics tick by tick is half the work of a loop of 20 kHz. What these topics brought in a hundredth of a
+second is taken in as one batch in a fifth of that time, with the same result (`Batched.at_once`).
 """
 
 from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from softrig_core.block.answer import Heard
-from softrig_core.block.block import Observer
-from softrig_core.block.link import Link
-from softrig_core.block.port import Port, Sample
-from softrig_core.block.step import Step
-from softrig_core.timebase import SECOND
-from softrig_core.verdict.watch import EVER
 
-STRETCH = SECOND // 100  # ns: what it has seen is older by so much at most
+from ..timebase import SECOND
+from .answer import Heard, Messages
+from .block import Block
+from .link import Link
+from .port import Port, Sample
+from .step import Step
+
+STRETCH = SECOND // 100  # ns: against the wall clock, what an observer has seen is older by so much at most
+MANY = 1 << 12  # ticks: the largest batch of a run in process; beyond it a batch saves no more time, only takes memory
+EVER = -(1 << 63)  # ns, before all stamps
 NOTHING: Mapping[str, Any] = {}
+
+
+@runtime_checkable
+class Batched(Protocol):
+    """An observer that takes in what many ticks have seen as one batch, with the state that its `update` would return.
+
+    Attributes
+    ----------
+    in_batches : bool
+        Whether it does; a subclass with an `update` of its own may not.
+    """
+
+    in_batches: bool
+
+    def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:
+        """Return the state after all that its ticks have seen since the last call.
+
+        Parameters
+        ----------
+        x : named tuple
+        t : int
+            Its newest tick, ns.
+        messages : mapping of str to sequence of (int, tuple of float)
+            By input: stamp in ns and values of each message that its ticks have seen, the oldest first; inputs that
+            nobody fills are missing. A tuple, or `Heard`.
+        """
+
+
+def takes_batches(block: Block) -> bool:
+    """Return whether a block takes in the messages of many ticks as one batch."""
+    return isinstance(block, Batched) and block.in_batches
 
 
 class _Seen:
@@ -82,8 +115,8 @@ class Gathering(Link):
         if not self._count:
             return x
         self._count = 0
-        messages = {seen.name: seen.messages() for seen in self._seen if seen.stamps}
-        return self.step.block.at_once(x, self._t, messages)
+        messages = {seen.name: seen.messages() for seen in self._seen if seen.name in self.step.stamps}
+        return self.step.block.at_once(x, self._t, messages)  # type: ignore[attr-defined]
 
     def settle(self) -> None:
         """Process the ticks collected so far."""
@@ -91,8 +124,7 @@ class Gathering(Link):
         super().settle()
 
 
-def gather(step: Step) -> None:
-    """Let a step process some ticks in one batch, if it is an observer that can and is fast enough to pay off."""
-    block, ticks = step.block, STRETCH // step.schedule.time(1)
-    if ticks > 1 and isinstance(block, Observer) and not step.outputs and block.at_once(step.x, 0, NOTHING) is not None:
+def gather(step: Step, ticks: int) -> None:
+    """Have a step take in so many ticks as one batch, if it has no outputs and its block takes batches."""
+    if ticks > 1 and not step.outputs and takes_batches(step.block):
         Gathering(step, ticks)
