@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from xml.etree import ElementTree
 
 import pytest
@@ -85,9 +86,9 @@ def test_bad_input_is_said_and_the_rest_is_judged(files, tmp_path, capsys):
 
 
 def test_control_characters_in_a_name_leave_the_xml_readable(tmp_path):
-    write_junit(tmp_path / "x.xml", [Suite("a\x1b[31m", 0.1, [Case("b\x00", "c\x07 <&>")])])
+    write_junit(tmp_path / "x.xml", [Suite("a\x1b[31m", 0.1, [Case("b\x00", "c\x07 <&>\udc80\uffff😀é")])])
     root, found = cases(tmp_path / "x.xml")
-    assert found["a?[31m", "b?"].find("failure").get("message") == "c? <&>"
+    assert found["a?[31m", "b?"].find("failure").get("message") == "c? <&>??😀é"
     assert root.get("failures") == "1"
 
 
@@ -114,6 +115,8 @@ def test_a_class_is_judged_by_the_lecturers_file_and_by_path(files, tmp_path, mo
         "marks.csv",
         "--junit",
         "x.xml",
+        "--html",
+        "x.html",
         "--workers",
         "1",
     ]
@@ -128,6 +131,11 @@ def test_a_class_is_judged_by_the_lecturers_file_and_by_path(files, tmp_path, mo
         (files_of[0], "2", "2"), (files_of[1], "2", "2"), (files_of[2], "0", "0"),
     ]  # fmt: skip
     assert (rows[0]["supply holds"], rows[2]["supply holds"]) == ("1", "")
-    assert float(rows[0]["supply"].split()[0]) > 0.0
+    assert float(rows[0]["supply (V)"]) > 0.0
+    page = (tmp_path / "x.html").read_text()
+    assert re.findall(r"<h1>(.*?)</h1>", page) == ["2 of 3 scenarios hold"]
+    assert page.count("2 of 2 hold") == 2
+    assert '<td data-label="Differs in">duration</td>' in page
+    assert rows[2]["error"] in page
     assert rows[2]["error"]
     assert {name for name, _ in cases(tmp_path / "x.xml")[1]} == {*files_of}

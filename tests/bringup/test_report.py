@@ -569,7 +569,7 @@ def test_the_block_diagram_is_as_told(make_rig):
 
 
 def test_bad_run_directories_are_refused(make_run, tmp_path):
-    with pytest.raises(ScenarioError, match=r"nowhere: no metrics.json in it"):
+    with pytest.raises(ScenarioError, match=r"nowhere: no such folder, expected that of a run"):
         write_report([tmp_path / "nowhere"], tmp_path / "r.html")
     (tmp_path / "part" / "log").mkdir(parents=True)
     with pytest.raises(ScenarioError, match=r"expected directories of runs$"):

@@ -130,6 +130,8 @@ th { color: var(--soft); font-weight: 600; font-size: .82rem; border-bottom-widt
 td code { overflow-wrap: anywhere; }
 .number { text-align: right; }
 td.number { white-space: nowrap; }
+td small { display: block; color: var(--soft); font-size: .87em; }
+.scroll + pre { margin-top: .7rem; }
 th:last-child, td:last-child { padding-right: 0; }
 .pass { color: var(--good); white-space: nowrap; }
 .miss { color: var(--bad); font-weight: 600; white-space: nowrap; }
@@ -175,7 +177,9 @@ details .pairs { padding: .3rem 0 .6rem 1.1rem; }
   td::before { content: attr(data-label); color: var(--soft); font-weight: 400; text-align: left; flex: none; }
   td:first-child::before { content: none; }
   td:empty, td.none { display: none; }
-  .judged tr { display: flex; flex-wrap: wrap; gap: 0 .8rem; }
+  td small { display: inline; }
+  .judged tr { display: flex; flex-wrap: wrap; gap: 0 .5rem; }
+  .judged td { font-size: .93em; }
   .judged td:first-child { flex: 0 0 100%; }
   .judged td::before { content: none; }
   .judged td[data-label="Accepted"]::before { content: "accepted"; }

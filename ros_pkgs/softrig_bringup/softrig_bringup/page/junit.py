@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +23,14 @@ class Case:
         Why it does not hold; empty when it does.
     text : str
         What was measured.
+    unit : str
+        Of that, where it is a number.
     """
 
     name: str
     failure: str = ""
     text: str = ""
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -94,5 +98,5 @@ def _counts(suites: Sequence[Suite]) -> dict[str, str]:
 
 
 def _printable(text: str) -> str:
-    """XML knows no control characters."""
-    return "".join(c if c in "\t\n" or c >= " " else "?" for c in text)
+    """Replace what XML 1.0 does not allow: control characters, halves of surrogate pairs, U+FFFE and U+FFFF."""
+    return re.sub(r"[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text)

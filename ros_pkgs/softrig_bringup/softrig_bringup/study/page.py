@@ -227,6 +227,7 @@ def _page(
         e(
             "header",
             e("h1", study.title),
+            e("p", asked(study), class_="what"),
             e("p", study.source, class_="what"),
             e("dl", *(e("div", e("dt", k), e("dd", v)) for k, v in facts), class_="facts"),
         ),
@@ -267,7 +268,7 @@ def _page(
             e("h2", "Claims"),
             table(("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict"), lines, "  n n "),
         ]
-    for written in tables(over):
+    for written in sorted(tables(over), key=lambda t: t.answers, reverse=True):
         body += [e("h2", written.title), _statistics(written)]
     body += [e("p", f"{note[0].upper()}{note[1:]}.", class_="note") for note in _notes(study, rows, found, over)]
     winners = best(study, rows)
@@ -298,10 +299,10 @@ def _page(
         )
         for row in rows[:LONGEST]
     ]
-    body += [e("h2", "Runs"), table(heads, lines, "  n" + "n" * len(names))]
+    listed = table(heads, lines, "  n" + "n" * len(names))
+    folded = e("details", e("summary", f"{len(lines)} of {len(rows)} runs"), listed)  # what they say stands above
+    body += [e("h2", "Runs"), listed if len(rows) <= FEW else folded]
     note = "table.parquet and table.csv have every run with the command that repeats it."
-    if len(rows) > LONGEST:
-        note = f"The first {LONGEST} of {len(rows)} runs. {note}"
     body.append(e("p", note, class_="note"))
     return [*body, *([e("h2", "Sources")] if papers else []), *sources(papers)]
 
@@ -322,10 +323,36 @@ def _word(study: Study, claim: Finding) -> Element:
 def _statistics(written: Tabled) -> Element:
     words = {k for k, head in enumerate(written.heads) if k < written.keys or head == "unit"}
     lines = [
-        [pretty_unit(cell) if head == "unit" else cell for head, cell in zip(written.heads, row, strict=True)]
+        [pretty_unit(c) if head == "unit" else _interval(c) for head, c in zip(written.heads, row, strict=True)]
         for row in written.rows[:LONGEST]
     ]
     return table(written.heads, lines, "".join(" " if k in words else "n" for k in range(len(written.heads))))
+
+
+def _interval(cell: str) -> Element | str:
+    """Put the interval of a number below it, so that a table of them is not wider than the page."""
+    value, bracket, rest = cell.partition(" [")
+    return e("span", value, " ", e("small", f"[{rest}")) if bracket else cell
+
+
+def asked(study: Study) -> str:
+    """Describe what is varied: cases, grid, draws or search, seeds; empty where nothing is."""
+    draws = study.draws or study.search
+    how = "candidates of a search" if study.search else "draws of"
+    spans = [f"{n} {_span(d.model_dump(exclude_none=True))}" for n, d in (draws.parameters if draws else {}).items()]
+    parts = [" against ".join(study.cases) if len(study.cases) > 1 else ""]
+    parts += [f"{name} at {len(found)} values" for name, found in study.grid.items()]
+    parts += [f"{draws.count} {how} {', '.join(spans)}" if draws else ""]
+    parts += [f"{len(study.seeds)} seeds" if study.seeds and len(study.seeds) > 1 else ""]
+    return "; ".join(filter(None, parts))
+
+
+def _span(given: dict[str, Any]) -> str:
+    ((kind, value),) = given.items()
+    if kind == "choice":
+        return f"of {', '.join(map(str, value))}"
+    low, high = (in_short(end) for end in value)
+    return f"{low} ± {high}" if kind == "normal" else f"{low}..{high}" + (" (log)" if kind == "log_uniform" else "")
 
 
 def _changes(study: Study, row: Row) -> str:

@@ -235,6 +235,7 @@ def _map_of(ax: Axes, rows: Sequence[Row], varied: Sequence[str], name: str, sca
                 set_ticks(at)
     else:
         drawn = ax.scatter(x[sure], y[sure], c=z[sure], s=8, **scale)
+        ax.margins(x=0.03)  # a point at the edge is not cut
     if not all(sure):
         ax.plot(x[~np.array(sure)], y[~np.array(sure)], "x", color=LOST, markersize=7, clip_on=False)
     ax.grid(False)

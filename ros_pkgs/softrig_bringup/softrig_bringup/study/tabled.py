@@ -17,12 +17,13 @@ DIGITS = 2  # of the width of an interval that are written
 
 
 class Tabled(NamedTuple):
-    """A table; of its columns the first `keys` say of what a row is."""
+    """A table; of its columns the first `keys` say of what a row is; `answers`: what a study of cases is asked for."""
 
     title: str
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
     keys: int
+    answers: bool = False
 
 
 def tables(found: Statistics) -> list[Tabled]:
@@ -55,6 +56,7 @@ def tables(found: Statistics) -> list[Tabled]:
                 for x in found.differences
             ],
             3,
+            True,
         ),
         Tabled(
             "Sensitivity: share of the variance, 95 % intervals",
@@ -88,7 +90,7 @@ def _without_case(table: Tabled) -> Tabled:
     """Remove the column of cases if there is only one case."""
     if any(row[0] != ALL for row in table.rows):
         return table
-    return Tabled(table.title, table.heads[1:], [row[1:] for row in table.rows], table.keys - 1)
+    return Tabled(table.title, table.heads[1:], [row[1:] for row in table.rows], table.keys - 1, table.answers)
 
 
 def written_estimate(found: Estimate) -> str:

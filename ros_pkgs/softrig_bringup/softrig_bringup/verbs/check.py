@@ -19,6 +19,8 @@ from softrig_core.verdict.findings import Finding
 from softrig_optim.sweep import sweep
 
 from ..folder import replace
+from ..page.checked import checked
+from ..page.html import write_page
 from ..page.junit import Case, Suite, write_reports
 from ..page.wording import NEVER, accepted, spans
 
@@ -36,7 +38,7 @@ class Judged(NamedTuple):
 
 def main(options: argparse.Namespace) -> int:
     """Run scenarios in process and judge them; 1 when something does not hold, 2 for bad input, 3 when a run broke."""
-    for path in (options.junit, options.json, options.marks):
+    for path in (options.junit, options.json, options.marks, options.html):
         if path is not None and not path.absolute().parent.is_dir():
             raise ScenarioError(f"{path}: there is no folder {path.absolute().parent}")
     if options.against:  # the one that judges all
@@ -57,6 +59,8 @@ def main(options: argparse.Namespace) -> int:
     write_reports(options.junit, suites, options.json, outcomes)
     if options.marks is not None:
         replace(options.marks, _marks(suites))
+    if options.html is not None:
+        write_page(options.html, "check", checked(suites, outcomes, options.against))
     if kinds := sorted({outcome["kind"] for outcome in outcomes} - {""}):
         of = f"of {len(outcomes)} scenarios " if len(outcomes) > 1 else ""
         say(f"{of}not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")
@@ -111,18 +115,22 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 def _marks(suites: Sequence[Suite]) -> str:
     """Write a row a scenario: how much of what is judged holds, what was measured of each, and why one was not run."""
-    names = list(dict.fromkeys(case.name for suite in suites for case in suite.cases))
+    units = {case.name: case.unit for suite in suites for case in suite.cases}
+    heads = {name: f"{name} ({unit})" if unit else name for name, unit in units.items()}  # numbers stay numbers
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ["scenario", "held", "judged", *(part for name in names for part in (name, f"{name} holds")), "error"]
-    )
+    judged = (part for name, head in heads.items() for part in (head, f"{name} holds"))
+    writer.writerow(["scenario", "held", "judged", *judged, "error"])
     for suite in suites:
         cases = {case.name: case for case in suite.cases}
         held = [name for name, case in cases.items() if not case.failure]
-        cells = [part for n in names for part in ((cases[n].text, int(n in held)) if n in cases else ("", ""))]
+        cells = [part for n in heads for part in ((_cell(cases[n]), int(n in held)) if n in cases else ("", ""))]
         writer.writerow([suite.name, len(held), len(cases), *cells, suite.error])
     return text.getvalue()
+
+
+def _cell(case: Case) -> str:
+    return case.text.removesuffix(f" {case.unit}") if case.unit else case.text
 
 
 def outcome_of(run: Run, wall_s: float) -> dict[str, Any]:
@@ -143,7 +151,7 @@ def _claim(finding: Finding) -> dict[str, Any]:
 def suite_of(outcome: dict[str, Any]) -> Suite:
     """Return an outcome as a suite of cases: what is judged, and the claims whose verdict was held against the run."""
     results = [Result.model_validate(r) for r in outcome["metrics"]]
-    cases = [Case(r.name, "" if r.passed else _missed(r), _measured(r)) for r in results if r.judged]
+    cases = [Case(r.name, "" if r.passed else _missed(r), _measured(r), r.unit) for r in results if r.judged]
     cases += [
         Case(f"claim {c['key']}", c["false"], c["measured_text"]) for c in outcome["claims"] if c["holds"] is not None
     ]

@@ -312,6 +312,7 @@ def _judge(verb: Verb) -> None:
     check.add_argument(
         "--marks", type=Path, metavar="FILE", help="a row of CSV a scenario: how much holds, and each value"
     )
+    check.add_argument("--html", type=Path, metavar="FILE", help="report as a page: which hold, and why others do not")
     results = verb("results", "verbs.results:main", "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument(

@@ -10,7 +10,7 @@ from typing import Any
 from softrig_core.judge.units import pretty_unit
 from softrig_core.verdict.figures import Result
 
-from ..page.wording import accepted, in_words, measured_here
+from ..page.wording import NEVER, accepted, in_words, measured_here
 from .control import Control, Said
 from .sources import Source
 
@@ -66,6 +66,7 @@ def figures(results: Iterable[Result], so_far: bool) -> str:
         value = "-" if f.value is None else f"{f.value:.5g}"
         unit = pretty_unit(f.unit)
         said = unit if f.value is not None or (so_far and not measured_here(f)) else in_words(f)
+        said = "not yet" if so_far and said == NEVER else said
         look = 'class="u"' if said == unit else ""
         rows.append(
             f'<tr><td>{_broken(f.name)}</td><td class="n">{value}</td><td {look}>{html.escape(said)}</td>'
