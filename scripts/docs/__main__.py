@@ -104,7 +104,7 @@ def serve(folder: Path, port: int) -> None:
     try:
         made = ThreadingHTTPServer(("127.0.0.1", port), partial(SimpleHTTPRequestHandler, directory=folder))
     except OSError as error:
-        raise ScenarioError(f"--serve {port}: {error.strerror}; 0 takes a port that is free") from None
+        raise ScenarioError(f"--serve {port}: {error.strerror}; 0 selects a free port") from None
     with made as server:
         print(f"http://127.0.0.1:{server.server_port} (Ctrl-C ends it)", flush=True)
         try:

@@ -17,7 +17,7 @@ GUIDES = {
     "Connect what is yours": ("node", "cpp_node", "c_law", "own_robot", "learning"),
     "Go to hardware": ("hardware", "boards", "plc"),
     "Use results elsewhere": ("paper_figures", "bags", "bags_pandas", "outside_tools", "python", "notebooks"),
-    "Hand on, teach and keep correct": ("send", "strangers", "classroom", "continuous_integration"),
+    "Share, teach and keep correct": ("send", "strangers", "classroom", "continuous_integration"),
 }
 
 # folder of the site: title, what one finds there, pages in order (by file name, wherever a package has them)

@@ -163,7 +163,7 @@ def figures() -> str:
         parts += [
             f"## {name}",
             "",
-            f"Unit: {getattr(function, 'unit', None) or 'as the scenario says'}.",
+            f"Unit: {getattr(function, 'unit', None) or 'as in the scenario'}.",
             "",
             "```{eval-rst}",
             f".. autofunction:: {function.__module__}.{function.__qualname__}",

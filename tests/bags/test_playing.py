@@ -430,8 +430,8 @@ def test_what_the_bag_changes_is_set_before_its_tick(monkeypatch):
 @pytest.mark.parametrize(
     ("there", "said"),
     [
-        ({}, r"nobody publishes /out"),
-        ({"recorded": True}, r"nobody publishes /out"),
+        ({}, r"no node publishes /out"),
+        ({"recorded": True}, r"no node publishes /out"),
         ({"name": "unknown"}, r"the node behind /out is not known yet"),
         ({"name": "law"}, r"the node subscribes none of /in, /too"),
         ({"name": "law", "inputs": ["/in"], "deaf": True}, r"/in is not matched"),

@@ -130,7 +130,7 @@ def test_what_is_selected_is_subscribed_as_it_comes_and_what_cannot_be_is_said(m
     assert [period for period, _ in node.timers] == [0.1, 0.5]
     node.publish("/a", HEADER, profile=QoSProfile(depth=3, durability=LATCHED))
     node.publish("/left", HEADER)
-    node.topics["/b"] = [HEADER]  # nobody publishes it yet
+    node.topics["/b"] = [HEADER]  # no node publishes it yet
     node.publish("/two", HEADER)
     node.publish("/two", FLOAT)
     node.publish("/odd", "odd_msgs/msg/Odd")

@@ -141,4 +141,4 @@ def test_a_moment_is_a_time(word, capsys):
 def test_a_run_goes_on_beyond_where_it_begins(capsys):
     assert main(["run", "--from", "a@5", "--duration", "3"]) == 2
     said = capsys.readouterr().err
-    assert "--from a@5 --duration 3: the run would end before it goes on; expected a duration above 5 s" in said
+    assert "--from a@5 --duration 3: the run would end before the branch; expected a duration above 5 s" in said

@@ -120,7 +120,7 @@ def test_ranges_are_met_at_both_ends_and_in_between():
         ("plant.R", "3..1", "3 is above 1"),
         ("plant.R", "log -1..1", "a logarithm needs a range above 0"),
         ("plant.R", "1", r"expected LOW\.\.HIGH"),
-        ("motor/state/shaft/velocity", "0..1", "a signal takes a profile, such as 0..1.6"),
+        ("motor/state/shaft/velocity", "0..1", "a signal needs a profile, such as 0..1.6"),
         ("plant.load_torques", "0..1*0", "expected 1 to 50 numbers, got 0"),
         ("plant.R+", "0..1", "only to signals can be added"),
         ("plnt.R", "0..1", "did you mean plant.R"),

@@ -279,7 +279,7 @@ def test_overview_shows_every_signal_with_its_unit(whole):
     rig, figures = whole
     figure = figures["Every recorded signal"]
     panels = [ax for ax in figure.axes if ax.get_visible()]
-    assert sum(len(ax.lines) for ax in panels) == len(signal_units(rig)) - 1  # drive/load: nobody publishes it
+    assert sum(len(ax.lines) for ax in panels) == len(signal_units(rig)) - 1  # drive/load: no node publishes it
     assert {ax.get_ylabel() for ax in panels} == {"rad", "rad/s", "N m", "Wb", "A", "", "V"}
     assert figure._supxlabel.get_text() == "nothing published on drive/load"
     assert all(ax.lines for ax in panels)

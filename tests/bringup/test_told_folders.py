@@ -792,8 +792,11 @@ def test_a_bag_or_a_folder_says_what_its_run_was(kept, tmp_path):
     (tmp_path / "bare").mkdir()
     (tmp_path / "bare/metrics.json").write_text("{}")
     for place, said in (
-        (tmp_path / "bare", "that run kept no bag: nobody knows what was changed while it ran"),
-        (tmp_path, "expected the directory of a run, the bag of one"),
+        (
+            tmp_path / "bare",
+            "that run has no bag, so changes made during the run are unknown; rerun it without --no-record",
+        ),
+        (tmp_path, "expected the directory of a run, the bag of a run"),
         (tmp_path / "none", "expected the directory of a run"),
     ):
         with pytest.raises(ScenarioError, match=said):
@@ -802,7 +805,7 @@ def test_a_bag_or_a_folder_says_what_its_run_was(kept, tmp_path):
     def unknown(words):
         raise argparse.ArgumentError(None, "unrecognized arguments: --new")
 
-    with pytest.raises(ScenarioError, match="the bag of one that says how it was made"):
+    with pytest.raises(ScenarioError, match="the bag of a run"):
         like.recall(kept / "run", unknown)
     for text, content in (("[1]", {}), ("{", {}), ('{"a": 1}', {"a": 1})):
         (tmp_path / "m.json").write_text(text)

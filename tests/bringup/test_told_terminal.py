@@ -393,7 +393,7 @@ def test_a_broken_run_says_where_what_it_left_is_and_a_stopped_one_when(monkeypa
     assert said.out == "figures\n"
     assert said.err.splitlines() == [
         "softrig: the run broke: gone",
-        "softrig: what was recorded up to there is in runs/x, what the nodes said in its log/",
+        "softrig: what was recorded up to there is in runs/x, the output of the nodes in its log/",
         "softrig: the run broke: gone",
         "softrig: assumed so",
         "softrig: told so",

@@ -402,7 +402,7 @@ def test_what_a_browser_should_not_say_is_told_in_one_line(caplog):
     finally:
         logger.removeFilter(one)
     assert "Traceback" not in caplog.text
-    assert "a page was told what cannot be: ValueError: cannot convert float NaN to integer" in caplog.text
+    assert "a page sent an invalid message: ValueError: cannot convert float NaN to integer" in caplog.text
 
 
 def test_a_flood_of_what_a_browser_should_not_say_is_a_few_lines(caplog):
@@ -574,6 +574,6 @@ def test_a_page_that_breaks_is_started_again_and_at_last_the_run_is_let_go(tmp_p
     page.keeper.join(PATIENCE)
     said = capsys.readouterr().err
     assert said.count("the page has broken (status 1): it is started again") == 3
-    assert said.count("the page has broken (status 1): the run goes on without it") == 1
+    assert said.count("the page has broken (status 1): the run continues without it") == 1
     assert asked == [{"node": "dc_motor_plant", "call": "resume"}]
     page.close()

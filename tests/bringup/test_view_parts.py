@@ -119,7 +119,7 @@ def test_a_pane_has_the_signals_of_its_topics():
     assert pane.recording.topics["a/b"].times == range(2)
     assert pane.table("a/b").columns.keys() == {"x/position", "y/position"}
     assert (len(pane.table("nowhere").t), pane.table("nowhere").columns) == (0, {})
-    for name, why in (("q/x", "no topic for signal 'q/x'"), ("c/x", "nothing has come of c/x")):
+    for name, why in (("q/x", "no topic for signal 'q/x'"), ("c/x", "no samples yet of c/x")):
         with pytest.raises(KeyError, match=why):
             pane[name]
 

@@ -282,7 +282,7 @@ def test_a_library_that_is_built_again_waits_for_the_next_run(tmp_path: Path) ->
     session.set({"dc_motor_pid.values": PI["values"]})
     session.go(0.5)
     assert all(session.recording.topics[name] == topic for name, topic in plain.recording.topics.items())
-    assert "this run goes on with the build of its start" in session.steps["dc_motor_pid"].reports["rebuilt"][1]
+    assert "this run continues with the build of its start" in session.steps["dc_motor_pid"].reports["rebuilt"][1]
     assert simulate(rig_with(parameters)).recording.topics != plain.recording.topics
 
 

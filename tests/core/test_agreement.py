@@ -73,7 +73,7 @@ def test_an_argument_of_a_figure_is_what_a_node_says():
     with pytest.raises(ScenarioError, match="argument mass = 2, but one has 3; leave it out"):
         agreeing(said, {"mass": 2.0}, agreed)
     assert agreeing({}, {"mass": 2.0}, agreed) == {"mass": 2.0}  # of a recording without such a node
-    with pytest.raises(ScenarioError, match="argument mass is missing, since no node of the rig says its cart/mass"):
+    with pytest.raises(ScenarioError, match="argument mass is missing, since no node of the rig defines its cart/mass"):
         agreeing({}, {}, agreed)
 
 

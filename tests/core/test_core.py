@@ -116,7 +116,7 @@ def test_scenarios_extend_and_vary(folder):
         ("extends: base\nvariants:\n  low: {title: x,\n    nodes: {plant: {packages: x}}}\n", "bad_low",
          "bad.yaml, line 4: nodes.plant.packages: unknown key (did you mean 'package'?), got 'x'"),
         ("extends: base\nfigures:\n  f: {signal: a, unit: s}\n", "bad",
-         "line 3: figures.f.signal: unknown key; what its function takes belongs below arguments: {signal: ...}"),
+         "line 3: figures.f.signal: unknown key; arguments of its function belong below arguments: {signal: ...}"),
         ("extends: base\nplots:\n- title: x\n  signals: {a: a}\n- {title: y,\n   signal: {a: a}}\n", "bad",
          "bad.yaml, line 5: plots.1.signals: Field required (and 1 more)"),
         ("title: [", "bad", "bad.yaml: not valid YAML"),
@@ -182,7 +182,7 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 @pytest.mark.parametrize(
     ("nodes", "text"),
     [
-        ({"plant": "plant", "source": "source"}, "nobody publishes lag/command, which plant needs"),
+        ({"plant": "plant", "source": "source"}, "no node publishes lag/command, which plant needs"),
         (BASIC | {"second": "gain"}, "gain and second both publish lag/command"),
         (BASIC | {"gain": node("gain", {"lag/sate": "x"})}, "node gain: remap of 'lag/sate', but its topics are"),
         (

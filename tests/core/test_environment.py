@@ -268,7 +268,7 @@ def test_a_value_beyond_the_limits_of_its_port_ends_an_episode(given, last):
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"replace": "dc_motor_plant"}, "it is a plant or says nothing; expected one of"),
+        ({"replace": "dc_motor_plant"}, "it is a plant or publishes nothing; expected one of"),
         ({"replace": "dc_motor_smcc"}, "it is not there.*dc_motor_smc"),
         ({"observe": ["sped"]}, "no signal 'sped'.*speed"),
         ({"act": ["speed"]}, "does not say motor/state/shaft/velocity; it says motor/command/armature/effort"),

@@ -428,7 +428,7 @@ def test_with_faults_the_seed_alone_decides():
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
-        ({"link": "lag/stat"}, r"nobody publishes 'lag/stat' \(did you mean 'lag/state'\?\)"),
+        ({"link": "lag/stat"}, r"no node publishes 'lag/stat' \(did you mean 'lag/state'\?\)"),
         ({"link": "lag/state -> source"}, "source does not subscribe to lag/state; its subscribers are gain"),
         ({"link": "lag/applied"}, "no node acts on lag/applied, so a fault there would change nothing"),
         ({"link": "lag/state", "kind": "noise", "value": [1, 2, 3]}, "node it: .*value has 3 numbers"),

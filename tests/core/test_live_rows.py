@@ -590,7 +590,7 @@ def test_a_law_that_hears_nothing_of_who_is_there_says_so_each_ten_seconds():
         node.drive.progress()
         told += [tenth] * (len(node.hand.logs) - len(told))
     assert told == [101, 202]
-    text = "ERROR has heard nothing on a for 10 s, which is published: no tick without it"
+    text = "ERROR has received nothing on a for 10 s, though it is published"
     assert node.hand.logs == [text, text]
     node.rows["b"].matched(1)
     node.rows["a"].matched(0)
@@ -635,7 +635,7 @@ def test_of_two_who_command_a_plant_neither_is_believed_until_one_has_been_silen
     node.hand.writers["/lag/command"] = ["two", "one"]
     node.hand.matched["lag/command"](2)
     assert (row.disputed, node.adapter.values["command"], row.arrived) == (True, (0.0,), None)
-    assert row.last_refusal == "2 publishers at once (one, two), expected one"
+    assert row.last_refusal == "2 publishers at the same time (one, two), expected one"
     node.hear("command", START + 20 * MS, 4.0, at=START + 20 * MS)
     timer_at(node, timer, 2)
     assert node.adapter.step.x.u == 0.0
@@ -644,7 +644,7 @@ def test_of_two_who_command_a_plant_neither_is_believed_until_one_has_been_silen
         row.numbered(k + 1)
         assert row.disputed is (k < 101)
         node.hand.time += 10 * MS
-    text = "of 2 publishers one alone has spoken for 1 s: it is believed"
+    text = "of 2 publishers only one has published for 1 s: accepted"
     assert node.reports()["rivals lag/command"] == f"WARN {text} (1)"
     node.hear("command", node.hand.time, 4.0)
     assert node.adapter.values["command"] == (4.0,)

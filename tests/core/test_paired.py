@@ -653,7 +653,7 @@ def test_a_run_without_progress_ends_after_its_timeout_and_says_for_what_it_wait
         assert after(reader, stalls, 10.0) == "running"
         assert after(reader, stalls, 0.1).startswith("nothing stamped")
     reader, row, stalls = stands()
-    row.have = True  # it waits for nobody: somebody holds it
+    row.have = True  # it waits for no message: somebody holds it
     assert after(reader, stalls, 100.0) == "running"
     reader, row, stalls = stands()
     row.receive(said(row.port, 130 * MS, 1.0))

@@ -498,7 +498,7 @@ def test_a_node_that_says_nothing_of_itself_has_the_time_of_the_start(watched):
     run = watched()
     run.states["law"] = run.states["source"] = {}
     run.at(29.0, run.says("source", t=0))
-    assert run.run() == ("node law has said nothing of itself within 30 s of its start", 30.1)
+    assert run.run() == ("node law has reported nothing within 30 s of its start", 30.1)
     run = watched()
     run.states["law"] = {}
     run.restarts.look = lambda children: run.now >= 120.0 and run.restarts.counts.update(law=1)  # started anew
@@ -589,7 +589,7 @@ def test_a_system_clock_that_is_set_back_is_told(monkeypatch):
     clock.look()
     wall.ahead = 640.0
     assert clock.set_back() == "; the system's clock was set back by 30 s meanwhile, and Fast DDS waits by it"
-    assert idle({"a": {"ticks": 0}, "b": {}}) == "all nodes have ended, and none of them has said a tick"
+    assert idle({"a": {"ticks": 0}, "b": {}}) == "all nodes have ended, and none of them has answered a tick"
     assert idle({"a": {"ticks": 0}, "b": {"ticks": 1}}) == ""
 
 
@@ -652,7 +652,7 @@ def test_what_could_not_be_started_again_is_refused():
         (rig, Placement("container", restart=1), whole),
         (rig, Placement(containers=[["plant", "gain"]], restart=1), whole),
         (rig, Placement(only=("plant",), restart=1), whole),
-        (guest, Placement(restart=1), "--restart: gain is outside, and nobody knows what it has said"),
+        (guest, Placement(restart=1), "--restart: gain is an outside node, whose past messages are unknown"),
         (
             rig,
             Placement(restart=1, record=False),
@@ -676,7 +676,7 @@ def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come(monkeypa
     guests = Guests(rig_of(make_scenario(nodes)), said.append)
     guests.invite(7)
     assert said.pop().splitlines() == [
-        "waiting for gain (as long as it takes or --wait says; Ctrl-C ends); in another terminal:",
+        "waiting for gain (without limit, or for --wait S; Ctrl-C ends); in another terminal:",
         "  export ROS_DOMAIN_ID=7 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
         "  gain must publish lag/command (sensor_msgs/msg/JointState, u/effort)",
         "  gain can read lag/state (sensor_msgs/msg/JointState)",
@@ -855,7 +855,7 @@ def test_a_node_says_what_it_is_and_how_it_is_started():
         "waits for lag/state, lag/reference; publishes lag/command"
     )
     assert main.introduction(Source(), RunOptions(mode="lockstep")) == (
-        "A sine of the tick number; lockstep, every 0.01 s; waits for nobody; publishes lag/reference"
+        "A sine of the tick number; lockstep, every 0.01 s; waits for no message; publishes lag/reference"
     )
     lines = main.usage("gain", Gain).splitlines()
     assert lines[:9] == [
@@ -865,7 +865,7 @@ def test_a_node_says_what_it_is_and_how_it_is_started():
         "  reads lag/reference (trajectory_msgs/msg/JointTrajectory: x/position)",
         "  publishes lag/command (sensor_msgs/msg/JointState: u/effort)",
         "",
-        "At a tick of which an input is refused: What it said last is held.",
+        "At a tick of which an input is refused: Its last outputs are held.",
         "",
         "Parameters, each as `--ros-args -p NAME:=VALUE` (node name, remaps and files as in any ROS 2 node):",
     ]

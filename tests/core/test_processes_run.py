@@ -161,7 +161,7 @@ def test_how_a_run_ends_is_said_once_and_a_refused_parameter_is_the_scenarios(st
     idle_one = stage()
     idle_one.status = {"ticks": 0}
     outcome = idle_one.run()
-    assert (outcome.error, outcome.epoch) == ("all nodes have ended, and none of them has said a tick", 0)
+    assert (outcome.error, outcome.epoch) == ("all nodes have ended, and none of them has answered a tick", 0)
     stopped = stage(failing=Stopped(signal.SIGTERM))
     stopped.status = {"ticks": 0}
     outcome = stopped.run()

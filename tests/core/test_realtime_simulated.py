@@ -446,9 +446,9 @@ def test_who_takes_the_place_of_a_killed_law_is_believed_when_that_has_been_sile
     run, speak = beside_a_dead_law
     row = run.adapters["plant"].inputs[0]
     assert speak(1, 3990) is None
-    assert row.last_refusal == "2 publishers at once (again, gain), expected one"
+    assert row.last_refusal == "2 publishers at the same time (again, gain), expected one"
     assert speak(1, 4050) == (2.0,)
-    said = "of 2 publishers one alone has spoken for 1 s: it is believed"
+    said = "of 2 publishers only one has published for 1 s: accepted"
     assert run.adapters["plant"].step.reports["rivals lag/command"][1:] == (said, 1)
     refused = row.refused
     row.matched(1)  # its lease is over
@@ -520,7 +520,7 @@ def test_a_law_that_hears_nothing_of_what_is_published_says_so_while_it_lasts():
     world.match()
     world.run(run.epoch + 24 * SECOND)
     gain = run.adapters["gain"]
-    told = [text for _, text in run.nodes["gain"].logs if "has heard nothing" in text]
+    told = [text for _, text in run.nodes["gain"].logs if "has received nothing" in text]
     assert gain.ticks == 0
-    assert told == ["has heard nothing on lag/reference for 10 s, which is published: no tick without it"] * 2
-    assert not any("has heard nothing" in text for name in ("plant", "source") for _, text in run.nodes[name].logs)
+    assert told == ["has received nothing on lag/reference for 10 s, though it is published"] * 2
+    assert not any("has received nothing" in text for name in ("plant", "source") for _, text in run.nodes[name].logs)

@@ -701,7 +701,7 @@ def test_the_graph_is_told_by_endpoints_and_who_asks_for_more_is_named(monkeypat
     monkeypatch.setattr(middleware, "_ears", SimpleNamespace(lost=lambda: "fastrtps_port7"), raising=False)
     assert (
         middleware.deaf()
-        == "hears nobody any more: its port fastrtps_port7 in shared memory was removed by another process"
+        == "receives no messages any more: its port fastrtps_port7 in shared memory was removed by another process"
     )
     middleware._ears = SimpleNamespace(lost=lambda: "")
     assert middleware.deaf() == ""
@@ -1029,8 +1029,8 @@ def test_messages_are_handed_over_as_they_came_however_long_they_are(monkeypatch
     one.look()
     assert (matched, rcl.resets) == ([2, 1], 1)
     for call, said in (
-        (works[0], "a message cannot be taken (rcl says 5)"),
-        (one.begin, "cannot be told of its messages"),
+        (works[0], "a message cannot be taken (rcl reports 5)"),
+        (one.begin, "cannot be notified of its messages"),
     ):
         with pytest.raises(ros.RCLError) as error:
             call()

@@ -275,7 +275,7 @@ def test_a_start_that_does_not_come_ends_the_run_and_says_why():
         one.look(1, round(seconds * 1e9))
         assert not one.failures
         one.look(1, MS)
-        assert one.failures == (["not all peers after 30 s: law has not said when to start"] if limit else [])
+        assert one.failures == (["not all peers after 30 s: law has not published the start time"] if limit else [])
     one.failures.clear()
     one = Leaves(limit=30.0)
     one.gone.append("nobody on x")

@@ -179,7 +179,7 @@ def test_what_cannot_be_asked():
     for at in (-0.1, math.inf, math.nan):
         with pytest.raises(ScenarioError, match=r"^at = .* s: expected 0 or more$"):
             steady(rig, at=at)
-    with pytest.raises(ScenarioError, match="no plant says anything at each of its ticks; name outputs"):
+    with pytest.raises(ScenarioError, match="no plant publishes at each of its ticks; name outputs"):
         steady(rig, at=0.0, outputs=[])
     assert steady(rig, at=0.0, outputs=["plant/y/data"]).states.keys() == {"plant[0]"}
 

@@ -75,7 +75,7 @@ def test_ask_repeats_until_told_and_ends():
     assert search.ask() == first
     assert search.pending[0] == first
     assert len(search.pending) == 2
-    with pytest.raises(ValueError, match="no value was told yet"):
+    with pytest.raises(ValueError, match="no value was reported yet"):
         _ = search.result
     for k in range(4):
         assert search.iteration == k // 2
@@ -859,7 +859,9 @@ def test_a_scheduler_that_goes_away_says_how_to_go_on(monkeypatch):
     monkeypatch.setattr(distributed, "as_completed", lambda: iter(()))
     workers = Workers(scheduler="tcp://s:8786")
     workers._client = Cluster()
-    with pytest.raises(RunError, match=r"the scheduler has gone; what is done is kept, and the same command goes on"):
+    with pytest.raises(
+        RunError, match=r"the scheduler has gone; finished work is kept, and the same command resumes it"
+    ):
         workers.map(abs, [1])
 
 

@@ -81,7 +81,7 @@ def test_a_search_says_what_it_knows():
         True,
     )
     for read in (lambda: search.result, lambda: search.expected):
-        with pytest.raises(ValueError, match="no value was told yet"):
+        with pytest.raises(ValueError, match="no value was reported yet"):
             read()
     search.watch((1.0,))
     search.tell(-1.0, [3, 4])

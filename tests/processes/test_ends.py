@@ -368,7 +368,7 @@ def test_a_run_without_a_tick_says_so(tmp_path, monkeypatch):
 
     monkeypatch.setattr(processes, "gathered", without_ticks)
     outcome = run_processes(rig_of(make_scenario(BASIC, 0.1)), 0, tmp_path, Placement(), Listener())
-    assert outcome.error == "all nodes have ended, and none of them has said a tick"
+    assert outcome.error == "all nodes have ended, and none of them has answered a tick"
 
 
 @pytest.mark.processes

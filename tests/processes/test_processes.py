@@ -139,7 +139,7 @@ def test_a_node_that_never_says_anything_ends_the_run_with_its_name(mode, hasty,
     """As one that waits inside of DDS; with an outside node its peers would wait for ever, too."""
     nodes = BASIC | {"gain": params("gain") | {"external": True}, "watcher": params("watcher", comes_up=False)}
     outcome = run_processes(rig(nodes, 0.3, start_timeout=2.0), 0, tmp_path, Placement(clock=mode))
-    assert outcome.error == "node watcher has said nothing of itself within 2 s of its start"
+    assert outcome.error == "node watcher has reported nothing within 2 s of its start"
     assert no_process_left(tmp_path)
 
 

@@ -112,7 +112,7 @@ def test_a_node_whose_port_is_taken_away_ends_by_name(bench):
     for port in ears(bench.nodes["plant"]):
         port.unlink()
     assert bench.ends("plant") == 3
-    assert "hears nobody any more: its port fastrtps_port" in bench.status("plant")["error"]
+    assert "receives no messages any more: its port fastrtps_port" in bench.status("plant")["error"]
 
 
 @pytest.mark.long

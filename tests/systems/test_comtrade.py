@@ -300,10 +300,10 @@ def test_letters_of_two_systems_are_not_guessed(tmp_path):
 def test_a_channel_twice_or_two_of_one_name_or_both_ends_alike_are_refused(tmp_path):
     file = File(tmp_path)
     names = [c[1] for c in file.channels]
-    with pytest.raises(ComtradeFileError, match="channel VA_S stands twice"):
+    with pytest.raises(ComtradeFileError, match="channel VA_S occurs twice"):
         read(file, channels=names[:6] * 2)
     file.channels[6][1] = "VA_S"
-    with pytest.raises(ComtradeFileError, match="channel VA_S stands twice"):
+    with pytest.raises(ComtradeFileError, match="channel VA_S occurs twice"):
         read(file, channels=["VA_S", *names[1:6], *names[7:], "VA_S"])
     file = File(tmp_path, x=np.hstack([waves()[:, :6]] * 2))
     with pytest.raises(ComtradeFileError, match="both ends are the same record"):
@@ -402,7 +402,7 @@ def test_counts_that_do_not_agree_are_said(tmp_path):
         ("02/03/2024", "31/02/2024", "day is out of range|day"),
         ("0,0\r\n4,0", "east,0\r\n4,0", "time_code is 'east', expected a difference from UTC"),
         ("4,0\r\n", "Q,0\r\n", "tmq_code is 'Q'"),
-        ("4,0\r\n", "4,0\r\nmore\r\n", "'more' stands after the last field of revision 2013"),
+        ("4,0\r\n", "4,0\r\nmore\r\n", "'more' follows the last field of revision 2013"),
         ("4000,400", "4000", "1 fields, expected 2"),
         ("4000,400", "1e-300,400", "expected 0 or a rate of 0.001 to 1e"),
         ("4000,400", "inf,400", "samp is 'inf', expected a number"),

@@ -94,7 +94,7 @@ def test_a_broken_table_is_refused_by_row_and_column(tmp_path):
         table[row, column] = value
         with pytest.raises(TableError, match=text):
             Units(tuple(good[0]), table)
-    with pytest.raises(TableError, match="unit a: its name stands twice"):
+    with pytest.raises(TableError, match="unit a: its name occurs twice"):
         Units(("a", "a"), good[1])
     file = tmp_path / "units.csv"
     head = "unit,p_min_MW,p_max_MW,a_usd_per_MW2h,b_usd_per_MWh,c_usd_per_h,e_usd_per_h,f_rad_per_MW\n"

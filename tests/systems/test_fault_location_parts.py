@@ -313,7 +313,7 @@ def test_whole_numbers_of_a_written_file(tmp_path, kind, largest):
 
 
 APART_BY = (
-    "expected 2 voltage(s) and 2 current(s) of each phase, told apart by unit and phase; name the channels; it has "
+    "expected 2 voltage(s) and 2 current(s) of each phase, distinct by unit and phase; name the channels; it has "
 )
 
 
@@ -1695,7 +1695,7 @@ def test_what_is_missing_of_a_line_is_told(tmp_path):
     with pytest.raises(ScenarioError) as refused:
         line_data(None, {"line.r1": 1.0, "line.c1": 1.0})
     text = (
-        "the line's length, l1 are not told: expected --line FILE (YAML: length in km, r1 in ohm/km, l1 in H/km, "
+        "the line's length, l1 are missing: expected --line FILE (YAML: length in km, r1 in ohm/km, l1 in H/km, "
         "c1 in F/km), --line paper for that of the paper, or --set line.length=... line.l1=..."
     )
     assert str(refused.value) == text

@@ -246,7 +246,7 @@ def test_a_law_answers_the_tick_with_its_inputs(fmus, version):
             "the message carries a/c/effort, a/b/velocity as well|the message carries a/b/velocity, a/c/effort as well",
         ),
         ({"outputs": ("a/b/acceleration = w",)}, "no field acceleration in its messages"),
-        ({"outputs": ("motor/command/b/effort = w",)}, "motor/command is both read and said"),
+        ({"outputs": ("motor/command/b/effort = w",)}, "motor/command is both an input and an output"),
         ({"fmu": "nowhere.fmu"}, "no FMU 'nowhere.fmu'"),
         ({"fmu": __file__}, "cannot be read as an FMU: BadZipFile"),
         ({"fmu": ""}, "parameter fmu = '': expected the file of an FMU"),

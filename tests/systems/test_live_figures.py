@@ -226,7 +226,7 @@ def test_it_follows_a_parameter_that_its_figures_refer_to():
         ({"arguments": {"signal": SPEED, "initial": 1.0}}, "with initial the final value must be given, too"),
         (
             {"function": "lsrm_arrival", "arguments": {"v_d": 1.0}},
-            "since: arrival takes no start, it is of a whole run",
+            "since: arrival has no start, since it covers a whole run",
         ),
     ],
 )

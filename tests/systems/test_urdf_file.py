@@ -154,7 +154,7 @@ def test_what_is_ignored_is_noted_once_and_changes_nothing(name):
         (FULL.replace('type="prismatic"', 'type="planar"'), "joint j3 is of type 'planar', expected one of revolute"),
         (FULL.replace('version="1.1"', "").replace('rpy="0 0.1 0"', 'quat_xyzw="0 0 0 1"'), "quat_xyzw needs"),
         (FULL.replace('<limit lower="-1" upper="1.5" effort="20" velocity="3"/>', ""), "needs <limit>"),
-        (FULL.replace("<limit lower=", '<limit lower="0" upper="1"/><limit lower=', 1), "<limit> stands twice"),
+        (FULL.replace("<limit lower=", '<limit lower="0" upper="1"/><limit lower=', 1), "<limit> occurs twice"),
         (FULL.replace('<child link="tool"/>', '<child link="b"/>'), "child of two joints"),
         (FULL.replace('izz="0.040"', 'izz="0.400"'), "link a: inertia .*triangle"),
         (FULL.replace('<mass value="2"', '<mass value="-2"'), "link a: mass = -2 kg"),

@@ -204,7 +204,7 @@ def make_parser() -> argparse.ArgumentParser:
                 "--quiet",
                 action="store_true",
                 default=argparse.SUPPRESS,
-                help="print nothing but what goes wrong; the exit status tells",
+                help="print errors only; the exit status shows the result",
             )
         return sub
 

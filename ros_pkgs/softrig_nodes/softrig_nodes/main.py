@@ -121,7 +121,7 @@ def introduction(block: Block, options: RunOptions) -> str:
     inputs, outputs = block.ports(block.p)
     what = (type(block).__doc__ or type(block).__name__).strip().splitlines()[0].rstrip(".")
     wanted = [p.topic for p in inputs if not p.held]
-    waits = f"waits for {', '.join(wanted)}" if wanted else "waits for nobody"
+    waits = f"waits for {', '.join(wanted)}" if wanted else "waits for no message"
     publishes = f"; publishes {', '.join(p.topic for p in outputs)}" if outputs else ""
     return f"{what}; {options.mode}, every {block.p.period:g} s; {waits}{publishes}"
 
@@ -137,7 +137,7 @@ def usage(name: str, block_class: type[Block]) -> str:
         lines += [f"  {title} {p.topic} ({p.msgtype}: {', '.join(p.labels)})" for p in ports]
     if inputs and not issubclass(block_class, Plant):
         own = block_class.refused is not Block.refused
-        what = (block_class.refused.__doc__ or "").strip().splitlines()[0] if own else "What it said last is held."
+        what = (block_class.refused.__doc__ or "").strip().splitlines()[0] if own else "Its last outputs are held."
         lines += ["", f"At a tick of which an input is refused: {what}"]
     lines += ["", "Parameters, each as `--ros-args -p NAME:=VALUE` (node name, remaps and files as in any ROS 2 node):"]
     for d in [*declarations(block_class.Params), *declarations(RunOptions, "run.")]:

@@ -386,9 +386,9 @@ class CommandSearch(Block[P], ABC):
         if x.unconfirmed > BROKEN:
             return x, False
         if changed:
-            self.report(Level.WARN, "changed", "the plant changed during the search: searching anew")
+            self.report(Level.WARN, "changed", "the plant changed during the search: searching again")
         else:
-            self.report(Level.WARN, "more", "the look back met a larger value than the search found: searching anew")
+            self.report(Level.WARN, "more", "the look back met a larger value than the search found: searching again")
         return self._note(self._begin(x, t, t if changed else x.look)), True
 
     def _withdraw(self, x: State) -> State:

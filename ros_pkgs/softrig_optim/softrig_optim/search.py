@@ -150,14 +150,14 @@ class Search(ABC):
             Nothing was told yet.
         """
         if self.best is None:
-            raise ValueError("no value was told yet")
+            raise ValueError("no value was reported yet")
         return self.best.x
 
     @property
     def expected(self) -> float:
         """The value that `result` should give if nothing has changed since it was found; see `result`."""
         if self.best is None:
-            raise ValueError("no value was told yet")
+            raise ValueError("no value was reported yet")
         return self.best.value
 
     @property

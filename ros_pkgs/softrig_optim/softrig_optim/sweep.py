@@ -198,8 +198,8 @@ class Workers:
             if isinstance(error, OSError) and client.status == "running":  # of the case itself
                 raise
             raise RunError(
-                f"--scheduler {self._scheduler}: the scheduler has gone; what is done is kept, and the same command "
-                "goes on from there"
+                f"--scheduler {self._scheduler}: the scheduler has gone; finished work is kept, and the same command "
+                "resumes it"
             ) from None
 
 

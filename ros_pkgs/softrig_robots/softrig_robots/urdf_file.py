@@ -200,7 +200,7 @@ def _names(root: ElementTree.Element) -> Iterator[str]:
         stack += [(child, f"{path}/{_name(child.tag)}") for child in element]
         single = [_name(child.tag) for child in element if child.tag not in ("visual", "collision")]
         if twice := next((tag for tag in single if single.count(tag) > 1), None):
-            raise ValueError(f"{path} {element.get('name', '')}: <{twice}> stands twice; remove one of the two")
+            raise ValueError(f"{path} {element.get('name', '')}: <{twice}> occurs twice; remove one of the two")
 
 
 def _check_tree(root: ElementTree.Element, where: str) -> str:

@@ -263,7 +263,7 @@ def _content(record: bytes) -> bytes | memoryview:
     stored = int.from_bytes(_least(record, at + letters, len(record), 8), "little")
     at += letters + 8
     if at + stored > len(record):
-        raise Damaged("a chunk is shorter than it says")
+        raise Damaged("a chunk is shorter than its header states")
     content = decompressed(memoryview(record)[at : at + stored], compression, size)
     if checksum and zlib.crc32(content) != checksum:
         raise Damaged("Chunk checksum mismatch")

@@ -176,7 +176,7 @@ class BagReader:
             if path.is_file():
                 return path
         raise BagError(
-            f"{self.path}: {name} is in metadata.yaml, but not in the folder; bring it there, or leave it out by "
+            f"{self.path}: {name} is in metadata.yaml, but not in the folder; copy it there, or remove it by "
             f"`softrig bag repair`"
         )
 

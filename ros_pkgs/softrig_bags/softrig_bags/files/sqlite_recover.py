@@ -132,7 +132,7 @@ def _rows(database: sqlite3.Connection, size: int, lost: list[str]) -> Iterator[
             else:
                 return
         except ERRORS as error:
-            lost[:] = [f"what stood on damaged pages ({error})"]
+            lost[:] = [f"the content of damaged pages ({error})"]
             last, step = last + step, 2 * step
     if left <= 0:
         lost[:] = ["rows beyond what the file can hold"]

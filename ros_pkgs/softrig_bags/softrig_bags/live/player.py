@@ -407,7 +407,7 @@ class LockstepPlayer:
             if len(publishers) > 1:
                 raise RunError(f"{len(publishers)} publishers on {topic}, expected exactly one")
             if not publishers or not subscription.get_publisher_count():
-                absent.append(f"nobody publishes {topic}")
+                absent.append(f"no node publishes {topic}")
                 continue
             there = publishers[0]
             try:
@@ -524,5 +524,5 @@ class LockstepPlayer:
             if self._ready:
                 lacking = ", ".join(a.name for a in self._answers.values() if a.missing)
                 raise RunError(f"no answer to t = {self._tick / SECOND:.9g} s on {lacking} within {self._timeout:g} s")
-            absent = self._absent() if self._listening() else [f"nobody publishes {', '.join(self._names)}"]
+            absent = self._absent() if self._listening() else [f"no node publishes {', '.join(self._names)}"]
             raise RunError(f"no node to play to within {self._timeout:g} s: {'; '.join(absent)}")

@@ -71,7 +71,7 @@ def parse(key: str, given: str) -> Over:
     adds, key = key.endswith("+"), key.removesuffix("+").strip()
     over = Over(**asdict(span(key, given)), key=key, adds=adds)
     if over.on_signal and not over.count:
-        raise ScenarioError(f"{key}={given}: a signal takes a profile, such as {over.low:g}..{over.high:g}*6")
+        raise ScenarioError(f"{key}={given}: a signal needs a profile, such as {over.low:g}..{over.high:g}*6")
     if adds and not over.on_signal:
         raise ScenarioError(f"{key}+={given}: only to signals can be added")
     return over

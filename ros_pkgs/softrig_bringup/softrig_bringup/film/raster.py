@@ -46,7 +46,7 @@ def pixels(film: Film, form: str) -> tuple[bytes, str]:
             return made, said if (colours, every) != REDUCED[0] else ""
     raise ScenarioError(
         f"a GIF of {len(made) / 1e6:.2f} MB with {colours} colours and {len(images[::every])} frames, "
-        f"expected at most {LARGEST / 1e6:g} MB: take a shorter window (--from, --to), a greater "
+        f"expected at most {LARGEST / 1e6:g} MB: choose a shorter window (--from, --to), a greater "
         "--speed, or SVG"
     )
 

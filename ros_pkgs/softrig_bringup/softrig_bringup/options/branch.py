@@ -22,7 +22,7 @@ def continued(scenario: Scenario, run: Recalled, at: float, values: Mapping[str,
     """
     rig = rig_of(scenario)
     if outside := [m.name for m in rig.members if m.external]:
-        raise ScenarioError(f"--from {run.path}: {', '.join(outside)} was outside, and nobody knows how it would go on")
+        raise ScenarioError(f"--from {run.path}: {', '.join(outside)} was an outside node, and its state is unknown")
     try:
         changes = branched(rig, run.recording, at, values, run.epoch)
     except ScenarioError as error:

@@ -60,7 +60,7 @@ def crate(
         "name": name,
         "description": about,
         "datePublished": published,
-        "license": "not stated; ask whoever gave you this file",
+        "license": "not stated; ask the person who gave you this file",
         "hasPart": [{"@id": part["@id"]} for part in parts],
         "mentions": {"@id": "#made"},
     }

@@ -111,7 +111,9 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
         return _unpacked(path, parse)
     bag = path / "bag" if (path / "bag").is_dir() else path
     if bag is path and (path / METRICS).is_file():
-        raise ScenarioError(f"{path}: that run kept no bag: nobody knows what was changed while it ran")
+        raise ScenarioError(
+            f"{path}: that run has no bag, so changes made during the run are unknown; rerun it without --no-record"
+        )
     try:
         with BagReader(bag) as reader:
             data = reader.custom_data
@@ -127,8 +129,7 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
     except (BagError, OSError, ValueError, KeyError, TypeError, argparse.ArgumentError):
         near = "" if path.exists() else nearby(path)
         raise ScenarioError(
-            f"{path}: expected the directory of a run, the bag of one that says how it was "
-            f"made, or a file of `softrig pack`{near}"
+            f"{path}: expected the directory of a run, the bag of a run, or a file of `softrig pack`{near}"
         ) from None
     need_packages(path, made_with.get("code", ()))
     return Recalled(path, options, bag.absolute(), recording, epoch, late, made_with, bag_says=data)

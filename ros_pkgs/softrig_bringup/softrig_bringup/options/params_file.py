@@ -18,7 +18,10 @@ PARAMS_FILE = FileFormat(
     "the parameter file of ROS",
     "rcl_yaml_param_parser of ROS 2 Jazzy",
     {
-        "NODE": ("used", "full name of a node, with or without the first slash; of another node: passed over and said"),
+        "NODE": (
+            "used",
+            "full name of a node, with or without the first slash; sections of other nodes are skipped and reported",
+        ),
         "NAMESPACE: {NODE: ...}": ("used", "the same as NAMESPACE/NODE; also in several levels"),
         "/*": ("used", "one part of a name"),
         "/**": ("used", "any number of parts; parameters that a node does not have are left out, as its node does"),

@@ -206,7 +206,7 @@ def _repeated(options: argparse.Namespace) -> Scenario:
     path, at = options.origin
     if options.duration is not None and options.duration <= at:
         raise ScenarioError(
-            f"--from {path}@{at:g} --duration {options.duration:g}: the run would end before it goes on; expected a "
+            f"--from {path}@{at:g} --duration {options.duration:g}: the run would end before the branch; expected a "
             f"duration above {at:g} s"
         )
     run = options.recalled = recall(path, parser.parse_args)

@@ -55,7 +55,7 @@ def signed_by(path: Path) -> str:
     if checked.returncode or key is None:
         raise ScenarioError(f"{signature}: {_last(checked.stderr) or 'no signature'}: it does not sign {path.name}")
     if not os.path.isfile(signers):
-        return f"signed by a key that nobody here knows, {key[1]}"
+        return f"signed by an unknown key, {key[1]}"
     found = _keygen(["find-principals", "-s", str(signature), "-f", signers])
     name = found.stdout.split("\n")[0].strip() if not found.returncode else ""
     if not name:

@@ -84,7 +84,7 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
     if not (folder / STUDY / FILE).is_file():
         raise ScenarioError(f"--like {path}: it holds a run, expected a study; `softrig run --like` repeats it")
     if names := brings(folder, said):
-        raise ScenarioError(f"--like {path}: it brings {', '.join(names)}; a study that brings code is not repeated")
+        raise ScenarioError(f"--like {path}: it brings {', '.join(names)}; a study that contains code is not repeated")
     study = make_study(read_mapping(folder / STUDY / FILE))
 
     def place(name: str) -> str:

@@ -117,7 +117,7 @@ def list_figures(name: str) -> int:
     if name:
         function = find(name)
         print(f"{name}{inspect.signature(function)}\n\n{inspect.getdoc(function) or ''}\n")
-        print(f"unit: {getattr(function, 'unit', None) or 'as the scenario says'}")
+        print(f"unit: {getattr(function, 'unit', None) or 'as in the scenario'}")
         return 0
     for one in registered():
         first = (inspect.getdoc(find(one)) or "").partition("\n")[0]

@@ -154,7 +154,7 @@ def _run_and_look(verb: Verb) -> None:
     listed.add_argument(
         "--signals",
         metavar="SCENARIO",
-        help="signals of a scenario: unit, message type, who publishes and who reads them",
+        help="signals of a scenario: unit, message type, publisher and subscribers",
     )
     listed.add_argument(
         "--parameters",
@@ -185,7 +185,7 @@ def _vary(verb: Verb) -> None:
     study = verb(
         "study",
         "study.page:main",
-        "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on",
+        "a scenario over grids, draws, seeds or a search; the next call resumes an interrupted study",
         **ONE,
     )
     study.add_argument(
@@ -323,9 +323,7 @@ def _judge(verb: Verb) -> None:
         help="results.html and .md, or results_SYSTEM.html, go here (runs/results)",
     )
     results.add_argument("--studies", action="store_true", help="the claims of studies too: hundreds of runs")
-    golden = verb(
-        "golden", "verbs.golden:main", "make golden bags anew and show the difference to the old, or check them"
-    )
+    golden = verb("golden", "verbs.golden:main", "record golden bags again and show the difference, or check them")
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
     golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
     golden.add_argument(

@@ -279,7 +279,7 @@ def load(folder: Path, **changes: Any) -> Golden:
 def _read(folder: Path, changes: dict[str, Any]) -> Recipe:
     file = folder / "golden.yaml"
     if not file.is_file():
-        raise ScenarioError(f"{folder} has no golden.yaml; --bags DIR says where golden bags are")
+        raise ScenarioError(f"{folder} has no golden.yaml; give the folder of golden bags by --bags DIR")
     content = read_yaml(file.read_text(errors="replace"), str(file))
     return _recipe(file, content | changes if isinstance(content, dict) else content)
 

@@ -34,7 +34,7 @@ from . import run_verb
 from .viewer import ROOTED, Process, viewer
 
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-# name: (default, choices, description); an empty default means: as the scenario says
+# name: (default, choices, description); an empty default means: as in the scenario
 ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
     "scenario": (None, (), "name of a scenario or path of its YAML file"),
     "mode": ("realtime", ("realtime", "lockstep"), "against the wall clock, or tick by tick"),

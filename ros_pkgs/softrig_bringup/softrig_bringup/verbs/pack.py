@@ -84,9 +84,7 @@ def main(options: argparse.Namespace) -> int:
         sign(out, options.sign)
         print(f"wrote {beside(out)}: {signed_by(out)}")
     for name in packed.lacks:
-        say(
-            f"not in it: package {name}, whose sources are in no workspace here (--workspace DIR); who runs it needs it"
-        )
+        say(f"not in it: package {name}, whose sources are in no workspace here (--workspace DIR); a run needs it")
     return 0
 
 
@@ -121,7 +119,7 @@ def collect_study(folder: Path) -> tuple[_Pack, int]:
     content = json.loads((folder / "study.json").read_text())
     if own := [name for name in content["code"] if not name.startswith("softrig_")]:
         raise ScenarioError(
-            f"{folder}: it runs {', '.join(own)}, and a pack of a study brings no code; pack a run of it"
+            f"{folder}: it runs {', '.join(own)}, but a pack of a study cannot contain code; pack a run of it"
         )
     alone, scenarios = standing_alone_study(study)
     files: dict[str, bytes | Path] = {}
@@ -151,7 +149,9 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
         No run; what it was made of is no longer what it was; its bag alone has what is needed, and is to be left out.
     """
     if is_pack(run) and (names := brings(unpacked := opened(run), about(unpacked))):
-        raise ScenarioError(f"{run}: it brings {', '.join(names)}, which packing would run; send that file on as it is")
+        raise ScenarioError(
+            f"{run}: it brings {', '.join(names)}, which packing would run; send the original file instead"
+        )
     before = recall(run, Again().parse_args)
     content = _beside(before.bag)
     scenario = scenario_of(before.options)

@@ -295,7 +295,7 @@ def _speak(kept: _Kept, done: Run, out: Path | None) -> None:
     if done.error:
         say(f"the run broke: {done.error}")
         if out is not None:
-            say(f"what was recorded up to there is in {_shown(out)}, what the nodes said in its log/")
+            say(f"what was recorded up to there is in {_shown(out)}, the output of the nodes in its log/")
         return
     _print_figures(kept.content, done, out)
     for line in (*assumptions(done.rig.members), *kept.told):

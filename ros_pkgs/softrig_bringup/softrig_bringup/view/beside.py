@@ -71,7 +71,7 @@ class Beside:
             status = self._process.wait()
             if self._ends:
                 return
-            what = "it is started again" if left else "the run goes on without it"
+            what = "it is started again" if left else "the run continues without it"
             say(f"the page has broken (status {status}): {what}")
             if left:
                 self._process = self._start()

@@ -100,7 +100,7 @@ class OneLine(logging.Filter):
     def _shorten(record: logging.LogRecord) -> None:
         error = record.exc_info[1] if record.exc_info else None
         if error is not None:
-            record.msg, record.args = "a page was told what cannot be: %s: %.200s", (type(error).__name__, error)
+            record.msg, record.args = "a page sent an invalid message: %s: %.200s", (type(error).__name__, error)
             record.exc_info = record.exc_text = None
         record.msg, record.args = "%.300s", (record.getMessage(),)
 

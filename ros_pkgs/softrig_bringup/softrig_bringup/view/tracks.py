@@ -117,7 +117,7 @@ class Pane(Mapping[str, Signal]):
         table = self._tables[topic]
         label = full_name(name[len(topic) + 1 :], table.columns)
         if label not in table.columns:
-            raise KeyError(f"nothing has come of {name}")
+            raise KeyError(f"no samples yet of {name}")
         return Signal(table.t, table.columns[label])
 
     def __iter__(self) -> Iterator[str]:

@@ -34,7 +34,7 @@ class CParams(BlockParams):
         "", "NODE: what the names in the header begin with; by default the header's name", pattern=r"\w*"
     )
     flags: tuple[str, ...] = param((), "further flags of the compiler, such as -DREAL=float or -Iinclude")
-    description: str = param("", "NODE.json of `softrig export c`, which says ports and parameters")
+    description: str = param("", "NODE.json of `softrig export c`, which lists ports and parameters")
     inputs: tuple[str, ...] = param(
         (), "without a description: what it reads, each TOPIC/CHANNEL/FIELD [UNIT] = MEMBER of NODE_in"
     )
@@ -43,7 +43,8 @@ class CParams(BlockParams):
     trajectories: tuple[str, ...] = param((), "topics above that carry JointTrajectory messages (references)")
     vectors: tuple[str, ...] = param((), "topics above that carry Vector3Stamped messages, each TOPIC = FRAME")
     held: tuple[str, ...] = param(
-        (), "topics of inputs that may not have a value yet; the member has_TOPIC of NODE_in, if there, says so"
+        (),
+        "topics of inputs that may not have a value yet; NODE_in's member has_TOPIC is true once it has one",
     )
     isolated: bool = param(
         False, "run it in a process of its own in any case: one that hides state runs there by itself"
@@ -66,7 +67,7 @@ class CParams(BlockParams):
         if not self.header:
             raise ValueError("header = '': expected the header of the library")
         if self.described is not None and (self.inputs or self.outputs):
-            raise ValueError("inputs and outputs are said by description; remove them, or it")
+            raise ValueError("description already lists inputs and outputs; remove them, or description")
         if self.described is not None and abs(self.described.period - self.period) > 1e-9 * self.period:
             raise ValueError(
                 f"period = {self.period:g} s, but {Path(self.description).name} is of a node with "
@@ -228,7 +229,7 @@ class _C(Block[CParams]):
         """Continue with the same state and other constants; a library with hidden state gets all inputs again."""
         if self._rebuilt:
             self.report(
-                Level.WARN, "rebuilt", f"{self._file} was built again; this run goes on with the build of its start"
+                Level.WARN, "rebuilt", f"{self._file} was built again; this run continues with the build of its start"
             )
         return x
 

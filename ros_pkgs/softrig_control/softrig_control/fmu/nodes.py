@@ -58,7 +58,7 @@ class FmuParams(BlockParams):
                 raise ValueError(f"{unit.path.name} has no interface {self.method}; it has {has}")
             start_values(unit, self.values)
             if shared := {p.topic for p in self.reads.ports} & {p.topic for p in self.says.ports}:
-                raise ValueError(f"{min(shared)} is both read and said")
+                raise ValueError(f"{min(shared)} is both an input and an output")
         return self
 
     @cached_property

@@ -95,7 +95,7 @@ def _units() -> dict[str, Entry]:
 
 def _types() -> dict[str, Entry]:
     named: dict[str, Entry] = {"name": _USED, "description": _PEOPLE}
-    item = named | {"value": ("used", "an enumeration takes the values or names of its items, no others")}
+    item = named | {"value": ("used", "an enumeration accepts only the values or names of its items")}
     clock = dict.fromkeys((*_CLOCK.split(), "mimeType", "maxSize"), _TOOLS)
     table = _below("TypeDefinitions", {}) | _below("TypeDefinitions/SimpleType", named)
     table |= _below(f"TypeDefinitions/SimpleType/{KIND}", _QUANTITY)

@@ -36,7 +36,7 @@ class FieldbusDelayParams(LinkParams):
     def _steps_fit(self) -> Self:
         self.check_size("quantum")
         if not self.type.stamped:
-            raise ValueError(f"message {self.message} has no stamp, which tells what was sent before what")
+            raise ValueError(f"message {self.message} has no stamp, which is needed to order messages")
         return self
 
 

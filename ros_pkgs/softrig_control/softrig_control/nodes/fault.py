@@ -66,7 +66,7 @@ class FaultParams(LinkParams):
     delayed: bool = param(False, "whether the stamps are times of acquisition, as behind a `fieldbus_delay`")
     holds: bool = param(
         False,
-        "say the value held again in place of silence, for a reader that cannot be told of it; at first `initial`",
+        "publish the held value again instead of silence, for subscribers that cannot see it; at first `initial`",
     )
     active: bool = param(True, "whether it is switched on at first; the button `toggle` switches", live=True)
 

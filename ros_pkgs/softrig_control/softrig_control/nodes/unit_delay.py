@@ -37,7 +37,9 @@ class LinkParams(BlockParams):
         (), "magnitude beyond which each value is refused; empty: by unit", each=(0.0, 1e300)
     )
     frame_id: str = param("", "frame of the messages")
-    initial: tuple[float, ...] = param((), "values given before the first arrival; empty: what the link says of itself")
+    initial: tuple[float, ...] = param(
+        (), "values published before the first arrival; empty: the safe values of the link"
+    )
 
     @model_validator(mode="after")
     def _names_fit(self) -> Self:

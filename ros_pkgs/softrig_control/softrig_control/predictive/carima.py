@@ -100,7 +100,7 @@ class Carima:
         raise ValueError(
             f"the step response of the difference equation of order {len(system.a)} would be off by {error:.1g} of its "
             f"largest value, expected at most {ACCURACY:g}: its poles are too near to each other for a polynomial; "
-            "take a longer period or a model of lower order"
+            "choose a longer period or a model of lower order"
         )
 
     def step_response(self, samples: int) -> list[float]:

@@ -90,7 +90,7 @@ class Now(Mapping[str, float]):
         return found
 
     def __getitem__(self, name: str) -> float:
-        """Return the newest value of a signal, or a shared number; a KeyError says that nothing has come of it yet."""
+        """Return the newest value of a signal, or a shared number; a KeyError says that no samples yet of it yet."""
         if name in self._shared[0]:
             return self._shared[0][name]
         topic, k = self._known[self.whole(name)]
@@ -294,7 +294,7 @@ class RigEnv(gym.Env[Array, Array]):
         """
         outputs = self._law.outputs
         if self.action_space.shape != (sum(p.size for p in outputs),) or any(p.sporadic for p in outputs):
-            raise ScenarioError(f"{self._law.name} says more than the actions of this environment can")
+            raise ScenarioError(f"{self._law.name} publishes more than the actions of this environment can set")
         block = self._law.block(self._number)
         block.ages = self._agent.age
         law = ByHand(block)
@@ -372,7 +372,7 @@ def _law(rig: Rig, name: str) -> Member:
     for member in rig.members:
         if member.name == name and name in laws:
             return member
-    what = "is a plant or says nothing" if any(m.name == name for m in rig.members) else "is not there"
+    what = "is a plant or publishes nothing" if any(m.name == name for m in rig.members) else "is not there"
     raise ScenarioError(f"{rig.scenario.name}: replace {name!r}: it {what}; expected one of {', '.join(laws)}")
 
 

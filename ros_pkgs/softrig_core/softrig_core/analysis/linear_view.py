@@ -314,7 +314,7 @@ class LinearView:
         if apart > ON_CIRCLE * (1.0 + np.linalg.norm(closed)):
             raise RunError(
                 f"{self.rig}: the loop closed over a gain of {gain:.6g} has no pole on the unit circle, so that is no "
-                "margin: its matrices are too badly scaled; take other units"
+                "margin: its matrices are too badly scaled; use other units"
             )
 
     def _ends(self) -> list[tuple[float, complex]]:
@@ -404,7 +404,7 @@ def linear_view(
         told = plants_say(rig)
     said = list(dict.fromkeys([*told, *([opened] if opened else [])]))
     if not said:
-        raise ScenarioError(f"{rig.scenario.name}: no plant says anything at each of its ticks; name outputs")
+        raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
     number = rig.scenario.seed if seed is None else seed
     given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, said)
     found = StateMap(rig, at, number, said, [*given, *([opened] if opened else [])], FOLLOWED)
@@ -512,7 +512,7 @@ def linear_along(
         raise ScenarioError(f"at = {at:g} s: expected 0 or more")
     told = [signal_of(rig, name) for name in outputs] if outputs is not None else plants_say(rig)
     if not told:
-        raise ScenarioError(f"{rig.scenario.name}: no plant says anything at each of its ticks; name outputs")
+        raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
     given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, told)
     number = rig.scenario.seed if seed is None else seed
     found = StateMap(rig, at, number, told, given, max(FOLLOWED, periods))
@@ -556,7 +556,7 @@ def _sources_say(rig: Rig, said: Sequence[str]) -> list[str]:
 def _check_link(found: StateMap, link: str) -> None:
     member, port, _ = found.places[link]
     if port.sporadic:
-        raise ScenarioError(f"{found.rig.scenario.name}: {link} is not said at each tick: it cannot be opened")
+        raise ScenarioError(f"{found.rig.scenario.name}: {link} is not published at each tick: it cannot be opened")
     if member.params.period < found.period * (1.0 - 1e-9):
         slow = [
             f"{p.topic}/{x}"
@@ -667,7 +667,7 @@ class Differences:
         name, most = where.most_common(1)[0]
         raise RunError(
             f"{self.map.rig.scenario.name}: {len(places)} numbers move, {most} of them in {name}, expected at most "
-            f"{MOST} states: a long delay has one or more for each of its steps; take longer steps by --set"
+            f"{MOST} states: a long delay has one or more for each of its steps; choose longer steps by --set"
         )
 
     def view(self) -> LinearView:
@@ -724,7 +724,7 @@ class Differences:
                     return (
                         f"a change of {link} by {size * 2.0**n:.3g} comes back there {after}, a smaller one does "
                         "not: on the way something goes in steps (a quantised sensor, a switch, a search), and "
-                        "that has no linear view; take the steps away, or another link"
+                        "that has no linear view; remove the steps, or choose another link"
                     )
         return f"no change of {link} comes back there {after}: on the way something rests on a limit, or waits"
 
@@ -885,7 +885,7 @@ class Differences:
         m, t = self.map, self.map.t
         kept = self._reached(self.states()[0], periods)
         if not kept:
-            raise RunError(f"{m.rig.scenario.name}: nothing that is heard has a state at {t:g} s")
+            raise RunError(f"{m.rig.scenario.name}: no output depends on a state at {t:g} s")
         sizes, off = self._sizes(kept), self._off(kept)
         seen = list(self._apart(kept, periods))
         found = []

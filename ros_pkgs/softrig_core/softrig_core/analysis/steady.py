@@ -110,7 +110,7 @@ def steady(
         raise ScenarioError(f"at = {at:g} s: expected 0 or more")
     told = plants_say(rig) if outputs is None else [signal_of(rig, name) for name in outputs]
     if not told:
-        raise ScenarioError(f"{rig.scenario.name}: no plant says anything at each of its ticks; name outputs")
+        raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
     number = rig.scenario.seed if seed is None else seed
     whole: dict[str, Member] = {}
     for name in told:

@@ -61,7 +61,7 @@ class FileWire:
                 data = data[os.write(self._fd, data) :]
             except BlockingIOError:
                 if not select.select([], [self._fd], [], 1.0)[1]:
-                    raise OSError("the port takes no bytes") from None
+                    raise OSError("the port accepts no bytes") from None
 
     def read(self, wait: float) -> bytes:
         """Return what has come; see `Wire`."""

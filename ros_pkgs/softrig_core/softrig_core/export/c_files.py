@@ -256,7 +256,7 @@ class _Files:
             f" * @param params see {n}_params; NULL: the values of the scenario */",
             f"void {n}_init({n} *s, const {n}_params *params);",
             "",
-            "/** Take other parameters between two ticks; the state stays as it is. */",
+            "/** Set other parameters between two ticks; the state stays unchanged. */",
             f"void {n}_set({n} *s, const {n}_params *params);",
             "",
         ]

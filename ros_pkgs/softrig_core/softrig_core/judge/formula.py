@@ -130,7 +130,7 @@ def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree
     known = dict(items)
     tree, conditions = _parsed(given, items)
     if not any(kind in ("Always", "Eventually", "Until") for kind, _ in nodes(tree)):
-        raise ScenarioError(f"formula {given!r} speaks of t = 0 only: write 'always (...)', or 'eventually (...)'")
+        raise ScenarioError(f"formula {given!r} is about t = 0 only: write 'always (...)', or 'eventually (...)'")
     for kind, body in nodes(tree):
         if kind in ("Probabilistic", "Next"):
             raise ScenarioError(
@@ -153,9 +153,7 @@ def _parsed(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tr
 
     known = dict(items)
     for name in sorted(_LETTERS & known.keys()):
-        raise ScenarioError(
-            f"formula {given!r}: {name} is the letter of an operator; give what it stands for a longer name"
-        )
+        raise ScenarioError(f"formula {given!r}: {name} is the letter of an operator; rename the signal or figure")
     written, conditions = _rewrite(_timed(given, known), known)
     try:
         return json.loads(sentil.Formula.parse(written).to_json()), conditions
@@ -231,7 +229,7 @@ def _rewrite(given: str, known: Mapping[str, float | None]) -> tuple[str, dict[s
             calls.pop()
         if token in EDGES and following == "(":
             if i + 3 >= len(tokens) or tokens[i + 3] != ")" or known.get(tokens[i + 2], 0.0) is not None:
-                raise ScenarioError(f"formula {given!r}: {token}(...) takes the name of a signal")
+                raise ScenarioError(f"formula {given!r}: {token}(...) needs the name of a signal")
             condition, i = Condition(tokens[i + 2], token), i + 3
         elif _is_name(token) and known.get(token, 0.0) is None and _stands_alone(out, following, calls):
             condition = Condition(token)
@@ -361,7 +359,7 @@ def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]
     if len(found) > 1:
         several = ", ".join(sorted(u or "1" for u in found))
         raise ScenarioError(
-            f"its comparisons are in {several}, so no margin can be told: say what counts as one in "
+            f"its comparisons are in {several}, so they have no common margin; state what counts as one in "
             "each, scale: {unit: number}"
         )
     return tree, found.pop() if found else ""

@@ -517,7 +517,7 @@ def interval(t: Array, signal: str) -> float:
     shortest, longest = float(np.min(np.diff(t))), float(np.max(np.diff(t)))
     if longest - shortest > 4.0 * HALF_NS + 1e-6 * shortest:
         raise ValueError(
-            f"{signal} has samples {shortest:g} to {longest:g} s apart, expected an even grid: take it as it is before "
+            f"{signal} has samples {shortest:g} to {longest:g} s apart, expected an even grid: use the signal before "
             "a link that loses or delays messages"
         )
     return float((t[-1] - t[0]) / (t.size - 1))

@@ -134,7 +134,7 @@ class Program:
         """Return what `Block.age` answers, or how it is written."""
         number = self.number(block)
         if name is None or (number, name) not in self.ages:
-            raise NotNative(f"{block.name}: the age of {name}, which comes more seldom than its ticks")
+            raise NotNative(f"{block.name}: the age of {name}, which is published less often than its ticks")
         return self.ages[number, name]
 
     def guard(self, value: Static) -> Any:

@@ -96,7 +96,7 @@ def agreeing(
     for name, quantity in agreed.items():
         if quantity not in said:
             if name not in arguments:
-                raise ScenarioError(f"argument {name} is missing, since no node of the rig says its {quantity}")
+                raise ScenarioError(f"argument {name} is missing, since no node of the rig defines its {quantity}")
             continue
         node, value = said[quantity]
         if not _same(filled.setdefault(name, value), value):

@@ -68,7 +68,7 @@ def check_entry_point(point: EntryPoint) -> str:
     except ParameterError as error:
         if inputs or outputs:
             raise
-        return f"{point.name} has no ports before it is told of them: {error}"
+        return f"{point.name} has no ports before its parameters name them: {error}"
     if isinstance(block, Plant):
         first, second = (_outputs(block, outputs, seed=3) for _ in range(2))
         if first != second:

@@ -255,7 +255,7 @@ def _link(scenario: Scenario, members: list[Member], new: list[Member]) -> None:
                 if port.held:
                     continue
                 raise ScenarioError(
-                    f"{scenario.name}: nobody publishes {port.topic}, which {member.name} needs; "
+                    f"{scenario.name}: no node publishes {port.topic}, which {member.name} needs; "
                     f"published are {', '.join(sources)}"
                 )
             source, out = sources[port.topic]

@@ -87,7 +87,7 @@ def insert(
             raise ScenarioError(f"{at}: that is the name of a node, too")
         if topic not in sources:
             raise ScenarioError(
-                f"{at}: nobody publishes {topic!r}{closest(topic, sources)}; published are {', '.join(sources)}"
+                f"{at}: no node publishes {topic!r}{closest(topic, sources)}; published are {', '.join(sources)}"
             )
         concerned = [key for key in readers if key[1] == topic and reader in ("", key[0])]
         if not concerned:

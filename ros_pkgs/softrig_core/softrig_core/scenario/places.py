@@ -80,7 +80,7 @@ def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str
         key, keys = str(first["loc"][-1]), _keys(model, first["loc"][:-1])
         hint = f"unknown key{closest(key, keys)}"
         if "arguments" in keys and hint == "unknown key":  # of a figure
-            hint += f"; what its function takes belongs below arguments: {{{key}: ...}}"
+            hint += f"; arguments of its function belong below arguments: {{{key}: ...}}"
     whole = first["type"] == "missing" or isinstance(first["input"], BaseModel | dict)
     given = "" if whole else f", got {first['input']!r}"[:120]
     return f"{where}: {hint}{given}{more}" if where else f"{hint}{more}"

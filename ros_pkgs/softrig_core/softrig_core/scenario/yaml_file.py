@@ -137,7 +137,7 @@ def _count(root: Any) -> None:
 
     def size(node: Any) -> int:
         if id(node) in open_nodes:
-            raise ScenarioError("an alias stands inside its own anchor")
+            raise ScenarioError("an alias is inside its own anchor")
         if id(node) not in sizes:
             open_nodes.add(id(node))
             children: list[Any] = []

@@ -385,7 +385,7 @@ def _check_since(function: Function, arguments: Mapping[str, Any], units: Mappin
             raise ScenarioError(f"since: no signal {name!r}{closest(name, units)}; the rig has {', '.join(units)}")
     takes = _model(function)[0].model_fields
     if "start" not in takes:
-        raise ScenarioError(f"since: {function.__name__} takes no start, it is of a whole run")
+        raise ScenarioError(f"since: {function.__name__} has no start, since it covers a whole run")
     if "final" in takes and arguments.get("final") is None:
         unit, own = units[names[0]], units.get(arguments["signal"], units[names[0]])
         if names[1:] or "initial" in arguments or powers(unit) != powers(own):

@@ -30,7 +30,7 @@ class CurrentControllerParams(Geometry, BlockParams):
         0.02, "current below which a phase that is off gets 0 V", "A", gt=0.0, le=10.0, live=True
     )
     resolution: float = param(1e-5, "step of the position sensor (magnetic strip)", "m", gt=0.0, le=1e-3)
-    feed_forward: bool = param(False, "add R i* + g v i* to the voltage, which takes the force ripple away", live=True)
+    feed_forward: bool = param(False, "add R i* + g v i* to the voltage, which removes the force ripple", live=True)
     R: float = param(2.5, "phase resistance that the feed-forward assumes", "ohm", gt=0.0, le=1e3, live=True)
 
 

@@ -21,7 +21,7 @@ class ProfileGeneratorParams(Mechanics, BlockParams):
 
     period: float = param(1e-3, "sampling period", "s", gt=0.0, le=0.1)
     profile: Kind = param(
-        "jerk", "jerk: jerk-minimal polynomial; trapezoid: constant acceleration; step: at once", live=True
+        "jerk", "jerk: jerk-minimal polynomial; trapezoid: constant acceleration; step: immediate", live=True
     )
     v_d: float = param(0.5, "cruise speed v_d", "m/s", ge=-10.0, le=10.0, live=True)
     t_d: float = param(0.4, "duration of the acceleration t_d", "s", gt=0.0, le=100.0, live=True)

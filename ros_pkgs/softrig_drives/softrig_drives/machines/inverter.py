@@ -24,7 +24,7 @@ class InverterParams(BlockParams):
     U_dc: float = param(540.0, "DC voltage of the source", "V", gt=0.0, le=1e5, live=True)
     R_dc: float = param(0.1, "resistance of the source; acts with C_dc > 0", "ohm", gt=0.0, le=1e6)
     C_dc: float = param(0.0, "capacitance of the DC link; 0: the voltage is that of the source", "F", ge=0.0, le=100.0)
-    one_way: bool = param(False, "the source is a rectifier and takes no current back; acts with C_dc > 0")
+    one_way: bool = param(False, "the source is a rectifier and accepts no reverse current; acts with C_dc > 0")
     dead_time: float = param(0.0, "dead time T_d of each leg", "s", ge=0.0, le=1e-3, live=True)
     v_switch: float = param(0.0, "voltage across a switch that conducts", "V", ge=0.0, le=100.0, live=True)
     v_diode: float = param(0.0, "voltage across a diode that conducts", "V", ge=0.0, le=100.0, live=True)

@@ -118,7 +118,7 @@ class Adapter:
         self.error: BaseException | None = None
         self.waits_for: list[str] = []  # the nodes whose absence or silence ended the run
         self.absent: list[str] = []  # what its start waits for
-        self.lacking: list[str] = []  # topics of external nodes that nobody publishes yet
+        self.lacking: list[str] = []  # topics of external nodes that no node publishes yet
         self.files = self._files()  # of one that comes back
         self.on_finished: Callable[[], None] = lambda: None
         self.account = Account(self)

@@ -139,6 +139,6 @@ class Departure:
             self._publish(self._header(0, [self._node.middleware.name]))
         limit = self._node.options.start_timeout
         if limit and not self._epoch and self._node.middleware.steady() - self._since > limit:
-            waits = "; ".join(self.absent) or f"{self._node.links.starter} has not said when to start"
+            waits = "; ".join(self.absent) or f"{self._node.links.starter} has not published the start time"
             self._timer.cancel()
             self._node.fail(f"not all peers after {limit:g} s: {waits}")

@@ -28,7 +28,7 @@ class Handshake:
     Attributes
     ----------
     lacking : list of str
-        Topics of external nodes that nobody publishes yet.
+        Topics of external nodes that no node publishes yet.
     missing : list of str
         Nodes that do not publish or subscribe yet what they are to.
     """

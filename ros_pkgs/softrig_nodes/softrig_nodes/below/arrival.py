@@ -124,7 +124,7 @@ class Arrival:
     def _set(self, call: Any) -> None:
         if self._rcl.rcl_subscription_set_on_new_message_callback(self._reader, call, None):
             self._rcl.rcutils_reset_error()
-            raise RCLError(f"{self.subscription.topic_name}: cannot be told of its messages")
+            raise RCLError(f"{self.subscription.topic_name}: cannot be notified of its messages")
 
     def look(self) -> None:
         """Report the writers if their number has changed since the last look."""
@@ -159,4 +159,4 @@ class Arrival:
     def _failed(self, code: int) -> None:
         if code != TAKE_FAILED:
             self._rcl.rcutils_reset_error()
-            raise RCLError(f"{self.subscription.topic_name}: a message cannot be taken (rcl says {code})")
+            raise RCLError(f"{self.subscription.topic_name}: a message cannot be taken (rcl reports {code})")

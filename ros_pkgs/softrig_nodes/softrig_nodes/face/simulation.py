@@ -270,7 +270,7 @@ class Simulation:
         linear = [(b - a) / APART for a, b in zip(before.position, after.position, strict=True)]
         _fill(state.twist.linear, "xyz", linear)
         _fill(state.twist.angular, "xyz", [w / APART for w in turned(before.rotation, after.rotation)])
-        self._said(response.result, text="accelerations are not told")
+        self._said(response.result, text="accelerations are not reported")
         return response
 
 

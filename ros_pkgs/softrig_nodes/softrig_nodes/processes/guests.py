@@ -39,7 +39,7 @@ class Guests:
             return
         who = ", ".join(self._awaited or self._needed)
         lines = [
-            f"waiting for {who} (as long as it takes or --wait says; Ctrl-C ends); in another terminal:",
+            f"waiting for {who} (without limit, or for --wait S; Ctrl-C ends); in another terminal:",
             f"  export ROS_DOMAIN_ID={domain} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
         ]
         for m in self._rig.members:

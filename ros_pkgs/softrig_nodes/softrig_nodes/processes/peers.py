@@ -92,7 +92,7 @@ def _tick_readers(rig: Rig, member: Member) -> list[str]:
 def _told(reader: Member, link: Link) -> bool:
     """Return whether a law in real time waits for what a sender that may be silent says of its ticks.
 
-    A plant waits for nobody; what pairs by order belongs to the tick at which it comes.
+    A plant waits for no message; what pairs by order belongs to the tick at which it comes.
     """
     port = link.port
     return port.sporadic and port.stamped and not port.delayed and not reader.is_plant and not reader.external

@@ -31,7 +31,7 @@ def check_restart(rig: Rig, placement: Placement) -> None:
     if placement.clock != "lockstep" or placement.mode != "processes" or placement.shared(rig) or placement.only:
         raise ScenarioError("--restart: expected a run in lockstep whose nodes have a process each, all on this host")
     if outside:
-        raise ScenarioError(f"--restart: {', '.join(outside)} is outside, and nobody knows what it has said")
+        raise ScenarioError(f"--restart: {', '.join(outside)} is an outside node, whose past messages are unknown")
     if not placement.record:
         raise ScenarioError("--restart: a node comes back from what the others have recorded, expected a record")
 

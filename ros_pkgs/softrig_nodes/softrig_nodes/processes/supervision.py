@@ -119,7 +119,7 @@ def idle(states: Mapping[str, Mapping[str, Any]]) -> str:
     """Report that a run has ended in order without one tick: in real time it may be over at once by its clocks."""
     if any(state.get("ticks") for state in states.values()):
         return ""
-    return "all nodes have ended, and none of them has said a tick"
+    return "all nodes have ended, and none of them has answered a tick"
 
 
 def left_early(states: Mapping[str, Mapping[str, Any]]) -> str:
@@ -133,7 +133,7 @@ def left_early(states: Mapping[str, Mapping[str, Any]]) -> str:
 def _mute(states: Mapping[str, Mapping[str, Any]], patience: float) -> str:
     """Name the nodes that have said nothing yet; empty without any."""
     names = ", ".join(name for name, state in states.items() if not state)
-    return f"node {names} has said nothing of itself within {patience:g} s of its start" if names else ""
+    return f"node {names} has reported nothing within {patience:g} s of its start" if names else ""
 
 
 def _asleep(children: list[Child]) -> str:

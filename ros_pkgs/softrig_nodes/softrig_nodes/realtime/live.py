@@ -176,7 +176,7 @@ class Live(Sender):
         before, silence = self._rivals.alone, max(self._silence(), GONE)
         self._rivals.hear(number, self.table.clock(), silence)
         if self._rivals.alone and not before and not self.local:
-            text = f"of {self.publishers} publishers one alone has spoken for {silence / SECOND:g} s: it is believed"
+            text = f"of {self.publishers} publishers only one has published for {silence / SECOND:g} s: accepted"
             self.node.step.note(Level.WARN, f"rivals {self.port.topic}", text)
 
     @property
@@ -370,5 +370,5 @@ class Live(Sender):
             return False
         middleware = self.node.middleware
         who = ", ".join(sorted({p.name for p in middleware.publishers(middleware.resolve(self.port.topic))}))
-        self.node.account.refuse(self, f"{self.publishers} publishers at once ({who}), expected one")
+        self.node.account.refuse(self, f"{self.publishers} publishers at the same time ({who}), expected one")
         return True

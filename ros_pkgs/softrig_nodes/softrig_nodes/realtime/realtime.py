@@ -166,7 +166,7 @@ class Realtime(Link):
             self._silence_told = now
         elif now > self._silence_told + AGAIN:
             self._silence_told = now
-            text = f"has heard nothing on {', '.join(unheard)} for {AGAIN:g} s, which is published: no tick without it"
+            text = f"has received nothing on {', '.join(unheard)} for {AGAIN:g} s, though it is published"
             node.middleware.log(Level.ERROR, text)
 
     def now(self) -> int:

@@ -162,7 +162,7 @@ class Guest:
         self._wait(self._parameters.service_is_ready, 0)
         found = self._asked("use_sim_time", 0)
         if not (found.values and found.values[0].bool_value):
-            raise RunError(f"{self.who} does not go by the clock; start it with -p use_sim_time:=true")
+            raise RunError(f"{self.who} does not follow /clock; start it with -p use_sim_time:=true")
 
     def _named(self) -> str:
         writers = self._node.get_publishers_info_by_topic(self._topic(self._outputs[0]))

@@ -605,7 +605,11 @@ class RosMiddleware(Middleware):
     def deaf(self) -> str:
         """Report that a port in shared memory was taken away."""
         lost = self._ears.lost()
-        return f"hears nobody any more: its port {lost} in shared memory was removed by another process" if lost else ""
+        return (
+            f"receives no messages any more: its port {lost} in shared memory was removed by another process"
+            if lost
+            else ""
+        )
 
     def log(self, level: Level, text: str) -> None:
         """Log by the node's logger: terminal, log file and /rosout."""

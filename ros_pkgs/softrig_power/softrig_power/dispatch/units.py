@@ -70,7 +70,7 @@ class Units:
         seen: set[str] = set()
         for name, row in zip(self.ids, table, strict=True):
             if name in seen:
-                raise TableError(f"unit {name}: its name stands twice")
+                raise TableError(f"unit {name}: its name occurs twice")
             seen.add(name)
             for column, value in zip(COLUMNS, row, strict=True):
                 if not np.isfinite(value):

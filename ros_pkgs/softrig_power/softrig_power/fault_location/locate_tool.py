@@ -96,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="softrig locate",
         description="Locate a line fault from records of both ends.",
-        epilog="The line's data must be told, by --line or all four by --set line.length=... --set line.r1=... --set "
+        epilog="The line's data are required, by --line or all four by --set line.length=... --set line.r1=... --set "
         "line.l1=... --set line.c1=...",
     )
     parser.add_argument(
@@ -132,7 +132,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Number(float, -1e9, 1e9),
         default=[0.0, 0.0],
         metavar=("S", "R"),
-        help="us by which what each end tells is late (filters, clocks); taken out",
+        help="delay of each end's samples, us (filters, clocks); it is subtracted",
     )
     parser.add_argument("--channels", default="", metavar="A,B,...", help="the twelve COMTRADE channels, see the page")
     parser.add_argument("--bag", type=Path, metavar="DIR", help="also write the record as a bag")

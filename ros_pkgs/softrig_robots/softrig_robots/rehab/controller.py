@@ -55,7 +55,9 @@ class VoltageControllerParams(BlockParams):
     emvc: EmvcGains = EmvcGains()
     tsarc: TsarcGains = TsarcGains()
     arsc: ArscGains = ArscGains()
-    use_applied: bool = param(True, "emvc goes on from the voltage that the plant says it applied, not from its own")
+    use_applied: bool = param(
+        True, "emvc continues from the voltage that the plant reports as applied, not from its own"
+    )
     loop_delay: bool = param(False, "emvc: warn as if voltages take effect one period late")
     robot: LinearRobot = LinearRobot()
     stale_after: int = param(

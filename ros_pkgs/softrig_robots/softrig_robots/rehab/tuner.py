@@ -182,7 +182,7 @@ class TunerParams(SolverParams):
     upper: float = param(12.0, "largest alpha_hat", "V s/rad", gt=0.0)
     n_pop: int = param(20, "population", ge=2, le=1000)
     n_iter: int = param(10, "generations after the first", ge=1, le=100000)
-    autostart: bool = param(False, "start at once instead of waiting for the trigger")
+    autostart: bool = param(False, "start immediately instead of waiting for the trigger")
 
     @model_validator(mode="after")
     def _bounds(self) -> Self:

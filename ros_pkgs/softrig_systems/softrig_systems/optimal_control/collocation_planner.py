@@ -17,7 +17,7 @@ class CollocationParams(PlannerParams):
     intervals: int = param(20, "intervals of equal length", ge=1, le=1000)
     degree: int = param(3, "Legendre points in each", ge=1, le=9)
     samples: int = param(101, "columns of the plan, equidistant in time", ge=4, le=10_001)
-    warm_start: bool = param(True, "begin with what the last plan says of the time left")
+    warm_start: bool = param(True, "begin with the remaining part of the last plan")
 
 
 class CollocationPlanner(Planner[CollocationParams]):

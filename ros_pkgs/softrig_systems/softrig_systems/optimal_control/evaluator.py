@@ -160,7 +160,7 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         if below or found.residual >= self.p.eps_res:
             found = found._replace(infeasible=1.0)
             said = f"J = {found.J_series:.10g}, least {found.J_exact:.10g}, residual {found.residual:.3g}"
-            self.report(Level.WARN, "infeasible", f"infeasible: not an optimum: the plan says {said}")
+            self.report(Level.WARN, "infeasible", f"infeasible: not an optimum: the plan states {said}")
         return found, newest
 
     def _planned(self, plan: Plan, now: float) -> Any:

@@ -74,7 +74,7 @@ class LyapunovMonitorParams(CriterionParams, BlockParams):
     """System, criterion of the certificate, and the tolerance."""
 
     period: float = param(3e-4, "sampling period, at most h/64", "s", gt=0.0, le=10.0)
-    rise: float = param(1e-3, "relative rise of V over one delay that is told", gt=0.0, le=1.0)
+    rise: float = param(1e-3, "relative rise of V over one delay that is reported", gt=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _has_matrices(self) -> Self:

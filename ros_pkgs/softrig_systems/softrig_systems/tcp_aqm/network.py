@@ -23,7 +23,7 @@ class NetworkParams(Bottleneck, BlockParams):
     p0: float = param(0.0, "drop probability before the first command", ge=0.0, le=1.0)
     history: float = param(1.0, "how far back the past is kept", "s", gt=0.0, le=100.0)
     disturbance: Literal["none", "sensor_offset", "queue_jump", "rate"] = param(
-        "none", "what happens: the queue is measured too high, grows at once, or gets traffic that obeys nobody"
+        "none", "event: the queue is measured too high, grows suddenly, or receives traffic without congestion control"
     )
     disturbance_value: float = param(20.0, "its size in packets; packet/s of a rate", ge=-1e6, le=1e6)
     disturbance_time: float = param(10.0, "when it begins", "s", ge=0.0, le=1e6)

@@ -118,7 +118,7 @@ class TcpPackets(Network[TcpPacketsParams]):
             past = past.put(_mean(inside))
         most, bound = int(counts[MOST_EVENTS]), net.flows * c.w_max + c.q_max
         if most > bound:
-            self.report(Level.WARN, "events", f"{most} events at once, more than N w_max + q_max = {bound:g}")
+            self.report(Level.WARN, "events", f"{most} events at the same time, more than N w_max + q_max = {bound:g}")
         return State(step + steps, net, Traffic(inside), past, stream)
 
     def jumped(self, x: State, packets: float) -> State:

@@ -52,7 +52,7 @@ def line_data(source: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
     missing = [name for name in names if f"line.{name}" not in found]
     if missing:
         raise ScenarioError(
-            f"the line's {', '.join(missing)} are not told: expected --line FILE (YAML: length in km, "
+            f"the line's {', '.join(missing)} are missing: expected --line FILE (YAML: length in km, "
             f"r1 in ohm/km, l1 in H/km, c1 in F/km), --line {PAPER} for that of the paper, or "
             f"--set {' '.join(f'line.{name}=...' for name in missing)}"
         )

@@ -29,7 +29,7 @@ COMTRADE = FileFormat(
         "##A": ("used", "analog channels"),
         "##D": ("used", "status channels: the room of their bits"),
         "An": ("used", "must count from 1"),
-        "ch_id": ("used", "option --channels; a name that stands twice cannot be chosen"),
+        "ch_id": ("used", "option --channels; a name that occurs twice cannot be chosen"),
         "ph": ("used", "A, B, C; L1, L2, L3; 1, 2, 3; R, S, T; U, V, W; R, Y, B; each also as A-N or AN"),
         "ccbm": ("ignored", "a name; no number depends on it"),
         "uu": ("used", "V or A with k, m or M"),
@@ -51,7 +51,7 @@ COMTRADE = FileFormat(
         "ft": ("used", "ASCII, BINARY, BINARY32 or FLOAT32"),
         "timemult": ("used", "multiplies the times of the data"),
         "time_code": ("used", "difference of the stamps from UTC: aligns recorders of two zones"),
-        "local_code": ("ignored", "time_code alone brings the stamps to UTC"),
+        "local_code": ("ignored", "only time_code converts the stamps to UTC"),
         "tmq_code": ("used", "uncertainty of the clocks; worse than 10 us refuses two recorders"),
         "leapsec": ("ignored", "a leap second in the record does not change its sampling"),
         "n": ("used", "time of a sample; a missing number is a gap"),
@@ -159,7 +159,7 @@ def read_settings(text: str) -> Settings:
         ignored += ["local_code"] if local not in ("", code, "x", "X") else []
         ignored += ["leapsec"] if leap not in ("", "0", "3") else []
     if left := [row for row in lines.rows[lines.at :] if row.strip()]:
-        raise SettingsError(f"line {lines.at + 1}: {left[0]!r} stands after the last field of revision {revision}")
+        raise SettingsError(f"line {lines.at + 1}: {left[0]!r} follows the last field of revision {revision}")
     tick = multiplier * (1e-9 if ns_start or ns_trigger else 1e-6)
     return Settings(
         revision, analog, switches, frequency, rates, start, trigger, tick, form, zone, clock, tuple(ignored)
@@ -181,7 +181,7 @@ class _Lines:
         """Return the fields of the next line."""
         self.at += 1
         if self.at > len(self.rows):
-            raise self.wrong(f"the file ends where {what} should stand")
+            raise self.wrong(f"the file ends before {what}")
         found = [field.strip() for field in self.rows[self.at - 1].split(",")]
         while len(found) > max(sizes) and not found[-1]:
             found.pop()  # some recorders end each line with a comma

@@ -197,7 +197,7 @@ def _pick(file: Recorder, names: Sequence[str], ends: int) -> list[int]:
             raise ComtradeFileError(f"{file.path}: no channel {', '.join(missing)}; it has {listing}")
         for name in names:
             if list(names).count(name) > 1 or len(by_name[name]) > 1:
-                raise ComtradeFileError(f"{file.path}: channel {name} stands twice; expected different ones")
+                raise ComtradeFileError(f"{file.path}: channel {name} occurs twice; expected different ones")
         return [by_name[name][0] for name in names]
     found: dict[tuple[str, int], list[int]] = {}
     for k, (c, phase) in enumerate(zip(known, _phases(known), strict=True)):
@@ -207,7 +207,7 @@ def _pick(file: Recorder, names: Sequence[str], ends: int) -> list[int]:
     wanted = [(unit, phase) for unit in "VA" for phase in range(3)]
     if any(len(found.get(key, ())) != ends for key in wanted):
         raise ComtradeFileError(
-            f"{file.path}: expected {ends} voltage(s) and {ends} current(s) of each phase, told apart by unit and "
+            f"{file.path}: expected {ends} voltage(s) and {ends} current(s) of each phase, distinct by unit and "
             f"phase; name the channels; it has {listing}"
         )
     return [found[key][end] for end in range(ends) for key in wanted]
@@ -224,7 +224,7 @@ def _end(file: Recorder, order: Sequence[int]) -> tuple[Array, Array]:
     margin = reach(rate, rate) + max(skews) - min(skews)
     keep = (t >= t[0] + margin) & (t <= t[-1] - margin)
     if np.count_nonzero(keep) < 2:
-        raise RecordError(Status.TOO_SHORT, f"{file.path}: too short to take out the skew, {margin:.3g} s on each side")
+        raise RecordError(Status.TOO_SHORT, f"{file.path}: too short to remove the skew, {margin:.3g} s on each side")
     moved = []
     alone = np.ascontiguousarray(columns.T)[:, :, None]  # of one layout with whole ends, for which code is compiled
     for k, skew in enumerate(skews):
