@@ -9,13 +9,13 @@ from scipy.optimize import brentq
 from scipy.signal import lti
 from softrig_bringup.cli import main
 from softrig_core import ByHand, load_scenario, rig_of, simulate
-from softrig_drives.induction_dtc.machine import inverse_gamma
 from softrig_drives.machines.bldc import BldcPlant, BldcPlantParams, shape
 from softrig_drives.machines.control.induction_foc import ImFocController, ImFocParams
 from softrig_drives.machines.control.six_step import STEPS, SixStepController, SixStepParams
 from softrig_drives.machines.induction_plant import InductionPlant, InductionPlantParams
-from softrig_drives.machines.rated import pmsm, scenario
+from softrig_drives.machines.rated.pmsm import pmsm, scenario
 from softrig_drives.machines.sensors import CurrentSensor, CurrentSensorParams, ShaftSensor, ShaftSensorParams
+from softrig_drives.stator import inverse_gamma
 
 THIRD = 2.0 * math.pi / 3.0
 
@@ -335,7 +335,7 @@ def test_the_verb_writes_the_scenario(tmp_path, capsys):
     assert rig_of(str(tmp_path / "my_drive.yaml")).scenario.nodes["pmsm_plant"].parameters["R_s"] == 3.6
     for arguments, text in (
         (["my_drive", "--plant", "pmsm", "--into", str(tmp_path), "--rated", *values], "there already"),
-        (["other", "--plant", "dcmotor"], "unknown; there are pmsm"),
+        (["other", "--plant", "dcmotor"], "unknown; there are bldc, buck, im, pmsm"),
         (["other", "--plant", "pmsm", "--rated", "speed"], "expected NAME=VALUE"),
         (["other", "--plant", "pmsm", "--rated", "speed=fast"], "expected NAME=VALUE"),
         (["other", "--plant", "pmsm", "--only", "law"], "leave --only"),

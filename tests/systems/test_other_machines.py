@@ -13,7 +13,7 @@ from scipy.special import lambertw
 from softrig_core import ParameterError, list_scenarios, load_scenario, simulate
 from softrig_drives.dc_axis.controller import FsfbControllerParams
 from softrig_drives.dc_motor.sliding_mode import SurfaceParams
-from softrig_drives.induction_dtc.machine import inverse_gamma
+from softrig_drives.stator import inverse_gamma
 from softrig_robots.manipulator.plant import ManipulatorParams
 
 GRAVITY = 9.81

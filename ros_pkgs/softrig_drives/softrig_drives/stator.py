@@ -1,4 +1,4 @@
-"""The slots of a three-phase stator with one pair of poles, for drawings."""
+"""Three-phase stators: slots for drawings, and the circuit of induction machines in another form."""
 
 from __future__ import annotations
 
@@ -15,3 +15,28 @@ def belt(slot: int) -> tuple[int, int]:
     turns = [math.sin(angle - k * THIRD) for k in range(3)]  # 1 a quarter turn after the axis of phase k
     phase = max(range(3), key=lambda k: abs(turns[k]))
     return phase, 1 if turns[phase] > 0 else -1
+
+
+def inverse_gamma(R_r: float, L_ls: float, L_lr: float, L_m: float) -> tuple[float, float, float]:
+    """Turn the T equivalent circuit, in which machines are published, into the constants R_R, L_sigma, L_M.
+
+    ::
+
+        gamma = L_m/(L_m + L_lr),  R_R = gamma^2 R_r,  L_M = gamma L_m,  L_sigma = L_m + L_ls - L_M
+
+    The stator resistance is the same in both.
+
+    Parameters
+    ----------
+    R_r : float
+        Rotor resistance referred to the stator, ohm.
+    L_ls, L_lr, L_m : float
+        Leakage of stator and rotor (referred to the stator) and magnetising inductance, H.
+
+    References
+    ----------
+    G. R. Slemon, "Modelling of induction machines for electric drives", IEEE Transactions on Industry Applications
+    25(6), 1989.
+    """
+    gamma = L_m / (L_m + L_lr)
+    return gamma * gamma * R_r, L_m + L_ls - gamma * L_m, gamma * L_m

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from softrig_core import Params, param, rk4
 
+from ..stator import inverse_gamma as inverse_gamma
+
 if TYPE_CHECKING:
     import casadi as ca
 
@@ -93,28 +95,3 @@ def step_function(substeps: int = 1) -> ca.Function:
     after = rk4(derivative, x, h, substeps)
     y = ca.vertcat(*measured(ca.vertsplit(after), inv_L_sigma, p))
     return ca.Function("induction_machine", [x, u, c], [after, y])
-
-
-def inverse_gamma(R_r: float, L_ls: float, L_lr: float, L_m: float) -> tuple[float, float, float]:
-    """Turn the T equivalent circuit, in which machines are published, into the constants R_R, L_sigma, L_M.
-
-    ::
-
-        gamma = L_m/(L_m + L_lr),  R_R = gamma^2 R_r,  L_M = gamma L_m,  L_sigma = L_m + L_ls - L_M
-
-    The stator resistance is the same in both.
-
-    Parameters
-    ----------
-    R_r : float
-        Rotor resistance referred to the stator, ohm.
-    L_ls, L_lr, L_m : float
-        Leakage of stator and rotor (referred to the stator) and magnetising inductance, H.
-
-    References
-    ----------
-    G. R. Slemon, "Modelling of induction machines for electric drives", IEEE Transactions on Industry Applications
-    25(6), 1989.
-    """
-    gamma = L_m / (L_m + L_lr)
-    return gamma * gamma * R_r, L_m + L_ls - gamma * L_m, gamma * L_m

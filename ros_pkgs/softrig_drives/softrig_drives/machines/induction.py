@@ -13,7 +13,7 @@ from .synchronous import Array
 class InductionConstants(Params):
     """The 2.2 kW, 400 V, 50 Hz, 5 A, 14.6 N m machine of the examples of motulator.
 
-    `softrig_drives.induction_dtc.machine.inverse_gamma` turns a T equivalent circuit into these constants.
+    `softrig_drives.stator.inverse_gamma` turns a T equivalent circuit into these constants.
     """
 
     R_s: float = param(3.7, "stator resistance R_s", "ohm", gt=0.0, le=1e4)

@@ -1,10 +1,13 @@
-"""From the rated values of a data sheet to a drive: what follows, and what has to be assumed."""
+"""A drive with a permanent magnet machine from the rated values of its data sheet."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+
+from softrig_control.data_sheet import check, head, plausible, whole
+
+from .loops import Drive, inertia, loops, most, written
 
 # name: (what it is, unit); the first four are needed, of torque and power one
 ASKED = {
@@ -28,16 +31,7 @@ ASKED = {
     "period": ("sampling period", "s"),
 }
 LOSS = 0.05  # share of the rated power that the windings take where no resistance is given
-START = 0.1  # s to the rated speed with the rated torque, where no inertia is given
-
-
-class Drive(NamedTuple):
-    """Parameters of `PmsmPlant` and `FocController`, a step that the drive can do, and what was assumed, in words."""
-
-    plant: dict[str, float]
-    law: dict[str, float]
-    step: dict[str, float]
-    assumed: tuple[str, ...]
+ONE = (("R_s", "R_tt"), ("psi_f", "K_e"), ("psi_f", "K_t"), ("K_e", "K_t"), ("L_d", "L_tt"), ("L_q", "L_tt"))
 
 
 def pmsm(given: Mapping[str, float]) -> Drive:
@@ -59,9 +53,11 @@ def pmsm(given: Mapping[str, float]) -> Drive:
         A name that is not asked for, a value that is no number above zero, one that is missing, or values that
         contradict each other.
     """
-    _check(given)
+    check(given, ASKED, ("speed", "current", "pole_pairs", ("torque", "power")), ONE)
+    if ("L_d" in given) != ("L_q" in given):
+        raise ValueError("L_d and L_q: give both, or L_tt")
     assumed: list[str] = []
-    p, peak = round(given["pole_pairs"]), math.sqrt(2.0) * given["current"]
+    p, peak = whole(given, "pole_pairs"), math.sqrt(2.0) * given["current"]
     w = given["speed"] * math.pi / 30.0
     torque = given["torque"] if "torque" in given else given["power"] / w
     psi = _flux(given, p, torque, peak, assumed)
@@ -76,45 +72,36 @@ def pmsm(given: Mapping[str, float]) -> Drive:
         voltage = given.get("voltage", math.sqrt(1.5) * needed)
         U_dc = 1.15 * math.sqrt(2.0) * voltage
         assumed.append(f"U_dc = {U_dc:.4g} V: 15 % above the amplitude of the rated voltage between terminals")
-    J = given.get("J")
-    if J is None:
-        J = torque * START / w
-        assumed.append(f"J = {J:.4g} kg m^2: at rated torque the rotor needs {START:g} s to its rated speed")
-    most = math.sqrt(2.0) * given["i_max"] if "i_max" in given else 1.5 * peak
-    if "i_max" not in given:
-        assumed.append(f"i_max = {most:.4g} A: 1.5 times the amplitude of the rated current")
+    _check_orders(given, p * w, psi, R, max(L_d, L_q), U_dc, torque, peak, assumed)
+    J, largest = inertia(given, torque, w, assumed), most(given, peak, math.sqrt(2.0), assumed)
     period = given.get("period", min(1e-4, round(0.05 * L_d / R, 6) or 1e-6))
     if "period" not in given:
         assumed.append(f"period = {period:g} s: 10 kHz, or a twentieth of L_d/R where that is less")
-    alpha_c = min(400.0 * math.pi, 0.15 / period)
-    alpha_s = min(alpha_c / 40.0, 0.8 * torque / (0.2 * w * J))
-    assumed.append(f"bandwidths of {alpha_c:.4g} (current) and {alpha_s:.4g} rad/s (speed): chosen by the period and J")
+    alpha_c, alpha_s, step = loops(torque, w, J, period, assumed)
     assumed.append("no friction, no saturation, an ideal inverter with averaged voltages")
     plant = {"R_s": R, "L_d": L_d, "L_q": L_q, "psi_f": psi, "pole_pairs": p, "J": J, "U_dc": U_dc, "period": period,
-             "trip_current": 1.5 * most, "trip_voltage": 1.5 * U_dc}  # fmt: skip
-    law = {"i_max": most, "current_bandwidth": alpha_c, "speed_bandwidth": alpha_s}
-    step = {"speed": min(0.2 * w, 0.8 * torque / (alpha_s * J)), "torque": 0.5 * torque}
+             "trip_current": 1.5 * largest, "trip_voltage": 1.5 * U_dc}  # fmt: skip
+    law = {"i_max": largest, "current_bandwidth": alpha_c, "speed_bandwidth": alpha_s}
     return Drive(plant, law, step, tuple(assumed))
 
 
-def _check(given: Mapping[str, float]) -> None:
-    for name, value in given.items():
-        if name not in ASKED:
-            raise ValueError(f"{name}: not asked for; known are {', '.join(ASKED)}")
-        if not (math.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} = {value:g}: expected a number above zero")
-    missing = [name for name in ("speed", "current", "pole_pairs") if name not in given]
-    if "torque" not in given and "power" not in given:
-        missing.append("torque (or power)")
-    if missing:
-        raise ValueError(f"missing {', '.join(missing)}: give what the data sheet has, as {missing[0].split()[0]}=...")
-    if given["pole_pairs"] != round(given["pole_pairs"]):
-        raise ValueError(f"pole_pairs = {given['pole_pairs']:g}: expected a whole number")
-    for one, other in (("R_s", "R_tt"), ("psi_f", "K_e"), ("psi_f", "K_t"), ("K_e", "K_t"), ("L_d", "L_tt")):
-        if one in given and other in given:
-            raise ValueError(f"{one} and {other} say the same: give one of them")
-    if ("L_d" in given) != ("L_q" in given):
-        raise ValueError("L_d and L_q: give both, or L_tt")
+def _check_orders(
+    given: Mapping[str, float], w: float, psi: float, R: float, L: float, U_dc: float, torque: float, peak: float,
+    assumed: list[str],
+) -> None:  # fmt: skip
+    """Refuse values that are off by a unit, and remark what contradicts a little; `w` is electrical, rad/s."""
+    made = torque * w / round(given["pole_pairs"])
+    reach = U_dc / math.sqrt(3.0) if {"U_dc", "voltage"} & given.keys() else w * psi + R * peak
+    lost = 1.5 * R * peak * peak / made
+    plausible("R_s", lost, "times the rated power lost in the windings", 1e-5, 5.0, "is the resistance in ohm?")
+    magnet = 1.5 * round(given["pole_pairs"]) * psi * peak
+    units = "K_e is V (rms, between terminals) at 1000 1/min, psi_f Wb (peak), K_t N m/A, torque N m, current A (rms)"
+    plausible("psi_f", magnet / torque, "times the rated torque at the rated current", 0.1, 3.0, units)
+    plausible("psi_f", w * psi / reach, "times the voltage as back-EMF at rated speed", 1e-3, 4.0, units)
+    plausible("L", w * L * peak / reach, "times the voltage at rated speed and current", 1e-4, 5.0, "is it in H?")
+    if not 0.8 < magnet / torque < 1.25:
+        assumed.append(f"the magnet's torque at the rated current is {magnet:.4g} N m, the rated torque {torque:.4g}: "
+                       "the rest is reluctance torque, losses, or another convention of K_e or K_t")  # fmt: skip
 
 
 def _flux(given: Mapping[str, float], p: int, torque: float, peak: float, assumed: list[str]) -> float:
@@ -162,41 +149,11 @@ def scenario(name: str, given: Mapping[str, float]) -> tuple[str, tuple[str, ...
         What was assumed.
     """
     drive = pmsm(given)
-    alpha, step = drive.law["speed_bandwidth"], drive.step
-    begin, settle = 0.005, 10.0 / alpha
-    said = "\n".join(f"#   {name} = {value:g} {ASKED[name][1]}: {ASKED[name][0]}" for name, value in given.items())
-    noted = "\n".join(f"#   {line}" for line in drive.assumed)
-    return (
-        f"""# A drive from the rated values of a data sheet:
-{said}
-# Assumed, to be replaced by what you know:
-{noted}
+    text = f"""{head(given, ASKED, drive.assumed, "A drive")}
 extends: pmsm_foc
 title: Field-oriented control of {name}
 system: {name}
 source: data sheet
-duration: {_text(begin + 2.0 * settle)}
-shared: {{begins: {_text(begin)}, loaded: {_text(begin + settle)}, target: {_text(step["speed"])}}}
-nodes:
-  pmsm_plant:
-    parameters: {_map(drive.plant)}
-  foc_controller:
-    parameters: {_map(drive.law)}
-  speed_source: {{parameters: {{period: $pmsm_plant.period}}}}
-  load_source: {{parameters: {{period: $pmsm_plant.period, values: [0.0, {_text(step["torque"])}]}}}}
-expect:
-  rise_time: {_text(math.log(9.0) / alpha)} +- 8 %
-  overshoot: at most 3
-  speed_end: {_text(step["speed"])} +- 3 %
-""",
-        drive.assumed,
-    )
-
-
-def _text(value: float) -> str:
-    text = f"{value:.6g}"
-    return text if "." in text and "e" not in text else repr(float(text))
-
-
-def _map(values: Mapping[str, Any]) -> str:
-    return "{" + ", ".join(f"{k}: {v if isinstance(v, int) else _text(v)}" for k, v in values.items()) + "}"
+{written(drive, ("pmsm_plant", "foc_controller"), 0.005, "  overshoot: at most 3")}
+"""
+    return text, drive.assumed

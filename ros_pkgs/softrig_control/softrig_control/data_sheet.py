@@ -1,0 +1,97 @@
+"""What all scenarios that are written from a data sheet share: values are checked, and what was assumed is written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+Asked = Mapping[str, tuple[str, str]]  # name of a value: (what it is, its unit)
+Given = Mapping[str, float]
+
+
+def check(
+    given: Given, asked: Asked, needed: Iterable[str | tuple[str, ...]], same: Iterable[tuple[str, str]] = ()
+) -> None:
+    """Ensure that values are known, positive and complete.
+
+    Parameters
+    ----------
+    given : mapping of str to float
+        Values of a data sheet.
+    asked : mapping of str to (str, str)
+        All that may be given: what it is, and its unit.
+    needed : iterable of str or tuple of str
+        Names without which nothing can be made; of a tuple one is enough.
+    same : iterable of (str, str)
+        Names of which only one may be given.
+
+    Raises
+    ------
+    ValueError
+        Names the value and says what is expected.
+    """
+    for name, value in given.items():
+        if name not in asked:
+            raise ValueError(f"{name}: not asked for; known are {', '.join(asked)}")
+        if not (math.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} = {value:g}: expected a number above zero")
+    groups = ((names,) if isinstance(names, str) else names for names in needed)
+    missing = [names for names in groups if not given.keys() & set(names)]
+    if missing:
+        listed = ", ".join(names[0] + (f" (or {', '.join(names[1:])})" if names[1:] else "") for names in missing)
+        raise ValueError(
+            f"missing {listed}: give what the data sheet has, as {missing[0][0]}=...; known are {', '.join(asked)}"
+        )
+    for one, other in same:
+        if one in given and other in given:
+            raise ValueError(f"{one} and {other} say the same: give one of them")
+
+
+def whole(given: Given, name: str) -> int:
+    """Return a value that is a count.
+
+    Raises
+    ------
+    ValueError
+        It is not a whole number.
+    """
+    if given[name] != round(given[name]):
+        raise ValueError(f"{name} = {given[name]:g}: expected a whole number")
+    return round(given[name])
+
+
+def plausible(name: str, value: float, unit: str, lower: float, upper: float, why: str) -> None:
+    """Ensure that what follows from the values is of the order that machines and converters have.
+
+    A value in another unit (mH, g cm^2, peak for rms) is off by a factor that no machine of these rated values has.
+
+    Raises
+    ------
+    ValueError
+        With the value, the bounds and the reason.
+    """
+    if not lower <= value <= upper:
+        raise ValueError(f"{name} = {value:.4g} {unit}".rstrip() + f": expected {lower:.3g} to {upper:.3g}; {why}")
+
+
+def head(given: Given, asked: Asked, assumed: Sequence[str], what: str) -> str:
+    """Return the comment at the begin of a scenario: what was given, and what was assumed."""
+    said = [
+        f"#   {name} = {value:g} {asked[name][1]}".rstrip() + f": {asked[name][0]}" for name, value in given.items()
+    ]
+    noted = [f"#   {line}" for line in assumed]
+    return "\n".join([f"# {what} from the values of a data sheet:", *said,
+                      "# Assumed, to be replaced by what you know:", *noted])  # fmt: skip
+
+
+def text(value: float) -> str:
+    """Return a number as YAML reads it: always as a float."""
+    found = f"{value:.6g}"
+    return found if "." in found and "e" not in found else repr(float(found))
+
+
+def mapping(values: Mapping[str, Any]) -> str:
+    """Return parameters as a mapping of YAML in one line."""
+    shown = (f"{k}: {text(v) if isinstance(v, float) else v}" for k, v in values.items())
+    return "{" + ", ".join(shown) + "}"
