@@ -18,7 +18,7 @@ from softrig_core import (
     simulate,
 )
 from softrig_core.block.port import WORLD
-from softrig_core.block.scene import standing
+from softrig_core.block.scene import scene_of, standing
 from softrig_core.judge import registry
 from softrig_core.judge.claims import Claim
 from softrig_core.judge.expectation import Expectation, parse
@@ -87,7 +87,7 @@ def test_every_scenario_can_be_judged_before_its_run(name):
 def frames(member):
     """The frames that a node publishes on /tf and /tf_static."""
     block = ByHand(member.block(0))
-    scene = member.block_class.scene(member.params)
+    scene = scene_of(member.block_class, member.params)
     port = next((p for p in member.outputs if scene is not None and p.name == scene.port), None)
     q = [0.0] * sum(label.endswith("/position") for label in port.labels) if port else []
     moving = scene.moving(q) if scene is not None else []

@@ -11,7 +11,7 @@ from softrig_bringup.verbs.launched import ARGUMENTS
 from softrig_bringup.verbs.viewer import viewer
 from softrig_core import ByHand, list_scenarios, load_scenario, rig_of
 from softrig_core.block.port import WORLD
-from softrig_core.block.scene import standing
+from softrig_core.block.scene import scene_of, standing
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 
@@ -46,7 +46,7 @@ def test_rviz_shows_what_the_nodes_publish_in_frames_that_they_publish(name, tmp
     assert shown["Global Options"]["Fixed Frame"] == WORLD
     there, drawn = {WORLD}, {}
     for m in rig.members:
-        block, scene = ByHand(m.block(0)), m.block_class.scene(m.params)
+        block, scene = ByHand(m.block(0)), scene_of(m.block_class, m.params)
         still = standing(block.markers(), scene, m.outputs)
         assert {pose.parent for pose in still} <= {WORLD, *(pose.child for pose in still)} | links(scene)
         there |= {pose.child for pose in still}

@@ -36,6 +36,7 @@ from softrig_core import (
 from softrig_core.bits import kernels, math_digest
 from softrig_core.block.params import declarations, flatten
 from softrig_core.block.port import CLOCK
+from softrig_core.block.scene import scene_of
 from softrig_core.block.step import Step
 from softrig_core.guard import naming
 from softrig_core.rig.code import fingerprints
@@ -166,7 +167,7 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "command": command,
         "versions": versions() | checkout(),
         "code": fingerprints(m.block_class for m in own),
-        "contents": {m.name: dict(found) for m in own if (found := m.block_class.contents(m.params))},
+        "contents": {m.name: dict(m.files) for m in own if m.files},
         "parameters": {m.name: flatten(m.params) for m in own},
         "changes": _changes(run),
         "branched": run.branched,
@@ -328,7 +329,7 @@ def _scenes(rig: Rig) -> dict[str, Scene]:
     """Return what viewers can be shown of the rig, by the topic that it moves with."""
     found = {}
     for member in rig.members:
-        scene = member.block_class.scene(member.params)
+        scene = scene_of(member.block_class, member.params)
         if scene is not None:
             found[next(p.topic for p in member.outputs if p.name == scene.port)] = scene
     return found

@@ -144,7 +144,7 @@ def made_of(scenarios: Mapping[str, Scenario], rigs: Iterable[Rig]) -> dict[str,
             (member.block_class for member in members),
             (figure.function.__module__ for rig in rigs for figure in figures_of(rig)),
         ),
-        "files": {m.name: dict(found) for m in members if (found := m.block_class.contents(m.params))},
+        "files": {m.name: dict(m.files) for m in members if m.files},
     }
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree.ElementTree import indent, tostring
 
 from softrig_core import Port, Rig, ScenarioError, rig_of
+from softrig_core.block.scene import scene_of
 from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
 from softrig_core.wire.signals import topic_of
@@ -125,7 +126,7 @@ def _plotjuggler(plots: Sequence[Plotted]) -> str:
 def _foxglove(plots: Sequence[Plotted], rig: Rig) -> str:
     """Write a panel a plot below each other, two columns from five on; what is in three dimensions comes first."""
     panels: dict[str, dict[str, Any]] = {}
-    scene = next((s for m in rig.members if (s := m.block_class.scene(m.params)) is not None), None)
+    scene = next((s for m in rig.members if (s := scene_of(m.block_class, m.params)) is not None), None)
     if scene is not None:
         panels["3D!robot"] = {"followTf": scene.base, "topics": {"/robot_description": {"visible": True}}}
     for number, plot in enumerate(plots, 1):

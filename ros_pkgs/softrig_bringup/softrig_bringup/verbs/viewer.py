@@ -10,6 +10,7 @@ from typing import Any
 
 from softrig_core import Block, Rig
 from softrig_core.block.port import WORLD
+from softrig_core.block.scene import scene_of
 
 ROOTED = ("clock", "tf", "tf_static")  # topics whose names are absolute
 
@@ -84,7 +85,7 @@ def rviz_file(rig: Rig, namespace: str = "") -> str:
 
 def seen(rig: Rig) -> tuple[bool, list[str]]:
     """Describe whether a rig has a robot, and name its nodes that draw markers."""
-    robot = any(m.block_class.scene(m.params) is not None for m in rig.members)
+    robot = any(scene_of(m.block_class, m.params) is not None for m in rig.members)
     return robot, [m.name for m in rig.members if m.block_class.markers is not Block.markers]
 
 

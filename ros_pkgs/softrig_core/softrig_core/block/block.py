@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cached_property
 from types import FrameType
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NoReturn, Self, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NoReturn, Self, final, get_args
 
 from typing_extensions import TypeVar
 
@@ -21,7 +21,7 @@ from .port import Port, Sample
 if TYPE_CHECKING:
     import numpy as np
 
-    from .scene import Marker, Scene
+    from .scene import Marker
 
 Values = Mapping[str, "Sequence[float] | Sample | None"]
 P = TypeVar("P", bound=BlockParams, default=Any)
@@ -191,21 +191,6 @@ class Block(Generic[P]):
         """
         return {}
 
-    @classmethod
-    def assumed(cls, params: Any) -> Mapping[str, Any]:
-        """Return what it takes others to be, by the names of `agreed`: a difference is an experiment, told once."""
-        return {}
-
-    @classmethod
-    def fixed(cls, params: Any) -> Any:
-        """Return what of its live parameters may not change all the same, to be compared."""
-        return None
-
-    @classmethod
-    def contents(cls, params: Any) -> Mapping[str, str]:
-        """Return name to hash of files that decide what it does beside its code, for the record of a run."""
-        return {}
-
     def setup(self) -> None:
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""
 
@@ -225,10 +210,6 @@ class Block(Generic[P]):
         self.events[:] = found[1]
         return found[0]
 
-    def params(self, x: Any) -> P:
-        """Return the parameters as they stand; `p`, but for one that something in the run moves, as a button does."""
-        return self.p
-
     def go_on(self, x: Any, before: P) -> Any:
         """Return the state with which it goes on after live parameters have changed, between two ticks.
 
@@ -244,14 +225,6 @@ class Block(Generic[P]):
         """
         return x
 
-    def decides(self, x: Any, t: int) -> bool:
-        """Describe whether native code is to leave a tick to Python.
-
-        For what happens now and then and is no arithmetic, as the next step of a search. What native code cannot do it
-        leaves by itself, but finds out late: it computes the ticks before that one again.
-        """
-        return False
-
     def save(self, x: Any) -> Any:
         """Return what `load` makes x of again, as often as wanted; x itself, unless part of it is opaque.
 
@@ -264,6 +237,7 @@ class Block(Generic[P]):
         """Return the x that `save` was given."""
         return saved
 
+    @final
     def change(self, params: P) -> None:
         """Set other parameters between two ticks: `setup` is called again; `go_on` decides about the state.
 
@@ -343,11 +317,6 @@ class Block(Generic[P]):
     def latched(self) -> Mapping[str, str]:
         """Return topic to text (such as ``robot_description``) that a node publishes once, also for late joiners."""
         return {}
-
-    @classmethod
-    def scene(cls, params: Any) -> Scene | None:
-        """Return what a viewer needs to show what the block moves, with these parameters; most move nothing."""
-        return None
 
     def markers(self, *x: Any) -> Sequence[Marker]:
         """Return something to look at, drawn from x; a node asks a few times a second."""

@@ -5,13 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 from .params import BlockParams, ParameterError, build, declarations, flatten
 
 if TYPE_CHECKING:
     from .block import Block
     from .port import Port
+
+
+@runtime_checkable
+class Fixing(Protocol):
+    """A block some of whose live parameters may not change all the same, as the variables of an FMU."""
+
+    @classmethod
+    def fixed(cls, params: Any) -> Any:
+        """Return what of them must stay as it is, to be compared."""
 
 
 class Change(NamedTuple):
@@ -104,7 +113,7 @@ def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, A
     what = ", ".join(values)
     if _told(block_class.ports(revised)) != _told(block_class.ports(params)):
         raise ParameterError(f"{what}: the ports would be others, which may not change while running")
-    if block_class.fixed(revised) != block_class.fixed(params):
+    if issubclass(block_class, Fixing) and block_class.fixed(revised) != block_class.fixed(params):
         raise ParameterError(f"{what}: that part of it may not change while running")
     before, after = block_class.agreed(params), block_class.agreed(revised)
     if changed := [key for key in after if before.get(key) != after[key]]:

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 from .block import Block, Level, Reports, note
 from .params import BlockParams
 from .scene import Marker
+
+
+@runtime_checkable
+class Steered(Protocol):
+    """A block one of whose parameters something in the run moves, such as the button of a fault."""
+
+    def params(self, x: Any) -> BlockParams:
+        """Return the parameters as they stand; `p` has those that were given."""
 
 
 class Kept(NamedTuple):
@@ -56,7 +64,7 @@ class Held:
     @property
     def params(self) -> BlockParams:
         """The block's parameters as they stand."""
-        return self.block.params(self.x)  # type: ignore[no-any-return]
+        return self.block.params(self.x) if isinstance(self.block, Steered) else self.block.p
 
     def tell(self) -> None:
         """Store the block's reports of a tick that counts."""

@@ -6,7 +6,7 @@ import inspect
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any, Protocol, get_args, runtime_checkable
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
@@ -96,6 +96,15 @@ def _each(field: Any) -> tuple[float, float]:
     extra = field.json_schema_extra
     low, high = (isinstance(extra, dict) and extra.get("each")) or (-LARGEST, LARGEST)
     return low, high
+
+
+@runtime_checkable
+class FromFiles(Protocol):
+    """A block that files decide beside its code: an FMU, a library, the firmware of a board."""
+
+    @classmethod
+    def contents(cls, params: Any) -> Mapping[str, str]:
+        """Return name to hash of these files, for the record of a run."""
 
 
 class BlockParams(Params):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 from ..wire.types import VECTOR
 from .port import WORLD, Port
@@ -50,7 +50,7 @@ class Pose(NamedTuple):
 
 
 class Scene(Protocol):
-    """Bodies that move with the positions of an output port; `Block.scene` gives it.
+    """Bodies that move with the positions of an output port; `Moving.scene` returns it.
 
     Attributes
     ----------
@@ -74,6 +74,20 @@ class Scene(Protocol):
 
     def tip(self, q: Sequence[float]) -> Point:
         """Return the place in the base frame whose path is worth seeing, m."""
+
+
+@runtime_checkable
+class Moving(Protocol):
+    """A block that moves bodies, such as a robot."""
+
+    @classmethod
+    def scene(cls, params: Any) -> Scene:
+        """Return what a viewer needs to show them, with these parameters."""
+
+
+def scene_of(block_class: type, params: Any) -> Scene | None:
+    """Return what a viewer needs to show the bodies that a block moves; None: it moves none."""
+    return block_class.scene(params) if issubclass(block_class, Moving) else None
 
 
 def standing(markers: Iterable[Marker], scene: Scene | None, outputs: Iterable[Port]) -> list[Pose]:

@@ -62,13 +62,13 @@ class Linked(Elsewhere):
     def fixed(cls, params: Any) -> Any:
         """Return what the board's build has compiled in: its other parameters cannot change."""
         settable = cls.FIRMWARE["settable"]
-        return super().fixed(params), {k: v for k, v in flatten(params).items() if k not in settable}
+        return {k: v for k, v in flatten(params).items() if k not in settable}
 
     @classmethod
     def contents(cls, params: Any) -> Mapping[str, str]:
         """Return the digest of the firmware's description."""
         text = json.dumps(cls.FIRMWARE, sort_keys=True)
-        return {**super().contents(params), "firmware": hashlib.sha256(text.encode()).hexdigest()}
+        return {"firmware": hashlib.sha256(text.encode()).hexdigest()}
 
     def save(self, x: LinkState) -> Any:
         """Refuse: the state is on the board.

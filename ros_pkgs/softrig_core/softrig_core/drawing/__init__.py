@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pkgutil import resolve_name
 
+from ..block.scene import scene_of
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..run.expand import rig_of
@@ -39,4 +40,4 @@ def drawing_for(rig: Rig | str) -> Drawing | None:
 def _kind(member: Member) -> type[Drawing] | None:
     if name := member.block_class.DRAWN_BY:
         return resolve_name(name)
-    return Robot if member.block_class.scene(member.params) is not None else None
+    return Robot if scene_of(member.block_class, member.params) is not None else None

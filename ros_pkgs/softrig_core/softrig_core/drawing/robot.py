@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from random import Random
 from xml.etree import ElementTree
 
-from ..block.scene import Scene
+from ..block.scene import Scene, scene_of
 from .base import Drawing, Row, held, readings, tail
 from .projection import Camera, Place, plus, times, turned
 from .shapes import Pen, Point
@@ -31,7 +31,7 @@ class Robot(Drawing):
 
     def setup(self) -> None:
         """Read the joints of the description, and place the camera."""
-        scene = self.plant.block_class.scene(self.p)
+        scene = scene_of(self.plant.block_class, self.p)
         assert scene is not None
         self.scene: Scene = scene
         port = next(p for p in self.plant.outputs if p.name == scene.port)

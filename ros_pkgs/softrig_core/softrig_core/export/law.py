@@ -10,7 +10,7 @@ from ..block.block import Block
 from ..block.port import Port, Sample
 from ..native.reports import Reports
 from ..native.translate import Program, made
-from ..native.turns import NOWHERE, rows_of
+from ..native.turns import NOWHERE, Deciding, rows_of
 from ..native.twins import packed
 from ..native.value import Dynamic, Group, NotNative, Static, Value
 from ..native.words import TEXTS
@@ -93,7 +93,7 @@ def law_of(
     NotNative
         What of the block cannot be translated, and its line.
     """
-    if type(block).decides is not Block.decides:
+    if isinstance(block, Deciding):
         raise NotNative("it leaves some ticks to Python (`decides`)")
     ages: dict[tuple[int, str], int | str | None] = {(0, name): 0 for name in punctual}
     program = Program([block], Writer, ages, [(0, p) for p in outputs if p.sporadic], inferred=True)

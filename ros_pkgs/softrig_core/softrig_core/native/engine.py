@@ -51,7 +51,7 @@ class Native:
         Why it does not answer the others, or any.
     ticks, given_up, decided : int
         Of the clock: answered by native code, and left to Python in between: where it went no further, and where a
-        member wants it so (`Block.decides`).
+        member wants it so (`Deciding.decides`).
     """
 
     members: tuple[str, ...] = ()
@@ -261,7 +261,7 @@ class Engine:
     def _decided(self, k: int) -> bool:
         """Return whether a member wants a tick to be Python's."""
         t = self._time(k)
-        return any(self._plan.due(s.schedule, k) and s.block.decides(s.x, t) for s in self._deciding)
+        return any(self._plan.due(s.schedule, k) and s.block.decides(s.x, t) for s in self._deciding)  # type: ignore[attr-defined]
 
     def _next_change(self, k: int) -> int:
         """Return the first tick, from k on, by whose time parameters are to change."""

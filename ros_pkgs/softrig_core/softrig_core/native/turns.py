@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
-from ..block.block import Block
 from ..block.fill import Fill
 from ..block.port import Port, Sample
 from ..block.schedule import Plan
@@ -69,9 +68,21 @@ def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
     return [(k, j) for k, s in enumerate(steps) for j, p in enumerate(s.outputs) if p.sporadic]
 
 
+@runtime_checkable
+class Deciding(Protocol):
+    """A block with rare ticks that are no arithmetic, such as the next step of a search.
+
+    What native code cannot translate it leaves to Python by itself, but it finds out late and computes the ticks before
+    that one again.
+    """
+
+    def decides(self, x: Any, t: int) -> bool:
+        """Return whether native code is to leave a tick to Python."""
+
+
 def decides(step: Step) -> bool:
-    """Return whether there are ticks that a member has left to Python."""
-    return type(step.block).decides is not Block.decides
+    """Return whether there are ticks that a member leaves to Python."""
+    return isinstance(step.block, Deciding)
 
 
 class Turns:

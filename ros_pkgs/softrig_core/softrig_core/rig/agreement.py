@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from ..block.block import Block
 from ..errors import ScenarioError
@@ -52,13 +52,26 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
                 )
 
 
+@runtime_checkable
+class Assuming(Protocol):
+    """A block that computes with quantities of another node, such as the lengths of the robot that it moves."""
+
+    @classmethod
+    def assumed(cls, params: Any) -> Mapping[str, Any]:
+        """Return the values this block assumes for other nodes, keys as in `Block.agreed`.
+
+        A mismatch is an experiment: it is allowed, and reported once.
+        """
+
+
 def assumptions(members: Iterable[Named]) -> list[str]:
-    """Describe which nodes take others for what they are not, by `Block.assumed`, a line each."""
+    """Describe which nodes take others for what they are not, by `Assuming.assumed`, a line each."""
     members = list(members)
     said = spoken(members)
     return [
         f"{member.name} takes {quantity} to be {shown(value)}, {said[quantity][0]} has {shown(said[quantity][1])}"
         for member in members
+        if issubclass(member.block_class, Assuming)
         for quantity, value in member.block_class.assumed(member.params).items()
         if quantity in said and not _same(said[quantity][1], value)
     ]

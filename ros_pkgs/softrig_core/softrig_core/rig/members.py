@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from ..block.block import Block, Plant
 from ..block.change import Change
 from ..block.fill import Pick
-from ..block.params import BlockParams, ParameterError
+from ..block.params import BlockParams, FromFiles, ParameterError
 from ..block.port import CLOCK, Port
 from ..block.schedule import Schedule
 from ..errors import ScenarioError, closest
@@ -46,6 +47,11 @@ class Member:
     def is_plant(self) -> bool:
         """Return whether it owns time."""
         return issubclass(self.block_class, Plant)
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        """Return name to hash of the files that decide what the node does beside its code."""
+        return self.block_class.contents(self.params) if issubclass(self.block_class, FromFiles) else {}
 
     def block(self, seed: int) -> Block:
         """Create the block at its initial state; a ScenarioError names a node that cannot be set up."""

@@ -64,8 +64,7 @@ def check_pure(rig: Rig, seed: int | None = None) -> None:
 
 
 def _key(member: Member) -> Any:
-    of = member.block_class
-    return of, tuple(sorted(of.contents(member.params).items()))
+    return member.block_class, tuple(sorted(member.files.items()))
 
 
 def _watched(member: Member, block: Block) -> list[tuple[Block, str]]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..block.block import Block
-from ..block.params import ParameterError, build
+from ..block.params import FromFiles, ParameterError, build
 from ..errors import ScenarioError
 from ..kit.newest import shared
 from .references import fill_parameters, parameter_of
@@ -17,14 +17,14 @@ CHAIN = 50  # nodes whose parameters are those of the next one
 
 
 def parameters(block: type[Block], values: Mapping[str, Any]) -> Any:
-    """Build the parameters of a block class; those of a class without `Block.contents` depend on the values alone.
+    """Build the parameters of a block class; those of a class that is not `FromFiles` depend on the values alone.
 
     Raises
     ------
     ParameterError
         See `build`.
     """
-    if block.contents.__func__ is not Block.contents.__func__:  # type: ignore[attr-defined]
+    if issubclass(block, FromFiles):
         return build(block.Params, values)
     return shared(build, block.Params, values)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from softrig_core.block.scene import Pose, standing
+from softrig_core.block.scene import Pose, scene_of, standing
 from softrig_core.timebase import SECOND
 from softrig_core.wire.stream import Writer
 
@@ -30,7 +30,7 @@ class Frames:
     def __init__(self, node: Node, adapter: Adapter) -> None:
         self._adapter = adapter
         block = adapter.block
-        scene = self._scene = block.scene(block.p)
+        scene = self._scene = scene_of(type(block), block.p)
         still = standing(adapter.step.markers(), scene, adapter.step.outputs)
         if still:
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

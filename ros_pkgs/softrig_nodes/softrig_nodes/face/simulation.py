@@ -14,7 +14,7 @@ from typing import Any
 from rclpy.action import ActionServer
 from rclpy.task import Future
 from rclpy.type_support import check_for_type_support
-from softrig_core.block.scene import Pose
+from softrig_core.block.scene import Pose, scene_of
 from softrig_core.timebase import SECOND
 
 from ..adapter.adapter import Adapter
@@ -84,7 +84,7 @@ class Simulation:
 
     def __init__(self, node: ServingNode, adapter: Adapter, types: Mapping[str, Any]) -> None:
         self._node, self._adapter = node, adapter
-        self._scene = adapter.block.scene(adapter.block.p)
+        self._scene = scene_of(type(adapter.block), adapter.block.p)
         self._result, self._state, self._simulating = (types[n] for n in ("Result", "SimulationState", "SimulateSteps"))
         self._steps: list[_Steps] = []
         self._late: dict[int, tuple[Any, Any]] = {}  # answers that are not given yet: response, header
