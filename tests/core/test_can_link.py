@@ -4,13 +4,14 @@ import random
 import threading
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
 import pytest
 from softrig_core import ScenarioError, rig_of, simulate
 from softrig_core.block.port import scalars
 from softrig_core.board.can_line import CanLine
-from softrig_core.board.dbc import LONGEST, encoded, messages_of
-from softrig_core.board.entry import LinkEntry, require_own_ports
+from softrig_core.board.dbc import encoded, messages_of
+from softrig_core.board.entry import LONGEST, LinkEntry, require_own_ports
 from softrig_core.board.frames import Kind
 from softrig_core.board.layout import Layout
 from softrig_core.board.line import Build
@@ -236,6 +237,8 @@ def test_a_file_that_is_too_long_or_none_is_refused(own, tmp_path):
         messages_of(file, "n", *ports, BUILD)
     with pytest.raises(ScenarioError, match="No such file"):
         messages_of(tmp_path / "none.dbc", "n", *ports, BUILD)
+    with pytest.raises(ScenarioError, match="not a regular file"):
+        messages_of(Path("/dev/zero"), "n", *ports, BUILD)
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 30))])

@@ -16,13 +16,13 @@ from ..block.port import PLAUSIBLE, PLAUSIBLE_OTHER, Port
 from ..errors import RunError, ScenarioError
 from ..extras import need
 from ..wire.types import BUTTON
+from .entry import contents_of
 
 TICK, RUN, BUILD = "tick", "run", "build"
 BITS = {TICK: 16, RUN: 8, BUILD: 32}
 HEAD = BITS[TICK] + BITS[RUN]  # of each message with values
 NUMBERS = 1 << BITS[TICK]
 FRAME_BITS, WORD = 64, 32
-LONGEST = 1 << 20  # bytes of a file: the messages of a node have some thousand
 LARGEST_FLOAT = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
 WHAT = "a node on a CAN bus"
 
@@ -213,14 +213,13 @@ def _loaded(file: Path, where: str) -> Any:
     import cantools
 
     try:
-        with file.open("rb") as stream:
-            data = stream.read(LONGEST + 1)
+        text = contents_of(file).decode("cp1252", "replace")
     except OSError as error:
         raise ScenarioError(f"{where}: {error.strerror}; `softrig export dbc` writes it") from None
-    if len(data) > LONGEST:
-        raise ScenarioError(f"{where} has more than {LONGEST} bytes; `softrig export dbc` writes the node's alone")
+    except ValueError as error:
+        raise ScenarioError(f"{where} has {error}; `softrig export dbc` writes the node's alone") from None
     try:
-        return cantools.database.load_string(data.decode("cp1252"), database_format="dbc")
+        return cantools.database.load_string(text, database_format="dbc")
     except Exception as error:  # of a damaged file the parser lets many kinds escape
         first = str(error).strip().partition("\n")[0] or type(error).__name__
         raise ScenarioError(f"{where} is no DBC ({first[:200]})") from None

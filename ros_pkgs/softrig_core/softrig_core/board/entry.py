@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ from ..errors import ScenarioError
 
 SIMULATORS = ("simavr", "qemu", "program")
 CAN = "can:"
+LONGEST = 1 << 18  # bytes of a file that describes a node
 
 
 class LinkEntry(Entry):
@@ -50,6 +52,25 @@ class LinkEntry(Entry):
         return port
 
 
+def contents_of(file: Path) -> bytes:
+    """Return the bytes of a file that a scenario names.
+
+    Raises
+    ------
+    OSError
+        It cannot be read, or is no regular file: one of a device may have no end.
+    ValueError
+        It is too long.
+    """
+    if file.exists() and not file.is_file():
+        raise OSError(errno.EINVAL, "not a regular file")
+    with file.open("rb") as stream:
+        data = stream.read(LONGEST + 1)
+    if len(data) > LONGEST:
+        raise ValueError(f"more than {LONGEST} bytes")
+    return data
+
+
 def absolute_port(port: str) -> str:
     """Return a port whose file, that of a simulator, does not depend on the working directory."""
     kind, colon, name = port.rpartition(":")
@@ -77,8 +98,8 @@ def _owned(node: str, entry: LinkEntry) -> list[tuple[str, str]]:
         port = os.path.realpath(entry.port) if entry.port.startswith("/") else absolute_port(entry.port)
         return [(port, f"port, {entry.port}")]
     try:
-        text = Path(entry.firmware).read_text(encoding="cp1252", errors="replace")  # as DBC files are written
-    except OSError:  # reported where the file is read
+        text = contents_of(Path(entry.firmware)).decode("cp1252", "replace")  # as DBC files are written
+    except (OSError, ValueError):  # reported where the file is read
         return []
     ids = re.findall(rf"(?m)^BO_ (\d+) {re.escape(node)}_(?:to|from)_\d+ *:", text)
     return [(f"{entry.port} {i}", f"CAN identifier, {int(i) & 0x1FFFFFFF:#x} at {entry.port}") for i in ids]

@@ -7,6 +7,7 @@ import json
 import os
 import struct
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
@@ -17,9 +18,9 @@ from ..block.params import flatten
 from ..block.port import Sample
 from ..errors import RunError, ScenarioError
 from .can_line import can_line
-from .dbc import LONGEST, build_of
+from .dbc import build_of
 from .elsewhere import Elsewhere, LinkState
-from .entry import CAN, LinkEntry, absolute_port
+from .entry import CAN, LinkEntry, absolute_port, contents_of
 from .frames import Kind
 from .layout import Layout
 from .line import Build, Line
@@ -204,9 +205,8 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, where: str) -> typ
 def _of_signals(block: type[Block], entry: LinkEntry, params: Any) -> tuple[Path, Mapping[str, Any]]:
     """Return the file with the signals of a node, and what its program must be."""
     file, text = Path(entry.firmware), b""
-    if file.is_file():  # what is wrong with it is said where the node's name is known
-        with file.open("rb") as stream:
-            text = stream.read(LONGEST)
+    with suppress(OSError, ValueError):  # what is wrong with it is reported where the node's name is known
+        text = contents_of(file)
     period = Fraction(params.period).limit_denominator(10**9)
     known = {
         "digest": build_of(block, params),
@@ -228,13 +228,13 @@ def _of_board(block: type[Block], entry: LinkEntry, params: Any, where: str) -> 
             raise ScenarioError(f"{where}: link: {file} has {len(found)} JSON files, expected one; name the file")
         file = found[0]
     try:
-        described = json.loads(file.read_text(encoding="utf-8"))
+        described = json.loads(contents_of(file))
         known = {
             key: described[key] for key in ("class", "digest", "period_s", "ports", "settable", "parameters", "real")
         }
     except OSError as error:
         raise ScenarioError(f"{where}: link: {file}: {error.strerror}; `softrig export` writes it") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise ScenarioError(
             f"{where}: link: {file} is no description of firmware; `softrig export` writes it"
         ) from None
