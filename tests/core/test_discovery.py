@@ -11,6 +11,7 @@ from conftest import differences, few, in_process, make_scenario
 from simulated import Discovery, SimulatedNode, SimulatedRig, SimulatedTimer, World, some
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
+from softrig_core.block.codec import readable_stamp
 from softrig_core.rig.options import Links
 from softrig_nodes.adapter.spin import conclude
 from softrig_nodes.processes.peers import links
@@ -100,9 +101,11 @@ def start(kind, seed, outside=(), stalls=0, bare=False):
     states = run.run(100.0)
     wrong = [f"{m.name} has not come" for m in rig.members if not m.external and m.name not in states]
     wrong += [f"{n}: {a.state} at {a.t}: {a.error}" for n, a in run.adapters.items() if a.state != "done"]
-    said = {p.topic for m in rig.members if not m.external for p in m.outputs}
-    wrong += [t for t in differences(expected, run.recording) if t in said]
     awaited = {p.topic for m in rig.members if not m.external for p in m.inputs}
+    said = {p.topic for m in rig.members if not m.external for p in m.outputs}
+    for member in (m for m in rig.members if m.external and any(p.topic in awaited for p in m.outputs)):
+        said |= {p.topic for p in member.outputs if not p.sporadic}
+    wrong += [t for t in differences(expected, run.recording) if t in said]
     wrong += [
         f"{s.member.name} has not heard the first of {topic}"
         for s in strangers
@@ -367,6 +370,15 @@ def real_time(kind, seed, outside=(), stalls=0):
             due = ticks[-1] - ticks[0] + 1 if ticks else 0
             if ticks != sorted(set(ticks)) or due - len(ticks) != missed:
                 wrong.append(f"{port.topic}: {len(ticks)} messages in {due} ticks, {missed} counted as missed")
+    whole = all(a.ticks == a.schedule.tick(a.schedule.last) + 1 for a in run.adapters.values())
+    for member in (m for m in rig.members if m.external and whole):  # who has slept through the call answers another
+        for port in (p for p in member.outputs if not p.sporadic and p.stamped and not p.delayed):
+            topic, said = run.recording.topics[port.topic], expected.topics[port.topic]
+            stamps = [readable_stamp(data) - epoch for data in topic.data]
+            if stamps != said.times or (
+                topic.times != [epoch + t for t in said.times] and not rig.readers(member, port)
+            ):
+                wrong.append(f"{port.topic} of an external node has the stamps {stamps}")
     return wrong
 
 

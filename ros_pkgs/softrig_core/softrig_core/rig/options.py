@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import asdict
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, field_validator
 
 from ..block.params import Params, param
+from ..block.port import Port
 
 SLOWEST = 1e-12  # pace
 
@@ -87,6 +89,31 @@ class InputLink(BaseModel):
     told: bool = False
 
 
+class OverheardLink(InputLink):
+    """An output of an external node.
+
+    Parameters
+    ----------
+    shape : dict
+        Fields of the port by which its messages are read.
+    """
+
+    shape: dict[str, Any]
+
+    @classmethod
+    def of(cls, port: Port, **link: Any) -> OverheardLink:
+        """Return the link of an output whose messages are read by a port."""
+        return cls(shape=asdict(port), **link)
+
+    def made(self) -> Port:
+        """Return the port."""
+        return Port(**{name: _tuples(value) for name, value in self.shape.items()})
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
 class Links(BaseModel):
     """What a node of a rig must know of its peers.
 
@@ -102,6 +129,8 @@ class Links(BaseModel):
         Nodes that must be matched before the first message.
     free : list of str
         Inputs from external nodes that may be silent: nobody says so, hence they take whatever comes.
+    overheard : list of OverheardLink
+        What external nodes publish and this node records.
     guests : bool
         Whether nodes of the rig are external: the first messages are said again for those that come late.
     outside : list of str
@@ -148,6 +177,7 @@ class Links(BaseModel):
     records: list[str] | None = None
     readers: dict[str, list[str]] = {}
     free: list[str] = []
+    overheard: list[OverheardLink] = []
     guests: bool = False
     outside: list[str] = []
     clock: InputLink | None = None

@@ -32,6 +32,7 @@ from ..seam.numbering import Numbering
 from ..seam.tick import TICK, TickWriter, acknowledged
 from .account import WATCH_PERIOD, Account
 from .files import Files, read_files
+from .overheard import OverheardTopics
 from .record import CLOCK_LAYOUT, Record
 
 
@@ -66,6 +67,9 @@ class Drive(Protocol):
 
     def progress(self) -> None:
         """Check for stalls and missing peers; called every `WATCH_PERIOD`."""
+
+    def last_came(self) -> None:
+        """Leave if this was all that a node waits for after its last tick."""
 
     def busy(self) -> bool:
         """Return whether peers that wait for this node are to be patient."""
@@ -131,8 +135,17 @@ class Adapter:
         self._silent = any(p.sporadic for p in outputs)  # at times
         self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
         self.record = Record(
-            self.outputs, inputs, self.step.plain, self._owns_clock, self.links, options, middleware.resolve, sink
+            self.outputs,
+            inputs,
+            self.step.plain,
+            self._owns_clock,
+            self.links,
+            options,
+            middleware.resolve,
+            self.of_rig,
+            sink,
         )
+        self.overheard = OverheardTopics(self, self.record.overheard)
         self._plain = self.step.plain and not any(o.numbered for o in self.outputs) and self.record.by_numbers
         self.alone = False  # whether nothing of what it says is read in another process, in which case it stays here
         self._unread = False  # the same of one that says plain numbers: a look at its record is enough
@@ -146,6 +159,7 @@ class Adapter:
         middleware, lockstep = self.middleware, self.options.mode == "lockstep"
         if self.links.acknowledges if lockstep else self.links.tells:
             self.acknowledge = self._acknowledging()
+        self.overheard.subscribe(drive.last_came)
         for port in self.step.inputs:
             self._subscribe(drive.row(port))
         for output in self.outputs:
@@ -164,6 +178,10 @@ class Adapter:
         """Time of the tick under way, ns."""
         return self.drive.t
 
+    def of_rig(self, name: str) -> str:
+        """Return the whole name of a topic of the rig, which is not the node's own to be remapped."""
+        return name if name.startswith("/") else f"{self.namespace}/{name}"
+
     def _may_stand(self) -> bool:
         """Return whether it is the node of a clock in real time that can stand: all nodes go by it, and are ours."""
         links = self.links
@@ -179,12 +197,14 @@ class Adapter:
         return (lambda: read_files(Path(again), self.middleware.name, peers)) if again else None
 
     def _subscribe(self, item: Input) -> None:
+        receive, note = self.overheard.beside(item)
+
         def matched(count: int) -> None:
-            item.matched(count)
+            note(count)
             self.drive.on_matched(item)
 
         self.inputs.append(item)
-        self.middleware.subscribe(item.port.topic, item.port.msgtype, item.receive, matched, item.numbered)
+        self.middleware.subscribe(item.port.topic, item.port.msgtype, receive, matched, item.numbered)
 
     def _record_press(self, port: Port, down: bool) -> None:
         if self.record.sink is not None and port.name in self.record.foreign:

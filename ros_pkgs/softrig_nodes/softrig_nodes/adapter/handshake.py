@@ -90,7 +90,7 @@ class Handshake:
         if absent or self._settled >= SETTLED or self._knows_all():
             if len(unread) == len(node.outputs) and not node.is_plant:  # only a plant may do without any reader
                 absent += [f"nobody subscribes {topic}" for topic in unread]
-            return absent
+            return absent or node.overheard.absent()
         return [f"nobody subscribes {topic}" for topic in unread] or ["outside nodes are still announcing themselves"]
 
     def _knows_all(self) -> bool:
@@ -105,8 +105,7 @@ class Handshake:
         resolve = self._node.middleware.resolve
         unmatched = {resolve(i.port.topic) for i, _ in self._awaited if not i.publishers and not i.heard}
         for name in self._node.links.outside:
-            # a name of the rig, not one of the node's own to be remapped
-            topic = name if name.startswith("/") else f"{self._node.namespace}/{name}"
+            topic = self._node.of_rig(name)
             found = self._node.middleware.publishers(topic)
             if not found or topic in unmatched:
                 self.lacking.append(name)

@@ -27,7 +27,9 @@ class Record:
     owns_clock : bool
         Whether it publishes /clock.
     resolve : callable
-        Gives the whole name of a topic.
+        Gives the whole name of a topic of the node.
+    of_rig : callable
+        Gives the whole name of a topic of the rig, which the node does not remap.
     sink : Sink or None
         Gets the messages in place of the file that the options name.
 
@@ -37,6 +39,8 @@ class Record:
         Name and type of what is recorded.
     foreign : dict of str to int
         Number of each input that is recorded here.
+    overheard : list of int
+        Numbers of the topics of external nodes.
     clock : int
         Number of /clock.
     sink : Sink or None
@@ -55,13 +59,19 @@ class Record:
         links: Links,
         options: RunOptions,
         resolve: Callable[[str], str],
+        of_rig: Callable[[str], str],
         sink: Sink | None,
     ) -> None:
         self.topics = [(relative(o.topic), o.port.msgtype) for o in outputs]
         records = links.records
         outside = [p for p in inputs if (p.name not in links.inputs if records is None else p.name in records)]
+        if options.mode == "lockstep":
+            overheard = {of_rig(k.shape["topic"]) for k in links.overheard}
+            outside = [p for p in outside if resolve(p.topic) not in overheard]
         self.foreign = {port.name: len(self.topics) + k for k, port in enumerate(outside)}
         self.topics += [(relative(resolve(p.topic)), p.msgtype) for p in outside]
+        self.overheard = [len(self.topics) + k for k in range(len(links.overheard))]
+        self.topics += [(relative(of_rig(k.shape["topic"])), k.shape["msgtype"]) for k in links.overheard]
         self.clock = len(self.topics)
         row = {o.number: o.layout for o in outputs} if plain else {}
         if links.owns_clock:

@@ -101,7 +101,7 @@ class Lockstep(Link):
             stamped = [o for o in node.outputs if o.port.stamped and not o.port.delayed]
             first = 0 if node.is_plant else 1
             repeat_first([*stamped, node.clock_output], lambda: node.state == "running" and node.ticks == first)
-        senders.follow_ticks({*local, node.middleware.name}, self._heard_of_tick)
+        senders.follow_ticks({*local, node.middleware.name}, self.last_came)
         senders.await_tick(0)
         wanted = [(o, list(links.readers.get(o.name, []))) for o in node.outputs]
         if links.owns_clock:
@@ -194,7 +194,8 @@ class Lockstep(Link):
         """A solver is at work somewhere in the rig: the time without progress begins anew."""
         self.senders.heard += 1
 
-    def _heard_of_tick(self) -> None:
+    def last_came(self) -> None:
+        """See `Drive.last_came`."""
         if self._over and self.node.state == "running":
             self._leave()
 
@@ -274,9 +275,13 @@ class Lockstep(Link):
         )
 
     def _leave(self) -> None:
-        """Finish when all who tell us of their ticks have begun: they may still wait for us to be there."""
+        """Finish when all who tell us of their ticks have begun, who may still wait for us to be there.
+
+        Then wait, for a bounded time, for the last messages of external nodes, which it records.
+        """
         self._over = True
-        if self.ready and all(row.heard for row in self.senders.rows if row.earlier):
+        begun = self.ready and all(row.heard for row in self.senders.rows if row.earlier)
+        if begun and self.node.overheard.complete():
             self.node.finish()
 
     def busy(self) -> bool:
@@ -309,4 +314,5 @@ class Lockstep(Link):
                 self.spoken.again()
             if stands and self._comeback is not None and self._comeback.look():
                 self._stalls.handshake = self.handshake = self._shake()  # without those who have left
+        self.last_came()
         self._stalls.look()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from softrig_core.block.port import Port
 from softrig_core.rig.members import Link, Member
-from softrig_core.rig.options import InputLink, Links
+from softrig_core.rig.options import InputLink, Links, OverheardLink
 from softrig_core.rig.rig import Rig
 from softrig_core.solver.solver import Solver
 
@@ -37,6 +39,7 @@ def links(rig: Rig, member: Member) -> Links:
         records=_recorded_inputs(rig, member),
         readers={p.name: [m.name for m, _ in rig.readers(member, p) if not m.external] for p in member.outputs},
         free=[name for name, k in member.links.items() if k.source.external and k.port.sporadic],
+        overheard=_overheard(rig, member),
         guests=any(m.external for m in rig.members),
         outside=[p.topic for m in rig.members if m.external for p in m.outputs if ours(rig.readers(m, p))],
         clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if clocked and not by_readers else None,
@@ -58,6 +61,23 @@ def links(rig: Rig, member: Member) -> Links:
 def starter(rig: Rig) -> Member:
     """Return the node that says when a run in real time starts: the clock, or the first that is ours."""
     return next((m for m in (rig.clock, *rig.members) if not m.external), rig.clock)
+
+
+def _overheard(rig: Rig, member: Member) -> list[OverheardLink]:
+    """Return the outputs of external nodes that a member records: those that it is the first to read.
+
+    What nobody reads is recorded by the starter. A sporadic one is recorded by its reader, at the tick that uses it.
+    """
+    found = []
+    for m in rig.members:
+        for p in m.outputs if m.external else ():
+            readers = [(reader, port) for reader, port in rig.readers(m, p) if not reader.external]
+            recorder, port = readers[0] if readers else (starter(rig), p)
+            if recorder is member and not (readers and p.sporadic):
+                link = {"period": _seconds(m), "node": m.name, "at_end": m.schedule.at_end}
+                read = replace(port, topic=p.topic)
+                found.append(OverheardLink.of(read, sporadic=p.sporadic, delayed=p.delayed, **link))
+    return found
 
 
 def ours(readers: list[tuple[Member, Port]]) -> bool:

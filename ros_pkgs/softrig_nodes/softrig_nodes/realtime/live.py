@@ -81,6 +81,11 @@ class LiveSenders:
                     sink.add(number, stamp, data)
             self.unrecorded = [entry for entry in self.unrecorded if entry[0] > stamp]
 
+    def record_rest(self, stamp: int) -> None:
+        """Record what came after the last tick, whose stamp is given, for no tick of ours."""
+        for due in sorted({max(due, stamp) for due, _, _ in self.unrecorded}):
+            self.record(due)
+
     def believe(self, stamp: int, delayed: bool = False) -> None:
         """Ensure that a stamp is near enough to now.
 

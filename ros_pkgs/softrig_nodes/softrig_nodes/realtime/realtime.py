@@ -81,6 +81,7 @@ class Realtime(Link):
         self._rivals: list[Live] = []  # those of them that others write, too
         self._begun: Callable[[], object] | None = None
         self.departure: Departure | None = None
+        self._over = False  # the last tick is answered
 
     def tell(self, output: Output, reader: Realtime, row: Live, pick: Pick | None) -> None:
         """Pass an output to a node of this process, too."""
@@ -275,8 +276,8 @@ class Realtime(Link):
             due = node.schedule.held(end)
             number = node.schedule.tick(due)
             if number <= self.tick_number:
-                node.finish()
-        if number <= self.tick_number or node.state != "running":
+                self._leave()
+        if number <= self.tick_number or node.state != "running" or self._over:
             return
         if self._rivals and any(f.deaf() for f in self._rivals) and not node.is_plant:
             return  # neither of two publishers is believed
@@ -331,6 +332,8 @@ class Realtime(Link):
     def _answer(self, t: int) -> None:
         """Publish the answer of tick `t`; the safe values when the law overflows or gives what nobody may send."""
         node, step = self.node, self.node.step
+        if self._over:
+            return
         self._use(t)
         try:
             step.say(t)
@@ -350,7 +353,21 @@ class Realtime(Link):
         if node.buttons.pressed:
             node.buttons.release()
         if node.schedule.end is not None and t >= node.schedule.end:
-            node.finish()
+            self._leave()
+
+    def _leave(self) -> None:
+        """Finish, after a bounded wait for the last messages of external nodes, which it records."""
+        if not self._over:
+            self._over = True
+            self.senders.record_rest(self.node.epoch + self.node.t)
+            self.node.overheard.over()
+        if self.node.overheard.complete():
+            self.node.finish()
+
+    def last_came(self) -> None:
+        """See `Drive.last_came`."""
+        if self._over and self.node.state == "running":
+            self._leave()
 
     def counts(self) -> dict[str, int]:
         """Missed deadlines, incomplete and dropped ticks, lost and late messages so far."""

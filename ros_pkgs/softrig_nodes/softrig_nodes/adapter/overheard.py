@@ -1,0 +1,176 @@
+"""What external nodes publish: the first subscriber of the rig records it, or the starter what has no subscriber.
+
+Our nodes record what they publish; an external node records nothing. In lockstep a message is recorded at its own time,
+with all that a slower reader does not use. In real time a reader records what it uses at the tick that uses it, by
+which a repetition finds it (`LiveSenders.record`), and only what comes after its last tick is left.
+
+The recorder waits for the publishers at the start and for the last messages at the end, each for a bounded time: an
+external node need not have all outputs of the node that it replaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from softrig_core.block.block import Level
+from softrig_core.block.port import Refused
+from softrig_core.rig.options import OverheardLink
+
+from ..seam.endpoint import Input
+
+Adapter = Any  # `softrig_nodes.adapter.adapter.Adapter`, which imports this
+PATIENCE = 1.0  # s without a publisher at the start, or without a message at the end
+
+
+class Overheard(Input):
+    """One topic of an external node.
+
+    Parameters
+    ----------
+    node : Adapter
+        The recorder.
+    link : OverheardLink
+    number : int
+        Of the topic in the record.
+    read : bool
+        Whether it is an input of the recorder.
+
+    Attributes
+    ----------
+    read_here : bool
+    used : bool
+        Whether the reader records the messages itself.
+    """
+
+    def __init__(self, node: Adapter, link: OverheardLink, number: int, read: bool) -> None:
+        super().__init__(link.made())
+        self._node, self._number, self._sporadic = node, number, link.sporadic
+        self._schedule = node.peer(link)
+        self._stamped = self.port.stamped and not link.delayed
+        self.read_here = read
+        self._live = node.options.mode == "realtime"
+        self.used = read and self._live  # what the reader records
+        self._count = 0
+        self._newest = -1  # time of the newest message in the record, ns from t = 0
+        self._last = b""
+
+    def receive(self, data: bytes) -> None:
+        """Record a message but one that is published again for late subscribers, or that no input would take."""
+        node = self._node
+        try:
+            mark, values = self.decode(data)
+        except Refused as error:
+            self.refused += 1
+            text = f"{self.refused} messages on {self.port.topic} are not recorded: {error}"
+            node.step.note(Level.WARN, f"unrecorded {self.port.topic}", text)
+            return
+        self.decode.kept = values
+        self.heard = True
+        known = self._stamped or (self.port.type.shaped and mark >= 0)
+        if node.record.sink is None or (data == self._last and (known or (self._count == 1 and not node.ticks))):
+            return
+        self._last = bytes(data)
+        self._newest = max(self._newest, self._time(mark))
+        self._count += 1
+        if not self.used:
+            node.record.sink.add(self._number, node.epoch + self._newest, self._last)
+
+    def _time(self, mark: int) -> int:
+        """Return the time to which a message belongs, ns from t = 0."""
+        node, end = self._node, self._node.schedule.end
+        if self._stamped:
+            if mark >= node.epoch and (end is None or mark - node.epoch <= end):
+                return mark - int(node.epoch)
+            text = f"{self.port.topic} is recorded when it arrives, for its stamps are no times of the run"
+            node.step.note(Level.WARN, f"stamps of {self.port.topic}", text)
+            return int(node.t)
+        if self._sporadic or self._live:
+            return int(node.t)
+        due = self._schedule.time(mark if self.port.type.shaped and mark >= 0 else self._count)
+        return due if end is None or due <= end else int(node.t)
+
+    @property
+    def complete(self) -> bool:
+        """Return whether no message is missing, as far as this can be known."""
+        last = self._schedule.last
+        return self._sporadic or not self.publishers or last is None or self._newest >= last
+
+
+class OverheardTopics:
+    """All topics of external nodes that a node records.
+
+    Parameters
+    ----------
+    node : Adapter
+    numbers : sequence of int
+        Of the topics in the record, in the order of `Links.overheard`.
+    """
+
+    def __init__(self, node: Adapter, numbers: Sequence[int]) -> None:
+        self._node = node
+        read = {node.middleware.resolve(p.topic) for p in node.step.inputs}
+        links = [(link, node.of_rig(link.shape["topic"])) for link in node.links.overheard]
+        self._rows = {
+            topic: Overheard(node, link, number, topic in read)
+            for (link, topic), number in zip(links, numbers, strict=True)
+        }
+        self._since: dict[str, float] = {}  # wall-clock time since when the start, or the end, is waited for, s
+        self._then: Callable[[], object] = lambda: None
+
+    def subscribe(self, then: Callable[[], object]) -> None:
+        """Subscribe to the topics that are no inputs; `then` is called after each message of any.
+
+        This comes before the inputs: an external node may begin when these are matched.
+        """
+        self._then = then
+        for topic, row in self._rows.items():
+            if not row.read_here:
+                self._node.middleware.subscribe(topic, row.port.msgtype, partial(self._receive, row), row.matched)
+
+    def beside(self, item: Input) -> tuple[Callable[[bytes], None], Callable[[int], None]]:
+        """Return what receives the messages of an input, and what notes its writers: the record has both, too."""
+        row = self._rows.get(self._node.middleware.resolve(item.port.topic))
+        if row is None:
+            return item.receive, item.matched
+
+        def receive(data: bytes) -> None:
+            self._receive(row, data)
+            item.receive(data)
+
+        def matched(count: int) -> None:
+            row.matched(count)
+            item.matched(count)
+
+        return receive, matched
+
+    def _receive(self, row: Overheard, data: bytes) -> None:
+        """Record a message; before t = 0 is set in real time, and after the run, it belongs to no tick."""
+        if self._node.state == "running" or (self._node.state, self._node.options.mode) == ("starting", "lockstep"):
+            row.receive(data)
+            self._since.pop("end", None)
+            self._then()
+
+    def over(self) -> None:
+        """Record all messages from now on: the last tick of the node is answered."""
+        for row in self._rows.values():
+            row.used = False
+
+    def absent(self) -> list[str]:
+        """Describe the topics whose publisher is still waited for at the start."""
+        lacking = [row.port.topic for row in self._rows.values() if not row.publishers and not row.heard]
+        if lacking and self._waits("start"):
+            return [f"no publisher on {topic} yet (of an external node)" for topic in lacking]
+        for topic in lacking:
+            text = f"nobody publishes {topic}, which an external node should: it is not recorded"
+            self._node.step.note(Level.WARN, f"unrecorded {topic}", text)
+        return []
+
+    def complete(self) -> bool:
+        """Return whether the node may leave: the last messages have come, or no more is waited for."""
+        return all(row.complete for row in self._rows.values()) or not self._waits("end")
+
+    def _waits(self, what: str) -> bool:
+        now = self._node.middleware.steady()
+        return bool(now - self._since.setdefault(what, now) < PATIENCE)
