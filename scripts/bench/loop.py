@@ -151,7 +151,7 @@ def _time(function: Callable[[], object], calls: int = 20_000) -> float:
 
 
 def recording() -> None:
-    """What recording costs a run through processes, start to finished bag."""
+    """Measure what recording costs a run through processes, start to finished bag."""
 
     def whole(record: bool) -> dict[str, float]:
         with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""What Sphinx is told; `docs.__main__` writes the source folder that it reads."""
+"""Configuration of Sphinx; `docs.__main__` writes the source folder that it reads."""
 
 import re
 import sys

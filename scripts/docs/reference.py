@@ -211,7 +211,7 @@ def messages() -> str:
 
 
 def front_door() -> dict[str, str]:
-    """What `softrig_core` names, from docstrings: a page a module, and their list."""
+    """Write what `softrig_core` exports, from docstrings: a page per module, and their list."""
     homes = vars(softrig_core)["_HOMES"]
     modules = {
         f"softrig_core.{home}": sorted(homes[home].split(), key=lambda name: name != "simulate")
@@ -223,7 +223,7 @@ def front_door() -> dict[str, str]:
 
 
 def api(package: str) -> dict[str, str]:
-    """What the modules of a package say of themselves, their classes and functions: a page each, and their list."""
+    """Write the docstrings of a package's modules, classes and functions: a page each, and their list."""
     described = re.search("<description>(.*)</description>", (ROOT / "ros_pkgs" / package / "package.xml").read_text())
     assert described, f"{package}: package.xml without a description"
     modules = {}

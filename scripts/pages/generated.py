@@ -63,7 +63,7 @@ _VERDICTS = re.compile(r"(<!-- verdicts: ([^>]*?) -->)[^\n]*?(<!-- end -->)")
 
 
 def generate(page: str, runs: bool = False) -> str:
-    """Return a page with its generated parts made anew; what is measured stays unless `runs`, which simulates."""
+    """Return a page with its generated parts renewed; measured parts stay unless `runs`, which simulates."""
 
     def part(found: re.Match[str]) -> str:
         if found[2] in ("exported", "measured", "licences") and not runs:
@@ -128,7 +128,7 @@ def carried(ports: Sequence[Port]) -> list[str]:
     why = {
         "position": "measured or computed values with a name",
         "velocity": "rates in the unit of their position",
-        "effort": "what an actuator or a source is told to apply, as in the effort interface of ros2_control",
+        "effort": "commands of an actuator or a source, as in the effort interface of ros2_control",
     }
     if not found:
         return []

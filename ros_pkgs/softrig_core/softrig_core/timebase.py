@@ -51,7 +51,7 @@ class Pace:
         self._stopped = None
 
     def begin(self) -> None:
-        """Count anew, from wherever the run is next."""
+        """Restart the count from the next position of the run."""
         self._mark = None
 
     def reach(self, now: float, t: int) -> int | None:

@@ -226,7 +226,7 @@ class CommandSearch(Block[P], ABC):
         return self._note(x)
 
     def decides(self, x: State, t: int) -> bool:
-        """Return whether the search is told something: it is a generator."""
+        """Return whether the search receives values: it is a generator."""
         if x.phase != Phase.SEARCH or x.waiting or x.looking != NEVER or x.since == NEVER:
             return False
         return x.search.watches or t - x.since >= self._wait(x)

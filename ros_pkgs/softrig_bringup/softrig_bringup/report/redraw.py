@@ -129,7 +129,7 @@ class Look(NamedTuple):
 
 
 def main(options: argparse.Namespace) -> int:
-    """Draw pictures of runs anew: of some signals, or the plots of their scenario; print their files."""
+    """Draw pictures of runs again, of some signals or of the plots of their scenario; print their files."""
     runs = [Path(word) for word in options.what if _is_run(word)] or [Path(options.what[0])]
     names = [word for word in options.what if Path(word) not in runs]
     look = _look(options, bool(names))

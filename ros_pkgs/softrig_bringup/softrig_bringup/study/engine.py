@@ -226,7 +226,7 @@ def _suggest_middle(d: Any) -> Any:
 
 
 def _search(study: Study, search: Search, batch: Batch, drafts: Mapping[str, Draft]) -> None:
-    """Ask and tell in batches; rows that are there already are told again in the same order."""
+    """Ask and tell in batches; rows that exist already are reported again in the same order."""
     need("optuna", f"{study.name}: its search")
     import optuna
 

@@ -36,7 +36,7 @@ def styled(*parts: str | tuple[str, str]) -> Text:
 
 
 class _Console(Console):
-    """As rich has it, but text is text, and a reader that has gone is told by its own exit status, not by 1."""
+    """Rich's console, but text is text, and a closed pipe has its own exit status instead of 1."""
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Show control characters instead of obeying them."""

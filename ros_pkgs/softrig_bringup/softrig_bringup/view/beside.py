@@ -1,4 +1,4 @@
-"""A page beside a run: its process, what it is told, and the wait for the last browser."""
+"""A page beside a run: its process, the data sent to it, and the wait for the last browser."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class Instance:
         self._said.append(arguments[-1].decode(errors="replace") if arguments[-1] else "")
 
     def begin(self) -> Numbers:
-        """Instantiate anew, set the start values, initialise at time 0, and give the outputs."""
+        """Instantiate again, set the start values, initialise at time 0, and return the outputs."""
         return self._told(self._begin)
 
     def advance(self, start: float, end: float, values: Numbers) -> Numbers:
@@ -247,7 +247,7 @@ class Instance:
         return [z > 0.0 for z in self._z]
 
     def _integrate(self, a: float, b: float) -> None:
-        """Make one step of the integrator, split at time events; a state event takes effect at the end of its step."""
+        """Advance by one integrator step, split at time events; a state event takes effect at its end."""
         while a < b:
             end = self._next if a < self._next < b else b
             before = self._signs()

@@ -197,7 +197,7 @@ class _Fmu(Block[FmuParams]):
         self._running = Running() if before is None else before
 
     def first(self) -> State:
-        """Instantiate the FMU anew and initialise it; report what its description has that has no effect."""
+        """Instantiate the FMU again and initialise it; report parts of its description without effect."""
         for note in self.p.unit.notes:
             self.report(Level.WARN, note, note)
         found = self._asked(0, self._running.begin, self._make)

@@ -538,7 +538,7 @@ def plants_say(rig: Rig) -> list[str]:
 
 
 def _sources_say(rig: Rig, said: Sequence[str]) -> list[str]:
-    """Return what sources say to those that count, and not more seldom than those are due."""
+    """Return what sources publish to the nodes that count, at least as often as those are due."""
     whole: dict[str, Any] = {}
     for name in said:
         upstream(place_of(rig, name).member, whole)

@@ -62,7 +62,7 @@ def signal_of(rig: Rig, name: str) -> str:
 
 
 def place_of(rig: Rig, signal: str) -> Place:
-    """Find who says a signal, by its whole name."""
+    """Find the publisher of a signal by its full name."""
     return next(
         Place(m, p, k)
         for m in rig.members

@@ -197,7 +197,7 @@ def _least_squares(A: Array, move: Array, sizes: Array) -> Array:
 
 
 def _go(m: StateMap, kept: list[int], step: Array) -> None:
-    """Take a Newton step, or half of it, and so on, until the rig accepts it."""
+    """Try a Newton step, then half of it, and so on, until the rig accepts it."""
     for share in 0.5 ** np.arange(8.0):
         there = m.start.copy()
         there[kept] += share * step

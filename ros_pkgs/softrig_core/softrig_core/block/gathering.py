@@ -65,7 +65,7 @@ class _Seen:
         self.stamps, self.values = array("q"), array("d")
 
     def messages(self) -> Heard:
-        """Return what there is and begin anew."""
+        """Return what was collected, and start again."""
         stamps, values = np.frombuffer(self.stamps, np.int64), np.frombuffer(self.values)
         self.stamps, self.values = array("q"), array("d")
         return Heard(stamps, values.reshape(len(stamps), self._size))
@@ -125,6 +125,6 @@ class Gathering(Link):
 
 
 def gather(step: Step, ticks: int) -> None:
-    """Have a step take in so many ticks as one batch, if it has no outputs and its block takes batches."""
+    """Let a step process so many ticks in one batch, if it has no outputs and its block supports batches."""
     if ticks > 1 and not step.outputs and takes_batches(step.block):
         Gathering(step, ticks)

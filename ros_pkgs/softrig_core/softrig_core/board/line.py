@@ -326,7 +326,7 @@ class Line:
         return self.wire is not None
 
     def _open(self) -> bool:
-        """Try to open the port; seldom enough to cost nothing."""
+        """Try to open the port, rarely enough to cost nothing."""
         if self._clock() - self._tried < REOPEN:
             return False
         self._tried = self._clock()

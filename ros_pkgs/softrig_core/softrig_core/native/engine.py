@@ -347,7 +347,7 @@ class Engine:
         return [*forms, tuple(one.form for one in self._holdings)]
 
     def _others(self) -> bool:
-        """Return whether states or constants are of other types, or made anew: the text may be another."""
+        """Return whether states or constants have other types or are new objects: the code may then differ."""
         return self._forms() != self._fits or [one.key for one in self._newest] != self._keys
 
     def _drawn(self, draws: Any, count: int) -> Any:

@@ -151,7 +151,7 @@ class Turns:
         return self._due(k, [self._state(k, value)])
 
     def act(self, k: int, said: Sequence[str]) -> list[str]:
-        """Write what a member says that is told what to say."""
+        """Write the code of a node whose outputs are given."""
         return self._due(k, [f"r{k} = ({''.join(f'{x}, ' for x in said)})"])
 
     def decided(self, state: str) -> list[str]:

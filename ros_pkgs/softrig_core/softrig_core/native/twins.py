@@ -91,7 +91,7 @@ def unpacker(sample: Any) -> Way:
 
 
 def _by_parts(kind: Any, ways: Sequence[Way], other: Any = None) -> Way:
-    """Return how a tuple is made anew, of its own kind or another, where one of its parts is."""
+    """Return how a tuple is rebuilt, with its own type or another, where one of its parts is replaced."""
     own = other or (kind if hasattr(kind, "_fields") else None)
     changed = [(k, way) for k, way in enumerate(ways) if way is not None]
     if not changed and kind is (own or tuple):

@@ -231,7 +231,7 @@ class Ways:
         raise NotImplementedError
 
     def _held(self, value: Value) -> Value:
-        """Return a value that stays as it is while names are bound anew."""
+        """Return a value that stays unchanged while names are bound again."""
         if isinstance(value, Dynamic):
             name = self.temporary(value.code)
             return Dynamic(name, value.sample, value.sure, value.keys, value.parts)

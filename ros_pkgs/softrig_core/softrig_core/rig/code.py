@@ -1,4 +1,4 @@
-"""Which code a rig is made of: a fingerprint of each package, so that runs of different code are told apart."""
+"""Which code a rig is made of: a fingerprint of each package, so that runs of different code can be distinguished."""
 
 from __future__ import annotations
 

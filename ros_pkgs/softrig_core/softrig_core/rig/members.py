@@ -162,7 +162,7 @@ def other_names(rig: Members) -> dict[str, dict[str, str]]:
 
 
 def unit_of(source: Member, port: Port, label: str, seen: tuple[str, ...] = ()) -> str:
-    """Return the unit of an output's value; of a link, which hands on what it does not know, that of its sender."""
+    """Return the unit of an output's value; of a link, which forwards unknown units, that of its publisher."""
     unit = port.units[port.places[label]]
     for inward in source.inputs:
         link = source.links.get(inward.name)

@@ -211,7 +211,7 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
 
 
 def _by_new_names(below: Any, change: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Give executables their new names: one that is inherited by its new name is no other one."""
+    """Replace old names of executables: one inherited under its new name is the same executable."""
     nodes, below = change.get("nodes"), below if isinstance(below, Mapping) else {}
     if not isinstance(nodes, Mapping):
         return change

@@ -100,7 +100,7 @@ class DcAxisPlant(Plant[DcAxisParams]):
         return State(y, v, past)
 
     def _move(self, y: float, v: float, f: float) -> tuple[float, float]:
-        """Make one step under the net force, up to the speed limit."""
+        """Move by one step under the net force, up to the speed limit."""
         new_y, new_v = self._motion.step(y, v, f)
         if abs(new_v) > self.p.vmax:
             top = math.copysign(self.p.vmax, new_v)
@@ -108,7 +108,7 @@ class DcAxisPlant(Plant[DcAxisParams]):
         return new_y, new_v
 
     def _slide(self, y: float, v: float, f: float) -> tuple[float, float]:
-        """Make one sub-step with dry friction: stuck, slipping, or coming to rest inside it."""
+        """Move by one sub-step with dry friction: stuck, slipping, or coming to rest inside it."""
         if v == 0.0:
             return self._move(y, v, f - math.copysign(self.p.coulomb, f)) if abs(f) > self.p.stiction else (y, v)
         net = f - math.copysign(self.p.coulomb, v)

@@ -19,7 +19,7 @@ class DcMotor(Drawing):
     title = "DC motor: armature circuit and shaft"
 
     def setup(self) -> None:
-        """Shaft, true where it is told apart, voltage, current and reference."""
+        """Shaft, true and measured where they differ, voltage, current and reference."""
         true = any(p.name == "true_state" for p in self.plant.outputs)
         port = "true_state" if true else "state"
         self.angle = self.quantity(port, "shaft/position")

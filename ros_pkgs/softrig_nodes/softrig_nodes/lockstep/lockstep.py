@@ -191,7 +191,7 @@ class Lockstep(Link):
                 self._leave()
 
     def _patient(self) -> None:
-        """A solver is at work somewhere in the rig: the time without progress begins anew."""
+        """A solver is at work somewhere in the rig: the time without progress starts again."""
         self.senders.heard += 1
 
     def last_came(self) -> None:

@@ -1,4 +1,4 @@
-"""What a node must know of its peers: who sends what it reads, who waits for whom, who says what is over."""
+"""What a node must know of other nodes: publishers of its inputs, nodes that wait for it, and acknowledgements."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _told(reader: Member, link: Link) -> bool:
 
 
 def _tells(rig: Rig, member: Member) -> list[str]:
-    """Name the nodes that are told in real time at which ticks a member was silent."""
+    """Name the nodes that receive the silent ticks of a node in real time."""
     found = [m.name for m in rig.members for k in m.links.values() if k.source is member and _told(m, k)]
     return [] if member.external else list(dict.fromkeys(found))
 

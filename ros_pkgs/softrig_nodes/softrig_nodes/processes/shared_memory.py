@@ -190,7 +190,7 @@ def _inode(path: Path) -> int:
 
 
 def _own() -> set[Path]:
-    """Return the ports on which this process holds the lock of who reads them."""
+    """Return the ports on which this process holds the subscriber's lock."""
     found = set()
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):

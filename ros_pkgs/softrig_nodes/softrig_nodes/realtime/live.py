@@ -223,7 +223,7 @@ class Live(Sender):
         self._keep(stamp, due, self.value(stamp, found), now)
 
     def teller(self, pick: Pick | None, unchecked: bool) -> Callable[[int, Row | None, int], None]:
-        """Return what takes the rows of a node of this process, checked by who says them or not: stamp, row, now."""
+        """Return the function for rows of a node of this process, checked by the publisher or not: stamp, row, now."""
         delayed = self.port.delayed
 
         def tell(stamp: int, row: Row | None, now: int) -> None:

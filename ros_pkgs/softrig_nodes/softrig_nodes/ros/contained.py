@@ -1,4 +1,4 @@
-"""The middleware of a node in a container: its neighbours are told by its `Group`, everybody else by DDS."""
+"""The middleware of a node in a container: its `Group` serves nodes of the process, DDS all others."""
 
 from __future__ import annotations
 

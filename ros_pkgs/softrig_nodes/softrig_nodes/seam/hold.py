@@ -88,7 +88,7 @@ class Hold:
             self._turn()
 
     def _tell(self) -> None:
-        """Tell the other nodes to wait while the rig is held."""
+        """Let the other nodes wait while the rig is paused."""
         if self._tells or not self._paced:
             return
         self._tells = True

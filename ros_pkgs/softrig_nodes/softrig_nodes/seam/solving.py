@@ -1,4 +1,4 @@
-"""Lockstep of a solver node: its executor goes on turning while the work is under way, and the peers are told."""
+"""Lockstep of a solver node: its executor stays active during the work, and other nodes are notified."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class FaultLocator(Block[FaultLocatorParams]):
 
     @classmethod
     def agreed(cls, params: FaultLocatorParams) -> Mapping[str, Any]:
-        """The true place, where it is told it; its idea of the line is its own."""
+        """The true place, if it receives it; its model of the line is its own."""
         return {} if params.truth_km is None else {"fault_location/x_km": params.truth_km}
 
     @classmethod

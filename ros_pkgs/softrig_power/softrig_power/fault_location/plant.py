@@ -72,7 +72,7 @@ class LinePlant(Plant[LinePlantParams]):
 
     @classmethod
     def agreed(cls, params: LinePlantParams) -> Mapping[str, Any]:
-        """Return what it is told against: the true place of the fault, and the length of the line, km."""
+        """Return what its result is compared with: the true place of the fault, and the length of the line, km."""
         return {"fault_location/x_km": params.fault.x_km, "fault_location/length": params.line.length}
 
     @classmethod
@@ -120,7 +120,7 @@ class LinePlant(Plant[LinePlantParams]):
         return found
 
     def advance(self, x: State, t: int, *, run: tuple[float, ...] | None) -> State:
-        """Move by one sampling period, or begin anew."""
+        """Move by one sampling period, or start again."""
         pressed = run is not None and run[0] != 0.0
         if pressed and not x.pressed:
             self.report(Level.OK, "run", "a new record begins")

@@ -130,7 +130,7 @@ def walk(step: Callable[..., None]) -> Callable[..., float]:
 
 @jit
 def switching(t: float, stop: float, x: Array, p: tuple[Circuit, Period]) -> None:
-    """Make one Runge-Kutta step of either averaged model."""
+    """Integrate either averaged model over one Runge-Kutta step."""
     if x.size == 3:
         step_dq(t, x, stop - t, 1, p)
     else:

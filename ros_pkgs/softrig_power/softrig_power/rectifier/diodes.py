@@ -21,7 +21,7 @@ STEP = 1e-6  # s, longest step; half of it changes the voltage of a loaded link 
 
 @jit
 def conduct(t: float, h: float, x: Array, p: tuple[Circuit, Period]) -> None:
-    """Make one step around t: a leg conducts by its upper diode into the link (s = 1), or back by the lower one.
+    """Integrate one step around t: a leg conducts by its upper diode into the link (s = 1), or back by the lower one.
 
     A leg without current has none until its terminal is above the link's positive or below its negative rail; a current
     that would turn round ends.

@@ -183,7 +183,7 @@ def crossing(
 
 @jit
 def piece(t: float, stop: float, x: Array, slope: Array, p: Legs, sums: Array) -> None:
-    """Make one step between two edges, and add to the sums by Simpson's rule (middle from values and slopes)."""
+    """Integrate one step between two edges, and add to the sums by Simpson's rule (middle from values and slopes)."""
     circuit, period = p[0], p[1]
     h = stop - t
     begin, first = x.copy(), slope.copy()

@@ -125,7 +125,7 @@ class VoltageController(Block[VoltageControllerParams]):
 
     @classmethod
     def agreed(cls, params: VoltageControllerParams) -> Mapping[str, Any]:
-        """The robot whose stability limit is told; the other laws have none."""
+        """The robot whose stability limit is reported; the other laws have none."""
         return params.robot.agreed() if params.law == "emvc" else {}
 
     def setup(self) -> None:

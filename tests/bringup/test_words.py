@@ -1,0 +1,56 @@
+"""Words that pages, messages and docstrings do without: each has a standard term in CONTRIBUTING's language guide."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = {
+    str(path.relative_to(ROOT)): path.read_text()
+    for room in ("ros_pkgs", "scripts")
+    for path in sorted((ROOT / room).rglob("*.py"))
+}
+PAGES = [ROOT / "README.md", ROOT / ".github/CONTRIBUTING.md", *sorted((ROOT / "ros_pkgs").glob("*/doc/*.md"))]
+
+# persons for things, old adverbs, verbs of speech for messages
+AVOIDED = re.compile(
+    r"\b(anew|seldom|lest|whomever|wherefore|who (?:reads|says|sends)|(?:is|are) told|hands? (?:on|out)\b(?! of))\b",
+    re.IGNORECASE,
+)
+# a docstring that begins so does not say what its function does
+FIRST = re.compile(
+    r'^ *(?:(?:async )?def [^\n]*|\)[^\n]*):\n +r?"{3}((?:Give|What|Whether|Have|Take|Say|Tell|Make)\b[^\n]*)',
+    re.MULTILINE,
+)
+LITERAL = re.compile(r'"[^"\n]* [^"\n]*"')
+
+
+def prose(page: str) -> str:
+    """Return a page without code and comments."""
+    for pattern in (r"(?s)```.*?```", r"(?s)<!--.*?-->", r"`[^`\n]*`", r"(?m)^    .*$"):
+        page = re.sub(pattern, "", page)
+    return page
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_uses_standard_terms(page):
+    assert AVOIDED.findall(prose(page.read_text())) == []
+
+
+def test_messages_use_standard_terms():
+    found = [
+        (name, text) for name, source in SOURCES.items() for text in LITERAL.findall(source) if AVOIDED.search(text)
+    ]
+    assert found == []
+
+
+def test_a_docstring_begins_with_what_its_function_does():
+    found = [(name, text) for name, source in SOURCES.items() for text in FIRST.findall(source)]
+    assert found == []
+
+
+def test_the_words_are_found_in_prose_and_in_literals_only():
+    assert AVOIDED.findall("It is told anew.") == ["is told", "anew"]
+    assert prose("a\n```sh\nanew\n```\n`anew` b\n\n    anew\n").split() == ["a", "b"]
+    assert FIRST.findall('def f(x) -> int:\n    """Give x."""\ndef g():\n    """Return x."""\n') == ['Give x."""']
