@@ -8,11 +8,13 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
-from rich.table import Table
 from softrig_control.fmu.export import export
-from softrig_core import rig_of
+from softrig_core import ScenarioError, rig_of
+from softrig_core.export.check import FLAGS
 from softrig_core.export.command import export_c, export_rig
+from softrig_core.export.golden import member_of
 
 from . import native
 from .console import console
@@ -23,7 +25,7 @@ STEPS = 20_000
 RIG = """
 #include "{n}.h"
 static {n} rig;
-void run(long ticks);
+SHOWN void run(long ticks);
 void run(long ticks)
 {{
     {n}_init(&rig);
@@ -36,13 +38,52 @@ PLANT = """
 #include "lsrm_plant.h"
 static lsrm_plant node;
 static lsrm_plant_in in;
-void run(long ticks);
+SHOWN void run(long ticks);
 void run(long ticks)
 {
     lsrm_plant_init(&node, NULL);
     in.voltage[0] = 10;
     for (long k = 0; k < ticks; k++) {
         (void)lsrm_plant_advance(&node, &in, k * 50000);
+    }
+}
+"""
+LAW = """
+#include "dc_motor_smc.h"
+#define ROWS 4096
+static dc_motor_smc node;
+static double w[ROWS], i[ROWS], u[ROWS];
+static const double c[8] = { WD_I, WD_W, C, GAIN, W_GAIN, WD_GAIN, DELTA, REFERENCE };
+SHOWN void run(long ticks);
+SHOWN void by_hand(long ticks);
+SHOWN double last(void);
+static void fill(void)
+{
+    for (int k = 0; k < ROWS; k++) {
+        w[k] = 0.005 * k;
+        i[k] = 0.1 + 0.001 * (k % 100);
+    }
+}
+double last(void) { return u[7]; }
+void run(long ticks)
+{
+    dc_motor_smc_in in = { .has_reference = true, .reference = { REFERENCE } };
+    dc_motor_smc_out out;
+    fill();
+    dc_motor_smc_init(&node, NULL);
+    for (long k = 0; k < ticks; k++) {
+        in.state[0] = w[k % ROWS];
+        in.sensors[1] = i[k % ROWS];
+        (void)dc_motor_smc_step(&node, &in, &out, k * 10000000);
+        u[k % ROWS] = out.command[0];
+    }
+}
+void by_hand(long ticks)
+{
+    fill();
+    for (long k = 0; k < ticks; k++) {
+        const double v = w[k % ROWS], wd = c[0] * i[k % ROWS] - c[1] * v, s = c[2] * (c[7] - v) - wd;
+        u[k % ROWS] = c[4] * v + c[5] * wd + c[3] * (s != 0.0 ? s / (fabs(s) + c[6]) : 0.0);
     }
 }
 """
@@ -92,12 +133,56 @@ def plant_rate() -> float:
         return _rate(Path(folder), PLANT.replace("in.voltage", f"in.{port}"), ["lsrm_plant.c"])
 
 
+def law_rates() -> tuple[float, float]:
+    """Measure ns of CPU a tick of the sliding mode law: in C by hand, and exported.
+
+    Raises
+    ------
+    ScenarioError
+        The two give other bits.
+    """
+    rig = rig_of("dc_motor_smc")
+    law: Any = member_of(rig, "dc_motor_smc").block(rig.scenario.seed)
+    r = 10.0
+    values = (law._wd_i, law._wd_w, law._c, law._k_per_ref * r / law._gain, law._w_gain, law._wd_gain, law._delta, r)
+    names = ("WD_I", "WD_W", "C", "GAIN", "W_GAIN", "WD_GAIN", "DELTA", "REFERENCE")
+    head = "".join(f"#define {name} {value!r}\n" for name, value in zip(names, values, strict=True))
+    with tempfile.TemporaryDirectory() as folder:
+        export_c(rig, "dc_motor_smc", Path(folder), rows=500, drawn=100)
+        library = _built(Path(folder), head + LAW, ["dc_motor_smc.c"])
+    library.last.restype = ctypes.c_double
+    found, answers = [], []
+    for run in (library.by_hand, library.run):
+        found.append(least(lambda run=run: run(ctypes.c_long(TICKS))) / TICKS * 1e9)  # type: ignore[misc]
+        answers.append(library.last())
+    if answers[0] != answers[1]:
+        raise ScenarioError(f"the sliding mode law: C by hand gives {answers[0]!r}, exported {answers[1]!r}")
+    return found[0], found[1]
+
+
 def _rate(place: Path, driver: str, sources: list[str]) -> float:
-    (place / "driver.c").write_text("#include <stddef.h>\n" + driver)
-    command = ["gcc", "-O2", "-flto", "-ffp-contract=off", "-shared", "-fPIC", "-o", "driver.so", "driver.c", *sources]
-    subprocess.run([*command, "-lm"], cwd=place, check=True)
-    run = ctypes.CDLL(str(place / "driver.so")).run
+    run = _built(place, driver, sources).run
     return least(lambda: run(ctypes.c_long(TICKS))) / TICKS * 1e9
+
+
+def _built(place: Path, driver: str, sources: list[str]) -> Any:
+    shown = '#define SHOWN __attribute__((visibility("default")))\n#include <stddef.h>\n'
+    (place / "driver.c").write_text(shown + driver)
+    command = [
+        "gcc",
+        *FLAGS,
+        "-flto",
+        "-fvisibility=hidden",
+        "-shared",
+        "-fPIC",
+        "-o",
+        "driver.so",
+        "driver.c",
+        *sources,
+        "-lm",
+    ]
+    subprocess.run(command, cwd=place, check=True)
+    return ctypes.CDLL(str(place / "driver.so"))
 
 
 def fmu_rates(node: str) -> tuple[float, float]:
@@ -118,17 +203,17 @@ def fmu_rates(node: str) -> tuple[float, float]:
 
 def print_table() -> None:
     """Exported C beside C by hand and native code, ns of CPU a tick; FMUs with and without Python, ns a step."""
-    table = Table("loop", "C by hand", "native", "exported C", "exported / by hand", box=None, pad_edge=False)
+
+    def row(name: str, by_hand: float, own: float, native: float | None = None) -> None:
+        known = "" if native is None else f", native {native:.1f}"
+        console.print(f"{name}: C by hand {by_hand:.1f}, exported {own:.1f} ({own / by_hand:.2f} of it){known}")
+
+    row("law of dc_motor_smc", *law_rates())
     for name in native.LOOPS:
-        known, own = native.rates(name), rig_rate(name)
-        by_hand = known["C by hand"]
-        table.add_row(name, f"{by_hand:.1f}", f"{known['native']:.1f}", f"{own:.1f}", f"{own / by_hand:.2f}")
-    core, own = native.core_rates(), plant_rate()
-    by_hand = core["C by hand, 1 a loop"]
-    table.add_row("lsrm_plant", f"{by_hand:.1f}", f"{core['native']:.1f}", f"{own:.1f}", f"{own / by_hand:.2f}")
-    console.print(table)
-    table = Table("FMU, a step", "with Python", "without", "times", box=None, pad_edge=False)
+        known = native.rates(name)
+        row(f"rig {name}", known["C by hand"], rig_rate(name), known["native"])
+    core = native.core_rates()
+    row("plant of lsrm_fuzzy", core["C by hand, 1 a loop"], plant_rate(), core["native"])
     for node in ("dc_motor_plant", "dc_motor_smc"):
         python, plain = fmu_rates(node)
-        table.add_row(node, f"{python:,.0f}", f"{plain:,.0f}", f"{python / plain:,.0f}")
-    console.print(table)
+        console.print(f"FMU of {node}: with Python {python:,.0f}, without {plain:,.0f} ({python / plain:,.0f} times)")

@@ -1,4 +1,4 @@
-"""Which classes of the shipped scenarios have C and structured text: each exported and held against Python."""
+"""Which classes and whole rigs of the shipped scenarios have C, each exported and compared with its run in Python."""
 
 from __future__ import annotations
 
@@ -9,17 +9,45 @@ from pathlib import Path
 from softrig_core import Rig, ScenarioError, list_scenarios, rig_of
 from softrig_core.export.c_files import Exported
 from softrig_core.export.check import replayed
-from softrig_core.export.command import export_c
+from softrig_core.export.command import export_c, export_rig
 from softrig_core.export.golden import member_of
 from softrig_core.export.st import ordered, structured_text
 from softrig_core.export.st_files import executed
 from softrig_core.native.value import NotNative
 
+SAME = "same bits"
 ROWS = 500  # calls of the run, and as many with drawn inputs
 FOLDED = "<details>\n<summary>{count} classes, {c} as C, {st} as structured text</summary>\n\n{table}\n</details>\n"
+TICKS = 300  # of a whole rig
+GROUPED = "<details>\n<summary>{same} of {count} scenarios have the same bits</summary>\n\n{table}\n</details>\n"
 
 
-def exported(names: list[str]) -> str:
+def rigs(names: list[str]) -> str:
+    """Return the table of whole rigs: what came out, and the scenarios for which it did."""
+    found: dict[str, list[str]] = {}
+    for name in names or list_scenarios():
+        found.setdefault(whole(name), []).append(name)
+    rows = sorted(found.items(), key=lambda row: (row[0] != SAME, -len(row[1]), row[0]))
+    lines = ["| whole rig as C | scenarios | |", "|---|---|---|"]
+    lines += [f"| {result} | {len(row)} | {', '.join(f'`{n}`' for n in row)} |" for result, row in rows]
+    count = sum(map(len, found.values()))
+    return GROUPED.format(same=len(found.get(SAME, ())), count=count, table="\n".join(lines))
+
+
+def whole(name: str) -> str:
+    """Return how the C of a whole scenario compares with its run in Python over `TICKS` ticks."""
+    with tempfile.TemporaryDirectory() as place:
+        try:
+            done, _ = export_rig(rig_of(name), Path(place), rows=TICKS)
+            found = replayed(Path(place), done.name)
+        except ScenarioError as reason:
+            return _short(str(reason))
+    if found.same:
+        return SAME
+    return f"{found.differing} numbers differ, {found.gave_up} ticks were not answered"
+
+
+def classes(names: list[str]) -> str:
     """Return the table: of each class the first scenario that has it."""
     seen: dict[str, tuple[str, Rig]] = {}
     for name in names or list_scenarios():
@@ -62,3 +90,6 @@ def _short(reason: str) -> str:
     reason = reason.partition("cannot be exported as C: ")[2] or reason
     found = re.fullmatch(r"[\w.]*?(\w+\.\w+|\w+), line \d+: (.*)", reason)
     return (f"{found[1]}: {found[2]}" if found else reason).replace("|", "/")
+
+
+EXPORTED = {"classes": classes, "rigs": rigs}

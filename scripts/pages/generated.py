@@ -14,7 +14,8 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- licences: run -->                                         of what lock files pin, or of what casadi has inside;
                                                                     anew only with --runs
     <!-- format: softrig_robots.urdf_file URDF -->                 a table of what is used, ignored, refused of a file
-    <!-- exported: all -->                                          classes that have C; anew only with --runs
+    <!-- exported: classes -->                                      classes that have C; anew only with --runs
+    <!-- exported: rigs -->                                         whole scenarios that have C; anew only with --runs
     <!-- names: nodes -->                                      nodes, topics, parameters or verbs with the field's names
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
@@ -49,7 +50,7 @@ from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import hold
 
 from . import drawn, numbers
-from .exported import exported
+from .exported import EXPORTED
 from .licences import licences
 from .names import names
 from .plots import animate, animation, draw, picture
@@ -77,7 +78,7 @@ def generate(page: str, runs: bool = False) -> str:
             "picture": lambda: picture(first, int(words[0])),
             "animation": lambda: animation(first),
             "measured": lambda: measured(found[3]),
-            "exported": lambda: exported([] if first == "all" else [first, *words]),
+            "exported": lambda: EXPORTED[first](words),
             "rooms": lambda: house(first),
             "code": lambda: code(first, words),
             "names": lambda: names(first),

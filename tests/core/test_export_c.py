@@ -1,18 +1,27 @@
 """Exported C against Python, call by call: the golden rows are Python's answers, the replay is compiled C."""
 
+import ctypes
 import json
+import math
 import re
 import shutil
 import subprocess
 from graphlib import TopologicalSorter
+from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import few
 from softrig_core import ScenarioError, rig_of
+from softrig_core.export import reader as reader_module
 from softrig_core.export.check import BOARDS, FLAGS, TOOLS, replayed
 from softrig_core.export.command import export_c, export_rig, main
 from softrig_core.export.drawn import Raised, drawn_calls
 from softrig_core.export.golden import golden_calls, member_of
+from softrig_core.export.kinds import REAL, Table
+from softrig_core.export.reader import Reader
+from softrig_core.export.unit import Unit
+from softrig_core.native.value import NotNative
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
 
@@ -31,6 +40,9 @@ NODES = {
     "complex quotients": ("gupfc", "series_controller_1"),
     "a casadi function": ("induction_dtc", "im_plant"),
     "arrays that loops write": ("tcp_aqm_smc", "tcp_fluid"),
+    "a tuple compared with what is None at first": ("tcp_aqm_smc_s3_change", "tcp_fluid"),
+    "rows of complex arrays": ("gupfc", "gupfc_plant"),
+    "answers that are kept at hand": ("pv_mppt", "shading_source"),
 }
 
 
@@ -47,6 +59,51 @@ def test_c_has_the_bits_of_python(scenario, node, tmp_path):
     assert found.rows >= 600
     assert (found.differing, found.wrong_status) == (0, 0)
     assert found.same
+
+
+def rows_of(a, x):
+    b = np.zeros_like(a)
+    b[0, :] = a[1, :]
+    b[1, :] = x
+    like = np.empty_like(a[:, 0])
+    like[0], like[1] = b[0, 2], b[1, 0]
+    third = b[0] / 3.0
+    return third[0] + third[1] * like[0] + like[1]
+
+
+def floors(a, x):
+    return math.floor(x) + a[0, 0]
+
+
+def strided(a, x):
+    column = a[:, 0]
+    return column[0]
+
+
+FUNCTIONS = """
+#include "softrig_c.h"
+#include <string.h>
+typedef struct { bool discarded; } t;
+"""
+
+
+def test_small_functions_have_the_bits_of_python(tmp_path):
+    table = Table(REAL, (2, 3))
+    unit = Unit("t", Reader, {}, {}, [], {})
+    names = [unit.call(f, (table, REAL), (None, None), False).name for f in (rows_of, floors)]
+    calls = "".join(f"double f{k}(double *a, double x) {{ t s; return {n}(&s, a, x); }}\n" for k, n in enumerate(names))
+    (tmp_path / "f.c").write_text("\n".join([FUNCTIONS, *unit.typedefs, *unit.functions, calls]))
+    shutil.copy(Path(reader_module.__file__).with_name("softrig_c.h"), tmp_path)
+    subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", "f.so", "f.c", "-lm"], cwd=tmp_path, check=True)
+    library = ctypes.CDLL(str(tmp_path / "f.so"))
+    a = np.array([[1.5, 2.0, 0.1], [0.7, -3.3, 1e-3]])
+    for k, function in enumerate((rows_of, floors)):
+        own = library[f"f{k}"]
+        own.restype, own.argtypes = ctypes.c_double, [ctypes.c_void_p, ctypes.c_double]
+        for x in (0.0, -0.0, 0.5, -0.5, 2.0**53 + 2, -3.0, 3.999999, -(2.0**52) - 0.5, 4e18, -4e18):
+            assert own(a.ctypes.data, x).hex() == float(function(a, x)).hex(), (function, x)
+    with pytest.raises(NotNative, match=r"test_export_c\.strided, line \d+: numbers .* do not lie one after the other"):
+        unit.call(strided, (table, REAL), (None, None), False)
 
 
 RIGS = [
@@ -228,8 +285,12 @@ def test_there_is_no_recursion_no_dynamic_memory_and_no_compiler_warning(law):
     ("scenario", "node", "words"),
     [
         ("dc_motor_smc_b2", "dc_motor_smcc", ["dc_motor_smcc", "did you mean", "dc_motor_smc"]),
-        ("gupfc_s5", "pulse_generator", ["cannot be exported as C", "gupfc.pulses.gates, line"]),
-        ("economic_dispatch", "dispatch_solver", ["cannot be exported as C", "solver"]),
+        (
+            "gupfc_s5",
+            "pulse_generator",
+            ["cannot be exported as C", "PulseGenerator, line 33: ", "gupfc.pulses.gates, line"],
+        ),
+        ("economic_dispatch", "dispatch_solver", ["cannot be exported as C", "DispatchSolver, line", "it is a solver"]),
     ],
 )
 def test_what_has_no_c_is_refused_by_its_reason(scenario, node, words, tmp_path):

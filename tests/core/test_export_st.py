@@ -85,7 +85,7 @@ def test_blark_reads_the_files_of_twincat(law, tmp_path):
     ("scenario", "node", "words"),
     [
         ("dc_motor_smc_b2", "dc_motor_plant", "for controllers"),
-        ("dc_motor_smc_b2", "dc_motor_metrics", "bytes has no type"),
+        ("dc_motor_smc_b2", "dc_motor_metrics", "of the type bytes"),
     ],
 )
 def test_what_has_no_structured_text_is_refused_by_its_reason(scenario, node, words):

@@ -25,6 +25,7 @@ from .kinds import (
 )
 from .unit import Unit, Value, literal
 
+SHOWN = 60  # letters of a statement in a refusal
 VARIANTS = 12  # of a name of Python that has several types, one after the other
 
 
@@ -56,7 +57,13 @@ class Base:
 
     def unknown(self, what: str, node: ast.AST | None = None) -> NotNative:
         """Return what C does not know here."""
-        return NotNative(f"{self.title}, line {getattr(node, 'lineno', 0)}: {what}")
+        if not isinstance(self.function, str):
+            line = self.function.__code__.co_firstlineno + getattr(node, "lineno", 1) - 1
+            return NotNative(f"{self.function.__module__}.{self.function.__qualname__}, line {line}: {what}")
+        head, _, _ = self.unit.texts[self.function].partition("\n")
+        title = head.partition("  # ")[2] or self.title
+        shown = "" if node is None or isinstance(node, ast.FunctionDef) else f" in `{ast.unparse(node)[:SHOWN]}`"
+        return NotNative(f"{title}: {what}{shown}")
 
     def emit(self, line: str) -> None:
         """Add a line of C."""
@@ -162,6 +169,14 @@ class Base:
             name = f"s->m.{self.name}_{name}"
         self.local_tables[name] = kind
         return Value(kind, name)
+
+    def filled(self, table: Value, item: str) -> Value:
+        """Write one value, which may depend on the place `i`, into an array."""
+        assert isinstance(table.kind, Table)
+        self.emit(f"for (int64_t i = 0; i < INT64_C({table.kind.size}); i++) {{")
+        self.emit(f"    {table.c}[i] = {item};")
+        self.emit("}")
+        return table
 
     def is_room(self, value: Value) -> bool:
         """Return whether a value is an array that has a name of its own."""

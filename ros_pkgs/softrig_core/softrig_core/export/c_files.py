@@ -18,10 +18,12 @@ from ..block.params import ParameterError, build, declarations, flatten
 from ..block.port import Port, Sample
 from ..errors import RunError
 from ..native.translate import as_slot, follow, written
+from ..native.turns import Deciding
 from ..native.twins import packed
 from ..native.value import NotNative
 from ..rig.members import Member
-from .drawn import Raised
+from ..solver.solver import Solver
+from .drawn import Raised, drawn_calls
 from .golden import Call, Changed, methods
 from .kinds import ABSENT, INT, Absent, Kind, Maybe, Number, Table, Tuple, identifier, kind_of, leaves
 from .law import Form, Law, input_kind, law_of
@@ -61,6 +63,51 @@ class Exported:
     channels: tuple[str, ...]
     discards: tuple[str, ...]
     ends: str
+
+
+def check_class(member: Member) -> None:
+    """Refuse a class that has no C whatever it does in a run.
+
+    Raises
+    ------
+    NotNative
+        It is such a class: names it.
+    """
+    of = member.block_class
+    title = f"{of.__module__}.{of.__qualname__}, line {inspect.getsourcelines(of)[1]}"
+    if issubclass(of, Solver):
+        raise NotNative(f"{title}: it is a solver, whose work runs in a process of its own")
+    if issubclass(of, Deciding):
+        raise NotNative(f"{title}: it leaves some ticks to Python (`decides`)")
+
+
+def c_of_member(member: Member, golden: Sequence[Call | Changed], drawn: int, seed: int, single: bool) -> Exported:
+    """Write a node as C, held against a run and against so many calls with drawn inputs; see `c_files`.
+
+    Raises
+    ------
+    NotNative
+        What of it cannot be C: names its class and the line.
+    """
+    of = member.block_class
+    title = f"{of.__module__}.{of.__qualname__}"
+    refusal = NotNative()
+    for absent in (True, False):  # inputs that the run never lacked may have no text of their own
+        block = member.block(seed)
+        try:
+            return c_files(
+                member,
+                block,
+                golden,
+                drawn_calls(member, member.block(seed), golden, drawn, seed, absent=absent),
+                single=single,
+            )
+        except NotNative as reason:
+            refusal = reason
+    text = str(refusal)
+    if text.startswith(f"{title}."):
+        raise refusal
+    raise NotNative(f"{title}, line {inspect.getsourcelines(of)[1]}: {text}")
 
 
 def c_files(
@@ -132,7 +179,8 @@ class _Files:
         self.state_types = [self.unit.c(state) for state in self.forms]
         self.constant_types = [self.unit.c(kind_of(v)) for v in self.values]
         self.in_header = len(self.unit.typedefs)
-        self.discards = tuple(sorted(set(self.law.program.seldom)))
+        newest = {f"a value that {written(path)} is asked for later" for path in self.law.program.newest}
+        self.discards = tuple(sorted({*self.law.program.seldom, *newest}))
         self.roots = {form: self._root(form) for form in self.law.roots}
 
     def _replayable(self, golden: Sequence[Call | Changed]) -> tuple[Sequence[Call | Changed], str]:
@@ -246,6 +294,7 @@ class _Files:
             "    bool discarded;",
             *(f"    sr_draws {name}; /**< a stream of random numbers */" for name in self.draws),
             *([f"    uint32_t reports[{len(reports)}];", f"    uint32_t pending[{len(reports)}];"] if reports else []),
+            *(["    bool reported; /**< whether one is pending */"] if reports else []),
             f"}} {n};",
             "",
             "#ifdef __cplusplus",
@@ -339,6 +388,7 @@ class _Files:
             *tables,
             "",
             *functions,
+            *([self._reported()] if self.law.reports.places else []),
             *body,
         ]
         return "\n".join(parts)
@@ -387,36 +437,37 @@ class _Files:
         """Write a function that a user calls: choose by the form, compute, check, take over."""
         with_out = method != "advance"
         lines = [head, "{", "    bool known = false;"]
-        if self.law.reports.places:
-            count = len(self.law.reports.places)
-            lines += [f"    for (unsigned i = 0; i < {count}u; i++) {{", "        s->pending[i] = 0;", "    }"]
         lines += ["    (void)in;"] * (method != "outputs") + ["    (void)out;"] * with_out
         lines += ["    (void)t_ns;", "    s->discarded = false;"]
         for form, root in self.roots.items():
             if form.method == method:
                 lines += [f"    {line}" for line in self._way(form, root)]
-        wrong = ["    if (!known || s->discarded) {"]
+        lines.append("    if (!known || s->discarded) {")
         if with_out:
             for port in self.outputs:
                 name = identifier(port.name)
-                wrong += [f"        out->{name}[{i}] = {literal(v)};" for i, v in enumerate(port.safe)]
+                lines += [f"        out->{name}[{i}] = {literal(v)};" for i, v in enumerate(port.safe)]
                 if port.delayed:
-                    wrong.append(f"        out->{name}_stamp_ns = t_ns;")
+                    lines.append(f"        out->{name}_stamp_ns = t_ns;")
                 if port.sporadic:
-                    wrong.append(f"        out->has_{name} = false;")
-        wrong += ["        return SR_GAVE_UP;", "    }"]
-        lines += wrong
+                    lines.append(f"        out->has_{name} = false;")
         if self.law.reports.places:
-            lines += [
-                f"    for (unsigned i = 0; i < {count}u; i++) {{",
-                "        s->reports[i] += s->pending[i];",
-                "    }",
-            ]
+            lines.append(f"        {self.name}_reported(s, 0u);")
+        lines += ["        return SR_GAVE_UP;", "    }"]
+        if self.law.reports.places:
+            lines += ["    if (s->reported) {", f"        {self.name}_reported(s, 1u);", "    }"]
         return "\n".join([*lines, "    return SR_DONE;", "}", ""])
+
+    def _reported(self) -> str:
+        """Write what counts the reports of a tick that was answered, and forgets those of another one."""
+        lines = [f"static void {self.name}_reported({self.name} *s, uint32_t times)", "{"]
+        lines += [f"    for (unsigned i = 0; i < {len(self.law.reports.places)}u; i++) {{"]
+        lines += ["        s->reports[i] += times * s->pending[i];", "        s->pending[i] = 0;", "    }"]
+        return "\n".join([*lines, "    s->reported = false;", "}", ""])
 
     def _way(self, form: Form, root: Any) -> list[str]:
         there = [p for p in self.inputs if form.method != "outputs"]
-        tests = [f"s->form == {self.forms.index(form.state)}u"]
+        tests = [f"s->form == {self.forms.index(form.state)}u"] if len(self.forms) > 1 else []
         for port in there:
             if port.held:
                 tests.append(f"{'' if port.name in form.there else '!'}in->has_{identifier(port.name)}")
@@ -427,7 +478,7 @@ class _Files:
                 numbers = ", ".join(f"in->{name}[{i}]" for i in range(port.size)) or "0"
                 stamped = f"in->{name}_stamp_ns, {{ {numbers} }}" if port.delayed else numbers
                 given.append(f"({self.unit.c(input_kind(port))}){{ {stamped} }}")
-        lines = [f"if (!known && {' && '.join(f'({t})' for t in tests)}) {{", "    known = true;"]
+        lines = [f"if ({' && '.join(['!known', *(f'({t})' for t in tests)])}) {{", "    known = true;"]
         k = self.forms.index(form.state)
         lines += [f"    {self.state_types[k]} x = s->x.f{k};", "    (void)x;"]
         for path, _ in leaves(form.state):
@@ -468,15 +519,16 @@ class _Files:
                 lines.append(f"out->{name}[{i}] = {c};")
                 if not port.unchecked:
                     inside = f"SR_MATH(fabs)({c}) <= {literal(limit)}"
-                    checks.append(f"if ({f'({at} != SR_REAL(0)) && ' if at else ''}!({inside})) {{")
-                    checks += ["    s->discarded = true;", "}"]
-        return [*checks, *lines]
+                    checks.append(f"(({at} == SR_REAL(0)) || ({inside}))" if at else f"({inside})")
+        if checks:
+            lines += [f"if (!({' && '.join(checks)})) {{", "    s->discarded = true;", "}"]
+        return lines
 
     def _taken(self, state: Value) -> list[str]:
         """Write what takes the state over, in the form that it has now."""
         if state.kind in self.forms:
             k = self.forms.index(state.kind)
-            return [f"s->x.f{k} = {state.c};", f"s->form = {k}u;", *self._kept(k)]
+            return [f"s->x.f{k} = {state.c};", *([f"s->form = {k}u;"] if len(self.forms) > 1 else []), *self._kept(k)]
         lines: list[str] = []
         for k, form in enumerate(self.forms):
             tests: list[str] = []

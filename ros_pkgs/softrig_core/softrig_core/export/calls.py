@@ -123,6 +123,7 @@ class Calls(Expressions):
         at = node.args[1]
         place: int = ast.literal_eval(at)
         self.emit(f"s->pending[{self.unit.reports[place]}]++;")
+        self.emit("s->reported = true;")
         return Value(ABSENT, "0")
 
     def called(self, called: Any, given: list[Value], node: ast.AST) -> Value:
@@ -143,7 +144,9 @@ class Calls(Expressions):
         if called is getattr(math, name, None):
             if name in ("isfinite", "isnan", "isinf"):
                 return Value(BOOL, f"sr_{name}({self.coerced(given[0], REAL).c})")
-            if name in ("floor", "ceil", "trunc"):  # whole numbers in Python
+            if name == "floor":  # a whole number in Python
+                return Value(INT, f"sr_floor_int({self.coerced(given[0], REAL).c})")
+            if name in ("ceil", "trunc"):
                 return Value(INT, f"sr_int(SR_MATH({name})({self.coerced(given[0], REAL).c}))")
             if name in ("radians", "degrees"):
                 factor = literal(math.pi / 180.0 if name == "radians" else 180.0 / math.pi)
@@ -245,14 +248,6 @@ class Calls(Expressions):
         table = self.room(Table(REAL, (len(parts),)))
         for k, part in enumerate(parts):
             self.emit(f"{table.c}[{k}] = {part.c};")
-        return table
-
-    def filled(self, table: Value, item: str) -> Value:
-        """Write one value, which may depend on the place `i`, into an array."""
-        assert isinstance(table.kind, Table)
-        self.emit(f"for (int64_t i = 0; i < INT64_C({table.kind.size}); i++) {{")
-        self.emit(f"    {table.c}[i] = {item};")
-        self.emit("}")
         return table
 
     def _new(self, called: Any, given: list[Value], node: ast.AST) -> Value:

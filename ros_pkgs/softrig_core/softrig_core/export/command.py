@@ -11,10 +11,8 @@ from ..guard import naming
 from ..native.value import NotNative
 from ..rig.rig import Rig
 from ..run.expand import rig_of
-from ..solver.solver import Solver
-from .c_files import Exported, c_files
+from .c_files import Exported, c_of_member, check_class
 from .check import BOARDS, TOOLS, Replayed, replayed
-from .drawn import drawn_calls
 from .golden import golden_calls, member_of
 from .rig_c import rig_files
 
@@ -56,21 +54,14 @@ def c_of(rig: Rig, node: str, *, rows: int = ROWS, drawn: int = DRAWN, single: b
     """Return a node of a rig as C99; see `export_c`."""
     seed = rig.scenario.seed
     member = member_of(rig, node)
-    if issubclass(member.block_class, Solver):
-        raise ScenarioError(f"{node} cannot be exported as C: it is a solver, whose work runs in a process of its own")
-    golden = golden_calls(rig, node, seed, rows)
-    if not golden:
-        raise ScenarioError(f"{node} has no tick in {rig.scenario.name}, so there is nothing to hold its C against")
-    for absent in (True, False):  # inputs that the run never lacked may have no text of their own
-        more = drawn_calls(member, member.block(seed), golden, drawn, seed, absent=absent)
-        try:
-            done = c_files(member, member.block(seed), golden, more, single=single)
-            break
-        except NotNative as reason:
-            refusal = ScenarioError(f"{node} cannot be exported as C: {reason}")
-    else:
-        raise refusal
-    return done
+    try:
+        check_class(member)
+        golden = golden_calls(rig, node, seed, rows)
+        if not golden:
+            raise NotNative(f"it has no tick in {rig.scenario.name}, so there is nothing to compare its C with")
+        return c_of_member(member, golden, drawn, seed, single)
+    except NotNative as reason:
+        raise ScenarioError(f"{node} cannot be exported as C: {reason}") from None
 
 
 def export_rig(rig: Rig, folder: Path, *, rows: int = ROWS, single: bool = False) -> tuple[Exported, dict[str, str]]:

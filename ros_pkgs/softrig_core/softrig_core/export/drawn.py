@@ -56,20 +56,29 @@ def drawn_calls(
     held = {p.name for p in member.inputs if p.held} if absent else set()
     asked = [c for c in golden if isinstance(c, Call)]
     rows = {name: [c.inputs for c in asked if c.method == name] for name in methods(block)}
-    period = member.schedule.period
     found: list[list[Call | Raised]] = []
     while sum(map(len, found)) < count:
-        x, k, calls = block.first(), 0, list[Call | Raised]()
-        while len(calls) < AGAIN:
-            t = round(k * period * 10**9)
-            for name in methods(block):
-                inputs = _inputs(rows[name][int(draw.integers(len(rows[name])))], held, draw)
-                call = _asked(member, block, name, x, t, inputs)
-                calls.append(call)
-                x = call.after if isinstance(call, Call) else x
-            k += 1
-        found.append(calls)
+        found.append(_sequence(member, block, rows, held, draw))
     return found
+
+
+def _sequence(
+    member: Member, block: Block, rows: Mapping[str, Sequence[Any]], held: set[str], draw: np.random.Generator
+) -> list[Call | Raised]:
+    """Return calls from the first state on; a plant whose state has no outputs ends the run, and so the sequence."""
+    x, k, calls = block.first(), 0, list[Call | Raised]()
+    while len(calls) < AGAIN:
+        t = round(k * member.schedule.period * 10**9)
+        for name in methods(block):
+            inputs = _inputs(rows[name][int(draw.integers(len(rows[name])))], held, draw)
+            call = _asked(member, block, name, x, t, inputs)
+            calls.append(call)
+            if isinstance(call, Call):
+                x = call.after
+            elif name == "outputs":
+                return calls
+        k += 1
+    return calls
 
 
 def _asked(member: Member, block: Block, name: str, x: Any, t: int, inputs: Mapping[str, Any]) -> Call | Raised:

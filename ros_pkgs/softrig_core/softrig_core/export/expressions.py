@@ -37,6 +37,7 @@ ORDER = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", a
 ARITHMETIC = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*"}
 WHOLE = re.compile(r"INT64_C\((\d+)\)")
 LARGE = 1 << 31
+STRIDED = "@STRIDED@"  # in place of C: numbers that do not lie one after the other
 BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^"}
 
 
@@ -148,6 +149,8 @@ class Expressions(Base):
             base = self.coerced(base, base.kind.item)
         if isinstance(node.slice, ast.Slice):
             return self._sliced(base, node)
+        if isinstance(node.slice, ast.Tuple) and any(isinstance(e, ast.Slice) for e in node.slice.elts):
+            return self._row(base, node.slice.elts, node)
         index = self.value(node.slice)
         if isinstance(base.kind, Table):
             return self.place(base, index, node)
@@ -206,6 +209,19 @@ class Expressions(Base):
             return Value(inner, f"(&{table.c}[{flat} * INT64_C({inner.size})])")
         return Value(inner.item, f"{table.c}[{flat}]")
 
+    def _row(self, base: Value, elements: Sequence[ast.expr], node: ast.AST) -> Value:
+        """Return the part of an array that lies behind its first indices; of another part only the shape is known."""
+        if not isinstance(base.kind, Table) or len(elements) != len(base.kind.shape):
+            raise self.unknown("a part of something that is no array", node)
+        whole = [isinstance(e, ast.Slice) and not (e.lower or e.upper or e.step) for e in elements]
+        if any(isinstance(e, ast.Slice) and not w for e, w in zip(elements, whole, strict=True)):
+            raise self.unknown("a part of an array", node)
+        if sorted(whole) != whole:
+            shape = tuple(size for size, w in zip(base.kind.shape, whole, strict=True) if w)
+            return Value(Table(base.kind.item, shape), STRIDED)
+        indices = tuple(self.value(e) for e, w in zip(elements, whole, strict=True) if not w)
+        return self.place(base, Value(tuple_of([v.kind for v in indices]), "", indices), node)
+
     def _sliced(self, base: Value, node: ast.Subscript) -> Value:
         part = node.slice
         assert isinstance(part, ast.Slice)
@@ -242,6 +258,8 @@ class Expressions(Base):
         if isinstance(left.kind, Tuple) and isinstance(right.kind, Tuple) and isinstance(op, ast.Add):
             parts = [*self.parts(left, node), *self.parts(right, node)]
             return self.group(parts, tuple_of([p.kind for p in parts]))
+        if isinstance(left.kind, Table) and left.kind.item == REAL and isinstance(right.kind, Number):
+            return self._each_item(op, left, right, node)
         if not (isinstance(left.kind, Number) and isinstance(right.kind, Number)):
             raise self.unknown("arithmetic of something that is no number", node)
         both = left.kind if left.kind.rank >= right.kind.rank else right.kind
@@ -264,6 +282,15 @@ class Expressions(Base):
             word = "mod" if isinstance(op, ast.Mod) else "floor_div"
             return Value(both, f"sr_{word}_{'int' if both == INT else 'real'}({a.c}, {b.c})")
         raise self.unknown(f"an operation {type(op).__name__.lower()}", node)
+
+    def _each_item(self, op: ast.operator, table: Value, number: Value, node: ast.AST) -> Value:
+        """Return an operation on each number of an array, as numpy computes it."""
+        sign = "/" if isinstance(op, ast.Div) else ARITHMETIC.get(type(op), "")
+        if not sign:
+            raise self.unknown(f"an operation {type(op).__name__.lower()} of an array", node)
+        assert isinstance(table.kind, Table)
+        one = self.named(self.coerced(number, REAL))
+        return self.filled(self.room(table.kind), f"({table.c}[i] {sign} {one.c})")
 
     def _complex(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
         """Return an operation on complex numbers, as CPython computes it."""
@@ -304,6 +331,9 @@ class Expressions(Base):
             if isinstance(left.kind, Maybe):
                 return f"({'!' if isinstance(op, ast.Is) else ''}{self._simple(left).c}.some)"
             return "true" if isinstance(left.kind, Absent) is isinstance(op, ast.Is) else "false"
+        if isinstance(op, (ast.Eq, ast.NotEq)) and {Maybe, Absent} & {type(left.kind), type(right.kind)}:
+            same = self._same(left, right, node)
+            return same if isinstance(op, ast.Eq) else f"(!{same})"
         left, right = (self.coerced(v, v.kind.item) if isinstance(v.kind, Maybe) else v for v in (left, right))
         if isinstance(op, (ast.In, ast.NotIn)):
             one = self.named(left)
@@ -324,6 +354,22 @@ class Expressions(Base):
         if all(known):
             return str(bool(COMPARE[type(op)][1](*(int(one[1]) for one in known if one)))).lower()
         return f"({self.coerced(left, both).c} {ORDER[type(op)]} {self.coerced(right, both).c})"
+
+    def _same(self, left: Value, right: Value, node: ast.AST) -> str:
+        """Return whether two values are equal of which one may be absent."""
+        if isinstance(right.kind, Maybe) and not isinstance(left.kind, Maybe):
+            left, right = right, left
+        if not isinstance(left.kind, Maybe):
+            return str(isinstance(left.kind, Absent) and isinstance(right.kind, Absent)).lower()
+        one = self._simple(left)
+        if isinstance(right.kind, Absent):
+            return f"(!{one.c}.some)"
+        inner = Value(left.kind.item, f"{one.c}.item")
+        if not isinstance(right.kind, Maybe):
+            return f"({one.c}.some && {self._compared(ast.Eq(), inner, right, node)})"
+        other = self._simple(right)
+        both = self._compared(ast.Eq(), inner, Value(right.kind.item, f"{other.c}.item"), node)
+        return f"(({one.c}.some == {other.c}.some) && ((!{one.c}.some) || {both}))"
 
     def _value_boolop(self, node: ast.BoolOp) -> Value:
         stop = isinstance(node.op, ast.Or)

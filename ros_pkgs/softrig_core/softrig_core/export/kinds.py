@@ -118,8 +118,13 @@ ITEMS = {"f": REAL, "i": INT, "b": BOOL, "c": COMPLEX}  # by the kind of an arra
 Kind = Number | Absent | Tuple | Maybe | Table
 
 
-def kind_of(value: Any) -> Kind:
+def kind_of(value: Any, path: tuple[Any, ...] = ("a value",)) -> Kind:
     """Return the type of a sample.
+
+    Parameters
+    ----------
+    path : tuple
+        Names and numbers that lead to it, for the refusal.
 
     Raises
     ------
@@ -139,10 +144,12 @@ def kind_of(value: Any) -> Kind:
     if isinstance(value, (tuple, list)):
         names = getattr(value, "_fields", None)
         title = type(value).__name__.rpartition("__")[2] if names else ""
-        return tuple_of([kind_of(v) for v in value], names, title)
+        inner = names or range(len(value))
+        return tuple_of([kind_of(v, (*path, n)) for v, n in zip(value, inner, strict=True)], names, title)
     if isinstance(value, np.ndarray) and value.dtype.kind in ITEMS:
         return Table(ITEMS[value.dtype.kind], value.shape)
-    raise NotNative(f"{type(value).__name__} has no type in C here")
+    what = "".join([str(path[0]), *(f"[{n}]" if isinstance(n, int) else f".{n}" for n in path[1:])])
+    raise NotNative(f"{what} is of the type {type(value).__name__}, which the C does not have")
 
 
 def tuple_of(items: Sequence[Kind], names: Sequence[str] | None = None, title: str = "") -> Tuple:

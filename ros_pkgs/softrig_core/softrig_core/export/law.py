@@ -10,7 +10,7 @@ from ..block.block import Block
 from ..block.port import Port, Sample
 from ..native.reports import Reports
 from ..native.translate import Program, made
-from ..native.turns import NOWHERE, Deciding, rows_of
+from ..native.turns import NOWHERE, rows_of
 from ..native.twins import packed
 from ..native.value import Dynamic, Group, NotNative, Static, Value
 from ..native.words import TEXTS
@@ -59,7 +59,7 @@ def states_of(block: Block, calls: Sequence[Call]) -> tuple[list[Kind], dict[For
 
     What keeps more or fewer samples at another time is one type, with room for the most.
     """
-    kinds = [kind_of(packed(block.first())), *(kind_of(packed(x)) for call in calls for x in (call.x, call.after))]
+    kinds = [kind_of(packed(x), ("its state",)) for x in (block.first(), *(x for c in calls for x in (c.x, c.after)))]
     rooms: dict[tuple[Any, ...], int] = {}
     for kind in set(kinds):
         for path, table in leaves(kind):
@@ -93,14 +93,15 @@ def law_of(
     NotNative
         What of the block cannot be translated, and its line.
     """
-    if isinstance(block, Deciding):
-        raise NotNative("it leaves some ticks to Python (`decides`)")
     ages: dict[tuple[int, str], int | str | None] = {(0, name): 0 for name in punctual}
     program = Program([block], Writer, ages, [(0, p) for p in outputs if p.sporadic], inferred=True)
     program.reports = Reports(worded=False)
     roots: dict[Form, str] = {}
     arrays: dict[Form, tuple[str, ...]] = {}
     states, newest = states_of(block, calls)
+    for method in dict.fromkeys(form.method for form in newest):  # what it keeps at hand is a constant of the text
+        begin = next(call for call in calls if call.method == method)
+        getattr(block, method)(begin.x, begin.t, **begin.inputs)
     for k, (form, call) in enumerate(newest.items()):
         roots[form] = f"root{k}"
         handed: set[str] = set()

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .calls import Calls
-from .expressions import WHOLE
+from .expressions import STRIDED, WHOLE
 from .kinds import (
     ABSENT,
     INT,
@@ -67,6 +67,8 @@ class Reader(Calls):
         head = f"static {self.unit.c(result)} {name}({', '.join([f'{self.unit.prefix} *s', *heads])})\n"
         self._without_unread()
         text = "\n".join(self.lines)
+        if STRIDED in text:
+            raise self.unknown("numbers of an array that do not lie one after the other", self.tree)
         variables = [
             f"    {self.unit.c(kind)} {variable};" for variable, kind in self.kinds_of.items() if reads(variable, text)
         ]
@@ -175,9 +177,11 @@ class Reader(Calls):
             if isinstance(target.slice, ast.Slice):
                 self._filled_whole(table, target.slice, value, target)
                 return
-            place = self.place(table, self.value(target.slice), target)
+            load: Any = ast.parse(ast.unparse(target), mode="eval").body
+            place = self.value(load)
             if isinstance(place.kind, Table):
-                raise self.unknown("an assignment to a row of an array", target)
+                self._filled_whole(place, ast.Slice(), value, target)
+                return
             self.emit(f"{place.c} = {self.coerced(value, place.kind).c};")
         else:
             raise self.unknown("an assignment to a part of something", target)

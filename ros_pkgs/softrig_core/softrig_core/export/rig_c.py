@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
@@ -17,9 +18,7 @@ from ..native.value import NotNative
 from ..rig.members import Link, Member
 from ..rig.rig import Rig
 from ..run.inprocess import check_here, wired
-from ..solver.solver import Solver
-from .c_files import SUPPORT, Exported, c_files, compared, numbers_of
-from .drawn import drawn_calls
+from .c_files import SUPPORT, Exported, c_of_member, check_class, compared, numbers_of
 from .golden import Call, Changed, watched
 from .kinds import identifier
 from .unit import literal
@@ -58,25 +57,42 @@ def rig_files(rig: Rig, most: int, *, single: bool = False) -> tuple[Exported, d
         A member that others read has no C.
     """
     check_here(rig)
-    ticks = _run(rig, most)
-    exported: dict[str, Exported] = {}
     left: dict[str, str] = {}
     for member in rig.members:
-        try:
-            exported[member.name] = _member(rig, member, ticks.calls[member.name], single)
-        except NotNative as reason:
-            left[member.name] = str(reason)
+        with _left_out(left, member):
+            check_class(member)
+    _check_read(rig, left)  # before the run, which may take its time
+    ticks = _run(rig, most)
+    exported: dict[str, Exported] = {}
     for member in rig.members:
-        for link in member.links.values():
-            if member.name in exported and link.source.name in left:
-                why = left[link.source.name]
-                raise ScenarioError(f"{link.source.name}, which {member.name} reads, cannot be exported as C: {why}")
-        if member.is_plant and member.name in left:
-            raise ScenarioError(f"the plant {member.name} cannot be exported as C: {left[member.name]}")
+        if member.name not in left:
+            with _left_out(left, member):
+                exported[member.name] = _member(rig, member, ticks.calls[member.name], single)
+    _check_read(rig, left)
     members = [m for m in rig.members if m.name in exported]
     if not members:
         raise ScenarioError(f"no node of {rig.scenario.name} can be exported as C: {next(iter(left.values()))}")
     return _RigFiles(rig, members, exported, ticks, left).exported(), left
+
+
+@contextmanager
+def _left_out(left: dict[str, str], member: Member) -> Iterator[None]:
+    """Take note of why a member has no C."""
+    try:
+        yield
+    except NotNative as reason:
+        left[member.name] = str(reason)
+
+
+def _check_read(rig: Rig, left: Mapping[str, str]) -> None:
+    """Ensure that a member without C is no plant, and that nobody with C reads it."""
+    for member in rig.members:
+        for link in member.links.values():
+            if member.name not in left and link.source.name in left:
+                why = left[link.source.name]
+                raise ScenarioError(f"{link.source.name}, which {member.name} reads, cannot be exported as C: {why}")
+        if member.is_plant and member.name in left:
+            raise ScenarioError(f"the plant {member.name} cannot be exported as C: {left[member.name]}")
 
 
 def _run(rig: Rig, most: int) -> Ticks:
@@ -98,21 +114,11 @@ def _published(step: Step) -> dict[str, Any]:
 
 
 def _member(rig: Rig, member: Member, calls: Sequence[Call | Changed], single: bool) -> Exported:
-    if issubclass(member.block_class, Solver):
-        raise NotNative("it is a solver, whose work runs in a process of its own")
     if member.changes:
         raise NotNative("its parameters change while it runs")
     if not calls:
         raise NotNative("it has no tick in the run")
-    seed = rig.scenario.seed
-    for absent in (True, False):
-        drawn = drawn_calls(member, member.block(seed), calls, DRAWN, seed, absent=absent)
-        try:
-            return c_files(member, member.block(seed), calls, drawn, single=single)
-        except NotNative:
-            if not absent:
-                raise
-    raise AssertionError
+    return c_of_member(member, calls, DRAWN, rig.scenario.seed, single)
 
 
 class _RigFiles:

@@ -42,6 +42,13 @@ static inline int64_t sr_int(real_t x)
     return ((x > SR_REAL(-9.2e18)) && (x < SR_REAL(9.2e18))) ? (int64_t)x : INT64_MIN;
 }
 
+/* math.floor; quicker than floor() where a processor has no instruction for it. */
+static inline int64_t sr_floor_int(real_t x)
+{
+    const int64_t i = sr_int(x);
+    return ((i != INT64_MIN) && ((real_t)i > x)) ? (i - 1) : i;
+}
+
 /* Python's x % y and x // y: the remainder has the sign of y (CPython's float_divmod). */
 static inline real_t sr_mod_real(real_t x, real_t y)
 {

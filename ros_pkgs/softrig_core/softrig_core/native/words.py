@@ -60,7 +60,8 @@ TEXTS: dict[str, str] = {
     "        raise ValueError\n    return a\n",
     "rect": "def rect(r, phi):\n    if r - r != 0.0 or phi - phi != 0.0:\n        raise ValueError\n"
     "    return complex(r * math.cos(phi), r * math.sin(phi))\n",
-    "remainder": "def remainder(x, y):\n    if x - x != 0.0 or y - y != 0.0 or y == 0.0:\n        raise ValueError\n"
+    "remainder": "def remainder(x, y):\n    if x != x or y != y:\n        return x + y\n"
+    "    if x - x != 0.0 or y == 0.0:\n        raise ValueError\n    if y - y != 0.0:\n        return x\n"
     "    a, b = abs(x), abs(y)\n    r = a % b\n    c = b - r\n    if r > c:\n        r = -c\n"
     "    elif r == c:\n        r = r - 2.0 * (0.5 * (a - r) % b)\n    return math.copysign(1.0, x) * r\n",
     "drawn_": "def drawn_(row, n, k):\n    if k >= len(row):\n        n[1] = k + 1\n        raise IndexError\n"

@@ -63,7 +63,11 @@ def split(environment: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[floa
 
 def possible(block: Block, environment: tuple[float, ...]) -> bool:
     """Return whether a block may take these values of pv/environment; it reports why not."""
-    problem = refuse(*split(environment))
-    if problem:
-        block.report(Level.ERROR, "environment", f"pv/environment refused, the last one holds: {problem}")
-    return not problem
+    irradiance, temperature = split(environment)
+    bright = all(IRRADIANCE[0] <= value <= IRRADIANCE[1] for value in irradiance)
+    if bright and all(TEMPERATURE[0] <= value <= TEMPERATURE[1] for value in temperature):
+        return True
+    block.report(
+        Level.ERROR, "environment", f"pv/environment refused, the last one holds: {refuse(irradiance, temperature)}"
+    )
+    return False
