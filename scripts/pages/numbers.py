@@ -25,13 +25,16 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from softrig_bringup.study.definition import list_studies, load_study
-from softrig_core import list_scenarios, load_scenario, rig_of
+from softrig_core import load_scenario, rig_of
+from softrig_core.judge.expectation import Expected
+from softrig_core.scenario.scenario_file import find
 
 FORMS = "scenario.figure, test_file.py::test, scenario NAME, = ..., paper ..., bench ..., study ... or version ..."
 DIGITS = 3  # a number of fewer may stand without its source
@@ -177,14 +180,11 @@ def _unlike(
 ) -> str:
     """Describe how a number differs from the figure of a scenario or of a study, or nothing."""
     name, figure = what
-    if name in list_studies():
-        expect, figures = load_study(name).expect, set(load_study(name).expect)
-        run = None  # hundreds of runs: what it expects is held by `softrig study`
-    elif name in list_scenarios():
-        scenario = rig_of(name, live=False).scenario  # whose expectations have their numbers
-        expect, figures = scenario.expect, set(scenario.figures)
-    else:
+    if (published := _published(name)) is None:
         return f"no scenario or study {name}"
+    expect, figures, is_study = published
+    if is_study:
+        run = None  # hundreds of runs: what it expects is held by `softrig study`
     if figure not in figures:
         return f"{name} has no figure {figure}"
     if run is not None:
@@ -196,6 +196,18 @@ def _unlike(
     expected = expect.get(figure)
     grid = (tie.value + share * tie.half for share in (-1.0, -0.5, 0.0, 0.5, 1.0))  # what it may be rounded from
     return "" if expected is None or any(expected.holds(x / factor) for x in grid) else f"{name} expects {expected}"
+
+
+@cache
+def _published(name: str) -> tuple[Mapping[str, Expected], frozenset[str], bool] | None:
+    """Return what a study or a scenario expects, the names of its figures, and whether it is a study."""
+    if name in list_studies():
+        expect = load_study(name).expect
+        return expect, frozenset(expect), True
+    if find(name) is None:
+        return None
+    scenario = rig_of(name, live=False).scenario  # whose expectations have their numbers
+    return scenario.expect, frozenset(scenario.figures), False
 
 
 def _computed(expression: str) -> float:
@@ -214,10 +226,15 @@ def _values(given: Any) -> Iterator[float]:
         yield float(given)
 
 
+@cache
+def _parsed(tests: Path, file: str) -> list[ast.stmt]:
+    trees = (ast.parse(found.read_text(encoding="utf-8")) for found in sorted(tests.rglob(file)))
+    return [node for tree in trees for node in tree.body]
+
+
 def _literals(tests: Path, file: str, name: str) -> Iterator[float]:
     """Return all numbers in a function of a test file and in its decorators, or in what is assigned to a name there."""
-    trees = [ast.parse(found.read_text(encoding="utf-8")) for found in sorted(tests.rglob(file))]
-    for node in (node for tree in trees for node in tree.body):
+    for node in _parsed(tests, file):
         targets = [n.id for n in getattr(node, "targets", []) if isinstance(n, ast.Name)]
         if getattr(node, "name", None) == name or name in targets:
             yield from _values([n.value for n in ast.walk(node) if isinstance(n, ast.Constant)])

@@ -34,3 +34,20 @@ def test_what_would_replace_a_package_of_the_set_up_is_left_out(tmp_path, name, 
     if name == "LD_LIBRARY_PATH":
         assert "/conda/lib" not in done.stdout
         assert "/mine" in done.stdout
+
+
+def test_a_python_with_the_wheels_of_ros_starts_once_and_other_programs_see_nothing_of_their_libraries():
+    ours = ("PYTHON", "VIRTUAL_ENV", "LD_", "AMENT_", "COLCON_", "_ROS_")
+    user = {k: v for k, v in os.environ.items() if not k.startswith(ours)} | {"LD_LIBRARY_PATH": "/mine"}
+
+    def path(*command):
+        done = subprocess.run([SOFTRIG, *command], env=user, capture_output=True, text=True, check=True)
+        return done.stdout.strip().split(":")
+
+    code = "import os; print(os.environ['LD_LIBRARY_PATH'])"
+    *wheels, mine = path("python", "-S", "-c", code)  # -S: what the wheels do at a start is left out
+    assert mine == "/mine"
+    assert set(path("python", "-c", code)) == {*wheels, mine}
+    assert path("env", "printenv", "LD_LIBRARY_PATH") == ["/mine"]
+    wheels_are_used = "ros_rclpy" in "".join(wheels) or "ROS_DISTRO" in user
+    assert wheels_are_used
