@@ -268,7 +268,7 @@ def test_a_node_in_c_is_code_and_whoever_looks_compiles_none_of_it(tmp_path, cap
     touched = tmp_path / "touched"
     with zipfile.ZipFile("sound.zip") as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
-    flags = f"      flags: [-wrapper, 'sh,-c,touch {touched}']\n      header: "
+    flags = "      flags: [-DFAST, -Iinclude]\n      header: "
     files["scenario/law.yaml"] = files["scenario/law.yaml"].replace(b"      header: ", flags.encode(), 1)
     files["pack.json"] = json.dumps(json.loads(files["pack.json"]) | {"files": {}})
     file = zipped(tmp_path / "x.zip", files)
@@ -277,7 +277,10 @@ def test_a_node_in_c_is_code_and_whoever_looks_compiles_none_of_it(tmp_path, cap
     source = next(folder.glob("scenario/*/law.c"))
     assert line.startswith("node law: C, ")
     assert f"{source.relative_to(folder)} (sha256 {packed.digest_of(source)[:16]})" in line
-    assert line.endswith(f"flag -wrapper, flag sh,-c,touch {touched}")
+    assert line.endswith("flag -DFAST, flag -Iinclude")
+    monkeypatch.setenv("CC", str(tmp_path / "cc"))
+    (tmp_path / "cc").write_text(f'#!/bin/sh\ntouch {touched}\nexec gcc "$@"\n')
+    (tmp_path / "cc").chmod(0o755)
     capsys.readouterr()
     assert main(["report", str(file)]) == 0
     assert "the code of law had to run" in capsys.readouterr().err
@@ -286,11 +289,54 @@ def test_a_node_in_c_is_code_and_whoever_looks_compiles_none_of_it(tmp_path, cap
     assert run(file) == 2
     assert "its code runs only when somebody confirms it" in capsys.readouterr().err
     assert not touched.exists()
-    assert run(file, "--trust") == 2  # the program that the flag starts is no compiler
+    assert run(file, "--trust") == 0
     assert touched.exists()
 
 
-@pytest.mark.parametrize("port", ["program:/bin/true", "/dev/ttyACM0"])
+def with_law(tmp_path, sources, **law):
+    """Find the code of a pack that has a node in C, or one with the entry `link`."""
+    name = f"scenario/{NAME}.yaml"
+    scenario = yaml.safe_load(sources[name])
+    parameters = {"sources": ["law.c"], "header": "law.h", "flags": law.pop("flags", [])}
+    scenario["nodes"]["law"] = {"package": "softrig_control", "executable": "c_controller", "parameters": parameters}
+    scenario["nodes"]["law"] |= law
+    files = {"pack.json": about()} | sources | {name: yaml.safe_dump(scenario), "scenario/include/law.h": ""}
+    folder = packed.opened(zipped(tmp_path / "x.zip", files))
+    return list(cargo.cargo_of(folder, packed.about(folder)))
+
+
+REACHING = [
+    "-wrapper", "sh,-c,id", "@/etc/passwd", "-include", "-include/etc/passwd", "-imacros/x", "-I", "-I/etc", "-I../..",
+    "-Iinclude/../../..", "-isystem/etc", "-iquote/etc", "-B/tmp/x", "-B.", "-L/tmp", "-l:x.so", "-lx", "-fplugin=x.so",
+    "-fplugin", "-fplugin-arg-x-y", "-fprofile-use=/etc", "-fdump-tree-all=/etc/x", "-fauto-profile=x", "-specs=x",
+    "--specs=x", "-Wl,-rpath,/tmp", "-Wa,@x", "-Wp,-MD,/etc/x", "-Xlinker", "-Xassembler", "-o", "-o/etc/x", "-MD",
+    "-MF/etc/x", "-x", "-E", "--sysroot=/tmp", "-isysroot/tmp", "-save-temps", "-T/tmp/x.ld", "law.c", "/etc/passwd",
+    "", "-O2 -include x", "-O2\n@x", "-D", "-std=c99/../x", "-march=native,x", "-ftest-coverage", "-iplugindir=/tmp",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("flag", REACHING)
+def test_flags_that_reach_out_of_a_pack_are_refused(flag, sources, tmp_path):
+    with pytest.raises(ScenarioError, match=r"^node law: flag .* may read or start what is not in the pack"):
+        with_law(tmp_path, sources, flags=["-O2", flag])
+
+
+def test_flags_that_stay_in_a_pack_are_listed(sources, tmp_path):
+    flags = ['-DNAME="a b"', "-DREAL=float", "-UNDEBUG", "-O3", "-Ofast", "-std=gnu++17", "-Iinclude", "-Wall", "-g1"]
+    flags += ["-Wno-unused", "-Werror=format", "-march=x86-64-v3", "-msse2", "-ffp-contract=off", "-fno-builtin", "-lm"]
+    assert with_law(tmp_path, sources, flags=flags)[-1].endswith(", ".join(f"flag {flag}" for flag in flags))
+
+
+@pytest.mark.parametrize(
+    ("port", "firmware"),
+    [("program:/bin/true", "x"), ("qemu:../../x.elf", "x"), ("/dev/ttyACM0", "/etc"), ("simavr:x", "../..")],
+)
+def test_a_board_whose_files_are_not_in_the_pack_is_refused(port, firmware, sources, tmp_path):
+    with pytest.raises(ScenarioError, match=r"node law links .*, a file outside of the pack"):
+        with_law(tmp_path, sources, link={"port": port, "firmware": firmware})
+
+
+@pytest.mark.parametrize("port", ["program:include/law.h", "/dev/ttyACM0"])
 def test_a_board_in_a_pack_is_listed(port, sources, tmp_path):
     name = f"scenario/{NAME}.yaml"
     scenario = yaml.safe_load(sources[name])

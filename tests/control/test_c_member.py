@@ -223,6 +223,48 @@ def test_one_that_hangs_is_given_up_when_it_is_isolated() -> None:
         simulate(rig_with(faulty("HANG", isolated=True, timeout=0.2)))
 
 
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("EXIT", "ended its process with status 0"),
+        pytest.param("CLOSES", "closed the pipes on which it answers", marks=pytest.mark.long),
+        pytest.param("FORKS", "gave no answer within 0.5 s", marks=pytest.mark.long),
+    ],
+)
+def test_one_that_ends_or_leaves_its_process_ends_alone_and_leaves_nothing_behind(fault: str, message: str) -> None:
+    """`exit` in a law would end softrig itself, with the status 0 of a run that passed."""
+    before = {p.name for p in Path("/proc").glob("[0-9]*")}
+    with pytest.raises(RunError, match=rf"pi.c at t = 0.2 s: {message}"):
+        simulate(rig_with(faulty(fault, isolated=fault == "CLOSES", timeout=0.5)))
+    left = [p for p in Path("/proc").glob("[0-9]*/cmdline") if p.parent.name not in before]
+    assert not [p for p in left if b"shim_pi" in p.read_bytes()]
+
+
+def test_one_that_calls_what_acts_on_the_whole_process_says_why_it_runs_apart() -> None:
+    run = simulate(rig_with(faulty("EXIT"), duration=0.1))
+    assert (
+        run.blocks["dc_motor_pid"].reports["apart"][1].startswith("pi.c calls exit, which would act on all of softrig")
+    )
+    assert run.recording.topics == simulate(rig_with(PI, duration=0.1)).recording.topics
+
+
+@pytest.mark.parametrize("isolated", [pytest.param(False, marks=pytest.mark.long), True])
+def test_how_the_processor_computes_is_what_it_was(isolated: bool) -> None:
+    """Rounding upward, one and the half of its last bit is more than one; flushed, a subnormal number is 0."""
+    least, bit = struct.unpack("2d", struct.pack("2d", 5e-324, 2.0**-53))  # nothing for the compiler to fold
+    with pytest.raises(RunError, match="leaves the processor with another rounding mode"):
+        simulate(rig_with(faulty("ROUNDING", isolated=isolated)))
+    simulate(rig_with(PI | {"flags": ["-ffast-math"]}, duration=0.05))
+    # as bytes: to a processor that flushes them, all subnormal numbers equal 0
+    assert struct.pack("2d", 1.0 + bit, least * 2.0) == struct.pack("dq", 1.0, 2)
+
+
+@pytest.mark.long
+def test_one_that_prints_more_than_a_pipe_holds_is_not_held_up() -> None:
+    run, quiet = (simulate(rig_with(p, duration=0.25)) for p in (faulty("PRINTS", isolated=True), PI))
+    assert run.recording.topics == quiet.recording.topics
+
+
 def test_giving_up_publishes_its_outputs_keeps_its_state_and_is_counted() -> None:
     run = simulate(rig_with(faulty("GIVES_UP")))
     step = run.blocks["dc_motor_pid"]

@@ -1,6 +1,9 @@
 """The link to a board: frames, a wire that damages them, boards that are others, and a rig with a board in it."""
 
+import copy
 import ctypes
+import json
+import math
 import os
 import pty
 import random
@@ -18,6 +21,7 @@ from board_by_hand import Board, NoisyWire, QuietWire, library
 from hypothesis import given, strategies as st
 from softrig_core import ScenarioError, rig_of, simulate
 from softrig_core.board import line as line_module, link as link_module
+from softrig_core.board.description import read_description
 from softrig_core.board.entry import LinkEntry
 from softrig_core.board.frames import Kind, Splitter, decoded, encoded, read, written
 from softrig_core.board.line import Line
@@ -336,3 +340,51 @@ def test_what_is_no_serial_port_is_refused_at_once(port, tmp_path):
     name = port if port.startswith("/") else str(tmp_path / port)
     with pytest.raises(ScenarioError, match=r"^link: .* is no serial port; expected one such as /dev/ttyACM0$"):
         opened(name, 115200)
+
+
+DESCRIBED = {
+    "node": "law", "class": "a.b:C", "digest": "0123456789abcdef", "real": "double", "period_s": [1, 100],
+    "parameters": {"k": 1.5, "name": "x"}, "settable": ["k"],
+    "ports": [{"direction": "in", "name": "state", "topic": "motor/state", "type": "sensor_msgs/msg/JointState",
+               "channels": ["shaft"], "fields": ["velocity"], "dims": [],
+               "values": [{"label": "shaft/velocity", "unit": "rad/s", "limit": 1e7, "safe": 0.0}]}],
+}  # fmt: skip
+
+
+def places(of, path=()):
+    """Yield the place of each part of a description."""
+    yield path
+    for key, value in of.items() if isinstance(of, dict) else enumerate(of) if isinstance(of, list) else ():
+        yield from places(value, (*path, key))
+
+
+@pytest.mark.parametrize("place", [*places(DESCRIBED)])
+def test_a_description_says_what_it_must_or_is_refused_at_its_place(place, tmp_path):
+    """Each part is left out and replaced by values of every other kind."""
+    file = tmp_path / "law.json"
+    strange = (None, True, -1, 10**400, math.inf, math.nan, "", "\0", "a b", [], [1], [[]], {}, {"a": 1}, "x" * 400)
+    for value in strange:
+        found = copy.deepcopy(DESCRIBED)
+        part = found
+        for key in place[:-1]:
+            part = part[key]
+        if place:
+            part[place[-1]] = value
+        file.write_text(json.dumps(found if place else value))
+        try:
+            taken = read_description(file)
+        except ValueError as error:
+            refused = str(error)
+        else:  # a text where a text belongs, a number where a number does
+            refused = ""
+            assert {type(v.safe) for p in taken.ports for v in p.values} <= {float}
+            assert all(isinstance(taken.parameters[name], bool | int | float) for name in taken.settable)
+        assert "Error" not in refused
+        assert len(refused) <= 300
+
+
+def test_arrays_that_are_larger_than_what_is_described_are_not_made(tmp_path):
+    port = DESCRIBED["ports"][0] | {"type": "std_msgs/msg/Float64MultiArray", "dims": [["x", 10**9]]}
+    (tmp_path / "law.json").write_text(json.dumps(DESCRIBED | {"ports": [port]}))
+    with pytest.raises(ValueError, match=r"ports\.0: .*port state has 1 values, expected as many as its dims give"):
+        read_description(tmp_path / "law.json")

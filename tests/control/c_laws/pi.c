@@ -1,7 +1,10 @@
 /* PI with anti-windup by clamping, written by hand in single precision; -DFAULT=... breaks it in one way. */
 #include "pi.h"
+#include <fenv.h>
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
+#include <unistd.h>
 
 #define STATIC 1
 #define RANDOM 2
@@ -14,6 +17,11 @@
 #define ABORT 9
 #define RECURSE 10
 #define HEAP 11
+#define EXIT 12
+#define ROUNDING 13
+#define PRINTS 14
+#define CLOSES 15
+#define FORKS 16
 #ifndef FAULT
 #define FAULT 0
 #endif
@@ -52,6 +60,11 @@ int pi_step(pi *s, const pi_in *in, pi_out *out, int64_t t_ns)
         if (FAULT == NOT_A_NUMBER) out->voltage = NAN;
         if (FAULT == CONSTANT) s->p.kp = 2.0f;
         if (FAULT == HANG) for (;;) { }
+        if (FAULT == EXIT) exit(0);
+        if (FAULT == ROUNDING) fesetround(FE_UPWARD);
+        if (FAULT == PRINTS) for (int k = 0; k < 20000; k++) fprintf(stderr, "tick %d\n", k);
+        if (FAULT == CLOSES) { for (int k = 3; k < 256; k++) close(k); pause(); }
+        if (FAULT == FORKS) { if (fork() == 0) sleep(100); exit(7); }
     }
     return 0;
 }

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import Scenario, ScenarioError, load_scenario
+from softrig_core.board.entry import SIMULATORS
 from softrig_core.extras import EXTRAS
 from softrig_core.judge import registry
 from softrig_core.kit.resource import prefixes
@@ -35,6 +36,12 @@ _POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _TARGET = re.compile(r"(\w+)((?:\.\w+)*):(\w+(?:\.\w+)*)", re.ASCII)
 _COMPILED = {".pyc", ".pyo", ".pth"}
 _MACHINE = {".so", ".dll", ".dylib", ".pyd"}
+_FLAG = re.compile(
+    r"-(?:[DU]\w+(?:=.*)?|O\w*|g\d?|w|pedantic|pthread|std=[\w+]+|W[a-z0-9+-]*(?:=[\w+-]+)?|m[a-z0-9-]+(?:=[\w.+-]+)?"
+    r"|f(?!dump|profile|plugin|save|callgraph|record|stack-usage|test-coverage|auto-profile)[a-z0-9-]+(?:=(?:on|off|fast|all))?"
+    r"|l(?:m|pthread|gfortran|stdc\+\+))",
+    re.ASCII,
+)
 _C = {("softrig_control", "c_controller"), ("softrig_control", "c_plant")}
 
 
@@ -248,6 +255,16 @@ def check_scenario(folder: Path, scenario: Scenario, said: About) -> None:
                 f"node {node} is of package {entry.package!r}, which pack.json does not name; expected one of "
                 f"{', '.join(['softrig_*', *said.packages])}"
             )
+        if (entry.package, entry.executable) in _C:
+            for flag in _texts(entry.parameters.get("flags", ())):
+                _check_flag(folder, node, flag)
+        if entry.link is not None:
+            kind, _, file = entry.link.port.partition(":")
+            for name in (entry.link.firmware, *([file] if kind in SIMULATORS else ())):
+                if not (folder / SCENARIO / name).resolve().is_relative_to(folder.resolve()):
+                    raise ScenarioError(
+                        f"node {node} links {name[:200]!r}, a file outside of the pack; expected one in it"
+                    )
         for value in _texts(entry.parameters):
             path = Path(value) if len(value) < 4096 and "\0" not in value else None
             there = path is not None and (os.path.isfile(path) or (path.is_absolute() and os.path.exists(path)))
@@ -255,6 +272,20 @@ def check_scenario(folder: Path, scenario: Scenario, said: About) -> None:
                 raise ScenarioError(
                     f"node {node} names {value[:200]!r}, a file outside of the pack; expected one in it"
                 )
+
+
+def _check_flag(folder: Path, node: str, flag: str) -> None:
+    """Refuse a flag of a compiler with which it could read or start what is not in the pack.
+
+    A list of what is harmless, for compilers have many others: ``@FILE``, ``-include FILE``, ``-fplugin=``, ``-B``,
+    ``-specs=``, ``-wrapper``, ``-Wl,``, ``-L``, ``-o``.
+    """
+    inside = flag[:2] == "-I" and flag[2:] and (folder / SCENARIO / flag[2:]).resolve().is_relative_to(folder.resolve())
+    if not inside and not _FLAG.fullmatch(flag):
+        raise ScenarioError(
+            f"node {node}: flag {flag[:200]!r} may read or start what is not in the pack; expected -D, -U, -O, -std=, "
+            "-I of a folder in it, and -f, -W, -m and -l without a file"
+        )
 
 
 def _texts(value: Any) -> Iterable[str]:

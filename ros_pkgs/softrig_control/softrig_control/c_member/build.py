@@ -40,6 +40,17 @@ _CRATES = (
 _OTHERS = ("__rust", "rust_", "___def_init_", "___vtab_", *(f"{len(crate)}{crate}" for crate in _CRATES.split()))
 
 
+# what would end softrig itself, or change it for all of its nodes: a library that calls such functions runs apart
+INTRUSIVE = frozenset(
+    ("exit", "_exit", "_Exit", "quick_exit", "pthread_exit", "execl", "execle", "execlp", "execv", "execve", "execvp")
+    + ("execvpe", "fork", "vfork", "kill", "raise", "signal", "sigaction", "setrlimit", "chdir", "setlocale")
+    + ("closefrom", "close_range", "_gfortran_stop_string", "_gfortran_stop_numeric", "_gfortran_error_stop_string")
+    + ("_gfortran_error_stop_numeric", "_gfortran_runtime_error", "_gfortran_runtime_error_at", "_gfortran_os_error_at")
+)
+# flags with which a linker adds code that changes how the processor computes, for the whole process
+FAST = ("-Ofast", "-ffast-math", "-funsafe-math-optimizations")
+
+
 class Hidden(NamedTuple):
     """What a library keeps outside of the struct: names of variables, and their bytes."""
 
@@ -61,6 +72,9 @@ class Built(NamedTuple):
     program: Path
     structs: dict[str, Struct]
     hidden: Hidden | None
+    intrusive: tuple[str, ...]
+    """Functions that it calls and that must not be called in softrig's own process."""
+
     digest: str
 
 
@@ -132,7 +146,7 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
     content = library.read_bytes()
     digest = hashlib.sha256(content).hexdigest()
     methods = PLANT if plant else STEP
-    hidden = _looked_into(library, [f"{prefix}_{name}" for name in ("init", *methods)])
+    hidden, intrusive = _looked_into(library, [f"{prefix}_{name}" for name in ("init", *methods)])
     copy = kept(f"{library.stem.split('-')[0]}-{digest[:32]}.so", lambda product: _write(product, content))
     own = compiler()
     text = _ran([own, "-E", "-P", *flags, str(header)], header).decode(errors="replace")
@@ -146,8 +160,9 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
             folder = product.parent
             (folder / "layout.h").write_text(generated)
             (folder / "shim.c").write_text(shim)
+            plain = [flag for flag in flags if flag not in FAST]
             try:
-                _ran([own, *SHIM, *more, *flags, "shim.c", "-o", str(product), "-ldl", "-lm"], header, folder)
+                _ran([own, *SHIM, *more, *plain, "shim.c", "-o", str(product), "-ldl", "-lm"], header, folder)
             except ValueError as error:
                 if "incompatible" not in str(error):
                     raise
@@ -163,7 +178,7 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
     program = kept(f"shim_{prefix}-{key}", make("-DSR_PROGRAM"))
     # a file for each library: two of one layout must not share what their shims have bound
     own_shim = kept(f"shim_{prefix}-{key}{digest[:16]}.so", lambda product: _write(product, shared.read_bytes()))
-    return Built(copy, own_shim, program, found, hidden, digest)
+    return Built(copy, own_shim, program, found, hidden, intrusive, digest)
 
 
 def _write(product: Path, content: bytes) -> None:
@@ -220,8 +235,8 @@ def _without_nothing(struct: Struct) -> Struct:
     return struct._replace(leaves=() if [leaf.access for leaf in struct.leaves] == ["nothing"] else struct.leaves)
 
 
-def _looked_into(library: Path, wanted: Sequence[str]) -> Hidden | None:
-    """Check that a file is a shared library of this machine with some functions; find the state that it hides."""
+def _looked_into(library: Path, wanted: Sequence[str]) -> tuple[Hidden | None, tuple[str, ...]]:
+    """Check that a file is a shared library of this machine with some functions; find hidden state and `INTRUSIVE`."""
     try:
         with library.open("rb") as file:
             elf = ELFFile(file)
@@ -235,19 +250,16 @@ def _looked_into(library: Path, wanted: Sequence[str]) -> Hidden | None:
             if kind != "ET_DYN":
                 raise ValueError(f"{library} is no shared library; build it with `cc -shared -fPIC`")
             tables = [s for s in elf.iter_sections() if isinstance(s, SymbolTableSection)]
-            offered = {
-                s.name
-                for table in tables
-                for s in table.iter_symbols()
-                if s["st_info"]["type"] == "STT_FUNC" and s["st_shndx"] != "SHN_UNDEF" and table.name == ".dynsym"
-            }
+            symbols = [s for table in tables if table.name == ".dynsym" for s in table.iter_symbols()]
+            missing_here = {s.name for s in symbols if s["st_shndx"] == "SHN_UNDEF"}
+            offered = {s.name for s in symbols if s["st_info"]["type"] == "STT_FUNC" and s["st_shndx"] != "SHN_UNDEF"}
             if missing := [name for name in wanted if name not in offered]:
                 near = ", ".join(sorted(n for n in offered if not n.startswith("_"))[:8]) or "nothing"
                 raise ValueError(
                     f'{library} has no function {missing[0]}; it offers {near} (a C++ function needs extern "C", a '
                     "static one is not offered)"
                 )
-            return _hidden(elf, tables)
+            return _hidden(elf, tables), tuple(sorted(missing_here & INTRUSIVE))
     except (ELFError, UnicodeDecodeError, AttributeError, LookupError, TypeError, OverflowError) as error:
         raise ValueError(f"{library} is no shared library ({error or 'not ELF'})") from None
 

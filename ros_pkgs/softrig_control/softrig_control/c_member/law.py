@@ -10,6 +10,7 @@ import struct
 import subprocess
 import weakref
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -18,8 +19,9 @@ from softrig_core.kit.compiled import Compiled
 
 from .build import Built
 
-SIGNAL, RANGE, CONSTANT = 1e6, 2e6, 3e6  # as in shim.c
+SIGNAL, RANGE, CONSTANT, MODE = 1e6, 2e6, 3e6, 4e6  # as in shim.c
 LEAVE = 1.0  # s: after which a process that does not end is killed
+PRINTED = 1 << 16  # bytes that a library may print before it ends; the rest is dropped
 Row = tuple[float, ...]
 
 
@@ -137,16 +139,18 @@ class Apart:
     def __init__(self, built: Built, methods: Sequence[str], params: Row, seconds: float) -> None:
         self._seconds, self._methods = seconds, tuple(methods)
         self._counts = [counts(built, m) for m in methods]
-        reading, theirs = os.pipe()
-        ours, writing = os.pipe()
+        (reading, theirs), (ours, writing), (said, saying) = os.pipe(), os.pipe(), os.pipe()
+        for descriptor in (writing, said, saying):  # a library that reads nothing or prints much must not block
+            os.set_blocking(descriptor, False)
         command = [str(built.program), str(built.library), str(ours), str(theirs)]
+        # a group of its own: Ctrl-C is for the run, and what the library starts ends with it
         self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=2, stderr=subprocess.PIPE, pass_fds=[ours, theirs]
+            command, stdin=subprocess.DEVNULL, stdout=2, stderr=saying, pass_fds=[ours, theirs], process_group=0
         )
-        os.close(ours)
-        os.close(theirs)
-        self._reading, self._writing = reading, writing
-        self.end = weakref.finalize(self, _ended, self._process, reading, writing)
+        for descriptor in (ours, theirs, saying):
+            os.close(descriptor)
+        self._reading, self._writing, self._said = reading, writing, said
+        self.end = weakref.finalize(self, _ended, self._process, reading, writing, said)
         found = self._ask(-1, params, 1 + len(built.structs["state"].leaves))
         self.status, self.first = found[0], found[1:]
 
@@ -156,24 +160,40 @@ class Apart:
         return self._ask(which, (0.0, *values), self._counts[which].gives)
 
     def _ask(self, which: int, values: Row, count: int) -> Row:
+        request, found = struct.pack(f"=i{len(values)}d", which, *values), b""
         try:
-            os.write(self._writing, struct.pack(f"=i{len(values)}d", which, *values))
-            found = b""
+            while request:
+                self._wait(select.POLLOUT)
+                request = request[os.write(self._writing, request) :]
             while len(found) < 8 * count:
-                if not select.select([self._reading], [], [], self._seconds)[0]:
-                    self.end()
-                    raise RunError(f"gave no answer within {self._seconds:g} s")
+                self._wait(select.POLLIN)
                 more = os.read(self._reading, 8 * count - len(found))
                 if not more:
                     raise BrokenPipeError
                 found += more
         except OSError:
-            self._process.wait(LEAVE)
-            said = b"" if self._process.stderr is None else self._process.stderr.read()
-            code = self._process.returncode
-            self.end()
-            raise RunError(_how(code, said.decode(errors="replace").strip())) from None
+            raise RunError(self._ending()) from None
         return struct.unpack(f"{count}d", found)
+
+    def _wait(self, what: int) -> None:
+        """Wait until the process takes or has bytes."""
+        poll = select.poll()  # `select` takes no descriptors beyond 1,024
+        poll.register(self._writing if what == select.POLLOUT else self._reading, what)
+        if not poll.poll(self._seconds * 1e3):
+            self.end()
+            raise RunError(f"gave no answer within {self._seconds:g} s")
+
+    def _ending(self) -> str:
+        """End a process that answers no more, and return how it ended."""
+        try:
+            code = self._process.wait(LEAVE)
+        except subprocess.TimeoutExpired:
+            code = None
+        said = b""
+        with suppress(BlockingIOError):  # nothing said, and something that it has started lives on
+            said = os.read(self._said, PRINTED)
+        self.end()
+        return _how(code, said.decode(errors="replace").strip())
 
 
 def _how(code: int | None, said: str) -> str:
@@ -181,17 +201,17 @@ def _how(code: int | None, said: str) -> str:
         return f"crashed ({signal.Signals(-code).name})"
     if code == 2 and said:
         return f"cannot be loaded: {said.splitlines()[-1]}"
+    if code is None:
+        return "closed the pipes on which it answers"
     return f"ended its process with status {code}"
 
 
 def _ended(process: subprocess.Popen[bytes], *descriptors: int) -> None:
     for descriptor in descriptors:
         os.close(descriptor)
-    if process.poll() is None:
-        process.kill()
-        process.wait()
-    if process.stderr is not None:
-        process.stderr.close()
+    with suppress(ProcessLookupError):  # nothing of its group is left
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 def wrong(status: float, method: str, names: Sequence[str]) -> str:
@@ -203,5 +223,10 @@ def wrong(status: float, method: str, names: Sequence[str]) -> str:
     if status == CONSTANT:
         return (
             f"{method} changes a member that holds constants; only NODE_init may write k, constants and the parameters"
+        )
+    if status == MODE:
+        return (
+            f"{method} leaves the processor with another rounding mode, or flushing subnormal numbers (fesetround, "
+            "-ffast-math); restore the mode before it returns"
         )
     return ""

@@ -212,7 +212,8 @@ class _C(Block[CParams]):
         if trial.wrong:
             raise ParameterError(f"{self._file}: {trial.wrong}")
         self._hidden = trial.hidden
-        self._apart = bool(self._hidden) or p.isolated or bool(os.environ.get(STRANGE))
+        self._calls = self._built.intrusive
+        self._apart = bool(self._hidden or self._calls) or p.isolated or bool(os.environ.get(STRANGE))
         called = {} if self._apart else {m: Called(self._built, m) for m in p.methods}
         self._step: Any = called.get("step")
         self._outputs: Any = called.get("outputs")
@@ -223,6 +224,13 @@ class _C(Block[CParams]):
         if self._hidden:
             self.report(Level.WARN, HIDDEN, self._hint())
             return Secret(History())
+        if self._calls and not self.p.isolated:
+            self.report(
+                Level.WARN,
+                "apart",
+                f"{self._file} calls {', '.join(self._calls)}, which would act on all of softrig: it runs in a process "
+                "of its own, tick by tick; answer by a status instead, or set `isolated`",
+            )
         return self._made(self._begin)
 
     def go_on(self, x: Any, before: CParams) -> Any:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from softrig_core import Port
+from softrig_core.board.description import PortDescription, read_description
 from softrig_core.errors import closest
 from softrig_core.wire.types import TYPES
 
@@ -51,46 +51,41 @@ def described(file: Path) -> Described:
         It is no JSON, or lacks something; names it.
     """
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-        numerator, denominator = found["period_s"]
+        found = read_description(file)
         sides: dict[str, list[Port]] = {"in": [], "out": []}
-        for each in found["ports"]:
-            sides[each["direction"]].append(_described_port(each))
-        return Described(
-            found["node"],
-            numerator / denominator,
-            tuple(sides["in"]),
-            tuple(sides["out"]),
-            {name: found["parameters"][name] for name in found["settable"]},
-        )
-    except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError) as error:
-        what = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise ValueError(f"{file.name} describes no node: {what}; expected what `softrig export c` writes") from None
+        for each in found.ports:
+            sides[each.direction].append(_described_port(each))
+    except ValueError as error:
+        raise ValueError(f"{file.name} describes no node: {error}; expected what `softrig export c` writes") from None
+    parameters = {name: found.parameters[name] for name in found.settable}
+    return Described(found.node, found.period, tuple(sides["in"]), tuple(sides["out"]), parameters)
 
 
-def _described_port(found: Mapping[str, Any]) -> Port:
-    kind = TYPES[found["type"]]
-    values = found["values"]
-    labels = [v["label"].rpartition("/") for v in values]
+def _described_port(found: PortDescription) -> Port:
+    kind = TYPES[found.type]
+    values = found.values
+    labels = [v.label.rpartition("/") for v in values]
     fields = tuple(dict.fromkeys(label for _, _, label in labels)) if kind.named else tuple(kind.sizes)[:1]
     channels = tuple(dict.fromkeys(channel for channel, _, _ in labels)) if kind.named else ()
-    if found.get("fields"):
-        fields, channels = tuple(found["fields"]), tuple(found["channels"])
+    if found.fields:
+        fields, channels = found.fields, found.channels
+        if strange := [name for name in fields if name not in kind.sizes]:
+            raise ValueError(f"port {found.name}: {found.type} has no {strange[0]}{closest(strange[0], kind.sizes)}")
     return Port(
-        found["name"],
-        found["topic"],
-        found["type"],
+        found.name,
+        found.topic,
+        found.type,
         channels,
         fields,
-        tuple(v["unit"] for v in values),
-        found.get("frame_id", ""),
-        held=found.get("held", False),
-        sporadic=found.get("sporadic", False),
-        delayed=found.get("delayed", False),
-        partial=found.get("partial", False),
-        dims=tuple((str(label), int(size)) for label, size in found.get("dims", ())),
-        safe=tuple(v["safe"] for v in values),
-        limits=tuple(v["limit"] for v in values),
+        tuple(v.unit for v in values),
+        found.frame_id,
+        held=found.held,
+        sporadic=found.sporadic,
+        delayed=found.delayed,
+        partial=found.partial,
+        dims=found.dims,
+        safe=tuple(v.safe for v in values),
+        limits=tuple(v.limit for v in values),
     )
 
 

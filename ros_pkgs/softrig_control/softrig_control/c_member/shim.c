@@ -20,8 +20,27 @@
 #define SR_SIGNAL 1000000.0   /* plus the number of the signal */
 #define SR_RANGE 2000000.0    /* plus the place of a number that its type in C does not hold */
 #define SR_CONSTANT 3000000.0 /* the call has changed a member that holds constants */
+#define SR_MODE 4000000.0     /* the call has left another rounding mode, or one that flushes subnormal numbers */
 
 #include "layout.h"
+
+/* The mode in which the processor computes belongs to all code of the thread: what a library leaves is undone. */
+#if defined(__x86_64__)
+static unsigned sr_mode(void) { return __builtin_ia32_stmxcsr() & 0xFFC0u; } /* without the flags of what has happened */
+static void sr_restore(unsigned mode) { __builtin_ia32_ldmxcsr(mode); }
+#elif defined(__aarch64__)
+static uint64_t sr_mode(void)
+{
+    uint64_t mode;
+    __asm__ volatile("mrs %0, fpcr" : "=r"(mode));
+    return mode;
+}
+static void sr_restore(uint64_t mode) { __asm__ volatile("msr fpcr, %0" : : "r"(mode)); }
+#else
+#include <fenv.h>
+static int sr_mode(void) { return fegetround(); }
+static void sr_restore(int mode) { fesetround(mode); }
+#endif
 
 static __thread sigjmp_buf *sr_back;
 static __thread char sr_stack[65536]; /* of the handler: the user's may be what has run out */
@@ -71,7 +90,9 @@ static void sr_enter(void)
 /* Find the functions of the user's library; NULL, or the name of what it lacks, or of why it cannot be loaded. */
 const char *sr_load(const char *library, int watch)
 {
+    const __typeof__(sr_mode()) mode = sr_mode();
     void *found = dlopen(library, RTLD_NOW | RTLD_LOCAL);
+    sr_restore(mode); /* a library that is linked with -ffast-math sets it when it is loaded */
     if (found == NULL) {
         return dlerror();
     }
@@ -86,6 +107,7 @@ long sr_size(void) { return (long)sizeof(SR_STATE); }
 /* Fill a state by NODE_init: numbers of the parameters in, numbers of the state out. */
 double sr_init(void *place, const double *params, double *state)
 {
+    const __typeof__(sr_mode()) mode = sr_mode();
     sigjmp_buf back;
     int signal;
     sr_enter();
@@ -93,11 +115,16 @@ double sr_init(void *place, const double *params, double *state)
     signal = sigsetjmp(back, 0);
     if (signal != 0) {
         sr_back = NULL;
+        sr_restore(mode);
         return SR_SIGNAL + signal;
     }
     sr_back = &back;
     double status = sr_call_init(place, params);
     sr_back = NULL;
+    if (sr_mode() != mode) {
+        sr_restore(mode);
+        status = SR_MODE;
+    }
     return status == 0.0 ? sr_take_state(place, state) : status;
 }
 
@@ -111,6 +138,7 @@ double sr_init(void *place, const double *params, double *state)
         double *r = res[0], status;                                                                                    \
         const SR_STATE *first = (const SR_STATE *)(uintptr_t)v[0];                                                     \
         int64_t t_ns = (int64_t)v[1];                                                                                  \
+        const __typeof__(sr_mode()) mode = sr_mode();                                                                  \
         SR_STATE s;                                                                                                    \
         SR_IN in;                                                                                                      \
         SR_OUT out;                                                                                                    \
@@ -135,12 +163,17 @@ double sr_init(void *place, const double *params, double *state)
         signal = sigsetjmp(back, 0);                                                                                   \
         if (signal != 0) {                                                                                             \
             sr_back = NULL;                                                                                            \
+            sr_restore(mode);                                                                                          \
             r[0] = SR_SIGNAL + signal;                                                                                 \
             return 0;                                                                                                  \
         }                                                                                                              \
         sr_back = &back;                                                                                               \
         status = call;                                                                                                 \
         sr_back = NULL;                                                                                                \
+        if (sr_mode() != mode) {                                                                                       \
+            sr_restore(mode);                                                                                          \
+            status = SR_MODE;                                                                                          \
+        }                                                                                                              \
         if (status == 0.0 && !sr_same_constants(first, &s)) {                                                          \
             status = SR_CONSTANT;                                                                                      \
         }                                                                                                              \

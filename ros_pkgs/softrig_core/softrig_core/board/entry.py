@@ -52,7 +52,7 @@ class LinkEntry(Entry):
         return port
 
 
-def contents_of(file: Path) -> bytes:
+def contents_of(file: Path, longest: int = LONGEST) -> bytes:
     """Return the bytes of a file that a scenario names.
 
     Raises
@@ -65,9 +65,9 @@ def contents_of(file: Path) -> bytes:
     if file.exists() and not file.is_file():
         raise OSError(errno.EINVAL, "not a regular file")
     with file.open("rb") as stream:
-        data = stream.read(LONGEST + 1)
-    if len(data) > LONGEST:
-        raise ValueError(f"more than {LONGEST} bytes")
+        data = stream.read(longest + 1)
+    if len(data) > longest:
+        raise ValueError(f"more than {longest} bytes")
     return data
 
 

@@ -19,6 +19,7 @@ from ..block.port import Sample
 from ..errors import RunError, ScenarioError
 from .can_line import can_line
 from .dbc import build_of
+from .description import read_description
 from .elsewhere import Elsewhere, LinkState
 from .entry import CAN, LinkEntry, absolute_port, contents_of
 from .frames import Kind
@@ -228,15 +229,12 @@ def _of_board(block: type[Block], entry: LinkEntry, params: Any, where: str) -> 
             raise ScenarioError(f"{where}: link: {file} has {len(found)} JSON files, expected one; name the file")
         file = found[0]
     try:
-        described = json.loads(contents_of(file))
-        known = {
-            key: described[key] for key in ("class", "digest", "period_s", "ports", "settable", "parameters", "real")
-        }
+        known = read_description(file).model_dump(mode="json", by_alias=True, exclude={"node"})
     except OSError as error:
         raise ScenarioError(f"{where}: link: {file}: {error.strerror}; `softrig export` writes it") from None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except ValueError as error:
         raise ScenarioError(
-            f"{where}: link: {file} is no description of firmware; `softrig export` writes it"
+            f"{where}: link: {file} is no description of firmware ({error}); `softrig export` writes it"
         ) from None
     _check(block, params, known, f"{where}: link: {file}")
     return file, known
@@ -263,7 +261,7 @@ def _check(block: type[Block], params: Any, known: Mapping[str, Any], where: str
     for key, value in given.items():
         if key not in known["settable"] and value != compiled.get(key):
             raise ScenarioError(
-                f"{where} has {key} = {compiled.get(key)} compiled in, expected {value}; export it again"
+                f"{where} has {key} = {str(compiled.get(key))[:100]} compiled in, expected {value}; export it again"
             )
 
 

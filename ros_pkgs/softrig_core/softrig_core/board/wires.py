@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import re
+import resource
 import select
 import shutil
 import signal
@@ -20,6 +22,7 @@ from .entry import SIMULATORS
 from .simavr import simavr_program
 
 CHUNK = 4096
+PRINTED = 16 << 20  # bytes that a simulator may write to its standard error, which is a file
 END = 2.0  # s: a simulator ends when its input does
 QEMU = "apt-get install qemu-system-arm"
 
@@ -101,14 +104,18 @@ class Simulated(FileWire):
             self._said.seek(0)
             said = next(line for line in self._said if line.startswith(b"{"))  # libsimavr has lines of its own
             return dict(json.loads(said))
-        except (ValueError, StopIteration, subprocess.TimeoutExpired):
+        except (ValueError, RecursionError, StopIteration, subprocess.TimeoutExpired):
             return {}
 
     def close(self) -> None:
         """End the simulator."""
         super().close()
         self._process.terminate()
-        self._process.wait()
+        try:
+            self._process.wait(END)
+        except subprocess.TimeoutExpired:  # a program that does not want to end
+            self._process.kill()
+            self._process.wait()
         self._said.close()
 
 
@@ -117,8 +124,9 @@ _PR_SET_PDEATHSIG = 1
 
 
 def _end_with_parent() -> None:
-    """Let Linux end the simulator with this process: qemu does not end when its input does."""
+    """Let Linux end the simulator with this process: qemu does not end when its input does. Bound what it prints."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (PRINTED, PRINTED))
 
 
 def opened(port: str, baud: int) -> Wire:
@@ -197,6 +205,10 @@ def machine_of(file: Path) -> str:
     """
     told = file.with_suffix(".json")
     try:
-        return str(json.loads(told.read_text())["machine"])
-    except (OSError, ValueError, KeyError, TypeError):
-        raise ScenarioError(f"link: {told} does not name qemu's machine; `softrig export cortex-m` writes it") from None
+        machine = json.loads(told.read_text())["machine"]
+        # properties behind a comma would have qemu read and write other files
+        if re.fullmatch(r"[\w.-]{1,60}", machine):
+            return str(machine)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        pass
+    raise ScenarioError(f"link: {told} does not name qemu's machine; `softrig export cortex-m` writes it")
