@@ -14,7 +14,7 @@ from softrig_bringup.cli import main
 from softrig_bringup.options import packed
 from softrig_bringup.options.like import first_version
 from softrig_bringup.report.redraw import rig_of_run
-from softrig_bringup.verbs.pack import standing_alone
+from softrig_bringup.verbs.pack import raw_alone, standing_alone
 from softrig_core import ScenarioError, load_scenario
 
 TABLE = Path(__file__).parents[2] / "ros_pkgs/softrig_power/softrig_power/dispatch/tables/wood_wollenberg_3.csv"
@@ -138,16 +138,20 @@ def test_a_package_that_is_not_here_is_named(run, tmp_path, capsys):
 
 
 def test_files_that_a_scenario_names_travel_with_it(tmp_path):
-    """A table of units that lies beside the scenario, with what has its name and another ending."""
+    """A table of units that lies beside the scenario; nothing else of its name leaves the folder, but of COMTRADE."""
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
     shutil.copy(TABLE, here / "units.csv")
-    (here / "units.dat").write_text("x")
+    for name in ("units.dat", "units.key", "fault.CFG", "fault.DAT", "fault.pdf", "law.c", "law.h", "law.o"):
+        (here / name).write_text("x")
+    for one, found in (("fault.CFG", ["fault.CFG", "fault.DAT"]), ("law.c", ["law.c", "law.h"])):
+        _, files = raw_alone({"shared": {"file": str(here / one)}})
+        assert sorted(Path(place).name for place in files) == found
     (here / "mine.yaml").write_text("extends: economic_dispatch_wood\nshared: {table: units.csv}\n")
     scenario = load_scenario(str(here / "mine.yaml"))
     text, files = standing_alone(scenario)
     assert str(here).encode() not in text
-    assert sorted(Path(place).name for place in files) == ["units.csv", "units.dat"]
+    assert sorted(Path(place).name for place in files) == ["units.csv"]
     for place, content in {"mine.yaml": text, **{k: v.read_bytes() for k, v in files.items()}}.items():
         (there / place).parent.mkdir(exist_ok=True, parents=True)
         (there / place).write_bytes(content)

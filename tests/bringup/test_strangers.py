@@ -17,6 +17,7 @@ from softrig_bringup.new.native import new_native
 from softrig_bringup.options import brought, cargo, packed, sandbox, signature, trust
 from softrig_bringup.options.identity import asked_half, recorded_half
 from softrig_bringup.options.packed import About
+from softrig_bringup.verbs import pack
 from softrig_bringup.verbs.new import new_package
 from softrig_core import ScenarioError, rig_of
 from softrig_core.kit import confined
@@ -153,6 +154,35 @@ def test_a_confirmed_pack_repeats_number_for_number(made, tmp_path, capsys, monk
     said = capsys.readouterr().err.splitlines()
     assert said[-1].startswith("softrig: repeats ")
     assert not [line for line in said if "the bag gives" in line or "belong" in line]
+
+
+@pytest.mark.long
+def test_a_study_brings_its_code_and_repeats_once_that_is_confirmed(made, tmp_path, capsys, monkeypatch):
+    """Packed where the package is, refused without a word, repeated row for row with --trust."""
+    monkeypatch.chdir(tmp_path)
+    for place, text in made.items():
+        if place.startswith(f"packages/{NAME}/"):
+            file = tmp_path / "src" / place.removeprefix("packages/")
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text)
+    (tmp_path / "mine.yaml").write_text(made[f"scenario/{NAME}.yaml"])
+    words = ["--draw", f"{NAME}_controller.r=0.5..2", "--draws", "2", "--workers", "1", "--duration", "0.1"]
+    with pytest.MonkeyPatch.context() as patch:  # there its package can be imported
+        patch.setattr(sys, "path", [*sys.path])
+        for name in ("AMENT_PREFIX_PATH", "PYTHONPATH"):
+            patch.setenv(name, os.environ.get(name, ""))
+        patch.setattr(pack, "_sources", lambda name: tmp_path / "src" / name)
+        run(zipped(tmp_path / "x.zip", made), "--trust")
+        assert main(["study", "mine.yaml", *words, "--out", "s"]) == 0
+        capsys.readouterr()
+        assert main(["pack", "s", "--out", "s.zip"]) == 0
+        assert "scripts/softrig study --like s.zip --trust" in capsys.readouterr().out
+    forget()
+    assert main(["study", "--like", "s.zip", "--workers", "1", "--out", "a"]) == 2
+    assert "has code that would run here" in capsys.readouterr().err
+    assert NAME not in sys.modules
+    assert main(["study", "--like", "s.zip", "--trust", "--workers", "1", "--out", "a"]) == 0
+    assert "repeats s.zip row for row" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,11 @@ import json
 import zipfile
 
 import pytest
+from softrig_bags.compare import compare
+from softrig_bags.files.reader import BagReader
+from softrig_bags.write import retell
 from softrig_bringup.cli import main
+from softrig_bringup.options.packed import opened, placeless
 from softrig_bringup.study import packed
 
 WORDS = ["study", "mine.yaml", "--against", "dc_motor_smc_b4", "--draw", "dc_motor_plant.R=0.3..0.5", "--draws", "2",
@@ -67,7 +71,9 @@ def test_an_archive_reads_what_is_in_a_pack(folder):
         for place, content in files.items():
             assert entities[place]["sha256"] == hashlib.sha256(content).hexdigest()
             assert entities[place]["contentSize"] == str(len(content))
-            assert place.startswith("bag/") or str(folder).encode() not in content  # a bag says by what it was made
+            assert str(folder).encode() not in content
+        assert root["license"]["@id"] in entities
+        assert not any(isinstance(v, list) and len(v) == 1 for e in crate["@graph"] for k, v in e.items())
         assert root["datePublished"] == ("2026-11-28" if name == "r" else "1980-01-01")
 
 
@@ -85,6 +91,31 @@ def test_what_is_no_study_or_not_whole_is_refused(folder, capsys):
     (folder / "mine.yaml").write_text("title: mine\nextends: dc_motor_smc_b2\nseed: 4\n")
     assert main(["pack", "s"]) == 2
     assert "holds another study (scenario" in capsys.readouterr().err
+
+
+def test_a_bag_in_a_pack_is_that_of_the_run_but_for_folders(folder, monkeypatch):
+    """Equal words give equal bytes; a pack's bag has the run's messages, and no file names a folder of its machine."""
+    (folder / "p.yaml").write_text("/**:\n  ros__parameters:\n    delta: 3.0\n")
+    words = ["run", "mine.yaml", "--mode", "inprocess", "--duration", "0.2", "--no-plots", "--params-file", "p.yaml"]
+    assert main([*words, "--out", "r"]) == 0
+    assert main(["run", "--from", "r@0.1", "--mode", "inprocess", "--no-plots", "--out", "branch"]) == 0
+    with BagReader(folder / "r/bag") as reader:
+        retell(folder / "r/bag", folder / "bag", reader.custom_data)
+    for name in ("bag_0.mcap", "metadata.yaml"):
+        assert (folder / "bag" / name).read_bytes() == (folder / "r/bag" / name).read_bytes()
+    for name in ("r", "branch"):
+        assert main(["pack", name, "--out", f"{name}.zip"]) == 0
+        with zipfile.ZipFile(f"{name}.zip") as archive:
+            archive.extractall(f"x{name}")
+        assert [f for f in (folder / f"x{name}").rglob("*") if f.is_file() and b"/tmp/" in f.read_bytes()] == []
+        assert compare(folder / name / "bag", folder / f"x{name}/bag", bitwise=True).equal
+        monkeypatch.setattr(opened, "cache_clear", lambda: None)
+        assert main(["run", "--like", f"{name}.zip", "--mode", "inprocess", "--no-plots", "--out", f"a{name}"]) == 0
+
+
+def test_folders_go_and_what_looks_like_one_stays():
+    told = {"a": ["/tmp/ann/my rig/x.py", "see /motor/state/shaft and https://doi.org/10.1/2"], "/tmp/b/c": 1.5}
+    assert placeless(told) == {"a": ["my rig/x.py", "see /motor/state/shaft and https://doi.org/10.1/2"], "c": 1.5}
 
 
 def test_a_row_that_broke_keeps_no_folder_of_its_machine():

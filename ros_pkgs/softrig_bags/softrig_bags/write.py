@@ -13,6 +13,8 @@ from softrig_core import Recording, RunError
 from .content.topics import BagTopic, absolute, qos
 from .errors import BagError
 from .files.bag import BagWriter
+from .files.compressed import plain
+from .files.reader import BagReader
 
 
 def write_bag(
@@ -73,3 +75,36 @@ def write_bag(
         raise RunError(f"bag {directory} not written: {error.strerror}") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def retell(bag: Path, directory: Path, custom_data: Mapping[str, str]) -> None:
+    """Write a bag once more, with other words of its writer beside the same messages.
+
+    Parameters
+    ----------
+    bag : Path
+        Stays as it is.
+    directory : Path
+        The new bag, of one file; must not exist.
+    custom_data : mapping of str to str
+        Kept in its metadata, in place of that of `bag`.
+
+    Raises
+    ------
+    BagError
+        `bag` cannot be read, or is not whole.
+    """
+    with BagReader(bag) as reader:
+        storage = "mcap" if plain(reader.files[0]).suffix == ".mcap" else "sqlite3"
+        writer = BagWriter(directory, storage=storage, custom_data=custom_data)
+        try:
+            numbers = [writer.add_topic(topic) for topic in reader.topics]
+            for block in reader.blocks():
+                for i in range(len(block)):
+                    writer.write(numbers[int(block.topic[i])], int(block.t[i]), block.data(i))
+            if not reader.is_whole:
+                raise BagError(f"{bag} is not whole; `softrig bag info {bag}` says what is missing")
+            writer.close()
+        except BaseException:
+            writer.abort()
+            raise

@@ -39,7 +39,7 @@ def lead(task: Falsification, outcome: Outcome, units: Mapping[str, str], files:
     asked = f"Does every run keep {_and(outcome.names)} over {_and(list(task.over))}?"
     held = not outcome.violated
     answer = f"no violation in {outcome.found.runs} runs" if held else f"violated: {', '.join(outcome.violated)}"
-    already = [name for name in outcome.violated if outcome.nominal[name] < 0.0]
+    already = [name for name in outcome.violated if (nominal := outcome.nominal[name]) is not None and nominal < 0.0]
     answer += f"; without any change already: {', '.join(already)}" if already else ""
     if outcome.case is None:
         answer = f"none of {outcome.found.runs} runs could be judged"

@@ -60,7 +60,7 @@ def crate(
         "name": name,
         "description": about,
         "datePublished": published,
-        "license": "not stated; ask the person who gave you this file",
+        "license": {"@id": "#license"},
         "hasPart": [{"@id": part["@id"]} for part in parts],
         "mentions": {"@id": "#made"},
     }
@@ -71,13 +71,20 @@ def crate(
         "version": versions.get("softrig_core", ""),
         "description": "Software test rigs for drives, power converters and robots as ROS 2 nodes",
     }
+    made_of = [{"@id": part["@id"]} for part in parts if part["@id"].startswith("scenario/")]
     made = {
         "@id": "#made",
         "@type": "CreateAction",
         "name": f"simulation of {name}",
         "instrument": {"@id": "#softrig"},
         "result": {"@id": "./"},
-        "object": [{"@id": part["@id"]} for part in parts if part["@id"].startswith("scenario/")],
+        "object": made_of[0] if len(made_of) == 1 else made_of,
+    }
+    allowed = {
+        "@id": "#license",
+        "@type": "CreativeWork",
+        "name": "not stated",
+        "description": "ask the person who gave you this file",
     }
     head = {
         "@id": CRATE,
@@ -85,5 +92,5 @@ def crate(
         "about": {"@id": "./"},
         "conformsTo": {"@id": "https://w3id.org/ro/crate/1.1"},
     }
-    graph = [head, root, tool, made, *parts]
+    graph = [head, root, tool, made, allowed, *parts]
     return json.dumps({"@context": "https://w3id.org/ro/crate/1.1/context", "@graph": graph}, indent=1).encode() + b"\n"

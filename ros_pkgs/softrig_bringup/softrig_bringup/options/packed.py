@@ -10,12 +10,12 @@ import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from softrig_bags.errors import BagError
@@ -36,6 +36,7 @@ _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, Runti
 _NAME = re.compile(
     rf"(?:{ABOUT}|{METRICS}|{CRATE}|(?:{SCENARIO}|{PACKAGES}|{BAG}|{STUDY})(?:/[^/\\\x00-\x1f\x7f]{{1,150}}){{1,20}})"
 )
+_PLACE = re.compile(r"(?<![\w./])/([\w.+@-]+)/(?:[\w.+@-]+/)*")
 _BAG = re.compile(rf"{BAG}/(?:metadata\.yaml|[^/]+\.(?:mcap|db3)(?:\.zstd)?)")
 _END = struct.Struct("<4s4H2LH")  # of a zip file: signature, ..., size of the list of entries, ...
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,99}$")]
@@ -86,6 +87,18 @@ class About(BaseModel):
     digests: dict[str, Digest] = {}
     run: str = Field("", pattern=r"^([0-9a-f]{32})?$")
     files: dict[str, Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]] = {}
+
+
+def placeless(value: Any) -> Any:
+    """Return text, or all text in a value, without the folders of this machine before the names of files.
+
+    What begins with no folder that is here is left alone: a topic, an address.
+    """
+    if isinstance(value, str):
+        return _PLACE.sub(lambda found: "" if Path("/", found[1]).is_dir() else found[0], value)
+    if isinstance(value, Mapping):
+        return {placeless(k): placeless(v) for k, v in value.items()}
+    return [placeless(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 def is_pack(path: Path) -> bool:

@@ -33,12 +33,19 @@ _PASSED = re.compile(
     r"PATH|HOME|LANG|LC_\w+|TZ|TERM|COLUMNS|VIRTUAL_ENV|AMENT_PREFIX_PATH|LD_LIBRARY_PATH|XDG_CACHE_HOME"
     r"|(?:SOFTRIG|PYTHON|ROS|RMW|OMP|OPENBLAS|NUMBA|MKL)\w*"
 )
-_OUTSIDE = ("view", "junit", "domain", "connect")  # options that need the network or another file
+_OUTSIDE = ("view", "junit", "domain", "connect", "scheduler")  # options that need the network or another file
 
 
 def inside() -> bool:
     """Return whether this process runs in a sandbox of ours."""
     return os.environ.get(VARIABLE) == "1"
+
+
+def source_of(options: argparse.Namespace) -> Path | None:
+    """Return what --like or --from names; None for neither."""
+    origin = getattr(options, "origin", None)
+    source: Path | None = options.like if origin is None else origin[0]
+    return source
 
 
 def command(options: argparse.Namespace) -> list[str] | None:
@@ -47,11 +54,11 @@ def command(options: argparse.Namespace) -> list[str] | None:
     Parameters
     ----------
     options : argparse.Namespace
-        Of the verb `run`, with `words`, the command line that they come from.
+        Of the verb `run` or `study`, with `words`, the command line that they come from.
     """
     if (program := shutil.which("bwrap")) is None:
         return None
-    asked = [f"--{name}" if name != "view" else name for name in _OUTSIDE if getattr(options, name)]
+    asked = [f"--{name}" if name != "view" else name for name in _OUTSIDE if getattr(options, name, None)]
     if asked:
         say(f"not in bubblewrap, for {', '.join(asked)}: the code runs with all your rights")
         return None
@@ -73,7 +80,8 @@ def _results(options: argparse.Namespace) -> Path:
     if options.out is not None:
         out: Path = options.out.absolute()
     else:
-        source = options.like if options.origin is None else options.origin[0]
+        source = source_of(options)
+        assert source is not None
         name = re.sub(r"[^A-Za-z0-9_.=+-]+", "_", source.name.partition(".")[0])[:100]
         first = Path("runs", f"{name}-again").absolute()
         places = (first if n == 1 else first.with_name(f"{first.name}-{n}") for n in range(1, 10_000))
@@ -93,7 +101,8 @@ def _rights(out: Path, options: argparse.Namespace) -> Iterator[str]:
     for folder in hidden:
         if os.path.isdir(folder):
             yield from ("--tmpfs", folder)
-    source = options.like if options.origin is None else options.origin[0]
+    source = source_of(options)
+    assert source is not None
     for path in _read(source.absolute(), hidden):
         yield from ("--ro-bind", path, path)
     yield from ("--dir", here, "--bind", str(out), str(out), "--chdir", here)

@@ -25,7 +25,7 @@ def admitted(options: argparse.Namespace) -> int | None:
     Parameters
     ----------
     options : argparse.Namespace
-        Of the verb `run`; `trust` confirms in place of a person.
+        Of the verb `run` or `study`; `trust` confirms in place of a person.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def admitted(options: argparse.Namespace) -> int | None:
     ScenarioError
         Nobody has confirmed it, or the pack has something that never runs.
     """
-    path = options.like if options.origin is None else options.origin[0]
+    path = sandbox.source_of(options)
     if path is None or not is_pack(path):
         return None
     folder = opened(path)

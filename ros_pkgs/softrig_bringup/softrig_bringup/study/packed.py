@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,15 +13,14 @@ from softrig_core import ScenarioError, load_scenario
 from softrig_core.scenario.scenario_file import locate
 from softrig_core.scenario.yaml_file import read_mapping
 
-from ..options.cargo import brings, check_scenario
-from ..options.packed import SCENARIO, STUDY, about, is_pack, opened
+from ..options.cargo import check_scenario
+from ..options.packed import SCENARIO, STUDY, about, is_pack, need_packages, opened, placeless
 from .definition import Study, make_study
 from .draw import drafts_of
 from .engine import check_study, content_of, same
 from .table import Row
 
 FILE, ROWS = "study.yaml", "rows.jsonl"
-_PLACE = re.compile(r"(?<![\w.])/(?:[\w.+@-]+/)+")  # folders of this machine in what a run that broke says
 
 
 def saved(study: Study) -> str:
@@ -64,7 +62,7 @@ def rows_alone(rows: Sequence[Row]) -> bytes:
     """Write rows without folders of this machine: scenarios by name, what a broken run said without places."""
     lines = []
     for row in rows:
-        told = {**row, "scenario": locate(row["scenario"])[0], "error": _PLACE.sub("", row["error"])}
+        told = {**row, "scenario": locate(row["scenario"])[0], "error": placeless(row["error"])}
         lines.append(json.dumps(told, separators=(",", ":")) + "\n")
     return "".join(lines).encode()
 
@@ -75,7 +73,7 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
     Raises
     ------
     ScenarioError
-        Another file, or one that brings code.
+        Another file; code that it brings is admitted before, see `softrig_bringup.options.trust`.
     """
     if not is_pack(path):
         raise ScenarioError(f"--like {path}: expected a file that `softrig pack` has written of a study")
@@ -83,8 +81,7 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
     said = about(folder)
     if not (folder / STUDY / FILE).is_file():
         raise ScenarioError(f"--like {path}: it holds a run, expected a study; `softrig run --like` repeats it")
-    if names := brings(folder, said):
-        raise ScenarioError(f"--like {path}: it brings {', '.join(names)}; a study that contains code is not repeated")
+    need_packages(f"--like {path}", [*said.packages, *said.code])
     study = make_study(read_mapping(folder / STUDY / FILE))
 
     def place(name: str) -> str:

@@ -20,6 +20,7 @@ from softrig_core.verdict.findings import Finding
 from softrig_core.wire.signals import short_name
 
 from ..folder import STUDY, ResultsFolder
+from ..options.trust import admitted
 from ..page.citations import cited, sources
 from ..page.html import NONE, e, mark, picture, table, write_page
 from ..page.paper_table import write_paper_table
@@ -46,6 +47,8 @@ def main(options: argparse.Namespace) -> int:
     if options.study == "list":
         print("\n".join(sorted(list_studies())))
         return 0
+    if options.like is not None and (status := admitted(options)) is not None:
+        return status  # of a sandbox
     study, before = (study_of(options), None) if options.like is None else _again(options)
     name = f"study_{study.name}-again" if before is not None else folder_name(study.name, options)
     out = options.out or Path("runs") / name

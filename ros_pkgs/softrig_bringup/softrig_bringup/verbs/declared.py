@@ -192,6 +192,7 @@ def _vary(verb: Verb) -> None:
         "study", nargs="?", default="", help="name or file of a study, or a scenario; `study list` shows the studies"
     )
     study.add_argument("--like", type=Path, metavar="FILE", help="instead: the study of a file of `pack`, row for row")
+    study.add_argument("--trust", action="store_true", help="with --like FILE: let the code in that file run")
     study.add_argument(
         "--grid",
         action="append",

@@ -9,14 +9,16 @@ import json
 import os
 import xml.etree.ElementTree as ElementTree
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from glob import escape
 from os.path import isfile
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 import yaml
+from softrig_bags.write import retell
 from softrig_core import Rig, Run, Scenario, ScenarioError, rig_of
 from softrig_core.block.params import flatten
 from softrig_core.guard import naming, say
@@ -44,6 +46,7 @@ from ..options.packed import (
     digest_of,
     is_pack,
     opened,
+    placeless,
 )
 from ..options.run_options import Again, scenario_of
 from ..options.signature import beside, sign, signed_by
@@ -54,6 +57,8 @@ from ..study.draw import count
 from ..study.packed import FILE, ROWS, of_folder, rows_alone, saved, standing_alone as standing_alone_study
 from ..study.table import without_signals
 
+#: Endings of files that are read together: COMTRADE, and C with its headers.
+TOGETHER = ({".cfg", ".dat", ".hdr", ".inf"}, {".c", ".h", ".cc", ".cpp", ".cxx", ".hh", ".hpp"})
 _BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_modules"}  # not sources
 
 
@@ -69,36 +74,44 @@ def main(options: argparse.Namespace) -> int:
     """Write the file and say what is in it; returns the exit status."""
     if (options.run / "study.json").is_file():
         return _pack_study(options)
-    packed = collect(options.run, bag=not options.no_bag)
-    out = options.out or Path(packed.about.scenario + SUFFIX)
-    if out.is_dir():
-        raise ScenarioError(f"--out {out}: is a folder, expected a file")
-    write(_described(packed, options.published), out)
+    with TemporaryDirectory(prefix="softrig_pack_") as aside:
+        packed = collect(options.run, Path(aside), bag=not options.no_bag)
+        out = _written(packed, options)
     own = [f"package {name} {version}" for name, version in packed.about.packages.items() if name not in packed.lacks]
     bag = "its bag" if not options.no_bag else f"digests of {len(packed.about.digests)} topics in place of its bag"
     print(
         f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {', '.join([packed.about.scenario, bag, *own])}; elsewhere:"
     )
     print(f"  scripts/softrig run --like {out.name}{' --trust' if own else ''}")
+    return _signed(packed, out, options)
+
+
+def _pack_study(options: argparse.Namespace) -> int:
+    packed, rows = collect_study(options.run)
+    out = _written(packed, options, ".study")
+    own = [f"package {name} {version}" for name, version in packed.about.packages.items() if name not in packed.lacks]
+    what = ", ".join([f"{rows} row{'s' * (rows != 1)}", *own])
+    print(f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {what}; elsewhere:")
+    print(f"  scripts/softrig study --like {out.name}{' --trust' if own else ''}")
+    return _signed(packed, out, options)
+
+
+def _written(packed: _Pack, options: argparse.Namespace, kind: str = "") -> Path:
+    """Write the file that is asked for, by the scenario's name where none is named."""
+    out: Path = options.out or Path(packed.about.scenario + kind + SUFFIX)
+    if out.is_dir():
+        raise ScenarioError(f"--out {out}: is a folder, expected a file")
+    write(_described(packed, options.published), out)
+    return out
+
+
+def _signed(packed: _Pack, out: Path, options: argparse.Namespace) -> int:
+    """Sign the file if that is asked for, and name the packages that it lacks."""
     if options.sign is not None:
         sign(out, options.sign)
         print(f"wrote {beside(out)}: {signed_by(out)}")
     for name in packed.lacks:
         say(f"not in it: package {name}, whose sources are in no workspace here (--workspace DIR); a run needs it")
-    return 0
-
-
-def _pack_study(options: argparse.Namespace) -> int:
-    packed, rows = collect_study(options.run)
-    out = options.out or Path(packed.about.scenario + ".study" + SUFFIX)
-    if out.is_dir():
-        raise ScenarioError(f"--out {out}: is a folder, expected a file")
-    write(_described(packed, options.published), out)
-    print(f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {rows} rows; elsewhere:")
-    print(f"  scripts/softrig study --like {out.name}")
-    if options.sign is not None:
-        sign(out, options.sign)
-        print(f"wrote {beside(out)}: {signed_by(out)}")
     return 0
 
 
@@ -117,10 +130,6 @@ def collect_study(folder: Path) -> tuple[_Pack, int]:
     if len(rows) < count(study):
         raise ScenarioError(f"{folder}: {len(rows)} of {count(study)} rows are there; run the study to its end first")
     content = json.loads((folder / "study.json").read_text())
-    if own := [name for name in content["code"] if not name.startswith("softrig_")]:
-        raise ScenarioError(
-            f"{folder}: it runs {', '.join(own)}, but a pack of a study cannot contain code; pack a run of it"
-        )
     alone, scenarios = standing_alone_study(study)
     files: dict[str, bytes | Path] = {}
     for name, raw in scenarios.items():
@@ -130,16 +139,20 @@ def collect_study(folder: Path) -> tuple[_Pack, int]:
     files |= {f"{STUDY}/{FILE}": saved(alone).encode(), f"{STUDY}/{ROWS}": rows_alone(rows)}
     table = [folder / name for name in ("statistics.csv", "summaries.json") if (folder / name).is_file()]
     files |= {f"{STUDY}/{path.name}": path for path in table}
-    return _Pack(files, About(scenario=alone.scenario, versions=versions(), code=content["code"]), ()), len(rows)
+    packages, sources = _packages(content["code"])
+    said = About(scenario=alone.scenario, versions=versions(), code=content["code"], **packages)
+    return _Pack(files | sources, said, _lacks(said)), len(rows)
 
 
-def collect(run: Path, *, bag: bool = True) -> _Pack:
+def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
     """Gather what somebody needs who repeats a run.
 
     Parameters
     ----------
     run : Path
         Its folder, its bag, or a pack of it.
+    aside : Path
+        An empty folder, for a copy of the bag that names no folder of this machine.
     bag : bool
         Whether the bag is in it; otherwise digests of what was said on each topic.
 
@@ -165,12 +178,10 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
     was = before.made_with.get("code", code)
     for name in sorted(name for name in code if was.get(name, code[name]) != code[name]):
         say(f"the code of {name} is no longer that of the run ({was[name]} then, {code[name]} now): it may not repeat")
-    own = [name for name in code if not name.startswith("softrig_")]
-    sources = {name: _sources(name) for name in own}
+    packages, sources = _packages(code)
     said = About(
         scenario=scenario.name,
-        packages={name: _version(name) for name in own},
-        offers={name: _offers(name) for name in own if sources[name]},
+        **packages,
         run=str(content.get("run", "")),
         versions=before.made_with.get("versions", {}),
         code=was,
@@ -185,16 +196,50 @@ def collect(run: Path, *, bag: bool = True) -> _Pack:
     files |= {f"{SCENARIO}/{place}": path for place, path in files_of.items()}
     if citations := content.get("citations"):
         files[f"{SCENARIO}/{REFERENCES}"] = "\n\n".join(c["bibtex"] for c in citations).encode()
+    made = {"command": f"softrig run --like {scenario.name}{SUFFIX}"}
     if content:
-        files[METRICS] = (
-            json.dumps(content | {"command": f"softrig run --like {scenario.name}{SUFFIX}"}, indent=1) + "\n"
-        ).encode()
+        files[METRICS] = (json.dumps(_elsewhere(content, made), indent=1) + "\n").encode()
+    if bag:
+        place = _retold(before, aside, made) or before.bag
+        places = [place] if place.is_file() else sorted(f for f in place.iterdir() if f.is_file())
+        files |= {f"{BAG}/{file.name}": file for file in places}
+    return _Pack(files | sources, said, _lacks(said))
+
+
+def _packages(code: Iterable[str]) -> tuple[dict[str, Any], dict[str, bytes | Path]]:
+    """Return what `About` says of the packages that are not softrig's, and their files."""
+    own = [name for name in code if not name.startswith("softrig_")]
+    sources = {name: _sources(name) for name in own}
+    files: dict[str, bytes | Path] = {}
     for name, folder in sources.items():
         files |= {f"{PACKAGES}/{name}/{file.relative_to(folder)}": file for file in _files(folder)} if folder else {}
-    if bag:
-        places = [before.bag] if before.bag.is_file() else sorted(f for f in before.bag.iterdir() if f.is_file())
-        files |= {f"{BAG}/{file.name}": file for file in places}
-    return _Pack(files, said, tuple(name for name, folder in sources.items() if folder is None))
+    said = {
+        "packages": {name: _version(name) for name in own},
+        "offers": {name: _offers(name) for name in own if sources[name]},
+    }
+    return said, files
+
+
+def _lacks(said: About) -> tuple[str, ...]:
+    return tuple(name for name in said.packages if name not in said.offers)
+
+
+def _elsewhere(content: Mapping[str, Any], made: Mapping[str, str]) -> dict[str, Any]:
+    """Return what is known of a run as somebody elsewhere may read it: without folders of this machine."""
+    told: dict[str, Any] = placeless({**content, **made})
+    if "from" in told:
+        told["from"] |= made
+    return told
+
+
+def _retold(before: Recalled, aside: Path, made: Mapping[str, str]) -> Path | None:
+    """Write the bag of a run of ours without folders of this machine; None where it names none."""
+    said = {key: json.loads(text) if key in ("from", "branched") else text for key, text in before.bag_says.items()}
+    if "command" not in said:
+        return None
+    told = {k: v if isinstance(v, str) else json.dumps(v) for k, v in _elsewhere(said, made).items()}
+    retell(before.bag, aside / BAG, told)
+    return aside / BAG
 
 
 def _described(packed: _Pack, published: str) -> _Pack:
@@ -325,11 +370,18 @@ def raw_alone(content: Mapping[str, Any]) -> tuple[bytes, Mapping[str, Path]]:
             return value
         path = Path(value)
         folder = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-        found.update({f"{folder}/{file.name}": file for file in path.parent.glob(f"{escape(path.stem)}.*")})
+        found.update({f"{folder}/{file.name}": file for file in _belongs(path)})
         return f"{folder}/{path.name}"
 
     content = {**content, **{key: beside(content[key]) for key in ("shared", "nodes") if key in content}}
     return yaml.safe_dump(content, sort_keys=False, width=110, allow_unicode=True).encode(), found
+
+
+def _belongs(path: Path) -> Iterator[Path]:
+    """Yield a file and those of the same stem that its format reads beside it; nothing else of its folder leaves it."""
+    kinds: set[str] = next((kinds for kinds in TOGETHER if path.suffix.lower() in kinds), set())
+    beside = path.parent.glob(f"{escape(path.stem)}.*")
+    yield from (file for file in beside if file == path or file.suffix.lower() in kinds)
 
 
 def _version(package: str) -> str:
