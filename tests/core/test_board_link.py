@@ -266,6 +266,39 @@ def test_gains_change_on_the_board_between_two_ticks(firmware):
     assert recorded(board) != recorded(linked_rig(firmware, f"program:{folder / name}"), duration=0.6)
 
 
+@pytest.mark.parametrize("realtime", [False, True])
+def test_gains_that_view_changes_count_from_the_next_tick_on(realtime, firmware, tmp_path, monkeypatch):
+    folder = firmware[0]
+    rig = rig_of(SCENARIO)
+    entry = LinkEntry(port="program:x", firmware=str(folder / f"{NODE}.json"))
+    member = member_of(rig, NODE)
+    wire = QuietWire(Board(folder / "board.so", tmp_path))
+    cls = link_module.linked(member.block_class, entry, member.params, "test")
+    board, python = cls(member.params, NODE), member.block(1)
+    line = Line("wire", wire.opened, board._build, 0.5, wire.now, wire.sleep)
+    monkeypatch.setattr(link_module, "_line", lambda *_: line)
+    board.realtime = realtime
+    x, y, voltages = board.first(), python.first(), []
+    for k in range(12):
+        if k in (4, 8):  # between two ticks, as a session does
+            gains = member.params.model_copy(update={"k_per_ref": 4.0 if k == 4 else 7.0, "delta": 0.8})
+            for block in (board, python):
+                block.change(gains)
+            x, y = board.go_on(x, member.params), python.go_on(y, member.params)
+        inputs = {"state": (0.5 * k,), "sensors": (0.0, 0.1 * k), "reference": (10.0,)}
+        y, wanted = python.update(y, k * 10**7, **inputs)
+        x, found = board.update(x, k * 10**7, **inputs)
+        while not line.joined:  # in real time a board that is greeted still has nothing to say
+            assert realtime
+            assert found["command"] == (0.0,)
+            wire.sleep(0.01)
+            x, found = board.update(x, k * 10**7, **inputs)
+        assert found == wanted
+        voltages.append(wanted["command"])
+    assert len(set(voltages)) == len(voltages)
+    assert line.told() == ""
+
+
 def test_a_parameter_that_is_compiled_in_is_refused(firmware):
     folder, name, *_ = firmware
     with pytest.raises(ScenarioError, match=r"has c = 5\.\d+ compiled in, expected 6\.0; export it again"):

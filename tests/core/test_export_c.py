@@ -158,6 +158,20 @@ def test_live_changes_are_replayed_by_parameters_that_are_set(tmp_path):
     assert replayed(tmp_path, done.name).differing > 50
 
 
+def test_a_state_goes_on_under_other_gains_as_in_python(tmp_path):
+    file = tmp_path / "pid_changes.yaml"
+    changes = [{"at": at, "set": {"dc_motor_pid.kp": kp}} for at, kp in ((0.02, 0.9), (0.03, 0.2))]
+    file.write_text(json.dumps({"extends": "dc_motor_smc_a3", "changes": changes}))
+    done = export_c(rig_of(str(file)), "dc_motor_pid", tmp_path, rows=600, drawn=30)
+    assert not done.ends
+    assert replayed(tmp_path, done.name).same
+    source = tmp_path / f"{done.name}.c"
+    text = source.read_text()
+    source.write_text(re.sub(r"(?<=s->x\.f0 = )r;(?=[^}]*}[^}]*}[^}]*known)", "x;", text, count=1))
+    assert source.read_text() != text
+    assert replayed(tmp_path, done.name).differing > 10  # the voltage jumps
+
+
 @pytest.fixture(scope="module")
 def law(tmp_path_factory):
     folder = tmp_path_factory.mktemp("law")

@@ -34,8 +34,9 @@ def test_a_sketch_on_the_uno_moves_the_motor_as_python_does(tmp_path):
     assert found.ram + found.stack < RAM / 2
     draft = read_draft("dc_motor_smc_b2")
     link = {"nodes": {"dc_motor_smc": {"link": {"port": f"simavr:{tmp_path / name}.elf", "firmware": str(tmp_path)}}}}
-    board = simulate(rig_of(replace(draft, raw=merge(draft.raw, link))), duration=0.3).recording.topics
-    python = simulate("dc_motor_smc_b2", duration=0.3).recording.topics
+    gains = {"changes": [{"at": 0.1, "set": {"dc_motor_smc.k_per_ref": 4.0}}]}
+    rigs = [rig_of(replace(draft, raw=merge(draft.raw, raw))) for raw in (merge(link, gains), gains)]
+    board, python = (simulate(rig, duration=0.3).recording.topics for rig in rigs)
     assert board["motor/true_state"].data == python["motor/true_state"].data
     assert board["motor/command"].data != python["motor/command"].data  # in float
 

@@ -31,6 +31,7 @@ from .reader import Reader
 from .unit import Unit, Value, literal
 
 SUPPORT, DRAWS = "softrig_c.h", "softrig_draws.h"
+STATES = 50  # of a run and of drawn calls that are to stay as they are when a parameter changes
 SHIFTS = (1.0625, 0.9375, 0.5, 2.0, -1.0)  # factors by which a parameter is tried, until one is in its bounds
 
 
@@ -156,15 +157,17 @@ class _Files:
         calls = [c for calls in (golden, *drawn) for c in calls if isinstance(c, Call)]
         self.law: Law = law_of(block, _punctual(member), self.inputs, self.outputs, calls)
         self.slots = list(self.law.program.slots)
-        self.values = [as_slot(follow(path, [block])) for path in self.slots]
-        self.fields = _fields([written(path) for path in self.slots])
-        self.settable = _settable(block, self.law, self.slots, self.values)
+        self.values = [as_slot(follow(path, [block, block])) for path in self.slots]
+        self.fields = _fields([f"{'before.' * path[0]}{written(path)}" for path in self.slots])
+        self.goes_on = any(form.method == "go_on" for form in self.law.roots)
+        states = [] if self.goes_on else [c.x for c in calls[:: len(calls) // STATES + 1]]
+        self.settable = _settable(block, self.law, self.slots, self.values, states)
         self.golden, self.ends = self._replayable(golden)
         constants = [(kind_of(v), f"s->k.{f}") for v, f in zip(self.values, self.fields, strict=True)]
         places = {p.at: k for k, p in enumerate(self.law.reports.places)}
         program = self.law.program
         casadi = {name: program.names[f"{name}_there"] for name in program.callers.values()}
-        self.draws = {name: follow(path, [block]) for path, name in program.draws.items()}
+        self.draws = {name: follow(path, [block, block]) for path, name in program.draws.items()}
         self.unit = Unit(self.name, Reader, self.law.texts, program.names, constants, places, casadi=casadi)
         self.unit.by_name |= self.draws
         self.forms = self.law.states
@@ -188,7 +191,7 @@ class _Files:
         for k, one in enumerate(golden):
             if isinstance(one, Changed):
                 fixed = sorted(one.names - self.settable.keys())
-                if fixed or one.moved:
+                if fixed or (one.moved and not self.goes_on):
                     why = (
                         f"{', '.join(fixed)} changed, which is compiled in" if fixed else "the state changed with them"
                     )
@@ -208,7 +211,9 @@ class _Files:
             value = self.unit.table(self._array(name), name)
             kinds.append(value.kind)
             handed.append(value.c)
-        kinds += [form.state, INT, *(input_kind(p) for p in self.inputs if p.name in form.there)]
+        kinds.append(form.state)
+        if form.method != "go_on":
+            kinds += [INT, *(input_kind(p) for p in self.inputs if p.name in form.there)]
         handed += [None] * (len(kinds) - len(handed))
         return self.unit.call(self.law.roots[form], tuple(kinds), tuple(handed), True)
 
@@ -216,7 +221,7 @@ class _Files:
         program = self.law.program
         for path, known in program.arrays.items():
             if known == name:
-                return np.ascontiguousarray(follow(path, [self.block]))
+                return np.ascontiguousarray(follow(path, [self.block, self.block]))
         raise NotNative(f"it needs {name}, which only a rig has")
 
     # writing ------------------------------------------------------------------------------------------------------
@@ -407,7 +412,7 @@ class _Files:
                 f"{{ {', '.join(map(literal, v.tolist()))} }};"
                 for table, (_, v) in tables.items()
             ),
-            f"void {n}_set({n} *s, const {n}_params *params)",
+            f"static void {n}_take({n} *s, const {n}_params *params)",
             "{",
             *(
                 f"    s->k.{self.fields[k]} = params->{identifier(name)};"
@@ -416,6 +421,11 @@ class _Files:
             ),
             "    (void)s;",
             "    (void)params;",
+            "}",
+            "",
+            f"void {n}_set({n} *s, const {n}_params *params)",
+            "{",
+            *(f"    {line}" for line in self._set()),
             "}",
             "",
             f"void {n}_init({n} *s, const {n}_params *params)",
@@ -430,8 +440,24 @@ class _Files:
         for name, draws in self.draws.items():
             words = ", ".join(f"UINT64_C({part})" for word in draws.words for part in divmod(word, 1 << 64))
             lines.append(f"    sr_draws_init(&s->{name}, {words});")
-        lines += ["    if (params != NULL) {", f"        {n}_set(s, params);", "    }", "}", ""]
+        lines += ["    if (params != NULL) {", f"        {n}_take(s, params);", "    }", "}", ""]
         return "\n".join(lines)
+
+    def _set(self) -> list[str]:
+        """Write what takes other parameters, and moves the state on as Python does."""
+        lines = []
+        for path, field in zip(self.slots, self.fields, strict=True):
+            name = written(path).removeprefix("p.")
+            if path[0] == 1 and name in self.settable:
+                lines.append(f"s->k.{field} = s->k.{self.fields[self.settable[name][0]]};")
+        lines.append(f"{self.name}_take(s, params);")
+        if self.goes_on:
+            lines += ["bool known = false;", "s->discarded = false;"]
+            for form, root in self.roots.items():
+                if form.method == "go_on":
+                    lines += self._way(form, root)
+            lines.append("(void)known;")
+        return lines
 
     def _method(self, method: str, head: str) -> str:
         """Write a function that a user calls: choose by the form, compute, check, take over."""
@@ -466,12 +492,12 @@ class _Files:
         return "\n".join([*lines, "    s->reported = false;", "}", ""])
 
     def _way(self, form: Form, root: Any) -> list[str]:
-        there = [p for p in self.inputs if form.method != "outputs"]
+        there = [p for p in self.inputs if form.method not in ("outputs", "go_on")]
         tests = [f"s->form == {self.forms.index(form.state)}u"] if len(self.forms) > 1 else []
         for port in there:
             if port.held:
                 tests.append(f"{'' if port.name in form.there else '!'}in->has_{identifier(port.name)}")
-        given = ["s", *(["x"] if not isinstance(form.state, Absent) else []), "t_ns"]
+        given = ["s", *(["x"] if not isinstance(form.state, Absent) else []), *["t_ns"] * (form.method != "go_on")]
         for port in there:
             if port.name in form.there:
                 name = identifier(port.name)
@@ -487,11 +513,11 @@ class _Files:
         lines.append(f"    {self.unit.c(root.result)} r = {root.name}({', '.join(given)});")
         inner = ["(void)r;"]
         state: Value | None = None
-        if form.method == "advance":
+        if form.method in ("advance", "go_on"):
             state = Value(root.result, "r")
         elif form.method == "update":
             state = Value(root.result.items[0], "r.f0")
-        if form.method != "advance":
+        if form.method not in ("advance", "go_on"):
             k = 1 if form.method == "update" else 0
             inner += self._published(*(Value(root.result.items[i], f"r.f{i}") for i in (k, k + 1)))
         lines += ["    if (!s->discarded) {", *(f"        {line}" for line in inner), "    }"]
@@ -881,10 +907,12 @@ def _punctual(member: Member) -> set[str]:
     }
 
 
-def _settable(block: Block, law: Law, slots: Sequence[Any], values: Sequence[Any]) -> dict[str, tuple[int, ...]]:
+def _settable(
+    block: Block, law: Law, slots: Sequence[Any], values: Sequence[Any], states: Sequence[Any]
+) -> dict[str, tuple[int, ...]]:
     """Return the live parameters that constants of the text repeat, and on which nothing else depends: name to slots.
 
-    Tried, not deduced: another block is made with that parameter moved.
+    Tried, not deduced: another block is made with that parameter moved, and takes states over where C cannot.
     """
     found: dict[str, tuple[int, ...]] = {}
     first, known = block.first(), flatten(block.p)
@@ -893,15 +921,17 @@ def _settable(block: Block, law: Law, slots: Sequence[Any], values: Sequence[Any
         if name not in live or type(value) not in (int, float) or value not in values:
             continue
         other, now = _moved(block, known, name)
-        if other is None or law.program.differs([other]):
+        if other is None or law.program.differs([other, block]):
             continue
-        others = [as_slot(follow(p, [other])) for p in slots]
+        others = [as_slot(follow(p, [other, block])) for p in slots]
         moved = tuple(k for k, (a, b) in enumerate(zip(values, others, strict=True)) if a != b)
         repeated = all(values[k] == value and others[k] == now and type(values[k]) is type(value) for k in moved)
         tables = all(
-            np.array_equal(np.asarray(follow(p, [block])), np.asarray(follow(p, [other]))) for p in law.program.arrays
+            np.array_equal(np.asarray(follow(p, [block, block])), np.asarray(follow(p, [other, block])))
+            for p in law.program.arrays
         )
-        if moved and repeated and tables and other.first() == first:
+        stays = all(repr(other.go_on(x, block.p)) == repr(x) for x in states)
+        if moved and repeated and tables and stays and other.first() == first:
             found[name] = moved
     return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,7 +95,7 @@ def law_of(
         What of the block cannot be translated, and its line.
     """
     ages: dict[tuple[int, str], int | str | None] = {(0, name): 0 for name in punctual}
-    program = Program([block], Writer, ages, [(0, p) for p in outputs if p.sporadic], inferred=True)
+    program = Program([block, block], Writer, ages, [(0, p) for p in outputs if p.sporadic], inferred=True)
     program.reports = Reports(worded=False)
     roots: dict[Form, str] = {}
     arrays: dict[Form, tuple[str, ...]] = {}
@@ -114,9 +115,37 @@ def law_of(
         rows = [f"i_{p.name}" for p in inputs if p.name in form.there]
         head = f"def {roots[form]}({', '.join(['c', 'n', *arrays[form], 'x', 't', *rows])}):"
         program.functions.append("\n".join([head, *(f"    {line}" for line in lines)]))
+    if type(block).go_on is not Block.go_on:
+        with suppress(NotNative):  # a state that C cannot move on: what moves it is not settable
+            _going_on(program, block, newest, roots, arrays)
     texts = {_name(text): text for text in program.functions}
     texts |= {word: TEXTS[word] for word in program.words if word in TEXTS}
     return Law(program, texts, roots, arrays, program.reports, states)
+
+
+def _going_on(
+    program: Program,
+    block: Block,
+    newest: Mapping[Form, Call],
+    roots: dict[Form, str],
+    arrays: dict[Form, tuple[str, ...]],
+) -> None:
+    """Add the functions that move a state when parameters change between two ticks; the second root is before."""
+    before = Static(block.p, (1, ("attr", "p")))
+    move: Any = type(block).go_on
+    found: dict[Form, tuple[str, tuple[str, ...]]] = {}
+    for form, call in newest.items():
+        own = Form("go_on", form.state, ())
+        if own in found:
+            continue
+        name, handed = f"go{len(found)}", set[str]()
+        value = made(program, move, [Static(block, (0,)), Dynamic("x", packed(call.x)), before], {}, handed)
+        lines = _answer(program, "advance", value, ())
+        found[own] = name, tuple(sorted(handed))
+        head = f"def {name}({', '.join(['c', 'n', *found[own][1], 'x'])}):"
+        program.functions.append("\n".join([head, *(f"    {line}" for line in lines)]))
+    for own, (name, given) in found.items():
+        roots[own], arrays[own] = name, given
 
 
 def input_kind(port: Port) -> Kind:

@@ -31,6 +31,7 @@ typedef struct {n}_link {{
     {n}_in in;
     {n}_out out;
     {n}_params params;
+    bool begun; /**< a step was answered since the reset */
     uint32_t (*now)(void); /**< a clock that measures steps; NULL: none */
     uint32_t longest;      /**< step so far, in its ticks */
 }} {n}_link;
@@ -134,6 +135,7 @@ void {n}_link_take({n}_link *l, uint8_t byte)
         l->params = params;
         {n}_init(&l->node, NULL);
         l->wire.reset = true;
+        l->begun = false;
         break;
     }}
 {params_case}    case SR_STEP:
@@ -142,6 +144,7 @@ void {n}_link_take({n}_link *l, uint8_t byte)
         }} else if (size != {step}u) {{
             status = SR_BAD_LENGTH;
         }} else {{
+            l->begun = true;
             status = step(l);
             to = outputs(l, to);
         }}
@@ -238,7 +241,11 @@ def _settable(name: str, layout: Layout) -> tuple[str, str]:
         "    const uint8_t *from = l->wire.in + SR_HEAD;",
         *reads,
         "    (void)from;",
-        f"    {name}_set(&l->node, &l->params);",
+        "    if (l->begun) {",
+        f"        {name}_set(&l->node, &l->params);",
+        "    } else { /* the first state follows from them */",
+        f"        {name}_init(&l->node, &l->params);",
+        "    }",
         "}",
         "",
     ]
