@@ -40,11 +40,37 @@ def notebook(text: str, page: Path, place: str, site: Path) -> str:
     """Return a notebook for its place on the site: the text of its cells moved, the file as it is to be had."""
     found = json.loads(text)
     shutil.copyfile(page, _folder(site / "pictures") / page.name)
+    student = page.with_stem(f"{page.stem}_student").name
+    (site / "pictures" / student).write_text(without_solutions(text), encoding="utf-8")
     for cell in found["cells"]:
         if cell["cell_type"] == "markdown":
             cell["source"] = moved("".join(cell["source"]), page, place, site)
-    found["cells"][0]["source"] += f"\n\n{{download}}`The notebook as a file <../pictures/{page.name}>`"
+    files = {"The notebook as a file": page.name, "the same for students, without solutions": student}
+    links = ", ".join(f"{{download}}`{words} <../pictures/{name}>`" for words, name in files.items())
+    found["cells"][0]["source"] += f"\n\n{links}"
     return json.dumps(found)
+
+
+def without_solutions(text: str) -> str:
+    """Return a notebook as students get it: an empty cell in place of each solution.
+
+    Raises
+    ------
+    ValueError
+        It has no solutions, or one that does not begin with the number of its exercise.
+    """
+    found = json.loads(text)
+    sources = ["".join(cell["source"]) for cell in found["cells"]]
+    first = next((k for k, source in enumerate(sources) if source.startswith("## Solutions")), None)
+    if first is None:
+        raise ValueError("expected a cell that begins with '## Solutions'")
+    for cell, source in zip(found["cells"][first + 1 :], sources[first + 1 :], strict=True):
+        number = re.match(r"# \d+\.", source)
+        if number is None:
+            raise ValueError(f"a solution begins with {source[:20]!r}, expected '# 1.' and so on")
+        cell |= {"source": f"{number[0]} ", "metadata": {}}
+    found["cells"][first]["source"] = "## Your answers"
+    return json.dumps(found, indent=1) + "\n"
 
 
 def moved(text: str, page: Path, place: str, site: Path) -> str:

@@ -7,6 +7,7 @@ import re
 
 import matplotlib
 import pytest
+from docs.collect import without_solutions
 from docs.outline import KINDS, pages
 from softrig_bringup.cli import main
 from softrig_core import Run, list_scenarios
@@ -34,6 +35,20 @@ def test_a_notebook_is_kept_without_results_and_speaks_of_what_there_is(name):
     for target in re.findall(r"\]\(([^)#]+)", text):
         assert (pages()[name].parent / target).exists(), target
     assert "## Exercises" in text
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_students_get_the_exercises_and_no_solution(name):
+    text = pages()[name].read_text()
+    whole, given = (json.loads(one)["cells"] for one in (text, without_solutions(text)))
+    at = next(k for k, cell in enumerate(whole) if "".join(cell["source"]).startswith("## Solutions"))
+    assert given[:at] == whole[:at]
+    assert [cell["source"] for cell in given[at:]] == [
+        "## Your answers",
+        *(f"# {k}. " for k in range(1, len(whole) - at)),
+    ]
+    asked = re.findall(r"^\d+\.", "".join(whole[at - 1]["source"]), re.M)
+    assert len(asked) == len(whole) - at - 1  # each exercise has a cell for its answer
 
 
 @pytest.mark.long
