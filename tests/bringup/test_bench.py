@@ -39,7 +39,7 @@ def test_an_unknown_part_is_told(capsys):
 @pytest.mark.skipif(which("gcc") is None, reason="needs gcc")
 @pytest.mark.parametrize("name", native.LOOPS)
 def test_the_loop_in_c_gives_the_bits_of_native_code(name, monkeypatch):
-    monkeypatch.setattr("softrig_core.native.engine._counts", {})  # what this process has made texts for before
+    monkeypatch.setattr("softrig_core.native.fitted._counts", {})  # what this process has made texts for before
     assert all(ns > 0.0 for ns in native.rates(name, 2.0).values())
 
 

@@ -30,7 +30,7 @@ from softrig_core import (
     simulate,
 )
 from softrig_core.export.command import export_c
-from softrig_core.native import engine
+from softrig_core.native import engine, fitted
 from softrig_core.native.compile import plain
 from test_linear_view import T, sampled_motor
 from test_native import the_same
@@ -131,7 +131,7 @@ def test_native_code_calls_it_by_its_address(monkeypatch: pytest.MonkeyPatch, ma
     """Its text in Python, and by numba; where the library answers by a status, Python takes the tick."""
     native = the_same(lambda: rig_with(PI), monkeypatch, make)
     assert native.ticks >= 48
-    engine._counts.clear()  # it is another library
+    fitted._counts.clear()  # it is another library
     broken = the_same(lambda: rig_with(faulty("CRASH")), monkeypatch, make)
     assert broken.given_up == 1
 

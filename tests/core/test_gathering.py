@@ -6,7 +6,7 @@ import pytest
 from conftest import few
 from softrig_core import RunError, Sample, rig_of
 from softrig_core.block.gathering import MANY, STRETCH, gather
-from softrig_core.native import choice
+from softrig_core.run import choice
 from softrig_core.run.inprocess import run_inprocess, step_of
 from softrig_core.wire.recording import Recording
 from softrig_drives.dc_motor.plant import DcMotorPlant

@@ -37,13 +37,13 @@ from softrig_core import (
 )
 from softrig_core.block.loop import Loop
 from softrig_core.kit.jit import our_numba
-from softrig_core.native import choice, engine
+from softrig_core.native import engine, fitted
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine, Native
 from softrig_core.native.rig_text import rig_text
 from softrig_core.native.value import NotNative
 from softrig_core.native.words import TEXTS
-from softrig_core.run import inprocess
+from softrig_core.run import choice, inprocess
 from softrig_power.pv.plant import PvPlant
 from softrig_power.pv.ports import array_port
 from softrig_power.pv.shading import ShadingSource
@@ -67,7 +67,7 @@ KNOWN = {
 @pytest.fixture(autouse=True)
 def _no_text_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a text that other tests have pushed out made again."""
-    monkeypatch.setattr(engine, "_counts", {})
+    monkeypatch.setattr(fitted, "_counts", {})
     monkeypatch.setattr(choice, "_spent", {})
 
 
@@ -130,7 +130,7 @@ def test_numba_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_figures_of_many_runs_are_those_of_single_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bit for bit, and what one run leaves behind does not reach the next."""
-    monkeypatch.setattr(engine, "_texts", [])
+    monkeypatch.setattr(fitted, "_texts", [])
     monkeypatch.setattr(choice, "cost", lambda steps: 1e-5)
     variants = [{"dc_motor_plant.J": inertia} for inertia in (3e-4, 4e-4, 5e-4, 3e-4)]
     single, many = (
@@ -328,7 +328,7 @@ def test_words_that_native_code_says_otherwise_have_the_bits_of_pythons_own(numb
 
 def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = core(rig())
-    monkeypatch.setattr(engine, "_texts", [])
+    monkeypatch.setattr(fitted, "_texts", [])
     assert choice.unwanted(steps, 5.9) == choice.SHORT
     assert choice.unwanted(steps, 6.1) == choice.unwanted(steps, 0.061, 100) == ""
     assert choice.unwanted(steps, 0.0009, 1000) == choice.SHORT
@@ -366,7 +366,7 @@ def test_the_time_that_is_left_says_how_a_run_goes_on(left, runs, way, timed, mo
     with monkeypatch.context() as usual:
         wanted = ran(rig(), usual)[0]
     made: list[Any] = []
-    monkeypatch.setattr(engine, "_texts", [])
+    monkeypatch.setattr(fitted, "_texts", [])
     monkeypatch.setattr(choice, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, plain))
     clock = Ticking(left / ((500 - 64) if timed else 501))
     monkeypatch.setattr(choice.time, "thread_time", clock)
@@ -383,18 +383,18 @@ def test_the_time_that_is_left_says_how_a_run_goes_on(left, runs, way, timed, mo
 def test_short_runs_that_come_again_are_worth_a_text_that_python_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Once as much time has gone into them as the text takes, unless there is no such text."""
     monkeypatch.setattr(choice, "_costs", {(Oscillator, Pusher, Watcher): 0.1 / 501})
-    monkeypatch.setattr(engine, "_texts", [])
+    monkeypatch.setattr(fitted, "_texts", [])
     made: list[Any] = []
     monkeypatch.setattr(choice, "Engine", lambda steps, make, alone: made.append(make) or Engine(steps, make))
     for count in (0, 1, 2):
         inprocess.run_inprocess(rig(), 0)
         assert made == [plain] * count
-    monkeypatch.setattr(engine, "_texts", [])
+    monkeypatch.setattr(fitted, "_texts", [])
 
     def none(*told: Any) -> Any:
         raise NotNative("a test")
 
-    monkeypatch.setattr(engine, "rig_text", none)
+    monkeypatch.setattr(fitted, "rig_text", none)
     for _ in range(2):
         inprocess.run_inprocess(rig(), 0)
         assert made == [plain] * 3
@@ -644,10 +644,10 @@ def test_scenarios_by_numba(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 TWICE = """
 from softrig_core import simulate
-from softrig_core.native import engine
+from softrig_core.native import fitted
 for name in ("dc_motor_smc", "dc_motor_smc_b6_pid"):  # two texts whose functions have the same names
     done = simulate(name, duration=0.2, runs=10000)
-    found = engine._texts[0].function.stats
+    found = fitted._texts[0].function.stats
     print(name, sum(found.cache_hits.values()), [r.number for r in done.results])
 """
 

@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
-from softrig_core import Block, Rig
+from softrig_core import Block, Rig, RunError
 from softrig_core.block.schedule import Schedule
 from softrig_core.kit.compiled import Compiled
 from softrig_core.kit.jit import jit
-from softrig_core.native import choice, compile as compile_, engine, twins
+from softrig_core.native import compile as compile_, engine, fitted, twins
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine
 from softrig_core.native.rig_text import RigText
 from softrig_core.native.translate import Program
 from softrig_core.native.value import NotNative
 from softrig_core.native.writer import Writer
-from softrig_core.run import inprocess
+from softrig_core.run import choice, inprocess
 from test_native_rigs import PUSH, SIGNAL, Body, Law, Params, Wide, watching
 
 
 @pytest.fixture(autouse=True)
 def _no_text_yet(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, empty in (("_texts", []), ("_refused", {}), ("_counts", {})):
-        monkeypatch.setattr(engine, name, empty)
+        monkeypatch.setattr(fitted, name, empty)
 
 
 def going(blocks: dict[str, Any], seconds: float, **options: Any) -> Engine:
@@ -56,21 +57,21 @@ def test_how_far_a_go_reaches_follows_the_time_that_goes_take(monkeypatch: pytes
             gos.append(t // 1_000_000 + 1 - before)
         before = t // 1_000_000 + 1
     assert gos[:9] == [1024, 2048, 4096, 4096, 4096, 2048, 1024, 1024, 1024]
-    assert engine._texts[0].go == 2048
+    assert fitted._texts[0].go == 2048
 
 
 def test_with_others_to_be_served_a_go_takes_a_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
     for alone, go in ((None, 4096), (lambda: True, 1024)):
         now = itertools.accumulate(itertools.cycle([0.0, 0.0051]))
         monkeypatch.setattr(engine, "time", SimpleNamespace(perf_counter=lambda now=now: next(now)))
-        engine._texts.clear()
-        engine._counts.clear()
+        fitted._texts.clear()
+        fitted._counts.clear()
         ended(going({"body": Body(), "law": Law()}, 4.0, alone=alone))
-        assert engine._texts[0].go == go
+        assert fitted._texts[0].go == go
 
 
 def test_the_longest_go_has_a_million_ticks() -> None:
-    assert (engine.SHORTEST, engine.LONGEST, engine.GO, engine.SHORT_GO) == (1024, 1 << 20, 0.05, 0.005)
+    assert (fitted.SHORTEST, engine.LONGEST, engine.GO, engine.SHORT_GO) == (1024, 1 << 20, 0.05, 0.005)
 
 
 @pytest.mark.parametrize(("given_up", "ticks", "often"), [(64, 0, False), (65, 1039, True), (65, 1040, False)])
@@ -81,16 +82,16 @@ def test_many_ticks_given_up_are_one_in_sixteen_of_more_than_a_thousand(given_up
 
 
 def test_what_is_varied_gets_another_text_once_in_twenty_runs() -> None:
-    assert [k for k in range(70) if engine._worth_another("a kind")] == [0, 20, 40, 60]
-    assert engine._worth_another("another")
+    assert [k for k in range(70) if fitted._worth_another("a kind")] == [0, 20, 40, 60]
+    assert fitted._worth_another("another")
 
 
 def test_eight_texts_are_kept_the_newest_first() -> None:
     for k in range(10):
         ended(going({f"wide{k}": Wide()}, 0.01))
-    assert [kept.kinds[0][1] for kept in engine._texts] == [f"wide{k}" for k in range(9, 1, -1)]
+    assert [kept.kinds[0][1] for kept in fitted._texts] == [f"wide{k}" for k in range(9, 1, -1)]
     ended(going({"wide5": Wide()}, 0.01))
-    assert len(engine._texts) == 8
+    assert len(fitted._texts) == 8
 
 
 class Odd(Block[Params]):
@@ -148,8 +149,8 @@ def test_a_rig_without_native_code_is_looked_at_again_when_its_states_change(tur
         raise NotNative("a test")
 
     monkeypatch.setattr(Turning, "AT", turns)
-    monkeypatch.setattr(engine, "rig_text", none)
-    monkeypatch.setattr(engine, "_worth_another", lambda kinds: True)
+    monkeypatch.setattr(fitted, "rig_text", none)
+    monkeypatch.setattr(fitted, "_worth_another", lambda kinds: True)
     ended(run)
     assert at == [k for k in tried for _ in range(2)]  # with reports, and without
     assert (run.native.reason, run.native.ticks, run.steps[0].t) == ("a test", 0, 400_000_000)
@@ -198,8 +199,8 @@ def test_a_text_is_compiled_beside_while_others_are_served(monkeypatch: pytest.M
     ended(going({"body": Body(), "law": Law()}, 0.4, make=make, alone=lambda: True))
     assert called[2:] == [(1, 400)]  # it is there
     called.clear()
-    engine._texts.clear()
-    engine._counts.clear()
+    fitted._texts.clear()
+    fitted._counts.clear()
     ended(going({"body": Body(), "law": Law()}, 0.4, make=make))
     assert called == [(1, 400)]  # alone: at its first call
 
@@ -227,7 +228,7 @@ def test_what_numba_refuses_is_said_and_the_text_is_not_tried_again(monkeypatch:
 
     run = ended(going({"body": Body(), "law": Law()}, 0.05, make=make))
     assert run.native.reason == "numba: no such type " + "x" * (300 - 13)
-    assert (run.native.ticks, engine._texts) == (0, [])
+    assert (run.native.ticks, fitted._texts) == (0, [])
 
     def broken(text: Any) -> Any:
         def function(*handed: Any) -> Any:
@@ -243,10 +244,10 @@ def test_whether_there_is_a_text_for_classes_of_blocks() -> None:
     """Of those that do not only watch, in their order, made so."""
     ended(going({"body": Body(), "law": Law(), "seeing": watching({"body": Body()}, True)()}, 0.05))
     ended(going({"wide": Wide()}, 0.05, make=engine.plain))
-    assert engine.known((Body, Law), plain)
-    assert engine.known((Wide,), plain)
-    assert not any(engine.known(kinds, plain) for kinds in ((Law, Body), (Body,), (), (Body, Law, Wide)))
-    assert not engine.known((Body, Law), engine.compiled)
+    assert fitted.known((Body, Law), plain)
+    assert fitted.known((Wide,), plain)
+    assert not any(fitted.known(kinds, plain) for kinds in ((Law, Body), (Body,), (), (Body, Law, Wide)))
+    assert not fitted.known((Body, Law), engine.compiled)
 
 
 @pytest.mark.parametrize(("ticks", "known"), [(64, False), (65, True)])
@@ -271,7 +272,7 @@ def test_what_is_just_worth_it_is_not() -> None:
     steps = going({"wide": Wide()}, 0.1).steps
     assert [choice.unwanted(steps, left, 2) for left in (3.0, 3.000001)] == [choice.SHORT, ""]
     assert [choice.writes(steps, left) for left in (0.15, 0.150001)] == [False, True]
-    engine._texts.clear()
+    fitted._texts.clear()
     ended(going({"wide": Wide()}, 0.1))
     assert [choice.writes(steps, left) for left in (0.01, 0.010001)] == [False, True]
 
@@ -338,7 +339,7 @@ def test_compiled_texts_are_kept_by_all_that_decides_them(monkeypatch: pytest.Mo
 def test_a_state_keeps_its_type() -> None:
     assert compile_.same((1.0, 2), (3.0, 4)) == (3.0, 4)
     for other in ((1.0, 2.0), (1.0,), [1.0, 2], None):
-        with pytest.raises(TypeError, match="a state that changes its type"):
+        with pytest.raises(RuntimeError, match="a state that changes its type"):
             compile_.same((1.0, 2), other)
 
 
@@ -431,16 +432,29 @@ def test_forms_and_twins() -> None:
             getattr(twins, name)
 
 
-def test_a_name_that_a_text_lacks_is_a_defect_and_no_tick_given_up() -> None:
-    def lacking(text: Any) -> Any:
-        function = plain(text)
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("q1 = (missing_,)", "NameError: name 'missing_' is not defined (`q1 = (missing_,)`)"),
+        ("q1 = (1.0 + None,)", "TypeError: unsupported operand type"),
+    ],
+)
+def test_a_defect_of_a_text_is_called_one(line: str, told: str) -> None:
+    """A name that does not exist ends the run; what Python computes without an error is computed so, with a warning."""
 
-        def call(*arguments: Any) -> Any:
-            if arguments[0] > 2:
-                return missing  # noqa: F821
-            return function(*arguments)
+    def make(text: Any) -> Any:
+        at = next(k for k, one in enumerate(text.text.splitlines()) if one.strip().startswith("q1 = "))
+        lines = text.text.splitlines()
+        lines[at] = f"        {line}"
+        return plain(replace(text, text="\n".join(lines) + "\n"))
 
-        return call
-
-    with pytest.raises(NameError, match="name 'missing' is not defined"):
-        ended(going({"body": Body(), "law": Law()}, 22.0, make=lacking))
+    run = going({"body": Body(), "law": Law()}, 0.05, make=make)
+    if told.startswith("Name"):
+        with pytest.raises(RunError, match=re.escape(f"{told}: {fitted.DEFECT}")):
+            ended(run)
+        return
+    with pytest.warns(RuntimeWarning, match=fitted.DEFECT):
+        ended(run)
+    assert run.native.reason.startswith(told)
+    whole = ended(going({"body": Body(), "law": Law()}, 0.05))
+    assert [s.x for s in run.steps] == [s.x for s in whole.steps]

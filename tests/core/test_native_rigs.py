@@ -18,7 +18,7 @@ from softrig_core import Block, BlockParams, Level, Observer, Plant, Rig, comman
 from softrig_core.block.loop import Loop
 from softrig_core.block.port import Sample
 from softrig_core.kit.draws import Draws
-from softrig_core.native import engine
+from softrig_core.native import fitted
 from softrig_core.native.batch_text import Form, batch_text, remembered
 from softrig_core.native.compile import plain
 from softrig_core.native.rig_text import rig_text
@@ -497,7 +497,7 @@ RUN = {name: blocks for name, (blocks, _, _) in RIGS.items()} | {
 @pytest.mark.parametrize("name", RUN)
 def test_a_rig_runs_natively_as_in_python(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """With those who watch it at each tick or at once, as often as it ticks or half as often; in both kinds of text."""
-    monkeypatch.setattr(engine, "_counts", {})
+    monkeypatch.setattr(fitted, "_counts", {})
     for k, (at_once, every) in enumerate(((True, 1), (True, 2), (False, 1), (False, 2))):
         quickest = min(block.p.period for block in RUN[name]().values())
 

@@ -29,7 +29,7 @@ from softrig_core.kit.draws import Draws
 from softrig_core.kit.jit import Jit, jit, power
 from softrig_core.kit.newest import Newest
 from softrig_core.native.compile import BASE, same
-from softrig_core.native.engine import NATIVE
+from softrig_core.native.fitted import NATIVE
 from softrig_core.native.reports import Reports
 from softrig_core.native.translate import Program, made, written
 from softrig_core.native.twins import packed, unpacked

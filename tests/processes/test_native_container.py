@@ -8,10 +8,11 @@ import pytest
 from conftest import differences, in_process
 from simulated import Endpoint, SimulatedNode, World
 from softrig_core import Recording, rig_of
-from softrig_core.native import choice, engine
+from softrig_core.native import engine, fitted
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine
 from softrig_core.rig.options import RunOptions
+from softrig_core.run import choice
 from softrig_core.wire.parameter_event import TOPIC as EVENTS
 from softrig_nodes import group
 from softrig_nodes.adapter.adapter import Adapter
@@ -29,8 +30,9 @@ class Container:
         # its tables are those of numpy all the same
         monkeypatch.setattr(choice, "compiled", make or (lambda text: plain(text)))
         monkeypatch.setattr(engine, "SHORTEST", 50)
+        monkeypatch.setattr(fitted, "SHORTEST", 50)
         monkeypatch.setattr(engine, "SHORT_GO", -1.0)  # no go is longer
-        monkeypatch.setattr(engine, "_texts", [])
+        monkeypatch.setattr(fitted, "_texts", [])
         if make is None:
             monkeypatch.setattr(Engine, "_compile_beside", lambda self, k: False)
         monkeypatch.setattr(engine, "LOOK", 5)

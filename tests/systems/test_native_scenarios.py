@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings, strategies as st
 from softrig_core import Observer, Recording, Rig, RunError, Scenario, ScenarioError, Solver, load_scenario, rig_of
 from softrig_core.block.change import changeable
 from softrig_core.block.params import flatten
-from softrig_core.native import engine
+from softrig_core.native import fitted
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine, Native, compiled
 from softrig_core.run.inprocess import record, wired
@@ -135,7 +135,7 @@ def why_not(rig: Rig) -> str:
 @pytest.fixture(autouse=True)
 def _each_its_own_text(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have no text of one scenario stand in the way of another's."""
-    monkeypatch.setattr(engine, "RUNS_A_TEXT", 0)
+    monkeypatch.setattr(fitted, "RUNS_A_TEXT", 0)
 
 
 @pytest.mark.long

@@ -15,7 +15,7 @@ from softrig_core.block.fill import Pick
 from softrig_core.block.loop import Loop
 from softrig_core.block.port import Refused
 from softrig_core.errors import RunError
-from softrig_core.native.choice import ticks_of
+from softrig_core.run.choice import ticks_of
 
 from .adapter.adapter import Adapter
 from .lockstep.lockstep import Lockstep

@@ -17,14 +17,14 @@ from ..block.schedule import Plan
 from ..block.step import Step
 from ..native.audience import answered
 from ..native.batch_text import Form, batch_text, remembered
-from ..native.choice import forbidden
 from ..native.compile import compiled
-from ..native.engine import NATIVE
+from ..native.fitted import NATIVE
 from ..native.rig_text import RigText
 from ..native.translate import follow
 from ..native.twins import form, unpacked
 from ..native.value import NotNative
 from ..rig.rig import Rig
+from ..run.choice import forbidden
 from ..timebase import SECOND
 from .environment import Now, RigEnv
 

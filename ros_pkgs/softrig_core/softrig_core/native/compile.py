@@ -92,7 +92,7 @@ def plain(made: RigText) -> Callable[..., Any]:
 def same(before: Any, after: Any) -> Any:
     """Return a state, which must be of the type of the one before."""
     if form(before) != form(after):
-        raise TypeError("a state that changes its type")
+        raise RuntimeError("a state that changes its type")  # a TypeError would be a defect of the text
     return after
 
 

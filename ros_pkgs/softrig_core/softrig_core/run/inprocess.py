@@ -17,7 +17,6 @@ from ..block.loop import YOUNG
 from ..block.port import CLOCK, Port, Sample
 from ..block.step import Step
 from ..errors import ScenarioError
-from ..native.choice import ticks_of
 from ..rig.contents import Look
 from ..rig.members import Member
 from ..rig.rig import Rig
@@ -25,6 +24,7 @@ from ..solver.solver import Solver
 from ..wire import parameter_event
 from ..wire.cdr import Layout
 from ..wire.recording import Sink
+from .choice import ticks_of
 
 if TYPE_CHECKING:
     import numpy as np

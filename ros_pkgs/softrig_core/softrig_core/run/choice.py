@@ -13,8 +13,9 @@ from ..block.block import Observer
 from ..block.gathering import MANY, gather
 from ..block.loop import Loop
 from ..block.step import Step
-from .compile import compiled, plain
-from .engine import Engine, known
+from ..native.compile import compiled, plain
+from ..native.engine import Engine
+from ..native.fitted import known
 
 MAKING = 6.0  # s of Python that have to be left: native code is compiled sooner
 READY = 0.01  # s: the same where it is there already

@@ -1,0 +1,327 @@
+"""A text that fits the blocks of a rig as they are now: found or made, called, and its results put in place."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..block.loop import Loop
+from ..block.schedule import Plan
+from ..block.step import Step
+from ..errors import RunError
+from .audience import NEVER, Answers, answered, numbers_of, stamps_of
+from .rig_text import RigText, rig_text
+from .translate import follow
+from .turns import WHEN, decides, holdings, speakers
+from .twins import Way, applied, form, packed, packer, unpacked, unpacker
+from .value import NotNative
+
+SHORTEST = 1 << 10  # ticks that are answered in one call, at least
+RUNS_A_TEXT = 20  # that ask in vain for each text beyond the first
+KEPT = 8  # texts that are kept for rigs to come
+# What discards a tick: Python answers it, and reports what is wrong with it, if anything is. A block's values cannot
+# cause a NameError (except for a local variable without a value): that is a defect of the text and ends the run.
+NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, UnboundLocalError, TypeError)
+DEFECT = "a defect of softrig's native code, please report it with the scenario"
+
+Make = Callable[[RigText], Callable[..., Any]]
+
+
+@dataclass
+class Kept:
+    """A text for rigs of a kind, and its function.
+
+    Attributes
+    ----------
+    go : int
+        Ticks that are answered in one call.
+    made : bool
+        Whether it is compiled, or about to be.
+    """
+
+    kinds: tuple[Any, ...]
+    text: RigText
+    function: Callable[..., Any] = field(repr=False)
+    go: int
+    made: bool = False
+
+
+_texts: list[Kept] = []
+_refused: dict[Any, str] = {}  # kinds that only go without those of their members that are seldom due, and why
+_counts: dict[Any, tuple[int, int]] = {}  # of each kind: rigs that asked for another text, texts
+
+
+class Core:
+    """The members that native code answers, in their order.
+
+    Attributes
+    ----------
+    holdings : list of Holding
+    speakers : list of (int, int)
+        See `softrig_core.native.turns`.
+    deciding : list of Step
+        Those that leave some ticks to Python.
+    loop : Loop
+        Of these members alone.
+    """
+
+    def __init__(self, steps: Sequence[Step]) -> None:
+        self.steps = tuple(steps)
+        self.holdings, self.speakers = holdings(self.steps), speakers(self.steps)
+        self.deciding = [s for s in self.steps if decides(s)]
+        self.loop = Loop(self.steps)
+
+    def forms(self) -> list[Any]:
+        """Return the types of what each member remembers and holds: a text is for these."""
+        forms = [(tuple(map(form, s.values.values())), form(s.x)) for s in self.steps]
+        return [*forms, tuple(one.form for one in self.holdings)]
+
+
+def kinds_of(core: Core, recorded: Sequence[Step], make: Make) -> tuple[Any, ...]:
+    """Return what a text is for: classes, schedules and forms of the members, who is recorded, and how it is made."""
+    *forms, holding = core.forms()
+    return (
+        *(
+            (type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks, *kind)
+            for s, kind in zip(core.steps, forms, strict=True)
+        ),
+        holding,
+        tuple(s.name for s in recorded),
+        make,
+    )
+
+
+def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make: Make, typed: bool) -> Kept | None:
+    """Find or make the text for the blocks as they are now; None: it is not worth making another one of this kind.
+
+    Raises
+    ------
+    NotNative
+        What of the blocks native code does not know.
+    """
+    if kinds in _refused:
+        raise NotNative(_refused[kinds])
+    roots = [s.block for s in core.steps]
+    found = next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
+    if found is None and _worth_another(kinds):
+        try:
+            text = rig_text(core.steps, recorded, typed)
+        except NotNative:
+            text = rig_text(core.steps, recorded, typed, reports=False)
+        found = Kept(kinds, text, make(text), SHORTEST)
+        _texts.insert(0, found)
+        del _texts[KEPT:]
+    return found
+
+
+def refuse(kinds: tuple[Any, ...], reason: str) -> None:
+    """Keep why there is no text of a kind, for the rigs to come."""
+    _refused[kinds] = reason
+
+
+def _worth_another(kinds: Any) -> bool:
+    """Return whether one more text of a kind of rig is worth its making: the first, then one in some runs."""
+    asked, made = _counts.get(kinds, (0, 0))
+    worth = asked >= made * RUNS_A_TEXT
+    _counts[kinds] = (asked + 1, made + worth)
+    return worth
+
+
+def known(kinds: Sequence[type], make: Make) -> bool:
+    """Return whether there is a text, made so, for members of such classes, those that only watch left out."""
+    return any(tuple(kinds) == tuple(k[0] for k in kept.kinds[:-3]) for kept in _texts if kept.kinds[-1] is make)
+
+
+def _told(error: Exception) -> str:
+    """Return an error of a text with the line of the text."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return f"{type(error).__name__}: {error} (`{frames[-1].line}`)"
+
+
+class Fitted:
+    """A text with all that its function is called with, for the blocks as they are now.
+
+    Parameters
+    ----------
+    kept : Kept
+    core : Core
+    recorded : sequence of Step
+        Members whose answers are written into tables: somebody records or watches them.
+    plan : Plan
+        Of the whole rig.
+    typed : bool
+        See `rig_text`.
+
+    Attributes
+    ----------
+    discarded : bool
+        Whether the last call has discarded a tick.
+    odd : str
+        The TypeError by which it did; empty: it has another cause, as a discarded tick may.
+
+    Raises
+    ------
+    NotNative
+        What of the blocks' tables native code does not know.
+    """
+
+    def __init__(self, kept: Kept, core: Core, recorded: Sequence[Step], plan: Plan, typed: bool) -> None:
+        self.kept, self.recorded, self.discarded, self.odd = kept, recorded, False, ""
+        self._core, self._steps, self._plan, self._typed = core, core.steps, plan, typed
+        program, roots = kept.text.program, [s.block for s in core.steps]
+        self._constants = program.constants(roots)
+        tables: dict[str, Any] = dict(zip(program.arrays.values(), program.tables(roots), strict=True))
+        tables |= {name: follow(path, roots).scratch() for path, name in program.scratches.items()}
+        self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
+        tables |= {name: self._drawn(draws, self._guess()) for name, draws in self._sources.items()}
+        self._tables = tables
+        # good as long as states have these forms; the way back is known when the first states have come back
+        self._pack = [packer(s.x, typed) for s in core.steps]
+        self._unpack: list[Way] = []
+        self._newest = [follow(path, roots) for path in program.newest]
+        self._keys = [one.key for one in self._newest]
+        self._written = [(core.steps.index(s), s, len(numbers_of(s)), len(stamps_of(s))) for s in recorded]
+        self._n: Any  # tick under way, random numbers that are missing, tick with which the places begin
+        self._when: Any
+        self._told: Any
+        self._arrays: tuple[Any, ...] = ()  # what the function gets after its state, as `RigText.arrays`
+
+    @property
+    def remade(self) -> bool:
+        """Return whether a block has made constants again, so that the text may be another."""
+        return [one.key for one in self._newest] != self._keys
+
+    def drop(self) -> None:
+        """Forget the places of answers, which are large; whoever records them has them."""
+        self._arrays = ()
+
+    def _drawn(self, draws: Any, count: int) -> Any:
+        found = draws.first(count)
+        return found if self._typed else found.tolist()
+
+    def _guess(self) -> int:
+        return min(1 << 20, 2 * (self._plan.ticks or 0) + (1 << 13))
+
+    def places(self, first: int, last: int) -> dict[int, Answers]:
+        """Return buffers for native answers of the ticks `first` to `last`, and pass them to native code."""
+        counts = {id(s): len(self._plan.own(s.schedule, first, last)) for s in self.recorded}
+        rows = {
+            id(s): Answers(np.empty((size, counts[id(s)])).T, np.empty((counts[id(s)], stamps), np.int64))
+            if self._typed  # column after column in memory: so they are read
+            else Answers([], [])
+            for _, s, size, stamps in self._written
+        }
+        reports = self.kept.text.program.reports
+        sizes = 1 + len(self._core.holdings) + len(self._core.speakers), reports.size if reports else 0
+        if self._typed:
+            self._n, self._when, self._told = np.zeros(3, np.int64), np.zeros(sizes[0], np.int64), np.zeros(sizes[1])
+        else:
+            self._n, self._when, self._told = [0] * 3, [0] * sizes[0], [0.0] * sizes[1]
+        self._name(rows)
+        return rows
+
+    def _name(self, rows: dict[int, Answers]) -> None:
+        """Order the arguments of native code."""
+        named = self._tables | {WHEN: self._when, "told": self._told}
+        for k, s, _, _ in self._written:
+            named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
+        self._arrays = tuple(named[name] for name in self.kept.text.arrays)
+
+    def said_by(self, rows: dict[int, Answers], first: int, last: int) -> dict[int, Answers]:
+        """Return the answers of ticks from `first`, where their places begin, up to `last`."""
+        counts = {id(s): len(self._plan.own(s.schedule, first, last)) for s in self.recorded}
+        return {key: Answers(*(table[: counts[key]] for table in answers)) for key, answers in rows.items()}
+
+    def _handed(self, begin: int) -> tuple[Any, ...]:
+        """Return what the function is handed after its ticks; the places of answers begin at a tick."""
+        kept = self.kept
+        before = (
+            *(applied(way, s.x) for way, s in zip(self._pack, self._steps, strict=True)),
+            *(numbers_of(s) for s in self._steps),
+            *(stamps_of(self._steps[k]) for k in kept.text.stamped),
+            *(packed(one.value) for one in self._core.holdings),
+        )
+        spoken = [self._steps[k].spoken[j] for k, j in self._core.speakers]
+        self._n[:] = 0, 0, begin
+        self._when[:] = [0, *(one.stamp for one in self._core.holdings), *(NEVER if t is None else t for t in spoken)]
+        self._told[:] = [0.0] * len(self._told)
+        return self._n, self._constants, before, *self._arrays
+
+    def call(self, begin: int, first: int, last: int, rows: dict[int, Answers]) -> tuple[int, Any]:
+        """Answer ticks from `first` up to `last`, or as far as native code goes, into places that begin at a tick.
+
+        Returns
+        -------
+        reached : int
+        after : tuple or None
+            What is remembered then, and was said last; None: it went nowhere.
+        """
+        kept = self.kept
+        self.discarded, self.odd, kept.made = False, "", True
+        while True:
+            handed = self._handed(begin)
+            n = self._n
+            try:
+                after = kept.function(first, last, *handed)
+            except NATIVE as error:
+                self.odd = _told(error) if isinstance(error, TypeError) else ""
+                if not self._typed:  # lists have grown
+                    rows |= self.said_by(rows, begin, first)
+                    self._name(rows)
+                if n[1]:
+                    for name, draws in self._sources.items():
+                        self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
+                    self._name(rows)
+                    continue
+                self.discarded = True
+                if n[0] <= first:
+                    return first, None
+                last = int(n[0])
+                continue
+            except NameError as error:
+                raise RunError(f"{_told(error)}: {DEFECT}; until then run with SOFTRIG_JIT=0") from error
+            except Exception as error:
+                if type(error).__module__.partition(".")[0] != "numba":
+                    raise
+                _texts[:] = [other for other in _texts if other is not kept]
+                raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
+            return int(n[0]), after
+
+    def compilation(self, k: int) -> Callable[[], None]:
+        """Return what compiles the text: a call that answers no tick, with the arguments of tick k."""
+        self.kept.made = True
+        self.places(k, k)
+        arguments = k, k, *self._handed(k)
+
+        def compile_() -> None:
+            with suppress(Exception):  # an error is reported when the function is called for ticks
+                self.kept.function(*arguments)
+
+        return compile_
+
+    def take(self, first: int, last: int, after: Any) -> None:
+        """Create what native code has found that of the steps."""
+        if (reports := self.kept.text.program.reports) is not None and self._told[0]:
+            reports.take_down(self._told, self._steps)
+        count = len(self._steps)
+        self._unpack = self._unpack or [unpacker(value) for value in after[:count]]
+        stamps = dict(zip(self.kept.text.stamped, after[2 * count :], strict=False))
+        spoken = dict(zip(self._core.speakers, map(int, self._when[1 + len(self._core.holdings) :]), strict=True))
+        for k, s in enumerate(self._steps):
+            own = self._plan.own(s.schedule, first, last)
+            if not own:
+                continue
+            s.x = applied(self._unpack[k], after[k])
+            newest = {j: t for (speaker, j), t in spoken.items() if speaker == k} if spoken else {}
+            answered(s, own[-1], after[count + k], stamps.get(k, ()), newest)
+            if self._typed:
+                s.native = s.native[0] + len(own), ""
+            for one, value in zip(self._core.holdings, after[len(after) - len(self._core.holdings) :], strict=True):
+                fill = one.fill
+                if one.source == k and newest.get(fill.output, s.t) >= self._plan.clock.time(first):
+                    fill.reader.values[fill.port.name] = unpacked(value)
