@@ -25,7 +25,8 @@ KINDS = {
     "tutorials": (
         "Tutorials",
         "From nothing to a result, a quarter of an hour each. A test types every command that ends by itself.",
-        ("first_run", "own_controller", "own_package", "tune", "test_bench", "realtime", "question", "board_tutorial"),
+        ("first_run", "own_controller", "own_package", "own_drive", "tune", "test_bench", "realtime", "question",
+         "board_tutorial"),
     ),
     "how-to": (
         "How-to guides",
@@ -64,6 +65,7 @@ KEYWORDS = {
     "continuous_integration": "junit, ci, github, gitlab, jenkins, regression",
     "own_controller": "own, my, custom, controller, c++, foreign, node",
     "own_package": "own, my, custom, plant, model, pendulum, template, new",
+    "own_drive": "pmsm, data sheet, datasheet, c, firmware, inverter, dead time, drive, servo",
     "dc_motor_smc": "overshoot, speed, chattering",
     "view": "gui, live, slider, dashboard, knob, browser",
     "tune": "gains, optimise, optimize, overshoot, pid, tuning",

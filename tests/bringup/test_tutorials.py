@@ -52,7 +52,7 @@ def blocks(page: str) -> list[Block]:
                 found.append(Block("commands", text))
         elif language == "text":
             found.append(Block("output", fenced))
-        elif re.match(r"# [\w/]+\.\w+\n", fenced):
+        elif re.match(r"(?:# [\w/]+\.\w+|/\* \w+\.\w+ \*/)\n", fenced):
             found.append(Block("file", fenced))
         elif language == "python":
             found.append(Block("commands", f"softrig python - <<'@@ end'\n{fenced.rstrip()}\n@@ end\n"))
@@ -65,7 +65,7 @@ def script(found: list[Block]) -> str:
     for number, block in enumerate(found):
         if block.kind == "file":
             first, _, rest = block.text.partition("\n")
-            name = first[2:]
+            name = re.search(r"[\w/]+\.\w+", first)[0]
             text = rest if name.endswith(".urdf") else block.text  # no comment of XML
             lines += [f"cat > {name} <<'@@ end'", text.rstrip("\n"), "@@ end"]
         elif block.kind == "commands":
