@@ -8,7 +8,7 @@ import subprocess
 import pytest
 from board_by_hand import UNO
 from softrig_core import ScenarioError, simulate
-from softrig_core.board.simavr import HEADER
+from softrig_core.board.simavr import HEADER, compiled
 from softrig_core.firmware.check import DEBIAN
 from softrig_drives.dc_motor.uno import ROW, DcMotorUnoParams, built, firmware_files, simulator_of
 
@@ -144,3 +144,83 @@ def test_speed_by_the_counts_of_the_encoder():
     count = run.signals["motor/sensors/encoder_count/position"].x
     assert [math.floor(a * P.counts_per_rev / math.tau) for a in theta] == list(count)
     assert count[-1] > 1000
+
+
+# runs firmware until it sets GPIOR0, prints what is in GPIOR1 and GPIOR2; argument 2: voltage at the pin A0, mV
+PROBE = """
+#include <stdio.h>
+#include <stdlib.h>
+#include <simavr/avr_adc.h>
+#include <simavr/sim_avr.h>
+#include <simavr/sim_elf.h>
+static void silent(avr_t *avr, const int level, const char *format, va_list given)
+{
+    (void)avr; (void)level; (void)format; (void)given;
+}
+int main(int argc, char **argv)
+{
+    static elf_firmware_t firmware;
+    avr_t *avr = avr_make_mcu_by_name("atmega328p");
+    if (argc != 3 || avr == NULL) { return 2; }
+    avr_global_logger_set(silent);
+    if (elf_read_firmware(argv[1], &firmware) != 0) { return 2; }
+    avr_init(avr);
+    avr->frequency = 16000000;
+    avr_load_firmware(avr, &firmware);
+    avr->vcc = avr->avcc = avr->aref = 5000;
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, 0), (uint32_t)atoi(argv[2]));
+    while (avr->data[0x3E] == 0 && avr->cycle < 16000000) { avr_run(avr); }
+    printf("%d", avr->data[0x4A] | (avr->data[0x4B] << 8));
+    return avr->data[0x3E] == 0;
+}
+"""
+ADC = """
+#include <avr/io.h>
+static void convert(void) { ADCSRA |= 1 << ADSC; while (ADCSRA & (1 << ADSC)) { } }
+int main(void)
+{
+    TCCR1B = 1 << CS10;
+    ADMUX = 1 << REFS0; ADCSRA = (1 << ADEN) | 7; /* AVcc, a clock in 128 */
+    convert();
+    const uint16_t begin = TCNT1;
+    convert();
+    const uint16_t took = TCNT1 - begin, found = ADC, said = TOOK ? took : found;
+    GPIOR1 = said & 255; GPIOR2 = said >> 8; GPIOR0 = 1;
+    for (;;) { }
+}
+"""
+UART = """
+#include <avr/io.h>
+static void send(uint8_t byte) { while (!(UCSR0A & (1 << UDRE0))) { } UDR0 = byte; }
+int main(void)
+{
+    TCCR1B = 1 << CS11; /* a count is 8 cycles */
+    UCSR0A = DOUBLE << U2X0; UBRR0 = DIVISOR; UCSR0C = 3 << UCSZ00; UCSR0B = 1 << TXEN0;
+    for (uint8_t k = 0; k < 4; k++) { send(k); }
+    const uint16_t begin = TCNT1;
+    for (uint8_t k = 0; k < 16; k++) { send(k); }
+    const uint16_t took = TCNT1 - begin;
+    GPIOR1 = took & 255; GPIOR2 = took >> 8; GPIOR0 = 1;
+    for (;;) { }
+}
+"""
+
+
+def probed(text, millivolts=0):
+    host = compiled({"main.c": PROBE}, ["-lsimavr", "-lelf"], "simavr_probe", DEBIAN)
+    command = [host, built({"probe.c": text}, "probe"), str(millivolts)]
+    return int(subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout)
+
+
+def test_the_adc_has_the_codes_and_the_time_of_the_data_sheet():
+    for millivolts in (0, 5, 1250, 2500, 3300, 4990, 5000):
+        code = min(1024 * millivolts // 5000, 1023)  # ATmega328P data sheet, 24.7; simavr multiplies by 1023
+        assert code - 1 <= probed(f"#define TOOK 0\n{ADC}", millivolts) <= code
+    assert probed(f"#define TOOK 1\n{ADC}") == pytest.approx(13 * 128, abs=24)  # table 24-1, and the loop that waits
+
+
+@pytest.mark.parametrize(("double", "divisor"), [(1, 16), (0, 8), (0, 103)])
+def test_a_byte_takes_eleven_bits_in_simavr_and_ten_by_the_data_sheet(double, divisor):
+    bit = (divisor + 1) * (8 if double else 16)  # cycles; data sheet, table 20-1
+    took = probed(f"#define DOUBLE {double}\n#define DIVISOR {divisor}\n{UART}") * 8 / 16
+    assert took == pytest.approx(11 * bit, rel=0.01)  # a start, 8 data and a stop bit are 10: a real board is faster
