@@ -1,23 +1,20 @@
 """What a start may load: a verb that a person waits for does not import what it does not use."""
 
+import os
 import subprocess
 import sys
 
 import pytest
+from conftest import PACKAGE
 
 HEAVY = ("rosbags.typesys.stores", "matplotlib", "pandas", "pyarrow", "bokeh", "scipy.stats", "scipy.optimize", "rclpy")
 RUN = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.05", "--out", "r"]
+NONE = ("numpy", "pydantic", "yaml", "rich", "importlib.metadata", "inspect")
+SCENARIO = "{title: t, system: s, duration: 1.0, nodes: {source: {package: faultrig, executable: source}}}"
 
 
-@pytest.mark.parametrize(
-    ("calls", "modules", "more"),
-    [
-        ([["--help"]], 165, ("numpy", "pydantic", "numba")),
-        ([["list"]], 470, ("numba", "softrig_core.native")),
-        ([RUN, ["bag", "info", "r/bag"], ["report", "r"]], 780, ()),
-    ],
-)
-def test_a_start_loads_what_it_needs(calls, modules, more, tmp_path):
+def started(calls, heavy, folder, **variables):
+    """Run verbs in a process of their own and return how many modules it has loaded in the end, none of them heavy."""
     code = f"""
 import sys
 from softrig_bringup.cli import main
@@ -27,10 +24,26 @@ for words in {calls!r}:
     except SystemExit as end:
         status = end.code
     assert not status, (words, status)
-found = [n for n in sys.modules if any(n == h or n.startswith(h + ".") for h in {HEAVY + more!r})]
+found = [n for n in sys.modules if any(n == h or n.startswith(h + ".") for h in {HEAVY + heavy!r})]
 assert not found, found[:9]
 print(len(sys.modules), file=sys.stderr)
 """
-    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    command = [sys.executable, "-P", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=os.environ | variables)
     assert done.returncode == 0, done.stderr[-2000:]
-    assert int(done.stderr.split()[-1]) <= modules, done.stderr[-200:]
+    return int(done.stderr.split()[-1])
+
+
+@pytest.mark.parametrize(
+    ("calls", "modules", "heavy"),
+    [([["--help"]], 120, NONE), ([RUN, ["bag", "info", "r/bag"], ["report", "r"]], 780, ())],
+)
+def test_a_start_loads_what_it_needs(calls, modules, heavy, tmp_path):
+    assert started(calls, heavy, tmp_path) <= modules
+
+
+def test_a_list_of_scenarios_that_have_not_changed_loads_none_of_them(tmp_path):
+    (tmp_path / "a.yaml").write_text(SCENARIO)
+    places = {"SOFTRIG_SCENARIOS": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path), "AMENT_PREFIX_PATH": str(PACKAGE)}
+    assert 300 < started([["list"]], ("numba", "softrig_core.native"), tmp_path, **places) <= 470
+    assert started([["list"]], NONE, tmp_path, **places) <= 160

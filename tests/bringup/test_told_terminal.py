@@ -10,9 +10,10 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 from softrig_bringup.cli import make_parser
-from softrig_bringup.terminal import listing, progress, tables
+from softrig_bringup.terminal import console, listing, parts, progress, tables
 from softrig_bringup.verbs import check, linear, run_verb
 from softrig_core import Scenario, ScenarioError, load_scenario, rig_of
+from softrig_core.scenario import index
 from softrig_core.solver.solver import UNFINISHED
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
@@ -113,8 +114,10 @@ SCENARIOS = [
 def listed(monkeypatch, tmp_path):
     known = {s.name: s for s in SCENARIOS}
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(listing, "list_scenarios", lambda broken: {n: Path() for n in known})
-    monkeypatch.setattr(listing, "load_scenario", known.__getitem__)
+    monkeypatch.setattr(index, "list_scenarios", lambda broken: {n: Path() for n in known})
+    monkeypatch.setattr("softrig_core.scenario.scenario.load_scenario", known.__getitem__)
+    monkeypatch.setattr("softrig_core.kit.compiled.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(index, "scenario_folders", lambda: [tmp_path])
     (tmp_path / "runs/a").mkdir(parents=True)
     (tmp_path / "runs/a/metrics.json").write_text(json.dumps({"wall_s": 1.2345, "mode": "inprocess"}))
     (tmp_path / "runs/b").mkdir()
@@ -147,7 +150,7 @@ def test_a_list_with_what_is_no_scenario_ends_with_2(listed, monkeypatch, capsys
             raise ScenarioError("a_2: no such thing")
         return listed[name]
 
-    monkeypatch.setattr(listing, "load_scenario", broken)
+    monkeypatch.setattr("softrig_core.scenario.scenario.load_scenario", broken)
     for columns in ("60", None):
         monkeypatch.delenv("COLUMNS", raising=False) if columns is None else monkeypatch.setenv("COLUMNS", columns)
         assert [listing.list_scenarios_of(part) for part in ("", "none")] == [2, 2]
@@ -161,31 +164,35 @@ def test_lines_are_as_long_as_they_are_in_a_pipe(monkeypatch, terminal, columns,
     monkeypatch.setattr("sys.stdout", stream := io.StringIO())
     monkeypatch.setattr(stream, "isatty", lambda: terminal, raising=False)
     monkeypatch.delenv("COLUMNS", raising=False) if columns is None else monkeypatch.setenv("COLUMNS", columns)
-    assert listing.console().width == width
-    listing.console(width=20).print("[red]a[/] \x1b[1m 1")
+    assert console.console().width == width
+    console.console(width=20).print("[red]a[/] \x1b[1m 1")
     assert stream.getvalue() == "[red]a[/] \\x1b[1m 1\n"
-    assert listing.styled("a\x1b", ("b\x1b", "red")).plain == "a\\x1bb\\x1b"
+    assert console.styled("a\x1b", ("b\x1b", "red")).plain == "a\\x1bb\\x1b"
 
 
 def test_signals_and_figures_are_listed_as_told(capsys):
     told = []
-    for show in (lambda: listing.list_signals("dc_motor_smc_faults"), lambda: listing.list_figures("final_value")):
+    for show in (lambda: parts.list_signals("dc_motor_smc_faults"), lambda: parts.list_figures("final_value")):
         assert show() == 0
         told += capsys.readouterr().out.splitlines()
     (signature,) = (line for line in told if line.startswith("final_value("))
     assert re.findall(r"\w+(?=:)", signature) == ["signals", "signal", "start", "end"]
     told.remove(signature)  # Python writes annotations in its own way
     check_told("terminal/signals", told)
-    assert listing.list_figures("") == 0
+    assert parts.list_figures("") == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
     assert {len(r) for r in rows} == {3}
-    assert [r[0] for r in rows] == listing.registered()
+    assert [r[0] for r in rows] == parts.registered()
     assert all(r[2] for r in rows)
     asked = []
     options = {"signals": None, "parameters": None, "figures": None, "filter": "x"}
     for name in ("list_signals", "list_parameters", "list_figures", "list_scenarios_of"):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(listing, name, lambda what, name=name: asked.append((name, what)) or 5)
+            patch.setattr(
+                listing if name == "list_scenarios_of" else parts,
+                name,
+                lambda what, name=name: asked.append((name, what)) or 5,
+            )
             key = {f"list_{k}": k for k in ("signals", "parameters", "figures")}.get(name)
             assert listing.main(SimpleNamespace(**options | ({key: ""} if key else {}))) == 5
     assert asked == [("list_signals", ""), ("list_parameters", ""), ("list_figures", ""), ("list_scenarios_of", "x")]

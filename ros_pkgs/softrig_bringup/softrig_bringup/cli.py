@@ -147,7 +147,7 @@ def _verb(arguments: list[str]) -> int:
         arguments = ["--version"]
     if arguments and arguments[0] in FORMER:
         raise ScenarioError(f"`softrig {arguments[0]}` is `softrig {FORMER[arguments[0]]}` now")
-    if not asks and arguments and arguments[0] not in VERBS:
+    if not asks and arguments and not arguments[0].startswith("-") and arguments[0] not in VERBS:
         _check_verb(arguments[0])
     if not asks and _of_the_script(arguments):
         return of_the_script()

@@ -6,7 +6,6 @@ its package for `ros2 run`, and in no list of nodes.
 
 from __future__ import annotations
 
-import importlib.metadata
 import sys
 import warnings
 from collections.abc import Mapping
@@ -24,6 +23,8 @@ def former(package: str) -> Mapping[str, str]:
 
 @lru_cache(maxsize=256)
 def _former(package: str, _: tuple[str, ...]) -> Mapping[str, str]:
+    import importlib.metadata  # a part of each start that few need
+
     try:
         points = importlib.metadata.distribution(package).entry_points.select(group=GROUP)
     except (importlib.metadata.PackageNotFoundError, ValueError):  # a ValueError for an empty name
@@ -39,6 +40,8 @@ def executables(package: str) -> list[str]:
     importlib.metadata.PackageNotFoundError
         It is not installed.
     """
+    import importlib.metadata
+
     points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
     return sorted(points.names - former(package).keys())
 

@@ -19,7 +19,7 @@ from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..options.naming import folder_of
 from ..report.report import write_report
 from ..run.run import checked, execute, illustrate, save, summary
-from ..terminal.listing import console as make_console, styled
+from ..terminal.console import console as make_console, styled
 from ..terminal.tables import print_columns
 from .definition import Falsification, falsification_of, list_falsifications
 from .engine import Outcome, falsify, prepare

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Sequence
 from pathlib import Path
-
-from softrig_core.scenario.scenario_file import find
 
 LONGEST = 80  # letters before the digest
 
@@ -33,6 +30,8 @@ def folder_of(parts: Sequence[str], apart: Sequence[str] = ()) -> str:
     name = re.sub(r"[^A-Za-z0-9_.,:=+-]+", "_", said[:LONGEST])
     if name == "-".join(parts) and not apart:
         return name
+    import hashlib
+
     digest = hashlib.sha256("\0".join([*parts, "", *apart]).encode()).hexdigest()
     return f"{name}-{digest[:8]}"
 
@@ -55,5 +54,7 @@ def scenario_file(called: str) -> Path | None:
     path = Path(called)
     if path.suffix not in (".yaml", ".yml"):
         return None
+    from softrig_core.scenario.scenario_file import find
+
     listed = find(path.stem)
     return None if listed is not None and path.exists() and listed.samefile(path) else path

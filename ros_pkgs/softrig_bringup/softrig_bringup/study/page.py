@@ -25,7 +25,7 @@ from ..page.citations import cited, sources
 from ..page.html import NONE, e, mark, picture, table, write_page
 from ..page.paper_table import write_paper_table
 from ..page.wording import NEVER, accepted, short
-from ..terminal.listing import console as make_console, styled
+from ..terminal.console import console as make_console, styled
 from ..terminal.tables import Cell, print_columns, print_judged
 from .definition import Study, list_studies
 from .engine import beyond, run_study

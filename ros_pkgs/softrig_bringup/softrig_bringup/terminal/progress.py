@@ -44,7 +44,7 @@ def progress(title: str, duration: float) -> Iterator[Tell]:
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from .listing import console
+    from .console import console
 
     columns = (
         TextColumn("{task.description}", markup=False),

@@ -12,7 +12,7 @@ from softrig_core import LinearAlong, LinearView, NoOperatingPoint, ScenarioErro
 
 from ..folder import replace
 from ..options.grammar import settings
-from ..terminal.listing import console
+from ..terminal.console import console
 
 DEGREES = 180.0 / math.pi
 SHOWN = 8  # modes

@@ -30,7 +30,7 @@ from ..options.run_options import begun, changed_words, folder_name, placement_o
 from ..options.trust import admitted
 from ..page.wording import NEVER, accepted, in_words, short, spans
 from ..run.run import checked, execute, illustrate, once_broken_off, save, summary, tripped, turned
-from ..terminal.listing import console as make_console, styled
+from ..terminal.console import console as make_console, styled
 from ..terminal.progress import busy, progress
 from ..terminal.tables import Cell, print_judged
 from ..view.beside import page

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 from ..errors import ScenarioError, closest
 from ..kit.resource import prefixes
 from ..renamed import report
-from .yaml_file import SIZE, read_mapping
 
 SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
 _FILE = re.compile(r"[^/\s$:][^\s$:]{0,300}\.[A-Za-z]\w{0,9}")  # a relative path that ends as files do
@@ -100,6 +99,8 @@ def read(path: Path) -> dict[str, Any]:
     ScenarioError
         Cannot be read, not YAML, or not a mapping.
     """
+    from .yaml_file import SIZE  # half of a start, for those that only look for a file
+
     try:
         state = path.stat()
     except OSError as error:
@@ -111,6 +112,8 @@ def read(path: Path) -> dict[str, Any]:
 
 @lru_cache(maxsize=1024)
 def _read(path: Path, changed: int, size: int) -> dict[str, Any]:
+    from .yaml_file import read_mapping
+
     return read_mapping(path)
 
 

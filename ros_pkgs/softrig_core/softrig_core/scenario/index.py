@@ -1,0 +1,104 @@
+"""An index of all scenarios, kept in the cache with the times of the files that it was read from."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from ..errors import ScenarioError
+from .scenario_file import list_scenarios, scenario_folders
+
+State = dict[str, list[int]]  # by path: time of change in ns, size
+
+
+class Listed(NamedTuple):
+    """What a list of scenarios shows of one."""
+
+    name: str
+    system: str
+    duration: float
+    title: str
+    source: str
+
+
+def listed(broken: list[ScenarioError]) -> list[Listed]:
+    """Return all scenarios by name; without loading them while no file that they come from has changed.
+
+    Parameters
+    ----------
+    broken : list
+        Receives what is wrong with files and scenarios that cannot be loaded; nothing is kept then.
+    """
+    place = None
+    with suppress(OSError):  # a cache that cannot be used is no reason to list nothing
+        place = _place()
+        if (found := _kept(place)) is not None:
+            return found
+    before = _states(_candidates())
+    rows = _loaded(broken)
+    state = _states(_candidates())
+    if place is not None and not broken and before == state:
+        with suppress(OSError):
+            _keep(place, state, rows)
+    return rows
+
+
+def _loaded(broken: list[ScenarioError]) -> list[Listed]:
+    from .scenario import load_scenario
+
+    rows = []
+    for name in sorted(list_scenarios(broken)):
+        try:
+            s = load_scenario(name)
+        except ScenarioError as error:
+            broken.append(error)
+        else:
+            rows.append(Listed(s.name, s.system, s.duration, s.title, s.source))
+    return rows
+
+
+def _candidates() -> list[Path]:
+    """Return the files that scenarios come from, those that they extend as well, and the modules that check them."""
+    here = Path(__file__).parent
+    files = (file for folder in scenario_folders() for file in folder.glob("*.yaml"))
+    return [*files, *here.glob("*.py"), *here.with_name("judge").glob("*.py")]
+
+
+def _states(paths: Iterable[Path]) -> State:
+    found = {}
+    for path in paths:
+        with suppress(OSError):
+            state = path.stat()
+            found[str(path)] = [state.st_mtime_ns, state.st_size]
+    return found
+
+
+def _place() -> Path:
+    from ..kit.compiled import cache_folder
+
+    return cache_folder() / "scenarios.json"
+
+
+def _folders() -> list[str]:
+    return [str(folder.absolute()) for folder in scenario_folders()]
+
+
+def _kept(place: Path) -> list[Listed] | None:
+    """Return what the index holds, None where it is not of today's folders and files."""
+    with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):  # none, or damaged
+        content = json.loads(place.read_text(encoding="utf-8"))
+        if content["folders"] == _folders() and content["state"] == _states(_candidates()):
+            return [Listed(*row) for row in content["rows"]]
+    return None
+
+
+def _keep(place: Path, state: State, rows: list[Listed]) -> None:
+    from tempfile import NamedTemporaryFile
+
+    with NamedTemporaryFile("w", encoding="utf-8", dir=place.parent, delete=False) as file:
+        json.dump({"folders": _folders(), "state": state, "rows": rows}, file)
+    os.replace(file.name, place)
