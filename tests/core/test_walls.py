@@ -163,3 +163,16 @@ def test_packages_depend_one_way():
         if target.startswith("softrig_") and not within(target, package, *allowed)
     ]
     assert breaches == []
+
+
+def test_no_dataclass_has_a_default_that_python_3_11_refuses():
+    """There a mapping proxy has no hash, and a field without one is a mutable default: nothing could be imported."""
+    refused = []
+    for path in PACKAGES.glob("*/softrig_*/**/*.py"):
+        if "MappingProxyType({" not in (text := path.read_text()):
+            continue
+        for made in ast.walk(ast.parse(text)):
+            if isinstance(made, ast.ClassDef) and any("dataclass" in ast.unparse(d) for d in made.decorator_list):
+                fields = [f for f in made.body if isinstance(f, ast.AnnAssign) and f.value is not None]
+                refused += [f"{path.name}: {made.name}" for f in fields if "MappingProxyType(" in ast.unparse(f.value)]
+    assert not refused

@@ -15,9 +15,8 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -147,8 +146,8 @@ class LinearView:
     error: float
     worst: str
     variation: float
-    heard: Mapping[str, float] = MappingProxyType({})
-    left_out: Mapping[str, str] = MappingProxyType({})
+    heard: Mapping[str, float] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def closed(self) -> control.StateSpace:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -73,8 +72,8 @@ class Judge:
     clock: Schedule
     ticker: str
     reads: tuple[str, ...] = ()
-    figures: Mapping[str, Measured] = MappingProxyType({})
-    timed: Mapping[str, Measured] = MappingProxyType({})
+    figures: Mapping[str, Measured] = field(default_factory=dict)
+    timed: Mapping[str, Measured] = field(default_factory=dict)
     follows: bool = False
     again: Callable[[Mapping[str, float]], Tree] | None = None
 
