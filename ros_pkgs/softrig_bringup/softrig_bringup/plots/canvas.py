@@ -153,6 +153,11 @@ class Axis:
         room = self.margin * (high - low)
         return low if low in self._sticky else low - room, high if high in self._sticky else high + room
 
+    def extent(self) -> tuple[float, float]:
+        """Return the range of the data that can be seen; the limits where there are none."""
+        low, high = self.limits()
+        return (max(low, self._low), min(high, self._high)) if self._low <= self._high else (low, high)
+
 
 class Axes:
     """One coordinate system of a picture.

@@ -73,7 +73,7 @@ def described(figure: Figure) -> Iterator[str]:
             continue
         over = axes.titles["x"] or next((a.titles["x"] for a in figure.axes if a.x is axes.x and a.titles["x"]), "")
         head = axes.heads.get("left", ("",))[0] or (axes.named[1] if axes.named else "")
-        low, high = axes.x.limits()
+        low, high = axes.x.extent()
         title = ": ".join(part for part in (head, axes.titles["y"]) if part) or "Values"
         parts = []
         labelled = any(line.label for line in axes.lines)  # then those without are marks, which the legend names
