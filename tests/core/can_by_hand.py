@@ -85,7 +85,7 @@ class Bus:
     def send(self, frame, timeout=None):
         if self.rng.random() < self.pulled:
             self.unplugged += 1
-            self.back = self.time + self.rng.random() / 3
+            self.back = self.time + self.rng.random() / 8
             raise can.CanOperationError("no buffer space")
         self.time += 1e-4
         for at, received in self._damaged(frame):

@@ -68,7 +68,7 @@ def test_files_of_twincat_and_plcopen_have_the_same_text(law):
     assert [p.attrib["pouType"] for p in pous] == ["function"] * (len(pous) - 1) + ["functionBlock"]
     assert "".join(pous[-1].find(f"{TC6}body/{TC6}ST").itertext()).strip() == body.strip()
     inputs = [v.attrib["name"] for v in pous[-1].findall(f"{TC6}interface/{TC6}inputVars/{TC6}variable")]
-    assert inputs[:2] == ["t_ns", "state_shaft_velocity"]
+    assert inputs[:3] == ["restart", "t_ns", "state_shaft_velocity"]
     assert written(units, done.name, "plcopen") == written(units, done.name, "plcopen")
 
 

@@ -43,6 +43,7 @@ FOREIGN = {
         "cortex_m",
         "a node as firmware of a Cortex-M that joins a rig",
     ),
+    "export ads": ("softrig_core.firmware.ads_files", "main", "a program by which a PLC answers the ticks of a node"),
     "export dbc": ("softrig_core.firmware.command", "dbc", "the ports of a node as signals of a CAN bus (a DBC)"),
     "export st": (
         "softrig_core.export.st_files",

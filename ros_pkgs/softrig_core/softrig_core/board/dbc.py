@@ -276,7 +276,7 @@ def _head(signals: dict[str, Any], names: Sequence[str], message: str, where: st
 def _unfit(signal: Any) -> str:
     """Return why a signal cannot have a number; empty if it can."""
     numbers = [signal.scale, signal.offset, *(x for x in (signal.minimum, signal.maximum) if x is not None)]
-    if not all(map(math.isfinite, numbers)) or signal.scale == 0:
+    if not all(abs(x) <= LARGEST_FLOAT[64] for x in numbers) or signal.scale == 0:  # an int may be beyond all floats
         return f"has the scale {signal.scale} and the offset {signal.offset}, expected finite numbers and a scale not 0"
     low, high = signal.minimum, signal.maximum
     if low is not None and high is not None and low > high:

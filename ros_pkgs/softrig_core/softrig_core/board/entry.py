@@ -14,7 +14,7 @@ from ..entry import Entry
 from ..errors import ScenarioError
 
 SIMULATORS = ("simavr", "qemu", "program")
-CAN = "can:"
+CAN, ADS = "can:", "ads:"
 LONGEST = 1 << 18  # bytes of a file that describes a node
 
 
@@ -25,11 +25,13 @@ class LinkEntry(Entry):
     ----------
     port : str
         File of a serial port, or ``simavr:FILE.elf``, ``qemu:FILE.elf``, ``program:FILE``; or
-        ``can:INTERFACE/CHANNEL``, a CAN bus by an interface of python-can.
+        ``can:INTERFACE/CHANNEL``, a CAN bus by an interface of python-can; or ``ads:NETID/PORT`` or
+        ``ads:NETID@HOST/PORT``, a PLC.
     baud : int, optional
         Bits a second: of a serial port 115200, of a CAN bus as python-can or the system has it, when absent.
     firmware : str
-        Folder or JSON file that ``softrig export`` wrote; the board must have this build. On a CAN bus the DBC.
+        Folder or JSON file that ``softrig export`` wrote; the board must have this build. On a CAN bus the DBC, of a
+        PLC the file of the program.
     timeout : float
         s until a frame is sent again; a board that is silent for 16 times as long ends a lockstep run.
     """
@@ -41,14 +43,18 @@ class LinkEntry(Entry):
 
     @property
     def shared(self) -> bool:
-        """Return whether other nodes may be at the port, told apart by their signals."""
-        return self.port.startswith(CAN)
+        """Return whether other nodes may be at the port, told apart by their signals or programs."""
+        return self.port.startswith((CAN, ADS))
 
     @field_validator("port")
     @classmethod
     def _whole(cls, port: str) -> str:
         if port.startswith(CAN) and not re.fullmatch(r"can:\w+/.+", port):
             raise ValueError("expected can:INTERFACE/CHANNEL, as in can:socketcan/can0")
+        if port.startswith(ADS):
+            found = re.fullmatch(r"ads:(\d{1,3}(?:\.\d{1,3}){5})(?:@[\w.-]+)?/(\d{1,5})", port, re.ASCII)
+            if found is None or max(map(int, found[1].split("."))) > 255 or int(found[2]) > 65535:
+                raise ValueError("expected ads:NETID/PORT or ads:NETID@HOST/PORT, as in ads:192.168.0.5.1.1/851")
         return port
 
 
@@ -94,6 +100,8 @@ def require_own_ports(entries: Mapping[str, LinkEntry], where: str) -> None:
 
 def _owned(node: str, entry: LinkEntry) -> list[tuple[str, str]]:
     """Return what only one node may have, and its name for errors."""
+    if entry.port.startswith(ADS):
+        return []  # each node has a program of its own name
     if not entry.shared:
         port = os.path.realpath(entry.port) if entry.port.startswith("/") else absolute_port(entry.port)
         return [(port, f"port, {entry.port}")]

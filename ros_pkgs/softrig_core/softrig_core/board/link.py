@@ -17,11 +17,12 @@ from ..block.block import Block, Level, Plant
 from ..block.params import flatten
 from ..block.port import Sample
 from ..errors import RunError, ScenarioError
+from .ads_line import ads_line
 from .can_line import can_line
 from .dbc import build_of
 from .description import read_description
 from .elsewhere import Elsewhere, LinkState
-from .entry import CAN, LinkEntry, absolute_port, contents_of
+from .entry import LinkEntry, absolute_port, contents_of
 from .frames import Kind
 from .layout import Layout
 from .line import Build, Line
@@ -57,8 +58,9 @@ class Linked(Elsewhere):
         self._params = _packed(layout.params, [of(known[name]) for name, of in settable.items()])
         self._safe = {p.name: p.safe for p in outputs if not p.sporadic}
         self._delayed = frozenset(p.name for p in outputs if p.delayed)
-        line_of = can_line if self.ENTRY.port.startswith(CAN) else _serial_line
-        self._made: Callable[[Any], Any] = line_of(self.ENTRY, self.name, self._build)
+        kind = self.ENTRY.port.partition(":")[0]
+        kinds: Mapping[str, Any] = {"can": can_line, "ads": ads_line}
+        self._made: Callable[[Any], Any] = kinds.get(kind, _serial_line)(self.ENTRY, self.name, self._build)
 
     @classmethod
     def fixed(cls, params: Any) -> Any:

@@ -240,7 +240,8 @@ class _Printer:
             for (w, _, _), v in zip(self.functions[f"{n}_init"][1], (node, settings), strict=True)
         )
         head = [
-            "VAR_INPUT", "    t_ns : LINT; (* time of the tick, ns *)", *rows["VAR_INPUT"], "END_VAR",
+            "VAR_INPUT", "    restart : BOOL; (* the tick begins with the first state *)",
+            "    t_ns : LINT; (* time of the tick, ns *)", *rows["VAR_INPUT"], "END_VAR",
             "VAR_OUTPUT", "    gave_up : BOOL; (* the outputs have their safe values *)",
             *rows["VAR_OUTPUT"], "END_VAR",
             "VAR", f"    {node} : {self.word(n)};", f"    {given} : {self.word(f'{n}_in')};",
@@ -249,7 +250,7 @@ class _Printer:
         ]  # fmt: skip
         init, step = self.word(f"{n}_init"), self.word(f"{n}_step")
         body = [
-            "    IF NOT begun THEN",
+            "    IF restart OR NOT begun THEN",
             *(f"    {line}" for line in settings_),
             f"        done := {init}({begin});",
             "        begun := TRUE;",

@@ -1,0 +1,376 @@
+"""Requests to one program on a PLC and its answers, over ADS."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import socket
+import struct
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..errors import RunError, ScenarioError
+from ..extras import need
+from .entry import ADS, LinkEntry, contents_of
+from .frames import Kind
+from .line import PATIENCE, REMEMBERED, REOPEN, Build, Counts
+
+WHAT = "a node on a PLC"
+ROUTER = 48898  # TCP port of ADS
+NUMBERS = 1 << 32
+HEAD, TAIL = struct.Struct("<II"), struct.Struct("<I")  # number and session; the number again, against torn copies
+POLL = 0.0005  # s between two looks at the answer
+BUILD = 17  # bytes of a STRING(16)
+
+
+class Plc(Protocol):
+    """The variables of a program; an OSError says that it cannot be reached now."""
+
+    def build(self) -> str:
+        """Return what the program says of its build."""
+
+    def write(self, data: bytes) -> None:
+        """Write the request."""
+
+    def read(self, size: int) -> bytes:
+        """Return the answer."""
+
+    def wait(self, seconds: float) -> None:
+        """Bound the time of the calls that follow."""
+
+    def close(self) -> None:
+        """Close the connection."""
+
+
+class AdsLine:
+    """Requests to one program on a PLC and its answers; has what `Link` wants of a `Line`.
+
+    Parameters
+    ----------
+    port : str
+        For errors.
+    opened : callable
+        Connects within a time in s; an OSError: not now, a ScenarioError: never.
+    build : Build
+        Another one is refused.
+    timeout : float
+        s until a lockstep request is written again.
+    clock, sleep : callable
+        Give a time in s, and let one pass.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        opened: Callable[[float], Plc],
+        build: Build,
+        timeout: float,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], object] = time.sleep,
+    ) -> None:
+        self.port, self.build, self.timeout, self.counts = port, build, timeout, Counts()
+        self.served: tuple[int, bytes, bytes] = (-1, b"", b"")
+        self.accepted = b""
+        self._opened, self._clock, self._sleep = opened, clock, sleep
+        self._plc: Plc | None = None
+        self._tried, self._why = -math.inf, ""
+        self._known = False  # whether the program has been there before, in real time
+        self.begin(b"")
+
+    def begin(self, params: bytes) -> None:
+        """Begin a session with the next request; the program has its own parameters, so `params` is empty."""
+        # by chance, so that neither is what the program has answered last
+        self._number, self._session = (int.from_bytes(os.urandom(4), "little") or 1 for _ in range(2))
+        self._first, self.joined = True, False
+        self._missing: dict[int, bool] = {}  # numbers without an answer, and whether one came late
+        self._seen = b""  # the answer that was read last
+        self._heard = self._clock()
+
+    def told(self) -> str:
+        """Return what was unusual, in words; empty when nothing was."""
+        return self.counts.told()
+
+    def ask(self, kind: Kind, values: bytes) -> bytes:
+        """Write a request until it is answered, and return the answer.
+
+        Raises
+        ------
+        RunError
+            There is no answer, or the program is of another build.
+        """
+        end = self._clock() + PATIENCE * self.timeout
+        while not self.joined and self._clock() < end:
+            if not self._join(self.timeout):
+                self._sleep(REOPEN / 4)
+        if not self.joined:
+            raise RunError(self._why or f"no PLC answers at {self.port}")
+        self._next()
+        end, first = self._clock() + PATIENCE * self.timeout, True
+        while first or self._clock() < end:
+            self.counts.repeated += not first and self._plc is not None
+            first = False
+            if (answer := self._answer(values, self._clock() + self.timeout)) is not None:
+                return answer
+        lost = "; it may have restarted and lost its state, or another program writes to it"
+        raise RunError(self._why or f"no answer of {self.port} within {PATIENCE * self.timeout:g} s{lost}")
+
+    def try_ask(self, kind: Kind, values: bytes, wait: float) -> bytes | None:
+        """Write a request once, and return the answer if it comes within `wait` s."""
+        end = self._clock() + wait
+        if not self.joined:
+            if not self._join(wait):
+                return None
+            self.counts.rejoined += self._known
+            self._known = True
+        self._next()
+        answer = self._answer(values, end)
+        if answer is None:
+            self.counts.lost += 1
+            self._missing[self._number] = False
+            while len(self._missing) > REMEMBERED:
+                del self._missing[next(iter(self._missing))]
+            if self._clock() - self._heard > self.timeout:  # it may have restarted
+                self.begin(b"")
+        return answer
+
+    def close(self) -> None:
+        """Close the connection."""
+        plc, self._plc = self._plc, None
+        if plc is not None:
+            with suppress(Exception):  # of a PLC that was unplugged
+                plc.close()
+
+    # one request ----------------------------------------------------------------------------------------------------
+
+    def _next(self) -> None:
+        self._number = (self._number + 1) % NUMBERS
+
+    def _answer(self, values: bytes, end: float) -> bytes | None:
+        """Write the request and look for its answer until a time."""
+        if not self._there(end - self._clock()):
+            self._sleep(max(0.0, min(REOPEN / 4, end - self._clock())))
+            return None
+        head = HEAD.pack(self._number, self._session) + bytes([self._first])
+        self.counts.sent += 1
+        if self._done(lambda plc: plc.write(head + values + TAIL.pack(self._number)), end) is None:
+            return None
+        while True:
+            found = self._done(self._read, end)
+            if found is None or (answer := self._taken(found)) is not None:
+                return answer if found is not None else None
+            if self._clock() >= end:
+                return None
+            self._sleep(POLL)
+
+    def _read(self, plc: Plc) -> bytes:
+        return plc.read(HEAD.size + self.build.layout.answer.size + TAIL.size)
+
+    def _taken(self, found: bytes) -> bytes | None:
+        """Return the values of an answer if it is the one that is awaited."""
+        number, session = HEAD.unpack_from(found)
+        fresh, self._seen = found != self._seen, found
+        if TAIL.unpack_from(found, len(found) - TAIL.size)[0] != number:
+            self.counts.damaged += fresh
+            return None
+        if session != self._session:
+            self.counts.strays += fresh and session != 0
+            return None
+        if number != self._number:
+            if self._missing.get(number) is False:
+                self._missing[number] = True
+                self.counts.late += 1
+                self.counts.lost -= 1
+            return None
+        answer = found[HEAD.size : -TAIL.size]
+        if not all(map(math.isfinite, self.build.layout.answer.unpack(answer))):
+            self.counts.damaged += fresh
+            return None
+        self._first, self._heard = False, self._clock()
+        return answer
+
+    # the connection -------------------------------------------------------------------------------------------------
+
+    def _join(self, wait: float) -> bool:
+        """Read the build of the program."""
+        end = self._clock() + wait
+        if not self._there(wait):
+            return False
+        build = self._done(lambda plc: plc.build(), end)
+        if build is None:
+            return False
+        if build != self.build.digest:
+            raise RunError(
+                f"the program at {self.port} has build {build!r}, expected {self.build.digest!r}; "
+                "load the program that the scenario names, or name that of the PLC"
+            )
+        self._heard, self.joined = self._clock(), True
+        return True
+
+    def _there(self, wait: float) -> bool:
+        """Return whether the PLC is connected, after a try to connect; rarely enough to cost nothing."""
+        if self._plc is not None:
+            return True
+        if self._clock() - self._tried < REOPEN:
+            return False
+        again = self._tried > -math.inf
+        try:
+            self._plc = self._opened(max(wait, 0.001))
+        except OSError as error:
+            self._why = f"the PLC {self.port} cannot be reached: {error.strerror or error}"
+            self._tried = self._clock()
+            return False
+        except ScenarioError as error:  # waiting does not help
+            raise RunError(str(error)) from None
+        self._tried = self._clock()
+        self.counts.reopened += again
+        self._why = ""
+        return True
+
+    def _done(self, call: Callable[[Plc], Any], end: float) -> Any:
+        """Return what a call gives, True for nothing; None where the PLC is not there."""
+        if self._plc is None:
+            return None
+        try:
+            self._plc.wait(end - self._clock())
+            found = call(self._plc)
+        except OSError as error:
+            self._why = f"the PLC {self.port} does not answer: {error.strerror or error}"
+            self._tried = self._clock()
+            self.close()
+            return None
+        return True if found is None else found
+
+
+def ads_line(entry: LinkEntry, node: str, build: Build) -> Callable[[AdsLine | None], AdsLine]:
+    """Return what makes the line of a node, or uses the one that is open; the file of the program is read now.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read, is no program, or is of another build.
+    """
+    program, digest = program_of(Path(entry.firmware))
+    if digest != build.digest:
+        raise ScenarioError(
+            f"link: {entry.firmware} is of another block or of other parameters of {node}; export it again"
+        )
+
+    def made(old: AdsLine | None) -> AdsLine:
+        line = old or AdsLine(entry.port, lambda wait: _connected(entry.port, program, wait), build, entry.timeout)
+        line.build, line.timeout = build, entry.timeout
+        return line
+
+    return made
+
+
+def program_of(file: Path) -> tuple[str, str]:
+    """Return the name of the program in a file of `softrig export ads`, and its build.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read or is none of these.
+    """
+    try:
+        text = contents_of(file).decode("utf-8")
+    except OSError as error:
+        raise ScenarioError(f"link: {file}: {error.strerror}; `softrig export ads` writes it") from None
+    except ValueError:
+        text = ""
+    name, build = re.search(r"\bPROGRAM (\w+)", text), re.search(r"\bbuild : STRING\(16\) := '(\w{1,16})';", text)
+    if name is None or build is None:
+        raise ScenarioError(f"link: {file} is no NODE_link.TcPOU with a build; `softrig export ads` writes it")
+    return name[1], build[1]
+
+
+_hosts: dict[tuple[int, str], int] = {}  # connections of this process: a PLC may drop the older of two of one address
+
+
+def _connected(port: str, program: str, wait: float) -> Plc:
+    """Connect to the program on a PLC.
+
+    Raises
+    ------
+    OSError
+        It is not there.
+    """
+    need("pyads", WHAT)
+    found = re.fullmatch(r"([\d.]+)(?:@([^/]+))?/(\d+)", port.removeprefix(ADS))
+    assert found is not None  # `LinkEntry` has seen to that
+    net, number = found[1], int(found[3])
+    host = socket.gethostbyname(found[2] or ".".join(net.split(".")[:4]))
+    if not _hosts.get((os.getpid(), host)):  # pyads waits for minutes where nobody answers
+        socket.create_connection((host, ROUTER), timeout=wait).close()
+    return Connected(net, number, host, program, wait)
+
+
+class Connected:
+    """The variables of a program by pyads: see `Plc`."""
+
+    def __init__(self, net: str, number: int, host: str, program: str, wait: float) -> None:
+        import pyads
+
+        self._pyads, self._key, self._program = pyads, (os.getpid(), host), program
+        self._connection = pyads.Connection(net, number, host)
+        self._timeout = 0
+        with _as_os_error(pyads.ADSError):
+            self._connection.open()
+        _hosts[self._key] = _hosts.get(self._key, 0) + 1
+        try:
+            self.wait(wait)
+            with _as_os_error(pyads.ADSError):
+                self._request, self._reply, self._said = (
+                    self._connection.get_handle(f"{program}.{name}") for name in ("request", "answer", "build")
+                )
+        except OSError:
+            self.close()
+            raise
+
+    def build(self) -> str:
+        """See `Plc.build`."""
+        return self._bytes(self._said, BUILD).split(b"\0")[0].decode("ascii", "replace")
+
+    def write(self, data: bytes) -> None:
+        """See `Plc.write`."""
+        with _as_os_error(self._pyads.ADSError):
+            self._connection.write_by_name("", tuple(data), self._pyads.PLCTYPE_BYTE * len(data), handle=self._request)
+
+    def read(self, size: int) -> bytes:
+        """See `Plc.read`."""
+        return self._bytes(self._reply, size)
+
+    def wait(self, seconds: float) -> None:
+        """See `Plc.wait`."""
+        timeout = max(1, math.ceil(seconds * 1000.0))
+        if timeout != self._timeout:
+            self._connection.set_timeout(timeout)
+            self._timeout = timeout
+
+    def close(self) -> None:
+        """See `Plc.close`."""
+        _hosts[self._key] -= 1
+        self._connection.close()
+
+    def _bytes(self, handle: Any, size: int) -> bytes:
+        with _as_os_error(self._pyads.ADSError):
+            kind = self._pyads.PLCTYPE_BYTE * size
+            found = bytes(self._connection.read_by_name("", kind, handle=handle, check_length=True))
+        if len(found) != size:
+            raise OSError(f"{len(found)} bytes of {self._program}, expected {size}")
+        return found
+
+
+class _as_os_error:  # noqa: N801 - a context
+    def __init__(self, kind: type[Exception]) -> None:
+        self._kind = kind
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: Any, error: Any, _: Any) -> None:
+        if isinstance(error, self._kind):
+            raise OSError(str(error).strip()) from None
