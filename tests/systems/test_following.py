@@ -164,18 +164,26 @@ def test_a_scenario_as_it_is_written_is_judged_by_all_that_it_asks():
     assert all(c.holds is None for c in simulate("dc_motor_smc_b1", overrides={"dc_motor_plant.R": 0.41}).claims)
 
 
-def tenths(name: str) -> Iterator[tuple[str, float]]:
-    """Give each number among the parameters of a scenario's nodes, a tenth more and a tenth less."""
+def tenths(name: str) -> Iterator[tuple[str, float | list[float]]]:
+    """Give each number and list of numbers of a scenario's nodes, a tenth more and a tenth less."""
     rig = rig_of(name, live=False)
     for member in rig.members:
         if (member.package, member.executable) == ("softrig_core", "figures"):
             continue
         for key, value in flatten(member.params).items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not value:
+            numbers = value if isinstance(value, list) else [value]
+            if not any(numbers) or any(isinstance(x, bool) or not isinstance(x, int | float) for x in numbers):
                 continue
             for factor in (1.1, 0.9):
-                other = value * factor if isinstance(value, float) else round(value * factor)
-                yield f"{member.name}.{key}", other if other != value else value + (1 if factor > 1.0 else -1)
+                others = [_tenth(x, factor) for x in numbers]
+                yield f"{member.name}.{key}", others if isinstance(value, list) else others[0]
+
+
+def _tenth(value: float, factor: float) -> float:
+    if isinstance(value, float) or not value:
+        return value * factor
+    other = round(value * factor)  # of a whole number the next one
+    return other if other != value else value + (1 if factor > 1.0 else -1)
 
 
 def lost(name: str, key: str, value: float) -> list[str] | None:

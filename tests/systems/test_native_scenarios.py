@@ -265,3 +265,14 @@ def test_what_changes_while_it_runs_at_length(make: Make, data: st.DataObject) -
 def test_numba_computes_what_python_does(name: str) -> None:
     native = held(scenario(name), compiled)
     assert native.ticks > native.given_up
+
+
+def test_a_text_is_for_rigs_that_are_wired_alike() -> None:
+    """Two rigs of the same nodes, in which an event reaches another channel and a port has another bound."""
+    event = {"channels": ["grid_amplitude"], "units": ["V"], "times": [0.0, 0.02], "values": [180.0, 150.0]}
+    others = {f"event_source.{key}": value for key, value in event.items()}
+    fitted._texts.clear()
+    for overrides in ({}, others, {}):
+        native = held(load_scenario("rectifier_mpc").changed(duration=0.06, overrides=overrides))
+        assert native.ticks > 0
+    assert len(fitted._texts) == 2

@@ -21,7 +21,7 @@ from softrig_power.rectifier.circuit import Circuit, Period
 
 def bridge(function, chance):
     """The diodes from currents of all signs and none."""
-    both = Circuit(377.0, 2e-3, 0.3, 1e-3, 1.2), Period(0.0, 1e-3, 180.0, 20.0, 16.0, 1.0, 0.0, False, 0.0, 0.0)
+    both = Circuit.of(377.0, 2e-3, 0.3, 1e-3, 1.2), Period(0.0, 1e-3, 180.0, 20.0, 16.0, 1.0, 0.0, False, 0.0, 0.0)
     for k in range(60):
         x = np.array([*chance.uniform(-3.0, 3.0, 3), chance.uniform(150.0, 330.0)])
         x[k % 3] = -x[(k + 1) % 3] if k % 2 else 0.0

@@ -427,7 +427,7 @@ def test_models_agree_on_every_event():
 
 def test_averaged_model_agrees_with_an_adaptive_solver():
     c = CONSTANTS
-    circuit = Circuit(c.omega, c.L, c.R, c.C, c.phi)
+    circuit = Circuit.of(c.omega, c.L, c.R, c.C, c.phi)
     period = Period(0.0, 0.02, 200.0, 20.0, 9.0, SPWM, 0.0, False, 0.0, 35.0)
 
     def slope(t, x):
@@ -522,7 +522,7 @@ def test_edges_against_a_fine_comparison():
 
 def test_modulator_limits_keep_the_angle():
     c = CONSTANTS
-    circuit = Circuit(c.omega, c.L, c.R, c.C, c.phi)
+    circuit = Circuit.of(c.omega, c.L, c.R, c.C, c.phi)
     for reach, injection in ((SPWM, False), (INJECTION, True)):
         period = Period(0.0, T, 300.0, 0.0, 16.0, reach, 0.0, False, 0.0, 30.0)
         free = period._replace(reach=10.0)
@@ -563,7 +563,7 @@ def test_grid_is_what_it_says():
     for t in (0.0, 0.0013, 0.0071):
         x = c.omega * t - np.arange(3) * 2 * np.pi / 3
         expected = 180 * np.sin(x) + 36 * np.sin(5 * x)
-        assert grid(t, Circuit(c.omega, c.L, c.R, c.C, c.phi), period) == pytest.approx(expected, abs=1e-9)
+        assert grid(t, Circuit.of(c.omega, c.L, c.R, c.C, c.phi), period) == pytest.approx(expected, abs=1e-9)
 
 
 def test_event_takes_effect_in_the_first_period_at_or_after_it():
@@ -624,7 +624,7 @@ def test_half_the_step_of_the_diodes_changes_nothing(monkeypatch):
 
     x = [np.array([0.0, 0.0, 0.0, 290.0]) for _ in range(2)]
     both = (
-        Circuit(CONSTANTS.omega, CONSTANTS.L, CONSTANTS.R, CONSTANTS.C, CONSTANTS.phi),
+        Circuit.of(CONSTANTS.omega, CONSTANTS.L, CONSTANTS.R, CONSTANTS.C, CONSTANTS.phi),
         Period(0.0, 0.02, 180.0, 0.0, 16.0, 1.0, 0.0, False, 0.0, 0.0),
     )
     for state, steps in zip(x, (20_000, 40_000), strict=True):

@@ -17,7 +17,7 @@ from ..errors import RunError
 from .audience import NEVER, Answers, answered, numbers_of, stamps_of
 from .rig_text import RigText, rig_text
 from .translate import follow
-from .turns import WHEN, decides, holdings, speakers
+from .turns import WHEN, decides, holdings, speakers, wiring
 from .twins import Way, applied, form, packed, packer, unpacked, unpacker
 from .value import NotNative
 
@@ -38,6 +38,8 @@ class Kept:
 
     Attributes
     ----------
+    wiring : object
+        Of the rig for which it was made, see `softrig_core.native.turns.wiring`.
     go : int
         Ticks that are answered in one call.
     made : bool
@@ -47,6 +49,7 @@ class Kept:
     kinds: tuple[Any, ...]
     text: RigText
     function: Callable[..., Any] = field(repr=False)
+    wiring: Any
     go: int
     made: bool = False
 
@@ -107,13 +110,15 @@ def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make:
     if kinds in _refused:
         raise NotNative(_refused[kinds])
     roots = [s.block for s in core.steps]
-    found = next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
+    wired = wiring(core.steps)
+    fitting = (n for n in _texts if n.kinds == kinds and n.wiring == wired)
+    found = next((n for n in fitting if not n.text.program.differs(roots)), None)
     if found is None and _worth_another(kinds):
         try:
             text = rig_text(core.steps, recorded, typed)
         except NotNative:
             text = rig_text(core.steps, recorded, typed, reports=False)
-        found = Kept(kinds, text, make(text), SHORTEST)
+        found = Kept(kinds, text, make(text), wired, SHORTEST)
         _texts.insert(0, found)
         del _texts[KEPT:]
     return found

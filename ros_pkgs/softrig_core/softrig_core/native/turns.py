@@ -68,6 +68,23 @@ def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
     return [(k, j) for k, s in enumerate(steps) for j, p in enumerate(s.outputs) if p.sporadic]
 
 
+def wiring(steps: Sequence[Step]) -> Any:
+    """Return what a text contains of links and ports: it fits only rigs of which this is equal."""
+    number = {id(s): k for k, s in enumerate(steps)}
+
+    def link(step: Step, port: Port) -> Any:
+        fill = step.fed.get(port.name)
+        return fill and (number.get(id(fill.source)), fill.output, fill.pick, fill.stamp)
+
+    return [
+        (
+            [(p.name, p.held, p.size, p.limits, link(s, p)) for p in s.inputs],
+            [(p.size, p.bound, p.sporadic, p.delayed, p.unchecked) for p in s.outputs],
+        )
+        for s in steps
+    ]
+
+
 @runtime_checkable
 class Deciding(Protocol):
     """A block with rare ticks that are no arithmetic, such as the next step of a search.

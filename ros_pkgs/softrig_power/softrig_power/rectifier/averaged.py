@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from softrig_core import jit, rk4_loop
 
-from .circuit import Circuit, Period, grid, limited, phases, wanted
+from .circuit import Circuit, Period, grid, grid_of, limited, phases, phases_of, wanted
 from .quality import PLAIN, WINDOWS, sample, turn_over
 
 if TYPE_CHECKING:
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 
 @jit
-def ode_dq(t: float, x: Array, p: tuple[Circuit, Period], dx: Array) -> None:
+def slopes_dq(
+    t: float, i_d: float, i_q: float, v: float, circuit: Circuit, period: Period
+) -> tuple[float, float, float]:
     """Equations in the frame of the grid voltage, x = (i_d, i_q, v)::
 
         L i_d' = -R i_d + omega L i_q + v_gd - v_rd
@@ -30,17 +32,19 @@ def ode_dq(t: float, x: Array, p: tuple[Circuit, Period], dx: Array) -> None:
     The fifth harmonic is a negative sequence: sin(5 x) = sin(6 x) cos(x) - cos(6 x) sin(x). The DC current is that of
     the power balance: the paper's (4), (8), (12) lack the angle between current and voltage.
     """
-    circuit, period = p
-    i_d, i_q, v = x[0], x[1], x[2]
     v_rd, v_rq = wanted(t, circuit, period)
     v_rd, v_rq = limited(v_rd, v_rq, v, period.reach)
-    sixth = 6.0 * circuit.omega * t
-    v_gd = period.amplitude - period.fifth * math.cos(sixth)
-    v_gq = period.fifth * math.sin(sixth)
+    v_gd, v_gq = period.amplitude, 0.0
+    if period.fifth != 0.0:
+        sixth = 6.0 * circuit.omega * t
+        v_gd -= period.fifth * math.cos(sixth)
+        v_gq = period.fifth * math.sin(sixth)
     wl = circuit.omega * circuit.L
-    dx[0] = (-circuit.R * i_d + wl * i_q + v_gd - v_rd) / circuit.L
-    dx[1] = (-circuit.R * i_q - wl * i_d + v_gq - v_rq) / circuit.L
-    dx[2] = (1.5 * (v_rd * i_d + v_rq * i_q) / v - v / period.load) / circuit.C
+    return (
+        (-circuit.R * i_d + wl * i_q + v_gd - v_rd) / circuit.L,
+        (-circuit.R * i_q - wl * i_d + v_gq - v_rq) / circuit.L,
+        (1.5 * (v_rd * i_d + v_rq * i_q) / v - v / period.load) / circuit.C,
+    )
 
 
 @jit
@@ -67,7 +71,21 @@ def ode_abc(t: float, x: Array, p: tuple[Circuit, Period], dx: Array) -> None:
     dx[3] = (link - v / period.load) / circuit.C
 
 
-step_dq = rk4_loop(ode_dq)
+@jit
+def step_dq(t: float, x: Array, h: float, circuit: Circuit, period: Period) -> None:
+    """One Runge-Kutta step, as `rk4_loop` takes it, on numbers: arrays of its own would take longer than the step."""
+    a, b, c = x[0], x[1], x[2]
+    ends, middles, half = h / 6.0, h / 3.0, 0.5 * h
+    k, m, n = slopes_dq(t, a, b, c, circuit, period)
+    x[0], x[1], x[2] = x[0] + ends * k, x[1] + ends * m, x[2] + ends * n
+    k, m, n = slopes_dq(t + half, a + half * k, b + half * m, c + half * n, circuit, period)
+    x[0], x[1], x[2] = x[0] + middles * k, x[1] + middles * m, x[2] + middles * n
+    k, m, n = slopes_dq(t + half, a + half * k, b + half * m, c + half * n, circuit, period)
+    x[0], x[1], x[2] = x[0] + middles * k, x[1] + middles * m, x[2] + middles * n
+    k, m, n = slopes_dq(t + h, a + h * k, b + h * m, c + h * n, circuit, period)
+    x[0], x[1], x[2] = x[0] + ends * k, x[1] + ends * m, x[2] + ends * n
+
+
 step_abc = rk4_loop(ode_abc)
 
 
@@ -78,6 +96,20 @@ def read(t: float, x: Array, circuit: Circuit) -> tuple[float, float, float, flo
         i_a, i_b, i_c = phases(x[0], x[1], circuit.omega * t)
         return i_a, i_b, i_c, x[2]
     return x[0], x[1], x[2], x[3]
+
+
+@jit
+def seen(sums: Array, t: float, weight: float, x: Array, p: tuple[Circuit, Period]) -> None:
+    """Add the signals of a state at t to the sums."""
+    circuit, period = p
+    angle = circuit.omega * t
+    s, c = math.sin(angle), math.cos(angle)
+    g = grid_of(angle, s, c, period)
+    if x.size == 3:
+        i_a, i_b, i_c = phases_of(x[0], x[1], s, c)
+        sample(sums, s, c, weight, (i_a, i_b, i_c, x[2]), g)
+    else:
+        sample(sums, s, c, weight, (x[0], x[1], x[2], x[3]), g)
 
 
 def walk(step: Callable[..., None]) -> Callable[..., float]:
@@ -107,22 +139,27 @@ def walk(step: Callable[..., None]) -> Callable[..., float]:
     ) -> float:
         circuit, period = p
         h = period.length / steps
+        waiting = 0.0  # weight of the newest instant that is not in the sums yet
         for j in range(steps):
             t, end = period.start + j * h, period.start + (j + 1) * h
             while t < end:
                 border = (sums[PLAIN, WINDOWS] + 1.0) * window
                 stop = min(end, border)
                 half = 0.5 * (stop - t)
-                sample(sums, t, half, read(t, x, circuit), grid(t, circuit, period), circuit.omega)
+                seen(sums, t, waiting + half, x, p)  # the end of one piece and the begin of the next at once
                 step(t, stop, x, p)
-                sample(sums, stop, half, read(stop, x, circuit), grid(stop, circuit, period), circuit.omega)
+                waiting = half
                 if stop >= border:
+                    seen(sums, stop, waiting, x, p)
                     turn_over(sums, complete)
+                    waiting = 0.0
                 t = stop
             if trace.shape[0] > 0:
                 i_a, i_b, i_c, v = read(end, x, circuit)
                 trace[j, 0], trace[j, 1], trace[j, 2], trace[j, 4] = i_a, i_b, i_c, v
                 trace[j, 3] = grid(end, circuit, period)[0]
+        if waiting > 0.0:
+            seen(sums, period.start + steps * h, waiting, x, p)
         return x[x.size - 1]
 
     return advance
@@ -132,7 +169,7 @@ def walk(step: Callable[..., None]) -> Callable[..., float]:
 def switching(t: float, stop: float, x: Array, p: tuple[Circuit, Period]) -> None:
     """Integrate either averaged model over one Runge-Kutta step."""
     if x.size == 3:
-        step_dq(t, x, stop - t, 1, p)
+        step_dq(t, x, stop - t, p[0], p[1])
     else:
         step_abc(t, x, stop - t, 1, p)
 

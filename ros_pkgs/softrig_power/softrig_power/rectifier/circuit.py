@@ -12,13 +12,19 @@ INJECTION = 2.0 / math.sqrt(3.0)  # with min-max zero-sequence injection
 
 
 class Circuit(NamedTuple):
-    """Constants: omega (rad/s), L (H), R (ohm), C (F), phi (rad, angle of R + j omega L)."""
+    """Constants: omega (rad/s), L (H), R (ohm), C (F), cosine and sine of phi, the angle of R + j omega L."""
 
     omega: float
     L: float
     R: float
     C: float
-    phi: float
+    cos_phi: float
+    sin_phi: float
+
+    @staticmethod
+    def of(omega: float, L: float, R: float, C: float, phi: float) -> Circuit:
+        """Make it of the angle phi (rad)."""
+        return Circuit(omega, L, R, C, math.cos(phi), math.sin(phi))
 
 
 class Period(NamedTuple):
@@ -73,8 +79,8 @@ def wanted(t: float, circuit: Circuit, period: Period) -> tuple[float, float]:
         v_rd = period.amplitude - circuit.R * i - circuit.L * slope
         v_rq = -circuit.omega * circuit.L * i
     else:
-        v_rd = period.amplitude - period.command * math.cos(circuit.phi)
-        v_rq = -period.command * math.sin(circuit.phi)
+        v_rd = period.amplitude - period.command * circuit.cos_phi
+        v_rq = -period.command * circuit.sin_phi
     if period.fifth != 0.0 and period.forward != 0.0:
         sixth = 6.0 * circuit.omega * t
         v_rd -= period.forward * period.fifth * math.cos(sixth)
@@ -95,8 +101,13 @@ def limited(v_rd: float, v_rq: float, v: float, reach: float) -> tuple[float, fl
 
 @jit
 def phases(d: float, q: float, angle: float) -> tuple[float, float, float]:
-    """Return x_a, x_b, x_c of a dq vector at a grid angle: x_a = d sin(angle) + q cos(angle), b and c 120 deg later."""
-    s, c = math.sin(angle), math.cos(angle)
+    """Return x_a, x_b, x_c of a dq vector at an angle: x_a = d sin(angle) + q cos(angle), b and c 120 deg later."""
+    return phases_of(d, q, math.sin(angle), math.cos(angle))
+
+
+@jit
+def phases_of(d: float, q: float, s: float, c: float) -> tuple[float, float, float]:
+    """See `phases`, of sine and cosine of the angle."""
     x_a = d * s + q * c
     quarter = 0.5 * math.sqrt(3.0) * (q * s - d * c)
     return x_a, -0.5 * x_a + quarter, -0.5 * x_a - quarter
@@ -115,7 +126,13 @@ def turned(a: float, b: float, c: float, angle: float) -> tuple[float, float]:
 def grid(t: float, circuit: Circuit, period: Period) -> tuple[float, float, float]:
     """Return the grid voltages of the three phases at t: V_g sin(x) + a5 sin(5 x), x = omega t - k 2 pi/3."""
     angle = circuit.omega * t
-    v_a, v_b, v_c = phases(period.amplitude, 0.0, angle)
+    return grid_of(angle, math.sin(angle), math.cos(angle), period)
+
+
+@jit
+def grid_of(angle: float, s: float, c: float, period: Period) -> tuple[float, float, float]:
+    """See `grid`, of omega t, its sine and its cosine."""
+    v_a, v_b, v_c = phases_of(period.amplitude, 0.0, s, c)
     if period.fifth != 0.0:
         h_a, h_c, h_b = phases(period.fifth, 0.0, 5.0 * angle)  # negative sequence: b and c change places
         return v_a + h_a, v_b + h_b, v_c + h_c

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, param, to_ns
 
-from . import averaged, diodes, ports, switched
-from .circuit import INJECTION, SPWM, Circuit, Period, grid, phases, turned
+from . import ports
+from .circuit import INJECTION, SPWM, Circuit, Period, grid, phases
+from .measured import AVERAGED, BRIDGE, SWITCHED, How, Sums
 from .parameters import RectifierConstants
-from .quality import CYCLES, FIGURES, PLAIN, TIME, WINDOWS, empty, figures, opened
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+from .quality import CYCLES, FIGURES
 
 
 class RectifierPlantParams(RectifierConstants, BlockParams):
@@ -70,15 +65,15 @@ class Record:
 
     Attributes
     ----------
-    sums : bytes
-        Of the window under way, see `quality`.
+    sums : Sums
+        Of the window under way.
     figures : tuple
         As `FIGURES`.
     trace : tuple
         Waveforms of the newest period; empty where nobody has asked for them.
     """
 
-    sums: bytes
+    sums: Sums
     figures: tuple[float, ...]
     trace: tuple[float, ...]
 
@@ -108,6 +103,11 @@ class StateDq(NamedTuple):
     collapsed: bool
     record: Record
 
+    @property
+    def moving(self) -> tuple[float, ...]:
+        """Return what a period moves."""
+        return self.i_d, self.i_q, self.v
+
 
 class StateAbc(NamedTuple):
     """Phase currents (A), DC voltage (V); the rest as in `StateDq`."""
@@ -121,6 +121,11 @@ class StateAbc(NamedTuple):
     end: int
     collapsed: bool
     record: Record
+
+    @property
+    def moving(self) -> tuple[float, ...]:
+        """Return what a period moves."""
+        return self.i_a, self.i_b, self.i_c, self.v
 
 
 State = StateDq | StateAbc
@@ -161,48 +166,41 @@ class RectifierPlant(Plant[RectifierPlantParams]):
 
     def setup(self) -> None:
         """Prepare the constants."""
-        import numpy as np
-
         p = self.p
-        self._no_trace = np.empty((0, len(ports.WAVEFORM_CHANNELS)))
-        self._circuit = Circuit(p.omega, p.L, p.R, p.C, p.phi)
+        self._circuit = Circuit.of(p.omega, p.L, p.R, p.C, p.phi)
         self._reach = INJECTION if p.injection else SPWM
         self._forward = 1.0 if p.feedforward == "instantaneous" else 0.0
         self._window = CYCLES / p.f
         self._period = to_ns(p.period)  # ns
         self._late = self.LATE_PERIODS * self._period
-        self._kind: Callable[..., State] = StateDq if p.model == "averaged_dq" else StateAbc
-        self._size = 3 if p.model == "averaged_dq" else 4
+        kind = SWITCHED if p.model == "switched" else AVERAGED
+        self._on = How(kind, p.steps, self._window, p.carrier_hz, p.injection)
+        self._off = self._on._replace(kind=BRIDGE)
+        self._dq = p.model == "averaged_dq"
 
     def first(self) -> State:
         """Begin at the given voltage and current, on the nominal grid and load."""
         p = self.p
         abc = phases(p.i_first, 0.0, 0.0)
-        i = (p.i_first, 0.0) if p.model == "averaged_dq" else abc
         trace = (*abc, 0.0, p.v_start) * p.steps if p.waveform else ()
-        record = Record(empty().tobytes(), (0.0,) * len(FIGURES), trace)
+        record = Record(Sums.first(), (0.0,) * len(FIGURES), trace)
         applied = (p.i_first,) if p.structure == "decoupled" else ()
-        return self._kind(*i, p.v_start, applied, Events(p.R_L, p.V_g, 0.0), 0, False, record)
+        events = Events(p.R_L, p.V_g, 0.0)
+        if self._dq:
+            return StateDq(p.i_first, 0.0, p.v_start, applied, events, 0, False, record)
+        return StateAbc(*abc, p.v_start, applied, events, 0, False, record)
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Return DC link, currents and voltages of the phases, power quality at t."""
         seconds = t / 1e9
         now = self._period_at(x, x.events, seconds, 0.0)
-        found: dict[str, tuple[float, ...]] = {
-            "dc_link": (x.v, x.v / x.events.load),
-            "grid_current": averaged.read(seconds, self._moving(x), self._circuit)[:3],
-            "grid_voltage": grid(seconds, self._circuit, now),
-            "power_quality": x.record.figures,
-        }
+        link, voltage = (x.v, x.v / x.events.load), grid(seconds, self._circuit, now)
+        current = phases(x[0], x[1], self._circuit.omega * seconds) if self._dq else (x[0], x[1], x[2])
+        quality = x.record.figures
         if self.p.waveform:
-            found["waveform"] = x.record.trace
-        return found
-
-    def _moving(self, x: State) -> Array:
-        """Return currents and voltage for the native code, which moves them in place."""
-        import numpy as np
-
-        return np.array(x[: self._size], dtype=float)
+            return {"dc_link": link, "grid_current": current, "grid_voltage": voltage, "power_quality": quality,
+                    "waveform": x.record.trace}  # fmt: skip
+        return {"dc_link": link, "grid_current": current, "grid_voltage": voltage, "power_quality": quality}
 
     def _period_at(self, x: State, events: Events, start: float, command: float) -> Period:
         p = self.p
@@ -230,56 +228,39 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         wanted = 0.0 if collapsed else command[0]
         if wanted == 0.0:
             self.report(Level.WARN, "off", "switches off: the diodes carry the current")
-        moving, record = self._move(x, held, t, wanted)
-        v = float(moving[-1])
+        row, record = self._move(x, held, t, wanted)
+        v = row[-1]
         if not collapsed and not p.v_least < v < math.inf:
             collapsed = True
             self.report(Level.ERROR, "collapse", f"DC voltage {v:g} V, below {p.v_least:g} V: converter given up")
-            moving[:] = 0.0
-            moving[-1] = p.v_least
+            v = p.v_least
         applied = (command[0],) if x.applied else ()
-        return self._kind(*moving.tolist(), applied, held, t + self._period, collapsed, record)
+        end = t + self._period
+        flows = 0.0 if v != row[-1] else 1.0  # a converter that is given up has no current at first
+        if self._dq:
+            return StateDq(flows * row[0], flows * row[1], v, applied, held, end, collapsed, record)
+        return StateAbc(flows * row[0], flows * row[1], flows * row[2], v, applied, held, end, collapsed, record)
 
-    def _move(self, x: State, events: Events, t: int, command: float) -> tuple[Array, Record]:
+    def _move(self, x: State, events: Events, t: int, command: float) -> tuple[tuple[float, ...], Record]:
         """Return currents and voltage a period after t (ns), and what was measured on the way."""
-        import numpy as np
-
-        p, record, start = self.p, x.record, t / 1e9
-        moving = self._moving(x)
+        record, start = x.record, t / 1e9
+        sums = record.sums
         # time does not go on where it was (realtime after a pause of the host): the sums begin anew
-        sums = self._begun(start) if 2 * abs(t - x.end) > self._period else opened(record.sums)
-        windows, complete = sums[PLAIN, WINDOWS], np.empty_like(sums)
-        trace = np.empty((p.steps, len(ports.WAVEFORM_CHANNELS))) if p.waveform else self._no_trace
-        both = (self._circuit, self._period_at(x, events, start, command))
-        if command == 0.0:
-            moving = self._rectified(moving, start, both, (sums, complete, trace))
-        elif p.model == "switched":
-            switched.advance(moving, p.steps, self._window, both, p.carrier_hz, p.injection, sums, complete, trace)
-        else:
-            averaged.advance(moving, p.steps, self._window, both, sums, complete, trace)
-        found = record.figures
-        if sums[PLAIN, WINDOWS] != windows and complete[PLAIN, TIME] > 0.999 * self._window:
-            found = tuple(figures(complete).values())
-        return moving, Record(sums.tobytes(), found, tuple(trace.ravel().tolist()) if p.waveform else ())
+        if 2 * abs(t - x.end) > self._period:
+            sums = sums.begun(float(math.floor(start / self._window + 1e-9)))
+        now, how = self._period_at(x, events, start, command), self._off if command == 0.0 else self._on
+        row = x.moving
+        if self.p.waveform:
+            rows = self._rows()
+            row, sums, figures, trace = sums.traced(row, how, self._circuit, now, record.figures, rows)
+            return row, Record(sums, figures, trace)
+        row, sums, figures = sums.moved(row, how, self._circuit, now, record.figures)
+        return row, Record(sums, figures, ())
 
-    def _begun(self, start: float) -> Array:
-        """Return sums without samples of the window that `start` (s) is in."""
-        sums = empty()
-        sums[PLAIN, WINDOWS] = math.floor(start / self._window + 1e-9)
-        return sums
-
-    def _rectified(
-        self, moving: Array, start: float, both: tuple[Circuit, Period], measured: tuple[Array, Array, Array]
-    ) -> Array:
-        """Return currents and voltage after a period with the switches off."""
+    def _rows(self) -> Any:
         import numpy as np
 
-        x = np.array(averaged.read(start, moving, self._circuit))
-        v = diodes.advance(x, self.p.steps, self._window, both, *measured)
-        if self._size == len(x):
-            return x
-        end = start + self.p.period
-        return np.array((*turned(x[0], x[1], x[2], self._circuit.omega * end), v))
+        return np.empty((self.p.steps, len(ports.WAVEFORM_CHANNELS)))
 
     def _taken(self, events: tuple[float, ...], before: Events) -> Events:
         load, amplitude, fifth = events

@@ -32,6 +32,7 @@ ROWS = 15
 TIME, LINK, LOW, HIGH, POWER = 0, 1, 2, 3, 4
 CURRENT_SQUARE, GRID_SQUARE = 5, 8
 WINDOWS = 11  # number of complete windows
+PENDING = 12  # weight (s) of the newest instant, as long as it is not in the sums
 
 # name: unit; of currents and PF see `figures`
 FIGURES: Mapping[str, str] = {
@@ -69,9 +70,9 @@ def opened(kept: bytes) -> Array:
 
 @jit
 def sample(
-    sums: Array, t: float, weight: float, state: tuple[float, float, float, float], grid: Three, omega: float
+    sums: Array, s_1: float, c_1: float, weight: float, state: tuple[float, float, float, float], grid: Three
 ) -> None:
-    """Add the signals at t with the weight (s) that a rule of integration gives them."""
+    """Add signals with the weight (s) that a rule of integration gives them; sine and cosine are those of omega t."""
     i_a, i_b, i_c, v = state
     g_a, g_b, g_c = grid
     plain = sums[PLAIN]
@@ -85,7 +86,6 @@ def sample(
     plain[GRID_SQUARE] += weight * g_a * g_a
     plain[GRID_SQUARE + 1] += weight * g_b * g_b
     plain[GRID_SQUARE + 2] += weight * g_c * g_c
-    c_1, s_1 = math.cos(omega * t), math.sin(omega * t)
     c, s = c_1 * weight, s_1 * weight
     sums[GRID_COS, 1] += c * g_a
     sums[GRID_COS + 1, 1] += c * g_b
@@ -93,16 +93,50 @@ def sample(
     sums[GRID_SIN, 1] += s * g_a
     sums[GRID_SIN + 1, 1] += s * g_b
     sums[GRID_SIN + 2, 1] += s * g_c
-    for k in range(1, HARMONICS + 1):
+    # four orders beside each other: one after the other would wait for the last
+    c_2, s_2 = c_1 * c_1 - s_1 * s_1, 2.0 * c_1 * s_1
+    c_4, s_4 = c_2 * c_2 - s_2 * s_2, 2.0 * c_2 * s_2
+    cb, sb = c * c_1 - s * s_1, s * c_1 + c * s_1
+    cc, sc = c * c_2 - s * s_2, s * c_2 + c * s_2
+    cd, sd = cb * c_2 - sb * s_2, sb * c_2 + cb * s_2
+    for k in range(1, HARMONICS + 1, 4):
         sums[CURRENT_COS, k] += c * i_a
         sums[CURRENT_COS + 1, k] += c * i_b
-        sums[CURRENT_COS + 2, k] += c * i_c
         sums[CURRENT_SIN, k] += s * i_a
         sums[CURRENT_SIN + 1, k] += s * i_b
-        sums[CURRENT_SIN + 2, k] += s * i_c
-        sums[LINK_COS, k] += c * v
-        sums[LINK_SIN, k] += s * v
-        c, s = c * c_1 - s * s_1, s * c_1 + c * s_1
+        sums[CURRENT_COS, k + 1] += cb * i_a
+        sums[CURRENT_COS + 1, k + 1] += cb * i_b
+        sums[CURRENT_SIN, k + 1] += sb * i_a
+        sums[CURRENT_SIN + 1, k + 1] += sb * i_b
+        if k == 5:  # orders 6 and 12 of the link
+            sums[LINK_COS, 6] += cb * v
+            sums[LINK_SIN, 6] += sb * v
+        elif k == 9:
+            sums[LINK_COS, 12] += cd * v
+            sums[LINK_SIN, 12] += sd * v
+        if k + 3 <= HARMONICS:
+            sums[CURRENT_COS, k + 2] += cc * i_a
+            sums[CURRENT_COS + 1, k + 2] += cc * i_b
+            sums[CURRENT_SIN, k + 2] += sc * i_a
+            sums[CURRENT_SIN + 1, k + 2] += sc * i_b
+            sums[CURRENT_COS, k + 3] += cd * i_a
+            sums[CURRENT_COS + 1, k + 3] += cd * i_b
+            sums[CURRENT_SIN, k + 3] += sd * i_a
+            sums[CURRENT_SIN + 1, k + 3] += sd * i_b
+        c, s = c * c_4 - s * s_4, s * c_4 + c * s_4
+        cb, sb = cb * c_4 - sb * s_4, sb * c_4 + cb * s_4
+        cc, sc = cc * c_4 - sc * s_4, sc * c_4 + cc * s_4
+        cd, sd = cd * c_4 - sd * s_4, sd * c_4 + cd * s_4
+
+
+@jit
+def cleared(sums: Array, windows: float) -> None:
+    """Begin a window after some others, without samples."""
+    for row in range(ROWS):
+        for k in range(HARMONICS + 1):
+            sums[row, k] = 0.0
+    sums[PLAIN, WINDOWS] = windows
+    sums[PLAIN, LOW], sums[PLAIN, HIGH] = math.inf, -math.inf
 
 
 @jit
@@ -117,8 +151,28 @@ def turn_over(sums: Array, complete: Array) -> None:
     sums[PLAIN, LOW], sums[PLAIN, HIGH] = math.inf, -math.inf
 
 
-def figures(sums: Array) -> dict[str, float]:
-    """Return the figures of a complete window; all 0 before there is one.
+@jit
+def amplitude(sums: Array, cosine: int, sine: int, k: int) -> float:
+    """Amplitude of an order, not yet divided by half the time; the third current is what the others are not."""
+    a, b = sums[cosine, k], sums[sine, k]
+    if cosine == CURRENT_COS + 2:
+        a, b = -sums[CURRENT_COS, k] - sums[CURRENT_COS + 1, k], -sums[CURRENT_SIN, k] - sums[CURRENT_SIN + 1, k]
+    return math.sqrt(a * a + b * b)
+
+
+@jit
+def squares_of(sums: Array, k: int, share: float) -> float:
+    """Sum over the phases of the squared amplitudes of an order, A^2."""
+    total = 0.0
+    for phase in range(3):
+        peak = share * amplitude(sums, CURRENT_COS + phase, CURRENT_SIN + phase, k)
+        total += peak * peak
+    return total
+
+
+@jit
+def measure(sums: Array, found: Array) -> None:
+    """Write the figures of a complete window, in the order of `FIGURES`, into an array.
 
     ::
 
@@ -127,50 +181,39 @@ def figures(sums: Array) -> dict[str, float]:
         PF    = mean(sum v i)/sum(V_rms I_rms)
         DPF   = the same with the fundamentals only
 
-    Parameters
-    ----------
-    sums : ndarray
-        Those of the last complete window.
-
-    Returns
-    -------
-    dict of str to float
-        As `FIGURES`: ``current``, ``current_5``, ``current_7``: amplitudes (A peak), root mean square over the phases,
-        of the fundamental and of harmonics; ``ripple``: largest less smallest DC voltage; ``voltage_6``,
-        ``voltage_12``: amplitudes of its harmonics. Shares of a current that is 0 are 0.
+    ``current``, ``current_5``, ``current_7``: amplitudes (A peak), root mean square over the phases, of the fundamental
+    and of harmonics; ``ripple``: largest less smallest DC voltage; ``voltage_6``, ``voltage_12``: amplitudes of its
+    harmonics. Shares of a current that is 0 are 0.
     """
-    import numpy as np
-
     plain = sums[PLAIN]
-    if not plain[WINDOWS]:
-        return dict.fromkeys(FIGURES, 0.0)
     duration = plain[TIME]
-    peak = 2.0 / duration * np.hypot(sums[CURRENT_COS : CURRENT_COS + 3], sums[CURRENT_SIN : CURRENT_SIN + 3])
-    squares = plain[CURRENT_SQUARE : CURRENT_SQUARE + 3] / duration
-    first = (peak[:, 1] ** 2).sum() / 2.0
-    rms = np.sqrt(squares * plain[GRID_SQUARE : GRID_SQUARE + 3] / duration)
-    products = (
-        sums[CURRENT_COS : CURRENT_COS + 3, 1] * sums[GRID_COS : GRID_COS + 3, 1]
-        + sums[CURRENT_SIN : CURRENT_SIN + 3, 1] * sums[GRID_SIN : GRID_SIN + 3, 1]
-    )
-    grid_1 = np.hypot(sums[GRID_COS : GRID_COS + 3, 1], sums[GRID_SIN : GRID_SIN + 3, 1]) * 2.0 / duration
-    shares = products * 4.0 / duration**2
-    link = 2.0 / duration * np.hypot(sums[LINK_COS], sums[LINK_SIN])
+    share = 2.0 / duration
+    first = squares_of(sums, 1, share) / 2.0
+    more = 0.0
+    for k in range(2, HARMONICS + 1):
+        more += squares_of(sums, k, share)
+    square = rms = product = peaks = 0.0
+    for phase in range(3):
+        own = plain[CURRENT_SQUARE + phase] / duration
+        square += own
+        rms += math.sqrt(own * plain[GRID_SQUARE + phase] / duration)
+        a, b = sums[CURRENT_COS + phase, 1], sums[CURRENT_SIN + phase, 1]
+        if phase == 2:
+            a, b = -sums[CURRENT_COS, 1] - sums[CURRENT_COS + 1, 1], -sums[CURRENT_SIN, 1] - sums[CURRENT_SIN + 1, 1]
+        product += (a * sums[GRID_COS + phase, 1] + b * sums[GRID_SIN + phase, 1]) * 4.0 / (duration * duration)
+        grid = share * amplitude(sums, GRID_COS + phase, GRID_SIN + phase, 1)
+        peaks += share * math.sqrt(a * a + b * b) * grid
     flows = first > 0.0
-    some = np.sqrt((peak**2).mean(axis=0))
-    found = {
-        "windows": plain[WINDOWS],
-        "thd": 100.0 * math.sqrt(max(0.0, squares.sum() - first) / first) if flows else 0.0,
-        "thd50": 100.0 * math.sqrt((peak[:, 2:] ** 2).sum() / 2.0 / first) if flows else 0.0,
-        "pf": plain[POWER] / duration / rms.sum() if flows else 0.0,
-        "dpf": shares.sum() / (peak[:, 1] * grid_1).sum() if flows else 0.0,
-        "current": some[1],
-        "power": plain[POWER] / duration,
-        "voltage": plain[LINK] / duration,
-        "ripple": plain[HIGH] - plain[LOW],
-        "voltage_6": link[6],
-        "voltage_12": link[12],
-        "current_5": some[5],
-        "current_7": some[7],
-    }
-    return {name: float(value) for name, value in found.items()}
+    found[0] = plain[WINDOWS]
+    found[1] = 100.0 * math.sqrt(max(0.0, square - first) / first) if flows else 0.0
+    found[2] = 100.0 * math.sqrt(more / 2.0 / first) if flows else 0.0
+    found[3] = plain[POWER] / duration / rms if flows else 0.0
+    found[4] = product / peaks if flows else 0.0
+    found[5] = math.sqrt(2.0 * first / 3.0)
+    found[6] = plain[POWER] / duration
+    found[7] = plain[LINK] / duration
+    found[8] = plain[HIGH] - plain[LOW]
+    found[9] = share * amplitude(sums, LINK_COS, LINK_SIN, 6)
+    found[10] = share * amplitude(sums, LINK_COS, LINK_SIN, 12)
+    found[11] = math.sqrt(squares_of(sums, 5, share) / 3.0)
+    found[12] = math.sqrt(squares_of(sums, 7, share) / 3.0)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from softrig_core import jit, rk4_loop
+from softrig_core import jit
 
-from .circuit import Circuit, Period, grid, limited, phases, wanted
-from .quality import PLAIN, WINDOWS, sample, turn_over
+from .averaged import seen
+from .circuit import Circuit, Period, grid, grid_of, limited, phases, wanted
+from .quality import PENDING, PLAIN, WINDOWS, sample, turn_over
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,23 +21,20 @@ if TYPE_CHECKING:
 
 
 @jit
-def ode(t: float, x: Array, p: Legs, dx: Array) -> None:
-    """Equations by phase with the switches s_x (0 or 1) held, x = (i_a, i_b, i_c, v)::
+def slopes(i_a: float, i_b: float, i_c: float, v: float, g: Three, p: Legs) -> tuple[float, float, float, float]:
+    """Equations by phase with the switches s_x (0 or 1) held, under the grid voltages g::
 
     L i_x' = -R i_x + v_gx - (s_x - mean s) v
     C v'   = sum s_x i_x - v/R_L
     """
     circuit, period, s_a, s_b, s_c = p
     mean = (s_a + s_b + s_c) / 3.0
-    i_a, i_b, i_c, v = x[0], x[1], x[2], x[3]
-    g_a, g_b, g_c = grid(t, circuit, period)
-    dx[0] = (-circuit.R * i_a + g_a - (s_a - mean) * v) / circuit.L
-    dx[1] = (-circuit.R * i_b + g_b - (s_b - mean) * v) / circuit.L
-    dx[2] = (-circuit.R * i_c + g_c - (s_c - mean) * v) / circuit.L
-    dx[3] = (s_a * i_a + s_b * i_b + s_c * i_c - v / period.load) / circuit.C
-
-
-step = rk4_loop(ode)
+    return (
+        (-circuit.R * i_a + g[0] - (s_a - mean) * v) / circuit.L,
+        (-circuit.R * i_b + g[1] - (s_b - mean) * v) / circuit.L,
+        (-circuit.R * i_c + g[2] - (s_c - mean) * v) / circuit.L,
+        (s_a * i_a + s_b * i_b + s_c * i_c - v / period.load) / circuit.C,
+    )
 
 
 @jit
@@ -105,6 +103,7 @@ def advance(
             if leg >= 0:
                 legs[leg] = 1.0 - legs[leg]
             if t >= border:
+                settle(sums, t, x, p)
                 turn_over(sums, complete)
             if t >= corner:
                 half += 1.0
@@ -112,7 +111,16 @@ def advance(
         if trace.shape[0] > 0:
             trace[j, 0], trace[j, 1], trace[j, 2], trace[j, 4] = x[0], x[1], x[2], x[3]
             trace[j, 3] = grid(end, circuit, period)[0]
+    settle(sums, t, x, p)
     return x[3]
+
+
+@jit
+def settle(sums: Array, t: float, x: Array, p: tuple[Circuit, Period]) -> None:
+    """Add what the newest instant still has to give."""
+    if sums[PLAIN, PENDING] > 0.0:
+        seen(sums, t, sums[PLAIN, PENDING], x, p)
+    sums[PLAIN, PENDING] = 0.0
 
 
 @jit
@@ -147,8 +155,10 @@ def crossing(
     of the carrier being nearly all of the slope.
     """
     p = (circuit, period, legs[0], legs[1], legs[2])
-    slope = x.copy()
-    ode(t, x, p, slope)
+    angle = circuit.omega * t
+    here = math.sin(angle), math.cos(angle)
+    g = grid_of(angle, here[0], here[1], period)
+    slope = slopes(x[0], x[1], x[2], x[3], g, p)
     bend = (legs[0] * slope[0] + legs[1] * slope[1] + legs[2] * slope[2] - slope[3] / period.load) / circuit.C
     v, rate = x[3], slope[3]
     sign = 1.0 if half % 2.0 == 0.0 else -1.0  # of m - carrier before the edge
@@ -177,30 +187,52 @@ def crossing(
         if tau < t:
             tau = t
     if tau > t:
-        piece(t, tau, x, slope, p, sums)
+        piece(t, tau, x, slope, p, here, g, sums)
     return tau, leg
 
 
 @jit
-def piece(t: float, stop: float, x: Array, slope: Array, p: Legs, sums: Array) -> None:
-    """Integrate one step between two edges, and add to the sums by Simpson's rule (middle from values and slopes)."""
+def piece(
+    t: float,
+    stop: float,
+    x: Array,
+    first: tuple[float, float, float, float],
+    p: Legs,
+    here: tuple[float, float],
+    g: Three,
+    sums: Array,
+) -> None:
+    """Integrate one step between two edges, and add to the sums by Simpson's rule (middle from values and slopes).
+
+    The step is that of Runge-Kutta, as `rk4_loop` takes it; `first`, `here` and `g` are slopes, sine and cosine of
+    omega t, and grid voltages at t.
+    """
     circuit, period = p[0], p[1]
     h = stop - t
-    begin, first = x.copy(), slope.copy()
-    step(t, x, h, 1, p)
-    ode(stop, x, p, slope)
-    w = h / 6.0
-    middle = x.copy()
-    for k in range(4):
-        middle[k] = 0.5 * (begin[k] + x[k]) + 0.125 * h * (first[k] - slope[k])
-    sample(sums, t, w, (begin[0], begin[1], begin[2], begin[3]), grid(t, circuit, period), circuit.omega)
-    centre = t + 0.5 * h
-    sample(
-        sums,
-        centre,
-        4.0 * w,
-        (middle[0], middle[1], middle[2], middle[3]),
-        grid(centre, circuit, period),
-        circuit.omega,
+    a, b, c, v = x[0], x[1], x[2], x[3]
+    ends, middles, half = h / 6.0, h / 3.0, 0.5 * h
+    angle = circuit.omega * (t + half)
+    s_1, c_1 = math.sin(angle), math.cos(angle)
+    between = grid_of(angle, s_1, c_1, period)
+    k = first
+    a_1, b_1, j_1, v_1 = a + ends * k[0], b + ends * k[1], c + ends * k[2], v + ends * k[3]
+    for _ in range(2):
+        k = slopes(a + half * k[0], b + half * k[1], c + half * k[2], v + half * k[3], between, p)
+        a_1, b_1, j_1, v_1 = a_1 + middles * k[0], b_1 + middles * k[1], j_1 + middles * k[2], v_1 + middles * k[3]
+    late = grid(t + h, circuit, period)
+    k = slopes(a + h * k[0], b + h * k[1], c + h * k[2], v + h * k[3], late, p)
+    a_1, b_1, j_1, v_1 = a_1 + ends * k[0], b_1 + ends * k[1], j_1 + ends * k[2], v_1 + ends * k[3]
+    if t + h != stop:
+        late = grid(stop, circuit, period)
+    last = slopes(a_1, b_1, j_1, v_1, late, p)
+    w, e = h / 6.0, 0.125 * h
+    middle = (
+        0.5 * (a + a_1) + e * (first[0] - last[0]),
+        0.5 * (b + b_1) + e * (first[1] - last[1]),
+        0.5 * (c + j_1) + e * (first[2] - last[2]),
+        0.5 * (v + v_1) + e * (first[3] - last[3]),
     )
-    sample(sums, stop, w, (x[0], x[1], x[2], x[3]), grid(stop, circuit, period), circuit.omega)
+    sample(sums, here[0], here[1], sums[PLAIN, PENDING] + w, (a, b, c, v), g)
+    sample(sums, s_1, c_1, 4.0 * w, middle, between)
+    sums[PLAIN, PENDING] = w  # of the end, where the next piece begins
+    x[0], x[1], x[2], x[3] = a_1, b_1, j_1, v_1
