@@ -1,14 +1,18 @@
 """Structured text: the printed text is run by a reader of its own and held against Python's golden rows."""
 
+import dataclasses
 import math
 import random
+import re
 from importlib import resources
 from xml.etree import ElementTree
 
 import pytest
+from hypothesis import given, strategies as st
 from softrig_core import ScenarioError, rig_of
 from softrig_core.export import st_files
 from softrig_core.export.golden import member_of
+from softrig_core.export.kinds import remark
 from softrig_core.export.st_files import executed, main, st_of, written
 from softrig_core.export.st_run import Program
 
@@ -176,3 +180,41 @@ def test_the_reader_has_the_rules_of_the_language():
     assert (block.k, block.ok, block.q) == (1, False, -math.inf)
     with pytest.raises(ValueError, match="no statement"):
         Program(BLOCK.replace("q := -1.0 / 0.0;", "q := 1.0"))
+
+
+EVIL = "*/ #error \"x\" /* \\ ??/\n#error '*//*' **/ ]]> *) (* (*) ???/ \x1b[31m \u202e {0} %s //\\"
+
+
+def bare(text, begin, end):
+    """Return a text without its comments, which end at the first sign of their end: they do not nest."""
+    return re.sub(f"{re.escape(begin)}.*?{re.escape(end)}", "", text, flags=re.DOTALL)
+
+
+def test_texts_of_a_user_stay_comments(law, monkeypatch):
+    """A docstring, a topic or a unit that ends its comment would be code of whoever compiles the export."""
+    rig, units, done = law
+    member = member_of(rig, "dc_motor_smc")
+    monkeypatch.setattr(member.block_class, "__doc__", EVIL)
+    outputs = [dataclasses.replace(p, topic=EVIL, units=(EVIL,) * p.size, limits=p.limits) for p in member.outputs]
+    monkeypatch.setattr(st_files, "member_of", lambda *_: dataclasses.replace(member, outputs=tuple(outputs)))
+    again, other = st_of(rig, "dc_motor_smc", rows=1, drawn=1)
+    header = f"{done.name}.h"
+    plain, evil = (re.sub(r'DIGEST "\w+"', "", bare(one.files[header], "/*", "*/")) for one in (done, other))
+    assert (plain, "#error" in other.files[header]) == (evil, True)
+    assert bare(text_of(again, other), "(*", "*)") == bare(text_of(units, done), "(*", "*)")
+    for text in written(again, other.name, "tcpou").values():
+        ElementTree.fromstring(text)
+
+
+@given(st.text("*/()?\\ \n\x1b\u202ea"))
+def test_no_remark_ends_its_comment(text):
+    found = remark(text)
+    assert not [pair for pair in ("*/", "/*", "*)", "(*", "??", "\\\n") if pair in f"{found}\n"]
+    assert found.isprintable()
+    letters = re.sub(r"[ \n\x1b\u202e]", "", text)
+    assert found.replace(" ", "") == letters.rstrip("\\")
+
+
+def test_an_index_before_a_comparison_does_not_end_the_data_of_twincat():
+    line = "IF x[y[0]]>3 THEN"
+    assert ElementTree.fromstring(f"<a><![CDATA[{st_files._data(line)}]]></a>").text == line

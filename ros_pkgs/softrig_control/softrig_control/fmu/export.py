@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -11,11 +13,14 @@ from pathlib import Path
 
 from softrig_core import Block, Rig, ScenarioError, rig_of, simulate
 from softrig_core.block.codec import Decoder
+from softrig_core.block.params import flatten
 from softrig_core.command_line import Parser
 from softrig_core.errors import closest
 from softrig_core.extras import need
+from softrig_core.guard import naming
 from softrig_core.rig.members import Member
 
+_NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 _SCRIPT = '''"""What runs in this FMU is {node}, {package}/{executable} of softrig."""
 
 from pythonfmu import Fmi2Slave
@@ -74,14 +79,16 @@ def export(rig: Rig, node: str, folder: Path, native: int = 0) -> Path:
         script.write_text(_SCRIPT.format(node=node, package=member.package, executable=member.executable))
         what = Path(place, "node.json")
         what.write_text(json.dumps(content(member, rig.scenario.seed, start), indent=1), encoding="utf-8")
-        path = folder / f"{node}.fmu"
+        path, made = folder / f"{node}.fmu", Path(place, f"{node}.fmu")
         code = "import sys; from pythonfmu import FmuBuilder; FmuBuilder.build_FMU(*sys.argv[1:3], [sys.argv[3]], "
         code += "**dict.fromkeys(sys.argv[4:], True))"
         # in a process of its own: it imports the script by its name, and leaves its folder on the path
-        command = [sys.executable, "-P", "-c", code, str(script), str(path), str(what), *_can(member)]
+        command = [sys.executable, "-P", "-c", code, str(script), str(made), str(what), *_can(member)]
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise ScenarioError(f"node {node}: no FMU: {(done.stderr.strip().splitlines() or ['no reason given'])[-1]}")
+        if done.returncode:
+            raise ScenarioError(f"node {node}: no FMU: {(done.stderr.strip().splitlines() or ['no reason given'])[-1]}")
+        with naming(path):
+            shutil.move(made, path)  # whole, or not at all
     return path
 
 
@@ -106,12 +113,23 @@ def _first(rig: Rig, member: Member) -> dict[str, list[float]]:
     return found
 
 
+def _check_text(member: Member, where: str, text: str) -> None:
+    if _NOT_IN_XML.search(text):
+        raise ScenarioError(
+            f"node {member.name}: {where}: {text[:100]!r} has a sign that XML does not have; expected printable text"
+        )
+
+
 def _check(member: Member) -> None:
     for port in (*member.inputs, *member.outputs):
         if port.delayed:
             raise ScenarioError(
                 f"node {member.name}: {port.topic} carries acquisition times of its own, which an FMU cannot"
             )
+        for text in (port.topic, *port.labels, *port.units):
+            _check_text(member, f"port {port.name}", text)
+    for name, value in flatten(member.params).items():
+        _check_text(member, f"parameter {name}", value if isinstance(value, str) else "")
     if member.external:
         raise ScenarioError(f"node {member.name} is external: its code is not here")
 

@@ -20,7 +20,7 @@ from softrig_core.export.c_files import Exported
 from softrig_core.export.check import FLAGS, PATIENCE
 from softrig_core.export.command import c_of
 from softrig_core.export.golden import member_of
-from softrig_core.export.kinds import identifier
+from softrig_core.export.kinds import identifier, one_line
 from softrig_core.export.unit import literal
 from softrig_core.rig.members import Member
 
@@ -249,7 +249,7 @@ def _described(
     """Return the modelDescription.xml."""
     digest = re.findall(r'_DIGEST "(\w+)"', done.files[f"{done.name}.h"])[0]
     token = {2: "guid", 3: "instantiationToken"}[version]
-    doc = " ".join((member.block_class.__doc__ or "").split("\n\n")[0].split())
+    doc = one_line((member.block_class.__doc__ or "").split("\n\n")[0])
     root = Element(
         "fmiModelDescription",
         {
@@ -307,7 +307,7 @@ def _variable(listed: Element, k: int, v: Variable, version: int, computed: bool
     variability = {"parameter": "fixed"}.get(v.causality, "discrete" if v.kind != "REAL" else "continuous")
     head = {"name": v.name, "valueReference": str(k), "causality": v.causality, "variability": variability}
     if v.doc:
-        head["description"] = " ".join(v.doc.split())
+        head["description"] = one_line(v.doc)
     if v.causality == "output":
         head["initial"] = "calculated"
     if version == 2:

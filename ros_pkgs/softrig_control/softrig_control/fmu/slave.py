@@ -17,6 +17,7 @@ from softrig_core.block.link import Link
 from softrig_core.block.params import build, declarations, flatten
 from softrig_core.block.schedule import Schedule
 from softrig_core.block.step import Step
+from softrig_core.export.kinds import one_line
 from softrig_core.judge.units import base
 from softrig_core.rig.installed import load_block
 
@@ -76,7 +77,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         self._class = load_block(self._what["package"], self._what["executable"])
         self._values: dict[str, Any] = dict(self._what["parameters"])
         self.modelName = self._what["node"]
-        self.description = " ".join((self._class.__doc__ or "").split("\n\n")[0].split())
+        self.description = one_line((self._class.__doc__ or "").split("\n\n")[0])
         self._params: Any = build(self._class.Params, self._values)
         self._inputs, self._outputs = self._class.ports(self._params)
         self.default_experiment = DefaultExperiment(start_time=0.0, step_size=self._what["parameters"]["period"])
@@ -140,7 +141,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
                     one.name,
                     causality=Fmi2Causality.parameter,
                     variability=Fmi2Variability.fixed,
-                    description=one.doc,
+                    description=one_line(one.doc),
                     getter=lambda n=one.name: self._values[n],
                     setter=lambda x, n=one.name: self._values.__setitem__(n, x),
                 ),

@@ -175,9 +175,10 @@ def _signals(values: Sequence[Value], receiver: str) -> Iterator[Any]:
             scale = 1.0 if limit is None else limit / (2 ** (WORD - 1) - 1)
             how = BaseConversion.factory(scale, 0.0, is_float=limit is None)
             ends: dict[str, Any] = {} if limit is None else {"minimum": -limit, "maximum": limit}
-            yield Signal(
-                name, at, WORD, is_signed=True, conversion=how, unit=unit or None, receivers=[receiver], **ends
-            )
+            # a DBC has no way to write a quotation mark, and is of one page of letters
+            shown = "".join(sign if sign.isprintable() and sign not in '"\\' else "_" for sign in unit)
+            ends["unit"] = shown.encode("cp1252", errors="replace").decode("cp1252") or None
+            yield Signal(name, at, WORD, is_signed=True, conversion=how, receivers=[receiver], **ends)
         at += bits
 
 

@@ -25,7 +25,7 @@ from ..rig.members import Member
 from ..solver.solver import Solver
 from .drawn import Raised, drawn_calls
 from .golden import Call, Changed, methods
-from .kinds import ABSENT, INT, Absent, Kind, Maybe, Number, Table, Tuple, identifier, kind_of, leaves
+from .kinds import ABSENT, INT, Absent, Kind, Maybe, Number, Table, Tuple, identifier, kind_of, leaves, remark
 from .law import Form, Law, input_kind, law_of
 from .reader import Reader
 from .unit import Unit, Value, literal
@@ -249,12 +249,12 @@ class _Files:
     def header(self) -> str:
         """Return the header."""
         n, upper = self.name, self.name.upper()
-        title = (inspect.getdoc(type(self.block)) or n).splitlines()[0]
+        title = (inspect.getdoc(type(self.block)) or n).partition("\n")[0]
         period = self.member.schedule.period
         reports = self.law.reports.places
         lines = [
             f"/** @file {n}.h",
-            f" * {title}",
+            f" * {remark(title)}",
             " *",
             f" * Written by `softrig export c`. {type(self.block).__module__}.{type(self.block).__qualname__}",
             " * No dynamic memory, no static data but constant tables, no recursion. SI units.",
@@ -277,14 +277,14 @@ class _Files:
         ]
         if reports:
             lines += ["/** Reports, counted in the member `reports`; their texts are in the JSON file. */", "enum {"]
-            lines += [f"    {upper}_REPORT_{k} = {k}, /**< {_comment(p.key)} */" for k, p in enumerate(reports)]
+            lines += [f"    {upper}_REPORT_{k} = {k}, /**< {remark(p.key)} */" for k, p in enumerate(reports)]
             lines += ["};", ""]
         lines += [
             "/** All that the node remembers; its constants. Treat the members as private. */",
             f"typedef struct {n} {{",
             "    struct {",
             *(
-                f"        {t} {f}; /**< {_comment(written(p))} */"
+                f"        {t} {f}; /**< {remark(written(p))} */"
                 for t, f, p in zip(self.constant_types, self.fields, self.slots, strict=True)
             ),
             *([] if self.slots else ["        uint8_t nothing;"]),
@@ -350,7 +350,7 @@ class _Files:
         for name, (k, *_) in self.settable.items():
             kind = kind_of(self.values[k])
             text = info[name.split(".")[0]].description or "" if name.split(".")[0] in info else ""
-            lines.append(f"    {self.unit.c(kind)} {identifier(name)}; /**< {_comment(text)} */")
+            lines.append(f"    {self.unit.c(kind)} {identifier(name)}; /**< {remark(text)} */")
             defaults.append(_initial(self.values[k]))
         if not self.settable:
             lines.append("    uint8_t nothing;")
@@ -367,13 +367,11 @@ class _Files:
         lines = [f"/** {'Inputs' if kind == 'in' else 'Outputs'}. */", f"typedef struct {self.name}_{kind} {{"]
         for port in ports:
             if port.held if kind == "in" else port.sporadic:
-                lines.append(
-                    f"    bool has_{identifier(port.name)}; /**< false: {_comment(port.topic)} has no value */"
-                )
+                lines.append(f"    bool has_{identifier(port.name)}; /**< false: {remark(port.topic)} has no value */")
             each = ", ".join(f"{label} {unit}" for label, unit in zip(port.labels, port.units, strict=True))
             if port.delayed:
                 lines.append(f"    int64_t {identifier(port.name)}_stamp_ns; /**< when it was acquired */")
-            told = f"{_comment(port.topic)}: {_comment(each)}"
+            told = f"{remark(port.topic)}: {remark(each)}"
             lines.append(f"    real_t {identifier(port.name)}[{max(port.size, 1)}]; /**< {told} */")
         return [*lines, *([] if ports else ["    uint8_t nothing;"]), f"}} {self.name}_{kind};", ""]
 
@@ -992,7 +990,3 @@ def _initial(value: Any) -> str:
         parts = [f".{identifier(n)} = {_initial(v)}" for n, v in zip(names, value, strict=True) if v is not None]
         return f"{{ {', '.join(parts) or '0'} }}"
     return literal(value)
-
-
-def _comment(text: str) -> str:
-    return " ".join(text.replace("*/", "* /").split())

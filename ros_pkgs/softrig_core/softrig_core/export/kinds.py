@@ -111,6 +111,20 @@ def identifier(text: str) -> str:
     return f"{name}_" if name in KEYWORDS else f"n{name}" if name[:1].isdigit() else name
 
 
+def one_line(text: str) -> str:
+    """Return a text on one line, without signs that are no letters: XML has none of them, and some hide others."""
+    return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
+
+
+def remark(text: str) -> str:
+    """Return a text as it may stand in a comment of C or structured text: nothing in it ends the comment.
+
+    Texts are a user's, or of somebody whose package a user runs: what ends a comment would make code of the rest. Three
+    signs that C reads as another one (``??/``) are taken apart, too.
+    """
+    return re.sub(r"\?(?=\?)|\*(?=[/)])|[/(](?=\*)", r"\g<0> ", one_line(text)).rstrip("\\ ")
+
+
 BOOL, INT, REAL = Number("bool", 0), Number("int64_t", 1), Number("real_t", 2)
 ABSENT = Absent()
 COMPLEX = Tuple((REAL, REAL), ("real", "imag"), "complex")

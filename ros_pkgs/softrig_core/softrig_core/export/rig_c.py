@@ -20,7 +20,7 @@ from ..rig.rig import Rig
 from ..run.inprocess import check_here, wired
 from .c_files import SUPPORT, Exported, c_of_member, check_class, compared, numbers_of
 from .golden import Call, Changed, watched
-from .kinds import identifier
+from .kinds import identifier, remark
 from .unit import literal
 
 DRAWN = 200  # calls with drawn inputs: they find ways that the run never takes
@@ -162,7 +162,7 @@ class _RigFiles:
         n, upper, period = self.name, self.name.upper(), self.plan.clock.period
         lines = [
             f"/** @file {n}.h",
-            f" * All nodes of the scenario {self.rig.scenario.name}: one struct, one step a tick.",
+            f" * All nodes of the scenario {remark(self.rig.scenario.name)}: one struct, one step a tick.",
             " *",
             " * Written by `softrig export c`. Plants first, then the others in the order in which they answer.",
             " */",

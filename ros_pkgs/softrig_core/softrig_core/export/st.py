@@ -16,7 +16,7 @@ from pycparser import c_ast, c_parser
 
 from ..native.value import NotNative
 from ..rig.members import Member
-from .kinds import identifier
+from .kinds import identifier, remark
 
 TYPES = {"real_t": "LREAL", "double": "LREAL", "int64_t": "LINT", "bool": "BOOL", "_Bool": "BOOL", "uint8_t": "USINT",
          "uint32_t": "UDINT", "unsigned": "UDINT", "unsigned int": "UDINT", "int": "DINT"}  # fmt: skip
@@ -227,7 +227,7 @@ class _Printer:
                     field_, _, index = place.partition("[")
                     inner = f"{struct}.{self.word(field_)}{'[' + index if index else ''}"
                     outer = self.word(name)
-                    rows[title].append(f"    {outer} : {kind}; (* {what.replace('*)', '* )')} *)")
+                    rows[title].append(f"    {outer} : {kind}; (* {remark(what)} *)")
                     lines.append(f"    {inner} := {outer};" if title == "VAR_INPUT" else f"    {outer} := {inner};")
         fields = list(self.structs[f"{n}_params"])
         settings_ = [f"    {settings}.{self.word(f)} := {v};" for f, v in zip(fields, params, strict=True)]

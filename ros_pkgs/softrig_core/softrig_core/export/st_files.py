@@ -127,21 +127,28 @@ def _plain(name: str) -> str:
     return "_".join(part for part in name.split("_") if part)
 
 
+def _data(text: str) -> str:
+    """Return a text as character data: an index and a comparison may be what ends it, ``]]>``."""
+    return text.replace("]]>", "]]]]><![CDATA[>")
+
+
 def _twincat(unit: Unit) -> str:
     """Return a part as a file of TwinCAT 3."""
     own = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, unit.name + unit.text())}}}"
     head = '<?xml version="1.0" encoding="utf-8"?>\n<TcPlcObject Version="1.1.0.1" ProductVersion="3.1.4024.0">\n'
     if unit.kind == "TYPE":
-        inner = f'  <DUT Name="{unit.name}" Id="{own}">\n    <Declaration><![CDATA[{unit.text()}]]></Declaration>\n'
+        inner = (
+            f'  <DUT Name="{unit.name}" Id="{own}">\n    <Declaration><![CDATA[{_data(unit.text())}]]></Declaration>\n'
+        )
         inner += "  </DUT>\n"
     else:
         colon = f" : {unit.result}" if unit.result else ""
         head_of = "\n".join([f"{unit.kind} {unit.name}{colon}", *unit.head])
         inner = (
             f'  <POU Name="{unit.name}" Id="{own}" SpecialFunc="None">\n'
-            f"    <Declaration><![CDATA[{head_of}\n]]></Declaration>\n"
+            f"    <Declaration><![CDATA[{_data(head_of)}\n]]></Declaration>\n"
             "    <Implementation>\n      <ST><![CDATA["
-            + "\n".join(unit.body)
+            + _data("\n".join(unit.body))
             + "\n]]></ST>\n    </Implementation>\n  </POU>\n"
         )
     return f"{head}{inner}</TcPlcObject>\n"
