@@ -52,7 +52,7 @@ class Attacker:
         layouts = [p.layout() for p in inputs]
         if not live:  # an array that is out of turn ends a run in lockstep, as it should
             layouts = [Layout(*layout.form[:-1]) for layout in layouts]
-        self.encoders = [encoder(layout) for layout in layouts]
+        self.encoders = [encoder(layout, {"": 0}, "") for layout in layouts]
         self.decoders = [Decoder(p) for p in inputs]
         self.publishers = [node.create_publisher(message_class(p.msgtype), topic(p), QOS) for p in inputs]
         self.bad = dict.fromkeys((p.topic for p in inputs), 0)

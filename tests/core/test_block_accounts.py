@@ -204,13 +204,13 @@ def test_arrays_are_numbered_in_the_order_of_calls():
     port = all_ports()["array of units"]
     decode = Decoder(port)
     for begin in (0, 5):
-        encode = encoder(port.layout(), begin)
+        encode = encoder(port.layout(), {"a": begin}, "a")
         assert [decode(encode(7, (float(k), 0.0))) for k in range(3)] == [
             (begin + k, (float(k), 0.0)) for k in range(3)
         ]
     plain = all_ports()["command"].layout()
-    assert encoder(plain)(7, (1.0, 2.0)) == plain.encode(7, (1.0, 2.0))
-    assert decode.number(encoder(port.layout(), 9)(0, (1.0, math.nan))) == 9
+    assert encoder(plain, {}, "")(7, (1.0, 2.0)) == plain.encode(7, (1.0, 2.0))
+    assert decode.number(encoder(port.layout(), {"a": 9}, "a")(0, (1.0, math.nan))) == 9
     assert decode.number(b"none") == -1
     assert [readable_stamp(data) for data in (b"", b"\0\1\0\0" + b"\1" * 7, b"\0\0\0\0" + b"\1" * 8)] == [None] * 3
     assert readable_stamp(b"\0\1\0\0" + b"\xff" * 4 + b"\5\0\0\0") == -(10**9) + 5

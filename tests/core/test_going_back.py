@@ -10,9 +10,12 @@ import pytest
 from board_by_hand import UNO
 from conftest import make_scenario
 from faultrig import Gain, Lag, Source
-from softrig_core import Rig, RunError, ScenarioError, Session, list_scenarios, rig_of, simulate
+from softrig_core import Level, Rig, RunError, ScenarioError, Session, array, list_scenarios, rig_of, simulate
+from softrig_core.block.loop import Loop
 from softrig_core.block.tables import Tables
 from softrig_core.run import session as module
+from softrig_core.run.inprocess import record, wired
+from softrig_core.wire.recording import Recording
 
 BEFORE, AFTER = 40, 50  # ticks
 # one for each way in which blocks remember: tuples, delay lines, solutions of delay equations, searches, packets
@@ -278,3 +281,67 @@ def test_a_branch_that_is_of_another_run_says_where_it_parts():
 def test_nobody_branches_from_where_a_run_was_not(t):
     with pytest.raises(ScenarioError, match=r"expected a time that the run has come to, 0 to 0\.1 s$"):
         simulate("dc_motor_smc", duration=0.1).branch(t, SOFTER)
+
+
+FIXED = (
+    "say",
+    "advance",
+    "block",
+    "_link",
+    "_asking",
+    "waits",
+    "readers",
+    "doubters",
+    "fed",
+    "stamps",
+    "name",
+    "schedule",
+)
+
+
+def everything(steps: Any) -> dict[str, dict[str, Any]]:
+    """Return all attributes of steps that may change, whether the tables list them or not."""
+    return {
+        name: {key: repr(value) for key, value in vars(step).items() if key not in FIXED}
+        | {"params": repr(step.params), "unanswered": step.unanswered}
+        for name, step in steps.items()
+    }
+
+
+class Numbered(Gain):
+    """A law that publishes an array, which is numbered, and reports at times."""
+
+    OUTPUTS = (*Gain.OUTPUTS, array("row", "row", {"a": 2}, "V", sporadic=True))
+
+    def update(self, x, t, state, reference):
+        x, said = super().update(x, t, state, reference)
+        if t % 30_000_000 == 0:
+            self.report(Level.WARN, "third", f"{t}")
+            return x, {**said, "row": (t * 1e-9, state[0])}
+        return x, said
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tables_go_back_to_all_that_a_step_holds_however_often(seed: int) -> None:
+    """Drawn ticks, changes and rewinds; what a step holds outside of the tables is found."""
+    draw = np.random.default_rng(seed)
+    blocks = {"plant": Lag(), "law": Numbered(), "source": Source()}
+    rig = Rig.from_blocks(blocks, 3.0)
+    steps, recording = wired(rig, blocks), Recording((n, p.msgtype) for n, p in rig.topics.items())
+    record(rig, steps, recording)
+    tables, loop, k = Tables(steps.values()), Loop(list(steps.values())), 0
+    kept: dict[int, Any] = {}
+    known: dict[int, Any] = {}
+    for _ in range(60):
+        kept[k], now = tables.keep(), everything(steps)
+        assert known.setdefault(k, now) == now
+        if draw.random() < 0.4:
+            k = int(draw.choice(list(kept)))
+            tables.go_back(kept[k])
+            assert everything(steps) == known[k]
+        ticks = loop.run(k)
+        for _ in range(int(draw.integers(1, 6))):
+            steps["law"].unanswered, steps["law"].begun = k % 3, k  # as the wall clock and a solver's link write them
+            next(ticks)
+            k += 1
+    assert steps["law"].counts["row"] == 1 + (k - 1) // 3

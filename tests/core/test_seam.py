@@ -275,7 +275,7 @@ def test_an_end_knows_how_many_are_matched_and_an_input_forgets_the_number_when_
     end.local = True
     assert end.publishers == 2
     out = Output(array("a", "t", {"row": 2}, "V"), "/rig/t", 3)
-    assert (out.name, out.topic, out.number, out.numbered, out.said, out.readers) == ("a", "/rig/t", 3, True, 0, 0)
+    assert (out.name, out.topic, out.number, out.numbered, out.readers) == ("a", "/rig/t", 3, True, 0)
     assert not Output(joint_state("a", "t", ["x"], position="m"), "/t", 0).numbered
     out.joined()
     out.joined = lambda: joined.append(out.readers)
@@ -380,7 +380,7 @@ def solving(monkeypatch):
         is_ready=False,
     )
     monkeypatch.setattr("softrig_nodes.seam.solving.Solver", SimpleNamespace)
-    step = SimpleNamespace(block=block, x="first", bad=False, values={"u": 1.0}, link=None)
+    step = SimpleNamespace(block=block, x="first", bad=False, begun=None, values={"u": 1.0}, link=None)
     return hand, block, step, asked, resumed, Solving(hand, step, lambda: resumed.append(hand.time))
 
 

@@ -286,10 +286,11 @@ def test_many_answers_at_once_are_recorded_as_those_of_single_ticks():
     values = np.hstack([draw.normal(size=(n, size)), draw.integers(0, 2, (n, len(silent)))])
     numbers = [5, 3, 8, 1]
     at_once, singly = [], []
-    step = SimpleNamespace(plain=False, outputs=PORTS, link=None, name="law")
+    counts: dict[str, int] = {p.name: 0 for p in PORTS}
+    step = SimpleNamespace(plain=False, outputs=PORTS, link=None, name="law", counts=dict(counts))
     keep = keeper(step, SimpleNamespace(add=lambda *m: at_once.append(m)), PORTS, numbers)
     keep.send_all(times, values, stamps)
-    encoders = [encoder(p.layout()) for p in PORTS]
+    encoders = [encoder(p.layout(), counts, p.name) for p in PORTS]
     for k in range(n):
         first = 0
         for port, number, encode_one in zip(PORTS, numbers, encoders, strict=True):
@@ -301,7 +302,7 @@ def test_many_answers_at_once_are_recorded_as_those_of_single_ticks():
             singly.append((number, int(times[k]), encode_one(stamp, own)))
     assert sorted(at_once) == sorted(singly)
     assert [m for m in at_once if m[0] == 5] == [m for m in singly if m[0] == 5]
-    step = SimpleNamespace(plain=False, outputs=PORTS[:2], link=None, name="law")
+    step = SimpleNamespace(plain=False, outputs=PORTS[:2], link=None, name="law", counts={})
     kept = []
     keep = keeper(step, SimpleNamespace(add=lambda *m: kept.append(m)), [*PORTS[:2]], [4, 2])
     assert step.link is keep
@@ -312,11 +313,11 @@ def test_many_answers_at_once_are_recorded_as_those_of_single_ticks():
     assert kept == [(4, 5, a(5, rows[0])), (2, 5, b(7, (3.0,))), (2, 6, b(7, (3.0,)))]
 
 
-def test_arrays_go_on_with_the_numbers_that_the_record_has_already():
+def test_arrays_go_on_with_the_numbers_that_the_step_has_given():
     port = array("m", "m", {"row": 2}, "V")
     kept = []
-    step = SimpleNamespace(plain=False, outputs=[port], link=None, name="law")
-    keep = keeper(step, SimpleNamespace(add=lambda *m: kept.append(m)), [port], [0], {"m": 3})
+    step = SimpleNamespace(plain=False, outputs=[port], link=None, name="law", counts={"m": 3})
+    keep = keeper(step, SimpleNamespace(add=lambda *m: kept.append(m)), [port], [0])
     for t in (1, 2):
         keep.send(t, ((1.0, 2.0),), ())
     keep.send_all(np.array([3, 4]), np.array([[1.0, 2.0]] * 2), np.empty((2, 0), np.int64))  # one by one

@@ -429,11 +429,11 @@ def test_arrays_are_numbered_and_a_shard_holds_them_as_rows(tmp_path):
     for k in range(3):
         hand.heard["lag/state"](STATE.layout().encode(10 * k * MS, (1.0, 2.0)))
     numbers = [parse(output.port.msgtype, data).number for data in hand.said[output.port.topic]]
-    assert (numbers, output.said) == ([0, 1, 2], 3)
+    assert (numbers, adapter.step.counts[output.name]) == ([0, 1, 2], 3)
     assert conclude(adapter, stopped=False) == 0
     assert json.loads((tmp_path / "a.status").read_text())["state"] == "done"
     adapter.keep(np.arange(2), np.zeros((2, 0)))
-    assert output.said == 5
+    assert adapter.step.counts[output.name] == 5
 
 
 def test_a_topic_of_another_type_is_told_once_and_a_watch_writes_the_status(tmp_path):

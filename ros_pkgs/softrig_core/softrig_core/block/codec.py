@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import count
 
 from ..timebase import SECOND
 from ..wire.cdr import Layout, Message, Picker, getter, parse
@@ -130,15 +129,19 @@ def _check_partial(names: Sequence[str], port: Port) -> None:
         raise Refused(f"names {list(names)}, expected some of {list(port.channels)}")
 
 
-def encoder(layout: Layout, said: int = 0) -> Callable[[int, Sequence[float]], bytes]:
-    """Return what makes one topic's messages, each from its stamp and values.
+def encoder(layout: Layout, counts: dict[str, int], name: str) -> Callable[[int, Sequence[float]], bytes]:
+    """Return what makes the messages of an output, each from its stamp and values.
 
-    Arrays it numbers in the order of calls; `said` messages were before them.
+    An array has a number in place of a stamp: the count of those before it, which is kept in `counts` under `name`.
     """
     if not layout.numbered:
         return layout.encode
-    numbers = count(said)
-    return lambda stamp, values: layout.encode(next(numbers), values)
+
+    def encode(stamp: int, values: Sequence[float]) -> bytes:
+        counts[name] += 1
+        return layout.encode(counts[name] - 1, values)
+
+    return encode
 
 
 def selection(source: Port, sink: Port) -> Pick | None:

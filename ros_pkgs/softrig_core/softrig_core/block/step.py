@@ -61,6 +61,10 @@ class Step(Held):
         what is read and written must be wired by then; made again when it gets another link.
     advance : callable
         Gets t, ns, and by choice the values of the inputs: moves a plant from t over one period, or a RunError.
+    counts : dict of str to int
+        By output: arrays that it has published, which are numbered.
+    begun : int or None
+        Of a solver whose ticks are in two halves: the tick that has begun and is perhaps not answered, ns.
     link : Link or None
         What joins it to what is elsewhere; None: nothing does.
     waits : bool
@@ -69,8 +73,8 @@ class Step(Held):
         How many of its ticks native code answered, and why Python answered the others.
     """
 
-    TABLES = (*Held.TABLES, "values")
-    VALUES = ("said", "numbers", "spoken", "t", "bad", "changes", "change_at")
+    TABLES = (*Held.TABLES, "values", "counts")
+    VALUES = ("said", "numbers", "spoken", "t", "bad", "changes", "change_at", "unanswered", "begun")
 
     native: tuple[int, str] = (0, "")
 
@@ -94,6 +98,8 @@ class Step(Held):
         self.fed: dict[str, Fill] = {}
         self.bad = False
         self.t = 0
+        self.begun: int | None = None
+        self.counts = {p.name: 0 for p in outputs}
         self.plain = not any(p.sporadic or p.delayed for p in outputs)
         self.spoken: list[int | None] = [None] * len(outputs)  # of one that is not plain: when each output spoke last
         self.numbers: tuple[float, ...] = ()
@@ -116,6 +122,15 @@ class Step(Held):
         self._asking = None if link is None else link.overriding("respond")
         self.waits = link is not None and link.overriding("lacks") is not None
         self.say, self.advance = self._first_say, self._first_advance
+
+    @property
+    def unanswered(self) -> int:
+        """Return how many of its ticks the block did not answer before this one: `Block.unanswered`."""
+        return self.block.unanswered
+
+    @unanswered.setter
+    def unanswered(self, ticks: int) -> None:
+        self.block.unanswered = ticks
 
     @property
     def respond(self) -> Callable[..., Any]:

@@ -152,18 +152,16 @@ def step_of(member: Member, block: Block) -> Step:
     return Step(member.name, block, member.schedule, member.inputs, member.outputs, member.changes)
 
 
-def record(rig: Rig, steps: Mapping[str, Step], sink: Sink, said: Mapping[str, int] | None = None) -> None:
-    """Send every message of a rig's steps to a sink; it already has a number of them per topic."""
+def record(rig: Rig, steps: Mapping[str, Step], sink: Sink) -> None:
+    """Write every message of the steps of a rig to a sink."""
     numbers = {topic: number for number, topic in enumerate(rig.topics)}
     for step in steps.values():
         ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
         if ports:
-            keeper(step, sink, ports, [numbers[p.topic] for p in ports], said)
+            keeper(step, sink, ports, [numbers[p.topic] for p in ports])
 
 
-def keeper(
-    step: Step, sink: Sink, ports: Sequence[Port], numbers: Sequence[int], said: Mapping[str, int] | None = None
-) -> Link:
+def keeper(step: Step, sink: Sink, ports: Sequence[Port], numbers: Sequence[int]) -> Link:
     """Send the messages of a step to a sink.
 
     Parameters
@@ -172,11 +170,9 @@ def keeper(
         Its outputs; with /clock after them when it is the clock.
     numbers : sequence of int
         Of their topics in the sink.
-    said : mapping of str to int, optional
-        Messages that the sink has already, by topic.
     """
     layouts = dict(zip(numbers, [p.layout() for p in ports], strict=True))
-    return _RowKeeper(step, sink, layouts) if step.plain else _Keeper(step, sink, ports, layouts, said or {})
+    return _RowKeeper(step, sink, layouts) if step.plain else _Keeper(step, sink, ports, layouts)
 
 
 class _ToSink(Link):
@@ -211,12 +207,10 @@ class _RowKeeper(_ToSink):
 class _Keeper(_ToSink):
     """Records a step some of whose outputs are silent at times, or late."""
 
-    def __init__(
-        self, step: Step, sink: Sink, ports: Sequence[Port], layouts: Mapping[int, Layout], said: Mapping[str, int]
-    ) -> None:
+    def __init__(self, step: Step, sink: Sink, ports: Sequence[Port], layouts: Mapping[int, Layout]) -> None:
         super().__init__(step, sink)
         self._ports, self._layouts = ports, layouts
-        self._encoders = [encoder(p.layout(), said.get(p.topic, 0)) for p in ports]
+        self._encoders = [encoder(p.layout(), step.counts, p.name) for p in ports]
         self._silent = ((),) * (len(ports) - len(step.outputs))
         self._numbered = any(layout.numbered for layout in layouts.values())
 

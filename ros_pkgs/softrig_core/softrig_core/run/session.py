@@ -94,7 +94,7 @@ class Session:
         """Wire blocks, and have them go on from tick k."""
         self.recording, self._k, self.error = recording, k, ""
         self.steps = wired(self.rig, blocks)
-        record(self.rig, self.steps, recording, {name: len(topic.times) for name, topic in recording.topics.items()})
+        record(self.rig, self.steps, recording)
         self._tables = Tables(self.steps.values())
         if moment is not None:
             self._tables.go_back(moment)

@@ -266,7 +266,7 @@ class Adapter:
         if self.record.shard is not None and numbers.shape[1]:
             self.record.shard.add_rows(self.epoch + times, numbers)
         for output in self.outputs:
-            output.said += len(times)
+            self.step.counts[output.name] += len(times)
 
     def _send_each(self, stamp: int, rows: Rows) -> list[tuple[Output, int, tuple[float, ...]]]:
         """Publish what is said; returns output, stamp or number, and values of each message."""
@@ -276,8 +276,8 @@ class Adapter:
                 continue
             mark, values = (row.stamp + self.epoch, row.data) if isinstance(row, Sample) else (stamp, row)
             if output.numbered:
-                mark = output.said
-                output.said += 1
+                mark = self.step.counts[output.name]
+                self.step.counts[output.name] += 1
             output.send(mark, values)
             said.append((output, mark, values))
         return said

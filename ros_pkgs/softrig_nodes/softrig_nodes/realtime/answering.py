@@ -151,5 +151,5 @@ class Answering:
                 if row.bad is not None and row.bad <= stamp:
                     node.step.bad, row.bad = True, None
             self._refusals = [row for row in self._refusals if row.bad is not None]
-        node.block.unanswered = missed
+        node.step.unanswered = missed
         self._answer(stamp - node.epoch)

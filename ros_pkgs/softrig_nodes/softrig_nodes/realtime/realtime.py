@@ -296,7 +296,7 @@ class Realtime(Link):
                 behind = 1
         self.tick_number = number
         if not node.is_plant:
-            node.block.unanswered = unanswered
+            node.step.unanswered = unanswered
             self._answer(due)
             return
         try:

@@ -79,8 +79,6 @@ class Output:
         Readers in other processes that are matched, as the writer sees them.
     numbered : bool
         Whether its messages have no stamp but a number.
-    said : int
-        Of these: the number of the next one.
     """
 
     def __init__(self, port: Port, topic: str, number: int) -> None:
@@ -90,7 +88,6 @@ class Output:
         self.number = number
         self.layout = port.layout()
         self.numbered = self.layout.numbered
-        self.said = 0
         self.send: Send = _unbound
         self.readers = 0
         self.joined: Callable[[], object] = _nobody  # called when a reader has come

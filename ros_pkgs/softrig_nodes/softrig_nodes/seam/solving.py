@@ -38,7 +38,6 @@ class Solving(Link):
         self._header = TickWriter()(0, [middleware.full_name])
         self._publish = middleware.publisher(BUSY, TICK, lambda count: None)
         self._resume = resume
-        self._tick: int | None = None  # whose begin the block has seen and whose end not yet
         self._told = 0.0
         self._timer = middleware.timer(LOOK, self._look)
         self._timer.cancel()
@@ -58,8 +57,8 @@ class Solving(Link):
     def finished(self, t: int) -> bool:
         """Begin a tick (ns) if that is not done; tell whether its answer can be given."""
         step, block = self.step, self._block
-        if self._tick != t:
-            self._tick = t
+        if step.begun != t:
+            step.begun = t
             step.x = block.carry_on(step.x, t) if step.bad else block.begin(step.x, t, **step.values)
         if block.ready(step.x, t):
             self._rest()
@@ -75,8 +74,8 @@ class Solving(Link):
         self._waits = False
 
     def _look(self) -> None:
-        assert self._tick is not None
-        if self._block.ready(self.step.x, self._tick):
+        assert self.step.begun is not None
+        if self._block.ready(self.step.x, self.step.begun):
             self._rest()
             self._resume()
         elif self._middleware.steady() - self._told > TOLD_EVERY:
