@@ -15,7 +15,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from conftest import PATIENCE
+from conftest import PATIENCE, few
 from softrig_bags.files.reader import BagReader
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.options.run_options import folder_name, repeat
@@ -757,14 +757,14 @@ def test_a_full_disk_names_the_folder(folder):
     assert found.stderr == f"softrig: {folder}/a: File too large\n"
 
 
-@pytest.mark.parametrize(("limit", "words", "path"), [
+@pytest.mark.parametrize(("limit", "words", "path"), few([
     pytest.param(100, ["study", "lag", "--seeds", "3", "--force", "--workers", "1", "--out", "a"], "a/study.json",
                  marks=pytest.mark.long),
     pytest.param(3000, ["study", "lag", "--seeds", "60", "--force", "--workers", "1", "--out", "a"], "a/rows.jsonl",
                  marks=pytest.mark.long),
     (5000, ["study", "lag", "--seeds", "3", "--force", "--workers", "1", "--out", "a"], "a/.new/report.html"),
     (100_000, ["bag", "record", "--output", "a", "/x"], "a"),
-])  # fmt: skip
+], 1))  # fmt: skip
 def test_a_full_disk_names_the_file_and_nothing_half_stays(limit, words, path, folder):
     done = on_a_full_disk(limit, *words)
     assert done.returncode == 3, done.stderr

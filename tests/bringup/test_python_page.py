@@ -33,6 +33,7 @@ def test_a_run_goes_back(blocks, capsys):
     assert capsys.readouterr().out.splitlines()[-1] == last.partition("  # ")[2]
 
 
+@pytest.mark.long
 def test_its_linear_model_is_the_analytic_one(blocks, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     matplotlib.use("Agg")

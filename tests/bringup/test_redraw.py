@@ -124,6 +124,7 @@ def test_no_pdf_of_softrig_has_type_3_letters(run, tmp_path, monkeypatch):
     assert [path.name for path in found if b"/Type3" in path.read_bytes()] == []
 
 
+@pytest.mark.long
 def test_several_runs_are_drawn_over_one_another_and_replace_nothing(run, tmp_path, monkeypatch, capsys):
     """Their pictures go to a folder of their own, those of one run below its folder."""
     monkeypatch.chdir(tmp_path)

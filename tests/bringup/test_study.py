@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet
 import pytest
-from conftest import PATIENCE, until
+from conftest import PATIENCE, few, until
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import STUDY, ResultsFolder
 from softrig_bringup.options.grammar import values
@@ -402,7 +402,7 @@ def session(pid):
 
 @pytest.mark.parametrize(
     ("number", "status"),
-    [(signal.SIGTERM, 143), pytest.param(signal.SIGHUP, 129, marks=pytest.mark.long), (signal.SIGKILL, -9)],
+    few([(signal.SIGTERM, 143), pytest.param(signal.SIGHUP, 129, marks=pytest.mark.long), (signal.SIGKILL, -9)], 1),
 )
 def test_a_study_that_is_killed_leaves_no_process(folder, number, status):
     command = [sys.executable, "-m", "softrig_bringup", "study", "lag", "--duration", "20", "--seeds", "1000",

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import few
 from scipy import stats
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.study import estimate, pictures, tabled
@@ -89,7 +90,7 @@ def test_what_never_happens_is_the_largest():
 
 @pytest.mark.parametrize(
     ("estimator", "draws", "true", "least"),
-    [
+    few([
         (estimate.deviation, lambda rng: rng.normal(5.0, 2.0, 40), 2.0, 0.91),
         (estimate.deviation, lambda rng: rng.uniform(0.0, 1.0, 40), 12.0**-0.5, 0.91),
         (estimate.deviation, lambda rng: rng.exponential(1.0, 100), 1.0, 0.86),  # Bonett's table 1: 0.90 for n = 100
@@ -97,7 +98,7 @@ def test_what_never_happens_is_the_largest():
         (estimate.difference, lambda rng: rng.exponential(1.0, 50), 1.0, 0.89),
         (lambda x: estimate.quantile(x, 0.5), lambda rng: rng.exponential(1.0, 30), math.log(2.0), 0.94),
         (lambda x: estimate.clustered(x, np.mean), lambda rng: rng.normal(0.0, 1.0, (30, 1)) + np.zeros(3), 0.0, 0.89),
-    ],
+    ], 3),
 )  # fmt: skip
 def test_intervals_cover_what_they_are_of(estimator, draws, true, least, monkeypatch):
     """200 samples; the bounds are three standard errors of such a simulation below what is promised, or published."""

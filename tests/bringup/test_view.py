@@ -182,6 +182,7 @@ def test_two_pages_turn_one_knob(mode, tmp_path):
     assert compare(signals(tmp_path / "run/bag"), signals(tmp_path / "again/bag"), bitwise=True).equal
 
 
+@pytest.mark.long
 def test_a_run_goes_back_from_its_page_and_the_branch_is_that_of_run_from(tmp_path):
     words = ("dc_motor_smc", "--mode", "inprocess", "--duration", "0.1", "--no-plots")
     words = ("view", *words, "--pace", "full", "--out", tmp_path / "first")

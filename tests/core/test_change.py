@@ -265,6 +265,7 @@ def tuned(folder, duration="0.3"):
     return content
 
 
+@pytest.mark.long
 def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
     content = tuned(tmp_path / "tuned")
     assert len(content["changes"]) == 2

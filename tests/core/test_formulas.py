@@ -318,6 +318,7 @@ def test_live_the_first_instant_counts(text):
     assert live.bounds(opened)[1] == -2.0
 
 
+@pytest.mark.long
 def test_random_formulas_are_measured_as_defined():
     verdicts = [hold(seed) for seed in range(DAILY)]
     for each in (True, False, None):  # the draw reaches all three

@@ -489,6 +489,7 @@ def test_a_loop_with_a_delay_has_a_view_when_its_steps_are_few():
     assert view.variation < 1e-2
 
 
+@pytest.mark.long
 def test_a_state_may_be_called_as_an_input_is_and_what_only_a_warning_reads_is_none():
     view = linear_view("induction_dtc", at=0.05)  # its speed law's state and input are both `reference`
     assert "im_plant.omega" in view.states

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from conftest import few
 from softrig_core import Block, BlockParams, Level, Observer, Plant, Rig, command, param, scalars
 from softrig_core.block.loop import Loop
 from softrig_core.block.port import Sample
@@ -494,7 +495,7 @@ RUN = {name: blocks for name, (blocks, _, _) in RIGS.items()} | {
 }
 
 
-@pytest.mark.parametrize("name", RUN)
+@pytest.mark.parametrize("name", few(RUN, 10))
 def test_a_rig_runs_natively_as_in_python(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """With those who watch it at each tick or at once, as often as it ticks or half as often; in both kinds of text."""
     monkeypatch.setattr(fitted, "_counts", {})

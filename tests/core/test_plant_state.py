@@ -103,6 +103,7 @@ def test_linear_plant_has_its_poles():
     assert found.dcgain() == pytest.approx(expected.dcgain(), rel=1e-9)
 
 
+@pytest.mark.long
 def test_resting_converter_is_the_steady_state():
     plant = PvPlant()
     conditions = plant.first().conditions

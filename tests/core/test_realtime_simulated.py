@@ -513,6 +513,7 @@ def test_a_plant_without_commands_says_so_again_while_it_lasts():
     assert 3 <= len(told) <= 5
 
 
+@pytest.mark.long
 def test_a_law_that_hears_nothing_of_what_is_published_says_so_while_it_lasts():
     """Where the middleware has lost a reader its node would stand without a word."""
     world = World(lambda topic, *_: 25 * SECOND if topic == "/lag/reference" else MS // 10)

@@ -94,6 +94,7 @@ def test_where_a_view_along_a_run_is_another_rig_it_is_told(name, reason):
         assert linear_along(name, PERIODS, at=0.3).variation > reason
 
 
+@pytest.mark.long
 def test_grid_currents_turn_and_belong_to_no_view_of_one_tick():
     steady = {"event_source.times": [0.0, 5.0]}
     view = linear_view("rectifier_mpc", "", at=0.1, overrides=steady)

@@ -101,6 +101,7 @@ def test_what_was_edited_is_imported_anew_and_what_runs_goes_on(package):
     assert sleeper.wait(60) == -signal.SIGKILL
 
 
+@pytest.mark.long
 def test_with_a_thread_in_the_server_nodes_are_started_one_by_one(package, tmp_path):
     package.file.write_text(TOOLS + "threading.Thread(target=time.sleep, args=(1e3,), daemon=True).start()\n")
     assert package("say") is None
@@ -113,6 +114,7 @@ def test_a_server_that_dies_takes_its_nodes_along_and_the_next_node_has_another(
     assert package("say").wait(60) == 0
 
 
+@pytest.mark.long
 def test_an_answer_that_a_signal_has_cut_off_is_not_taken_for_the_next(package, monkeypatch):
     fail, say = package("fail"), package("say")
     until(lambda: (package.folder / "say.log").read_text())

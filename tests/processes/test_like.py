@@ -50,6 +50,7 @@ assert ask(button.call_async(Trigger.Request())).success
 """
 
 
+@pytest.mark.long
 def test_a_gain_a_fault_and_a_button_in_real_time_are_there_again_in_lockstep(tmp_path, capsys):
     scenario = tmp_path / "drive.yaml"
     scenario.write_text(DRIVE)

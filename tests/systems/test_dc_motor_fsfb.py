@@ -248,6 +248,7 @@ def inner_pole(ratio):
     return brentq(lambda p: rise_of_design(p, ratio) - 0.966, 1.0, 10.0, xtol=1e-7)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("ratio", "pole"), [pytest.param(3.0, 2.649278, marks=pytest.mark.long), (3.8576, 2.51465)])
 def test_both_gain_sets_come_from_the_published_rise_time(ratio, pole):
     assert inner_pole(ratio) == pytest.approx(pole, abs=2e-5)
@@ -264,6 +265,7 @@ FIRMNESS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ratio", [pytest.param(r, marks=[pytest.mark.long] * (r != 3.8576)) for r in FIRMNESS])
 def test_how_firm_the_overshoot_without_compensation_is(ratio):
     """Small changes of cycle and speed filter move it a lot; the predictor's result does not move."""

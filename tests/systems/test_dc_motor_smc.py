@@ -114,7 +114,7 @@ def rk4(v, load_at, period, sub_steps, p):
     return np.array(found)
 
 
-@pytest.mark.parametrize("name", ["dc_motor_smc_a1", "dc_motor_smc_b1", "dc_motor_smc_b4", "dc_motor_smc_b5"])
+@pytest.mark.parametrize("name", few(["dc_motor_smc_a1", "dc_motor_smc_b1", "dc_motor_smc_b4", "dc_motor_smc_b5"], 2))
 def test_plant_agrees_with_a_second_integrator(name):
     rig, signals = run(name)
     params = rig.clock.params

@@ -83,6 +83,7 @@ def by_hand(node):
     return ByHand(block)
 
 
+@pytest.mark.long
 def test_fmpy_finds_nothing_wrong_and_simulates_the_bits_of_the_plant(exported):
     folder, _ = exported
     for node in NODES:

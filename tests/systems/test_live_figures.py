@@ -156,7 +156,7 @@ def rows(kept):
 WIDE = 100  # numbers of a message: four blocks hold what comes
 
 
-@pytest.mark.parametrize("window", [5, 700, pytest.param(5000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("window", few([5, 700, pytest.param(5000, marks=pytest.mark.long)], 1))
 def test_a_window_is_a_queue(window):
     """Over many blocks, with messages that are repeated and pauses that empty it."""
     kept, queue, forgot = Kept(), deque(), False

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import few
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.signal import lti
@@ -299,7 +300,7 @@ def test_what_is_assumed_is_consistent_with_the_rated_point():
 SERVO = {"speed": 6000.0, "current": 7.1, "pole_pairs": 4, "torque": 0.27, "R_tt": 0.79, "L_tt": 0.00038, "U_dc": 24.0}
 
 
-@pytest.mark.parametrize("given", [{**SHEET, "psi_f": 0.545, "J": 0.015}, SERVO])
+@pytest.mark.parametrize("given", few([{**SHEET, "psi_f": 0.545, "J": 0.015}, SERVO], 1))
 def test_the_rig_of_a_data_sheet_does_what_it_expects(given, tmp_path):
     text, assumed = scenario("mine", given)
     path = tmp_path / "mine.yaml"

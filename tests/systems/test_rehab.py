@@ -525,6 +525,7 @@ def test_a_search_by_hand_is_that_of_the_node():
     assert list(search(upper=1.0).upper) == [1.0]
 
 
+@pytest.mark.long
 def test_tuner_node_waits_for_its_trigger_and_repeats_itself():
     def tuned(seed, ticks=9):
         block = ByHand(Tuner(duration=0.02, n_pop=3, n_iter=2, name="tuner"))
