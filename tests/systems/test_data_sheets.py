@@ -6,6 +6,9 @@ import math
 import pytest
 from softrig_bringup.cli import main
 from softrig_core import simulate
+from softrig_drives.machines.control.foc import FocController
+from softrig_drives.machines.induction_plant import InductionPlant
+from softrig_drives.machines.plant import PmsmPlant
 from softrig_drives.machines.rated import bldc as bldc_sheet, induction as im_sheet
 from softrig_drives.machines.rated.bldc import bldc
 from softrig_drives.machines.rated.induction import induction
@@ -166,3 +169,45 @@ def test_the_verb_writes_each_kind(tmp_path, capsys):
         assert f"my_{kind}.yaml; assumed" in capsys.readouterr().out
         assert main(["list", "--signals", str(tmp_path / f"my_{kind}.yaml")]) == 0
         capsys.readouterr()
+
+
+def grid(i_d, i_q, psi_d, psi_q):
+    return {
+        "table_i_d": i_d,
+        "table_i_q": i_q,
+        "table_psi_d": [psi_d(d, q) for d in i_d for q in i_q],
+        "table_psi_q": [psi_q(d, q) for d in i_d for q in i_q],
+    }
+
+
+BOTH, HALF = (-2.0, -1.0, 0.0, 1.0, 2.0), (0.0, 1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("plant", "values", "text"),
+    [
+        (PmsmPlant, {"R_s": 3600.0}, "R_s = 3600 ohm, L = 0.036 H: the currents are as fast as"),
+        (PmsmPlant, {"L_d": 36e-6, "L_q": 51e-6}, "check their units, or take more substeps"),
+        (PmsmPlant, {"psi_f": 545.0}, "psi_f = 545 Wb"),
+        (PmsmPlant, {"w_0": 1e6}, "w_0 = 1e[+]06 rad/s"),
+        (FocController, {"psi_f": 0.0, "L_q": 0.036}, "such a machine makes no torque"),
+        (InductionPlant, {"R_R": 2100.0}, "R_R = 2100 ohm"),
+        (InductionPlant, {"L_sigma": 21e-6}, "L_sigma = 2.1e-05 H"),
+        (PmsmPlant, grid(BOTH, BOTH, lambda d, q: -0.1 * d, lambda d, q: 0.1 * q), "without a fold"),
+        (PmsmPlant, grid(BOTH, BOTH, lambda d, q: 0.1 * d + 0.2 * q, lambda d, q: 0.2 * d + 0.1 * q), "cross coupling"),
+        # the determinant is positive in all cells but one, and along each axis everywhere
+        (PmsmPlant, grid(BOTH, BOTH, lambda d, q: 0.1 * d + 0.012 * max(d, 0) ** 2 * q, lambda d, q: 0.1 * q + 0.3 * d),
+         "cross coupling"),
+        (PmsmPlant, grid(BOTH, HALF, lambda d, q: 0.1 * d, lambda d, q: 0.1 * q + 0.01), "expected 0 at i_q = 0"),
+        (PmsmPlant, grid(BOTH, (1.0, 2.0), lambda d, q: 0.1 * d, lambda d, q: 0.1 * q), "begins at 1 A"),
+    ],
+)  # fmt: skip
+def test_machines_that_cannot_be_or_that_no_step_resolves_are_refused(plant, values, text):
+    """Before: speeds of 1e18 rad/s at run time, or a division by zero."""
+    with pytest.raises(ValueError, match=text) as error:
+        plant(**values)
+    assert "\n" not in str(error.value)
+
+
+def test_tables_with_as_much_coupling_as_there_can_be_are_taken():
+    PmsmPlant(**grid(BOTH, BOTH, lambda d, q: 0.1 * d + 0.099 * q, lambda d, q: 0.099 * d + 0.1 * q), substeps=10)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
+
+from pydantic import model_validator
 
 from . import induction
 from .induction import InductionConstants
@@ -12,6 +14,15 @@ from .synchronous import Array
 
 class InductionPlantParams(InductionConstants, MachineParams):
     """Machine, inverter, mechanics."""
+
+    @model_validator(mode="after")
+    def _currents(self) -> Self:
+        R, p = self.R_s + self.R_R + self.r_on, self.pole_pairs
+        self.check_resolved(
+            (R / self.L_sigma, f"R_s = {self.R_s:g}, R_R = {self.R_R:g} ohm, L_sigma = {self.L_sigma:g} H"),
+            (p * abs(self.w_0), f"w_0 = {self.w_0:g} rad/s, pole_pairs = {p}"),
+        )
+        return self
 
 
 class State(NamedTuple):

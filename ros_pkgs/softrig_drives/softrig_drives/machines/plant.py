@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from itertools import pairwise
@@ -22,6 +23,7 @@ from .synchronous import Array, SynchronousConstants
 
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 Three = tuple[float, float, float]
+UNSTABLE = 2.7  # rate times step from which on the method of Runge and Kutta diverges
 ROUNDING = 1e-9  # of a duty ratio that a law has computed
 
 
@@ -31,6 +33,15 @@ class MachineParams(Mechanics, InverterParams):
     substeps: int = param(2, "Runge-Kutta steps in one period, at least", ge=1, le=1000)
     w_0: float = param(0.0, "speed at the begin", "rad/s", ge=-1e6, le=1e6)
     theta_0: float = param(0.0, "angle at the begin", "rad", ge=-1e6, le=1e6)
+
+    def check_resolved(self, *rates: tuple[float, str]) -> None:
+        """Ensure that the steps of the integration resolve rates, 1/s, each with the parameters that make it."""
+        (rate, of), step = max(rates), self.period / self.substeps
+        if rate * step > UNSTABLE:
+            raise ValueError(
+                f"{of}: the currents are as fast as {1.0 / rate:.2g} s, a step of the integration {step:.2g} s: check "
+                "their units, or take more substeps"
+            )
 
     @model_validator(mode="after")
     def _steps(self) -> Self:
@@ -165,6 +176,17 @@ class MachinePlant(Plant[P]):
 
 class PmsmPlantParams(SynchronousConstants, MachineParams):
     """Machine, inverter, mechanics."""
+
+    @model_validator(mode="after")
+    def _currents(self) -> Self:
+        R, L, psi, p = self.R_s + self.r_on, self.least(), abs(self.at_rest()), self.pole_pairs
+        swing = math.sqrt(1.5 / (L * self.J)) * p * psi
+        self.check_resolved(
+            (R / L, f"R_s = {self.R_s:g} ohm, L = {L:g} H"),
+            (swing, f"psi_f = {psi:g} Wb, pole_pairs = {p}, L = {L:g} H, J = {self.J:g} kg m^2"),
+            (p * abs(self.w_0), f"w_0 = {self.w_0:g} rad/s, pole_pairs = {p}"),
+        )
+        return self
 
 
 class State(NamedTuple):

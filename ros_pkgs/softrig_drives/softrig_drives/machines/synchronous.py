@@ -56,15 +56,37 @@ class SynchronousConstants(Params):
             step = (axis[-1] - axis[0]) / (len(axis) - 1)
             if step <= 0.0 or any(abs(b - a - step) > 1e-6 * step for a, b in pairwise(axis)):
                 raise ValueError(f"{name}: expected currents that increase by equal steps")
-        _, self_d, self_q = self._inverse()
-        if min(self_d, self_q) <= 0.0:
+        psi, along_d, along_q = self._slopes()
+        if min(along_d[0].min(), along_q[1].min()) <= 0.0:
             raise ValueError("flux tables: expected psi_d to increase with i_d and psi_q with i_q, without a fold")
+        # the determinant of the slopes is linear in each current within a cell: its least value is at a corner
+        for l_dd, l_qd in (along_d[:, :, :-1], along_d[:, :, 1:]):
+            for l_dq, l_qq in (along_q[:, :-1], along_q[:, 1:]):
+                if (l_dd * l_qq - l_dq * l_qd).min() <= 0.0:
+                    raise ValueError("flux tables: two pairs of currents have the same flux linkages (cross coupling)")
+        if self.table_i_q[0] > 0.0:
+            raise ValueError(f"table_i_q begins at {self.table_i_q[0]:g} A: expected 0, or currents of both signs")
+        if self.table_i_q[0] == 0.0 and np.abs(psi[1][:, 0]).max() > 1e-6 * np.abs(psi[1]).max():
+            raise ValueError(
+                "table_psi_q: expected 0 at i_q = 0, as the other half of the tables is their mirror image"
+            )
         return self
 
-    def _inverse(self) -> tuple[Array, float, float]:
-        """Return the tables as arrays [2, i_d, i_q], the least slope of psi_d over i_d and of psi_q over i_q."""
+    def _slopes(self) -> tuple[Array, Array, Array]:
+        """Return the tables as arrays [2, i_d, i_q], and their slopes over i_d and over i_q, H."""
         psi = np.array([self.table_psi_d, self.table_psi_q]).reshape(2, len(self.table_i_d), len(self.table_i_q))
-        return psi, float(np.diff(psi[0], axis=0).min()), float(np.diff(psi[1], axis=1).min())
+        return (
+            psi,
+            np.diff(psi, axis=1) / (self.table_i_d[1] - self.table_i_d[0]),
+            np.diff(psi, axis=2) / (self.table_i_q[1] - self.table_i_q[0]),
+        )
+
+    def least(self) -> float:
+        """Return the least inductance, H: of the tables, the least slope along its own axis."""
+        if not self.table_i_d:
+            return min(self.L_d, self.L_q)
+        _, along_d, along_q = self._slopes()
+        return float(min(along_d[0].min(), along_q[1].min()))
 
     def numbers(self, r_on: float) -> Array:
         """Return the constants as `linkage` and `rates` take them; the resistance includes that of the inverter."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
+from pydantic import model_validator
 from softrig_core import Block, Port, param, scalars, vector3
 
 from ..ports import CURRENTS, DC_LINK, DUTY, SHAFT_MEAS, SPEED_REF, TORQUE_REF
@@ -37,6 +38,15 @@ class FocControllerParams(SpeedControlParams, CurrentControlParams):
         0.9, "share of the voltage for which currents are chosen; the rest is for resistance and control", gt=0.0,
         le=1.0, live=True,
     )  # fmt: skip
+
+    @model_validator(mode="after")
+    def _torque(self) -> Self:
+        if self.psi_f == 0.0 and self.L_d == self.L_q and self.mode != "current":
+            raise ValueError(
+                f"psi_f = 0 and L_d = L_q = {self.L_d:g} H: such a machine makes no torque; give the flux linkage of "
+                "the magnet or two inductances, or set mode to current"
+            )
+        return self
 
 
 class State(NamedTuple):
