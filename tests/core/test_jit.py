@@ -17,7 +17,7 @@ from faultrig import Gain
 from numpy import mean as average
 from softrig_core import Block, BlockParams, jit, number
 from softrig_core.kit import jit as module
-from softrig_core.kit.jit import power
+from softrig_core.kit.jit import Jit, power
 from softrig_nodes.rehearsal import rehearse
 
 RELAY = '''
@@ -117,7 +117,7 @@ def test_without_numba_the_plain_function_runs():
         def twice(x):
             return 2.0 * x
 
-        print(twice(3.0), twice._run is twice.py_func)
+        print(twice(3.0), twice._run is twice.straight())
     """
     command = [sys.executable, "-c", textwrap.dedent(code)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
@@ -402,3 +402,25 @@ def test_a_function_that_only_reads_its_arrays_counts_no_references():
     made = module.our_numba().njit(pipeline_class=Borrowing)(borrowed.py_func)  # anew: the cache has no text
     made((line, 2.0), 1, out[0])
     assert not any("NRT_incref" in text for text in made.inspect_llvm().values())
+
+
+def _times(n):
+    @jit
+    def inner(x):
+        return n * x
+
+    @jit
+    def outer(x, again):
+        return inner(x) + (outer(x, again - 1) if again else 0.0)
+
+    return outer
+
+
+def test_without_numba_functions_call_plain_functions(monkeypatch):
+    """Functions of an enclosing function and a function itself included; the others still call the objects."""
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    calls = []
+    monkeypatch.setattr(Jit, "__call__", lambda self, *given: calls.append(self.__name__) or self._run(*given))
+    two, three = _times(2.0), _times(3.0)
+    assert (two(1.0, 2), three(1.0, 2), two(5.0, 0)) == (6.0, 9.0, 10.0)
+    assert calls == ["outer"] * 3

@@ -76,12 +76,13 @@ def power(x: float, y: float) -> float:
 class Jit:
     """A function that is native code from its first call on; made by `jit`."""
 
-    SCRATCH = frozenset({"_run", "_dispatcher"})  # made at the first call
+    SCRATCH = frozenset({"_run", "_dispatcher", "_straight"})  # made at the first call
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.py_func = function
         self._run: Callable[..., Any] = self._first
         self._dispatcher: Any = None
+        self._straight: types.FunctionType | None = None
         update_wrapper(self, function)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -95,10 +96,34 @@ class Jit:
 
     def _first(self, *arguments: Any) -> Any:
         if os.environ.get("SOFTRIG_JIT", "1") == "0" or (numba := our_numba()) is None:
-            self._run = self.py_func
+            if getattr(getattr(sys.modules.get(self.py_func.__module__), "__spec__", None), "_initializing", False):
+                return self.py_func(*arguments)  # what its module defines later is not there yet
+            self._run = self.straight()
         else:
             self._run = self._by_parts(numba, arguments) or self.dispatcher(numba)
         return self._run(*arguments)
+
+    def straight(self) -> types.FunctionType:
+        """Return the plain function with plain functions in the place of those of this kind that it calls.
+
+        A call through such an object costs as much as a line of arithmetic. As in native code, functions of the module
+        and of an enclosing function are constants.
+        """
+        if self._straight is None:
+            function = cast(types.FunctionType, self.py_func)
+            scope = dict(function.__globals__)
+            cells = [types.CellType(cell.cell_contents) for cell in function.__closure__ or ()]
+            self._straight = types.FunctionType(
+                function.__code__, scope, function.__name__, function.__defaults__, tuple(cells)
+            )
+            self._straight.__kwdefaults__ = function.__kwdefaults__
+            for name in {name for code in _codes(function.__code__) for name in code.co_names}:
+                if isinstance(scope.get(name), Jit):
+                    scope[name] = scope[name].straight()
+            for cell in cells:
+                if isinstance(cell.cell_contents, Jit):
+                    cell.cell_contents = cell.cell_contents.straight()
+        return self._straight
 
     def _by_parts(self, numba: Any, arguments: tuple[Any, ...]) -> Callable[..., Any] | None:
         """Create what hands tuples over part by part: to look at one takes numba 1 us, at a number or an array 0.05 us.
