@@ -207,15 +207,24 @@ def test_a_law_on_a_plc_over_ads_is_the_law_without_to_the_bit(exported):
         assert list(found[1][name].x) == list(plain[name].x)
 
 
+def test_an_answer_that_is_too_short_ends_a_run_in_one_line(exported):
+    pytest.importorskip("pyads", reason="needs pyads (scripts/softrig setup hardware)")
+    host = "127.0.0.73"
+    with Served(host) as served:
+        served.plc.cycle = lambda: b"short"
+        with pytest.raises(RunError, match=r"the PLC ads:127\.0\.0\.73"):
+            simulate(linked_rig(exported, f"ads:{host}.1.1/851", timeout=0.05))
+
+
 def test_a_plc_that_is_off_ends_a_run_in_one_line(exported):
     pytest.importorskip("pyads", reason="needs pyads (scripts/softrig setup hardware)")
     with pytest.raises(RunError, match="cannot be reached: Connection refused"):
         simulate(linked_rig(exported, "ads:127.0.0.72.1.1/851", timeout=0.01))
 
 
-@pytest.mark.parametrize("port", ["", "1.2.3.4/851", "1.2.3.4.1.1", "1.2.3.4.1.300/851", "1.2.3.4.1.1/x"])
+@pytest.mark.parametrize("port", ["", "\n", "1.2.3.4/851", "1.2.3.4.1.1", "1.2.3.4.1.300/851", "1.2.3.4.1.1/x"])
 def test_a_port_that_is_none_is_refused(port):
-    with pytest.raises(ValueError, match="expected ads:NETID/PORT"):
+    with pytest.raises(ValueError, match=r"expected (ads:NETID/PORT|a name without control)"):
         LinkEntry(port=f"ads:{port}", firmware="f")
 
 

@@ -262,6 +262,13 @@ def test_a_damaged_file_is_read_or_refused_in_a_line(own, seed):
         assert "\n" not in text
 
 
+def test_long_names_and_letters_that_a_dbc_has_not_come_back(tmp_path):
+    labels = {"x" * 40: "V", "x" * 40 + "y": "V", "größe": "A", 'a" SG_ b': "A"}
+    ports = (scalars("u", "u", labels),), (scalars("y", "y", {"w": "rad/s"}),)
+    found = messages_of(file_of(tmp_path, ports), "n", *ports, BUILD)
+    assert sorted(place for frame in found.to for place, _ in frame.signals) == [0, 1, 2, 3]
+
+
 def test_two_nodes_may_share_a_bus_but_no_identifier(tmp_path):
     (tmp_path / "a.dbc").write_text("BO_ 256 a_to_1: 8 softrig\n")
     (tmp_path / "b.dbc").write_text("BO_ 257 b_to_1: 8 softrig\n")

@@ -8,8 +8,8 @@ import re
 import socket
 import struct
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -253,6 +253,7 @@ def ads_line(entry: LinkEntry, node: str, build: Build) -> Callable[[AdsLine | N
     ScenarioError
         The file cannot be read, is no program, or is of another build.
     """
+    need("pyads", WHAT)
     program, digest = program_of(Path(entry.firmware))
     if digest != build.digest:
         raise ScenarioError(
@@ -298,7 +299,6 @@ def _connected(port: str, program: str, wait: float) -> Plc:
     OSError
         It is not there.
     """
-    need("pyads", WHAT)
     found = re.fullmatch(r"([\d.]+)(?:@([^/]+))?/(\d+)", port.removeprefix(ADS))
     assert found is not None  # `LinkEntry` has seen to that
     net, number = found[1], int(found[3])
@@ -317,12 +317,12 @@ class Connected:
         self._pyads, self._key, self._program = pyads, (os.getpid(), host), program
         self._connection = pyads.Connection(net, number, host)
         self._timeout = 0
-        with _as_os_error(pyads.ADSError):
+        with _unreachable(pyads.ADSError):
             self._connection.open()
         _hosts[self._key] = _hosts.get(self._key, 0) + 1
         try:
             self.wait(wait)
-            with _as_os_error(pyads.ADSError):
+            with _unreachable(pyads.ADSError):
                 self._request, self._reply, self._said = (
                     self._connection.get_handle(f"{program}.{name}") for name in ("request", "answer", "build")
                 )
@@ -336,7 +336,7 @@ class Connected:
 
     def write(self, data: bytes) -> None:
         """See `Plc.write`."""
-        with _as_os_error(self._pyads.ADSError):
+        with _unreachable(self._pyads.ADSError):
             self._connection.write_by_name("", tuple(data), self._pyads.PLCTYPE_BYTE * len(data), handle=self._request)
 
     def read(self, size: int) -> bytes:
@@ -356,7 +356,7 @@ class Connected:
         self._connection.close()
 
     def _bytes(self, handle: Any, size: int) -> bytes:
-        with _as_os_error(self._pyads.ADSError):
+        with _unreachable(self._pyads.ADSError):
             kind = self._pyads.PLCTYPE_BYTE * size
             found = bytes(self._connection.read_by_name("", kind, handle=handle, check_length=True))
         if len(found) != size:
@@ -364,13 +364,10 @@ class Connected:
         return found
 
 
-class _as_os_error:  # noqa: N801 - a context
-    def __init__(self, kind: type[Exception]) -> None:
-        self._kind = kind
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: Any, error: Any, _: Any) -> None:
-        if isinstance(error, self._kind):
-            raise OSError(str(error).strip()) from None
+@contextmanager
+def _unreachable(kind: type[Exception]) -> Iterator[None]:
+    """Turn an error of pyads into an OSError; one of an answer that is too short is a RuntimeError."""
+    try:
+        yield
+    except (kind, RuntimeError) as error:
+        raise OSError(str(error).strip()) from None

@@ -18,6 +18,7 @@ from .frames import Kind
 from .line import PATIENCE, REMEMBERED, REOPEN, Build, Counts
 
 RUNS = 1 << 8
+MOST = 500  # frames between two ticks: some 10 ms of work
 Key = tuple[int, bool]
 Parts = dict[Key, dict[int, float]]
 

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -91,7 +92,7 @@ def values_of(ports: Sequence[Port], flag: str) -> list[Value]:
         for label, unit, limit in zip(port.labels, port.units, port.limits, strict=True):
             own = None if limit == PLAUSIBLE.get(unit, PLAUSIBLE_OTHER) else limit
             bits = 1 if port.msgtype == BUTTON.name else WORD
-            made.append(Value(re.sub(r"\W", "_", f"{port.name}_{label}"), bits, unit, own))
+            made.append(Value(re.sub(r"\W", "_", f"{port.name}_{label}", flags=re.ASCII), bits, unit, own))
         for value in made:
             if value.name in found:
                 raise ScenarioError(f"two values would be the CAN signal {value.name}; rename a port or a channel")
@@ -211,8 +212,6 @@ def messages_of(file: Path, node: str, inputs: Sequence[Port], outputs: Sequence
 
 def _loaded(file: Path, where: str) -> Any:
     need("cantools", WHAT)
-    import cantools
-
     try:
         text = contents_of(file).decode("cp1252", "replace")
     except OSError as error:
@@ -220,10 +219,17 @@ def _loaded(file: Path, where: str) -> Any:
     except ValueError as error:
         raise ScenarioError(f"{where} has {error}; `softrig export dbc` writes the node's alone") from None
     try:
-        return cantools.database.load_string(text, database_format="dbc")
+        return _parsed(text)
     except Exception as error:  # of a damaged file the parser lets many kinds escape
         first = str(error).strip().partition("\n")[0] or type(error).__name__
         raise ScenarioError(f"{where} is no DBC ({first[:200]})") from None
+
+
+@lru_cache(maxsize=4)  # a file of the longest size takes seconds, and each block of a node reads it
+def _parsed(text: str) -> Any:
+    import cantools
+
+    return cantools.database.load_string(text, database_format="dbc")
 
 
 def _found(database: Any, prefix: str, values: Sequence[Value], where: str) -> tuple[Frame | None, list[Frame]]:

@@ -15,7 +15,7 @@ from ..errors import ScenarioError
 
 SIMULATORS = ("simavr", "qemu", "program")
 CAN, ADS = "can:", "ads:"
-LONGEST = 1 << 18  # bytes of a file that describes a node
+LONGEST = 1 << 20  # bytes of a file that describes a node
 
 
 class LinkEntry(Entry):
@@ -36,9 +36,9 @@ class LinkEntry(Entry):
         s until a frame is sent again; a board that is silent for 16 times as long ends a lockstep run.
     """
 
-    port: str = Field(min_length=1)
+    port: str = Field(min_length=1, max_length=1024)
     baud: int | None = Field(None, ge=300, le=4_000_000)
-    firmware: str = Field(min_length=1)
+    firmware: str = Field(min_length=1, max_length=1024)
     timeout: float = Field(0.5, gt=0.0, le=60.0, allow_inf_nan=False)
 
     @property
@@ -49,6 +49,8 @@ class LinkEntry(Entry):
     @field_validator("port")
     @classmethod
     def _whole(cls, port: str) -> str:
+        if not port.isprintable():
+            raise ValueError("expected a name without control characters")
         if port.startswith(CAN) and not re.fullmatch(r"can:\w+/.+", port):
             raise ValueError("expected can:INTERFACE/CHANNEL, as in can:socketcan/can0")
         if port.startswith(ADS):

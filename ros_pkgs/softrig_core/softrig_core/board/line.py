@@ -333,7 +333,7 @@ class Line:
         try:
             self.wire = self._opened()
         except OSError as error:
-            self._why = error.strerror or str(error)
+            self._why = error.strerror or str(error) or "the program has ended"
             return False
         except ScenarioError as error:  # waiting does not help
             raise RunError(str(error)) from None
