@@ -444,7 +444,7 @@ def test_a_figure_is_written_or_why_it_is_none():
     assert page._figures_of([*rows, row(figures={"f": 3.0})], "f") == "mean 2.11728, 1 of 5 never, 2 of 5 not measured"
     assert page._figures_of(rows[1:3], "f") == "1 of 2 never, 1 of 2 not measured"
     assert [page._cell(v) for v in (1.0, 0.123456789, True, "x", [1, 2], None)] == [
-        "1", "0.123457", "True", "x", "[1, 2]", "None",
+        "1", "0.123457", "True", "x", "[1, 2]", "–",
     ]  # fmt: skip
     assert (page._heading("rise_time", "s"), page._heading("share", "")) == ("rise time (s)", "share")
 

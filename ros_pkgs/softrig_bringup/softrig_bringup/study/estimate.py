@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+FEW = 10  # pairs below which a bootstrap covers less than it says: 0.75 of three normal ones, 0.92 of five
 LEVEL = 0.95  # confidence of every interval
 RESAMPLES = 4999  # of a bootstrap; the 2.5 % quantile of them is the 125th
 ROOM = 200_000  # numbers of resamples at a time, which fit a processor's cache
@@ -104,7 +105,7 @@ def share(portion: float, n: int) -> Estimate:
 
 
 def difference(pairs: Array) -> Estimate:
-    """Estimate the mean of paired differences, with an expanded percentile bootstrap.
+    """Estimate the mean of paired differences, with an expanded percentile bootstrap; of few pairs by Student's t.
 
     The quantiles are taken a little farther out than 2.5 %, by as much as Student's t of n - 1 is wider than the normal
     distribution: the plain percentile interval is too narrow for few pairs.
@@ -117,7 +118,7 @@ def difference(pairs: Array) -> Estimate:
     ----------
     T. C. Hesterberg, "What teachers should know about the bootstrap", The American Statistician 69(4), 2015, sec. 4.2.
     """
-    return _resampled(pairs, np.mean)
+    return mean(pairs) if pairs.size < FEW else _resampled(pairs, np.mean)
 
 
 def clustered(values: Array, statistic: Statistic) -> Estimate:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from argparse import Namespace
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from os.path import isfile
 from pathlib import Path
 from typing import Any
@@ -131,10 +131,17 @@ def _cases(options: Namespace) -> dict[str, dict[str, Any]]:
     for text in options.against:
         change = settings([text]) if "=" in text else {"scenario": text}
         name = text if "=" in text else _slug(text)
+        if name in found and "=" not in text and not _is_same(text, (options.study, *options.against)):
+            name = text  # another file of that name
         if name in found:
             raise ScenarioError(f"--against {text}: it is that scenario itself, or there twice")
         found[name] = change
     return found
+
+
+def _is_same(text: str, others: Sequence[str]) -> bool:
+    """Return whether a scenario stands twice among some, by whatever path."""
+    return sum(locate(other)[1].samefile(locate(text)[1]) for other in others if "=" not in other) > 1
 
 
 def _slug(name: str) -> str:

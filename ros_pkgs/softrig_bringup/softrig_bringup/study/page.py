@@ -171,9 +171,11 @@ def _print(
         print_judged(console, ("summary", "value", "expected", "published", "unit", ""), cells)
     elif len(rows) <= FEW:
         varied, figures = (list(dict.fromkeys(n for row in rows for n in row[k])) for k in ("overrides", "figures"))
+        case = ["case"] if any(row["case"] for row in rows) else []
         for row in rows:
-            cells.append([*(_cell(row["overrides"].get(n)) for n in varied), *(_figure(row, n) for n in figures)])
-        print_columns(console, [*varied, *figures], cells, len(varied))
+            changed = [*(row[name] for name in case), *(_cell(row["overrides"].get(n)) for n in varied)]
+            cells.append([*changed, *(_figure(row, n) for n in figures)])
+        print_columns(console, [*case, *varied, *figures], cells, len(case) + len(varied))
     for written in tables(over):
         console.print(styled((written.title, "bold")))
         print_columns(console, written.heads, written.rows[:MOST], written.keys)
@@ -207,6 +209,8 @@ def _notes(study: Study, rows: Sequence[Row], found: Sequence[Result], over: Sta
 
 
 def _cell(value: Any) -> str:
+    if value is None:  # of a case that leaves it as the scenario has it
+        return NONE
     return short(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 
@@ -303,9 +307,11 @@ def _page(
         for row in rows[:LONGEST]
     ]
     listed = table(heads, lines, "  n" + "n" * len(names))
-    folded = e("details", e("summary", f"{len(lines)} of {len(rows)} runs"), listed)  # what they say stands above
+    folded = e("details", e("summary", f"{len(lines)} runs"), listed)  # what they say stands above
     body += [e("h2", "Runs"), listed if len(rows) <= FEW else folded]
     note = "table.parquet and table.csv have every run with the command that repeats it."
+    if len(rows) > LONGEST:
+        note = f"The first {LONGEST} of {len(rows)} runs. {note}"
     body.append(e("p", note, class_="note"))
     return [*body, *([e("h2", "Sources")] if papers else []), *sources(papers)]
 

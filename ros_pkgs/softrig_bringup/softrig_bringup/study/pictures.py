@@ -86,13 +86,15 @@ def chosen(study: Study, rows: Sequence[Row]) -> list[str]:
 
 
 def numeric(rows: Sequence[Row]) -> list[str]:
-    """Parameters that have more than one value, all of them numbers."""
-    seen: dict[str, set[Any]] = {}
+    """Return the parameters that every run has, with more than one value, all of them numbers."""
+    seen: dict[str, list[Any]] = {}
     for row in rows:
         for name, value in row["overrides"].items():
             number = isinstance(value, int | float) and not isinstance(value, bool)
-            seen.setdefault(name, set()).add(value if number else None)
-    return [name for name, values in seen.items() if None not in values and len(values) > 1]
+            seen.setdefault(name, []).append(value if number else None)
+    # what one case alone sets has no place on an axis for the others
+    every = {name: {*values} for name, values in seen.items() if len(values) == len(rows)}
+    return [name for name, values in every.items() if None not in values and len(values) > 1]
 
 
 def _axes(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:

@@ -230,6 +230,8 @@ def _shares(study: Study, group: str, sample: Sample) -> Iterator[Share]:
     for name, holds in asked.items():
         table = sample.table(holds)
         held = table[~np.isnan(table).any(axis=1)]
+        if not held.size:  # judged at no draw by all of its seeds
+            continue
         yield Share(group, name, round(held.sum()), held.size, estimate.share(float(held.mean()), len(held)))
 
 
@@ -335,6 +337,9 @@ def _needed(found: Statistics, widths: Mapping[str, float]) -> Iterator[str]:
         if name not in known:
             raise ScenarioError(f"--width {name}: nothing of that name is estimated{closest(name, known)}")
         for line in (line for line in found.lines if line.figure == name):
+            if math.isnan(line.deviation.value):
+                yield f"mean {name} of {line.group}: {line.n} runs give no spread, so nothing follows for a width"
+                continue
             n = estimate.runs_for_mean(line.deviation.value, width)
             yield _more(f"mean {name} of {line.group}", line.mean, line.n, n, width)
         for share in (share for share in found.shares if share.requirement == name):

@@ -49,6 +49,7 @@ def main(options: argparse.Namespace) -> int:
     for suite, outcome in zip(suites, outcomes, strict=True):
         bad = len(suite.failures)
         verdict = f"{outcome['kind']}: {suite.error}" if suite.error else f"{len(suite.cases) - bad} hold, {bad} do not"
+        verdict = verdict if suite.cases or suite.error else "nothing is judged: it has no expectations"
         print(f"{suite.name}: {verdict}")
         for case in suite.failures:
             print(f"  {case.name}: {case.failure}")
