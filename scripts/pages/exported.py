@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 from pathlib import Path
+from typing import Literal
 
 from softrig_core import Rig, ScenarioError, list_scenarios, rig_of
 from softrig_core.export.c_files import Exported
@@ -13,6 +14,8 @@ from softrig_core.export.command import export_c, export_rig
 from softrig_core.export.golden import member_of
 from softrig_core.export.st import ordered, structured_text
 from softrig_core.export.st_files import executed
+from softrig_core.firmware.check import checked
+from softrig_core.firmware.files import export_firmware
 from softrig_core.native.value import NotNative
 
 SAME = "same bits"
@@ -20,6 +23,11 @@ ROWS = 500  # calls of the run, and as many with drawn inputs
 FOLDED = "<details>\n<summary>{count} classes, {c} as C, {st} as structured text</summary>\n\n{table}\n</details>\n"
 TICKS = 300  # of a whole rig
 GROUPED = "<details>\n<summary>{same} of {count} scenarios have the same bits</summary>\n\n{table}\n</details>\n"
+
+BOARD_ROWS = 200  # as above, on a board
+BOARDS: tuple[Literal["arduino"], Literal["cortex-m4"]] = ("arduino", "cortex-m4")
+MOST = 90  # letters of a reason
+ON_BOARDS = "<details>\n<summary>All {count} classes</summary>\n\n{table}\n</details>\n"
 
 
 def rigs(names: list[str]) -> str:
@@ -47,14 +55,47 @@ def whole(name: str) -> str:
     return f"{found.differing} numbers differ, {found.gave_up} ticks were not answered"
 
 
-def classes(names: list[str]) -> str:
-    """Return the table: of each class the first scenario that has it."""
+def boards(names: list[str]) -> str:
+    """Return the table of what runs on boards: longest step and sizes under simulators, by class."""
+    lines = ["| class | node, scenario | Uno: cycles | flash | RAM | stack | M4: instructions | flash | RAM | stack |"]
+    lines.append("|---" * 10 + "|")
+    for kind, (node, rig) in sorted(_first(names).items()):
+        cells = [_on_board(node, rig, board) for board in BOARDS]
+        if all(cells):
+            lines.append(f"| `{kind}` | `{node}`, `{rig.scenario.name}` | {' | '.join(cells)} |")
+    return ON_BOARDS.format(count=len(lines) - 2, table="\n".join(lines))
+
+
+def _on_board(node: str, rig: Rig, board: Literal["arduino", "cortex-m4"]) -> str:
+    """Return four cells: longest step, flash, RAM, stack; nothing where the class has no C."""
+    with tempfile.TemporaryDirectory() as place:
+        try:
+            name, layout = export_firmware(rig, node, Path(place), board, rows=BOARD_ROWS, drawn=BOARD_ROWS)
+        except ScenarioError:
+            return ""
+        try:
+            found = checked(Path(place), name, layout, board)
+        except ScenarioError as reason:
+            missing = re.search(r"undefined reference to `(\w+)'", str(reason))
+            text = f"its C library lacks `{missing[1]}`" if missing else str(reason).partition(f"{name} ")[2]
+            return f"{text[:MOST].rstrip()} |  |  | "
+    differ = f" ({found.differing} of {found.rows} differ)" if found.differing else ""
+    return f"{found.longest}{differ} | {found.flash} | {found.ram} | {found.stack}"
+
+
+def _first(names: list[str]) -> dict[str, tuple[str, Rig]]:
+    """Return each class with the first node that has it, and its rig."""
     seen: dict[str, tuple[str, Rig]] = {}
     for name in names or list_scenarios():
         rig = rig_of(name)
         for member in rig.members:
             seen.setdefault(member.block_class.__name__, (member.name, rig))
-    rows = [_row(kind, node, rig) for kind, (node, rig) in seen.items()]
+    return seen
+
+
+def classes(names: list[str]) -> str:
+    """Return the table: of each class the first scenario that has it."""
+    rows = [_row(kind, node, rig) for kind, (node, rig) in _first(names).items()]
     rows.sort(key=lambda row: (row[2] != "same bits", row[0]))
     head = "| class | node, scenario | C | bits depend on the C library's | may be set | structured text |"
     lines = [head, "|---|---|---|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
@@ -92,4 +133,4 @@ def _short(reason: str) -> str:
     return (f"{found[1]}: {found[2]}" if found else reason).replace("|", "/")
 
 
-EXPORTED = {"classes": classes, "rigs": rigs}
+EXPORTED = {"classes": classes, "rigs": rigs, "boards": boards}

@@ -15,6 +15,7 @@ A page holds pairs of markers; what stands between them is made from the code an
                                                                     anew only with --runs
     <!-- format: softrig_robots.urdf_file URDF -->                 a table of what is used, ignored, refused of a file
     <!-- exported: classes -->                                      classes that have C; anew only with --runs
+    <!-- exported: boards -->                                       what runs on simulated boards; anew only with --runs
     <!-- exported: rigs -->                                         whole scenarios that have C; anew only with --runs
     <!-- names: nodes -->                                      nodes, topics, parameters or verbs with the field's names
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs

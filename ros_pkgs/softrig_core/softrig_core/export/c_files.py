@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -341,15 +342,16 @@ class _Files:
 
     def _params(self) -> list[str]:
         n = self.name
-        info = type(self.block.p).model_fields
+        known = {d.name: d for d in declarations(type(self.block.p))}
         lines = [
             "/** Parameters that may be set; the others are compiled in, since constants follow from them. */",
             f"typedef struct {n}_params {{",
         ]
         defaults = []
         for name, (k, *_) in self.settable.items():
-            kind = kind_of(self.values[k])
-            text = info[name.split(".")[0]].description or "" if name.split(".")[0] in info else ""
+            kind, told = kind_of(self.values[k]), known[name]
+            unit = f" {told.unit}" if told.unit else ""
+            text = f"{told.doc}: {told.lower:g} to {told.upper:g}{unit}; not checked"
             lines.append(f"    {self.unit.c(kind)} {identifier(name)}; /**< {remark(text)} */")
             defaults.append(_initial(self.values[k]))
         if not self.settable:
@@ -368,7 +370,10 @@ class _Files:
         for port in ports:
             if port.held if kind == "in" else port.sporadic:
                 lines.append(f"    bool has_{identifier(port.name)}; /**< false: {remark(port.topic)} has no value */")
-            each = ", ".join(f"{label} {unit}" for label, unit in zip(port.labels, port.units, strict=True))
+            each = ", ".join(
+                f"{label} {unit}{f' up to +-{limit:g}' if math.isfinite(limit) else ''}"
+                for label, unit, limit in zip(port.labels, port.units, port.limits, strict=True)
+            )
             if port.delayed:
                 lines.append(f"    int64_t {identifier(port.name)}_stamp_ns; /**< when it was acquired */")
             told = f"{remark(port.topic)}: {remark(each)}"

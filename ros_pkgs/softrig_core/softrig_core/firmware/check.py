@@ -193,13 +193,19 @@ def _run(command: Sequence[str], what: str, folder: Path) -> str:
     return done.stdout
 
 
+def _own(folder: Path, name: str) -> list[str]:
+    """Return the C files of a node, its link and what CasADi has written for it."""
+    others = json.loads((folder / f"{name}.json").read_text())["sources"]
+    return [str((folder / f).resolve()) for f in (f"{name}.c", f"{name}_link.c", *others)]
+
+
 def _host(folder: Path, name: str, scratch: Path, layout: Layout) -> Path:
     """Return the node as a program of this machine, in the same number type."""
     from .files import filled
 
     compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None) or _tool("cc", "apt-get install gcc")
     (scratch / "host.c").write_text(filled("board_host.c", name, 0))
-    sources = [str(scratch / "host.c"), *(str((folder / f).resolve()) for f in (f"{name}.c", f"{name}_link.c"))]
+    sources = [str(scratch / "host.c"), *_own(folder, name)]
     single = ["-DSR_FLOAT"] if layout.single else []
     command = [compiler, *FLAGS, "-D_POSIX_C_SOURCE=200809L", *single, f"-I{folder.resolve()}", "-o", "host", *sources]
     _run([*command, "-lm"], f"{name}.c", scratch)
@@ -214,8 +220,7 @@ def _arduino(folder: Path, name: str, scratch: Path, board: str) -> tuple[int, i
         raise ScenarioError(f"the Arduino core is not installed in {CORE} (Debian: {DEBIAN})")
     sketch = next(folder.glob("*.ino"))
     (scratch / "sketch.cpp").write_text(f'#include <Arduino.h>\n#line 1 "{sketch.name}"\n{sketch.read_text()}')
-    own = [str((folder / f).resolve()) for f in (f"{name}.c", f"{name}_link.c")]
-    files = [*(str(core / f) for f in CORE_FILES), str(scratch / "sketch.cpp"), *own]
+    files = [*(str(core / f) for f in CORE_FILES), str(scratch / "sketch.cpp"), *_own(folder, name)]
     paths = [f"-I{core}", f"-I{CORE / 'variants' / 'standard'}", f"-I{folder.resolve()}"]
     objects = []
     for file in files:
@@ -229,9 +234,11 @@ def _arduino(folder: Path, name: str, scratch: Path, board: str) -> tuple[int, i
     try:
         _run([c, *AVR, "-Wl,--gc-sections", "-o", elf, *objects, "-lm"], sketch.name, scratch)
     except ScenarioError as error:
-        if "region" not in str(error):
+        region = re.search(r"region `(\w+)'", str(error))
+        if region is None:
             raise
-        raise ScenarioError(f"{name} does not fit an Uno: {str(error).splitlines()[0].rpartition(': ')[2]}") from None
+        room = f"{FLASH} bytes of flash" if region[1] == "text" else f"{RAM} bytes of RAM"
+        raise ScenarioError(f"{name} does not fit an Uno: it takes more than {room}") from None
     return *_sizes("avr-size", elf), _stack("avr-objdump", elf, scratch, 2)
 
 
@@ -239,7 +246,7 @@ def _cortex_m(folder: Path, name: str, scratch: Path, board: str) -> tuple[int, 
     compiler = _tool("arm-none-eabi-gcc", TOOLS)
     _tool("qemu-system-arm", TOOLS)
     elf = str((folder / f"{name}.elf").resolve())
-    sources = [str((folder / f).resolve()) for f in ("main.c", f"{name}.c", f"{name}_link.c")]
+    sources = [str((folder / "main.c").resolve()), *_own(folder, name)]
     flags = [*FLAGS, "-mthumb", *BOARDS[board][1], "-ffunction-sections", "-fdata-sections", "-fstack-usage"]
     linked = ["-nostartfiles", "--specs=nosys.specs", "-T", str((folder / "board.ld").resolve()), "-Wl,--gc-sections"]
     objects = [f"{Path(source).stem}.o" for source in sources]
