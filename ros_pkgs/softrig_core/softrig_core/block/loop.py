@@ -96,6 +96,8 @@ class Loop:
             plants, others = self._known.get(k % self._again) or self._due(k)
             for plant in plants:
                 plant.say(t)
+            # At the end only plants, observers and blocks with a last word answer (`Schedule.at_end`). Before it that
+            # is not asked: a question for each member and tick costs as much as a quick law.
             lacking = _answer(others if k < ends else [s for s in others if plan.answers(s.schedule, k)], t)
             while lacking:  # what it waits for may need what another one here has to say
                 yield None

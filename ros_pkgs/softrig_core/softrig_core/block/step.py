@@ -121,6 +121,8 @@ class Step(Held):
         self._link = link
         self._asking = None if link is None else link.overriding("respond")
         self.waits = link is not None and link.overriding("lacks") is not None
+        # The text of a turn names what is wired, and more may be wired up to the first tick; that tick goes through the
+        # loop's own functions (`loop.say`), so that each run holds both forms against each other once.
         self.say, self.advance = self._first_say, self._first_advance
 
     @property
@@ -179,6 +181,7 @@ class Step(Held):
 
     def hand_on(self, t: int, rows: Rows) -> None:
         """Forward what is not an answer of the block to subscribers in this and other processes."""
+        # before any reader is filled: the age of what it gets is asked for here (`Fill.told`)
         if not self.plain:
             self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
         for fill in (*self.readers, *self.doubters):

@@ -138,6 +138,8 @@ class Engine:
         # from here on a plant that is due would be moved beyond the end, which Python does not do
         end = min((self._plan.newest(s.schedule, last) for s in self.steps if s.plant), default=last)
         failures = 0
+        # The first tick is always Python's: it gives what blocks remember the types that they keep. `fresh` says that
+        # these types may have changed since the text was looked for.
         fits, fresh = False, True  # whether there is a text, and it is to be looked at again
         while k <= last:
             if k and not self._free():
@@ -296,6 +298,8 @@ class Engine:
             return first
         if self._smooth and self._decided(reached):
             return self._on(first, reached, last, after, rows)
+        # An observer may fail at a tick at which the members have long been further. Nothing of the members is put into
+        # their steps before all observers have seen it, so it is enough to take the observers back.
         said = fit.said_by(rows, first, reached)
         begun = self._watching.keep()
         spoken = [s.spoken for s in self._core.steps]
@@ -329,6 +333,8 @@ class Engine:
             finally:
                 self._audience.hand_out(core.steps, first, reached, whole)
 
+        # A search is told something every few ticks. To record and to watch after each of these stretches took half of
+        # the run; the answers of the ticks in Python go into the same tables, and all is handed out once.
         while True:
             self._take(fit, at, reached, after)
             if reached == last or not self._decided(reached):

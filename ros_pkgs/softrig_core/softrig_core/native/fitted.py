@@ -275,10 +275,12 @@ class Fitted:
                 after = kept.function(first, last, *handed)
             except NATIVE as error:
                 self.odd = _told(error) if isinstance(error, TypeError) else ""
-                if not self._typed:  # lists have grown
+                # The text stops at its tick: tables of numpy have no row of it, lists have grown by those of the ticks
+                # before. All is computed again up to that tick, as states are handed back at the end only.
+                if not self._typed:
                     rows |= self.said_by(rows, begin, first)
                     self._name(rows)
-                if n[1]:
+                if n[1]:  # random numbers have run out
                     for name, draws in self._sources.items():
                         self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
                     self._name(rows)
