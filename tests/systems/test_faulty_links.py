@@ -71,7 +71,8 @@ def tapped(name, duration, kinds=KINDS):
         for k, (period, p) in enumerate(some):
             numbers = {"delay": 2.0 * period} if kind == "delay" else NUMBERS.get(kind, {})
             faults[f"{kind}_{k}"] = {"link": f"{p.topic} -> tap_{kind}", "kind": kind, **numbers}
-    scenario = rig.scenario.having(nodes=nodes, faults=faults, figures={}, expect={}, claims={}, plots=())
+    unasked = {"figures": {}, "expect": {}, "claims": {}, "requirements": {}, "plots": ()}
+    scenario = rig.scenario.having(nodes=nodes, faults=faults, **unasked)
     return rig_of(scenario, classes={f"tap_{kind}": Tap for kind in kinds}), scenario.faults
 
 
@@ -104,12 +105,12 @@ def expected(kind, sent):
     raise AssertionError(kind)
 
 
-HEAVY = ("optimal_control_mvim", "pwa_delay")  # whose solvers alone take seconds
+HEAVY = ("economic_dispatch", "optimal_control_mvim", "pwa_delay")  # solvers that take seconds
 
 
 @pytest.mark.parametrize(
     "name",
-    few([pytest.param(n, marks=pytest.mark.long) if n in HEAVY else n for n in SYSTEMS], 5),
+    few([pytest.param(n, marks=pytest.mark.long) if n in HEAVY else n for n in SYSTEMS], 3),
 )
 def test_each_kind_of_fault_does_on_each_topic_what_it_says(name):
     rig, faults = tapped(name, SYSTEMS[name])
