@@ -111,7 +111,10 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("node", "executable"), [("dc_motor_pid", "c_controller"), ("dc_motor_plant", "c_plant")])
+@pytest.mark.parametrize(
+    ("node", "executable"),
+    [("dc_motor_pid", "c_controller"), pytest.param("dc_motor_plant", "c_plant", marks=pytest.mark.long)],
+)
 def test_what_export_writes_comes_back_with_the_same_bits(exported: Path, node: str, executable: str) -> None:
     scenario, duration = EXPORTED[node]
     parameters = {
@@ -248,7 +251,8 @@ def test_one_that_calls_what_acts_on_the_whole_process_says_why_it_runs_apart() 
     assert run.recording.topics == simulate(rig_with(PI, duration=0.1)).recording.topics
 
 
-@pytest.mark.parametrize("isolated", [pytest.param(False, marks=pytest.mark.long), True])
+@pytest.mark.long
+@pytest.mark.parametrize("isolated", [False, True])
 def test_how_the_processor_computes_is_what_it_was(isolated: bool) -> None:
     """Rounding upward, one and the half of its last bit is more than one; flushed, a subnormal number is 0."""
     least, bit = struct.unpack("2d", struct.pack("2d", 5e-324, 2.0**-53))  # nothing for the compiler to fold
@@ -328,7 +332,10 @@ def test_a_library_that_is_built_again_waits_for_the_next_run(tmp_path: Path) ->
     assert simulate(rig_with(parameters)).recording.topics != plain.recording.topics
 
 
-@pytest.mark.parametrize(("language", "tool"), [("c", "cc"), ("c++", "g++"), ("rust", "cargo")])
+@pytest.mark.parametrize(
+    ("language", "tool"),
+    [("c", "cc"), *(pytest.param(*pair, marks=pytest.mark.long) for pair in (("c++", "g++"), ("rust", "cargo")))],
+)
 def test_what_new_writes_runs_as_its_scenario_expects(language: str, tool: str, tmp_path: Path) -> None:
     if shutil.which(tool) is None:
         pytest.skip(f"needs {tool}: apt-get install {'g++' if tool == 'g++' else tool}")

@@ -5,12 +5,15 @@ from __future__ import annotations
 import random
 import re
 import shutil
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
 from softrig_bringup.falsify.definition import Falsification
 from softrig_bringup.falsify.engine import prepare
+from softrig_bringup.study import engine
 from softrig_bringup.study.definition import Study
 from softrig_bringup.study.engine import run_study
 from softrig_bringup.verbs.check import Judged, judge
@@ -122,6 +125,33 @@ def test_what_begins_late_in_a_variable_of_a_module_is_seen_after_the_run() -> N
 
     with pytest.raises(RunError, match=r"law: its ticks change total in place"):
         simulate(Rig.from_blocks({"law": Late()}, 5.0), thorough=True)
+
+
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_a_study_finds_what_matters_only_after_the_first_ticks(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, workers: int
+) -> None:
+    """A counter of calls in another module, which nothing that is looked at reaches: rows depend on their order."""
+    from softrig_drives.dc_motor.pid import DcMotorPid
+
+    once = DcMotorPid.update
+    monkeypatch.setitem(sys.modules, "counter", SimpleNamespace(calls=0))
+
+    def update(self: Any, x: Any, t: int, **inputs: Any) -> Any:
+        x, found = once(self, x, t, **inputs)
+        import counter  # type: ignore[import-not-found]
+
+        counter.calls += 1
+        late = counter.calls if counter.calls > 60 else 0
+        return x, {"command": (found["command"][0] * (1.0 - 1e-3 * late),)}
+
+    monkeypatch.setattr(engine, "OURS", "nobody's")
+    study = Study(name="s", title="", scenario="dc_motor_smc_b4", duration=0.5,
+                  grid={"dc_motor_plant.R": [0.3 + 0.02 * k for k in range(8)]})  # fmt: skip
+    assert len(list(run_study(study, tmp_path / "pure", workers=workers).rows())) == 8
+    monkeypatch.setattr(DcMotorPid, "update", update)
+    with pytest.raises(RunError, match=r"the last row .* has [a-z_]+ = .*, so rows depend on those before them"):
+        run_study(study, tmp_path / "impure", workers=workers)
 
 
 SCENARIO = """
