@@ -77,7 +77,7 @@ def rig_files(rig: Rig, most: int, *, single: bool = False) -> tuple[Exported, d
 
 @contextmanager
 def _left_out(left: dict[str, str], member: Member) -> Iterator[None]:
-    """Take note of why a member has no C."""
+    """Record why a member has no C."""
     try:
         yield
     except NotNative as reason:
