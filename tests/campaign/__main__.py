@@ -14,6 +14,7 @@ from pathlib import Path
 from driver import campaign
 
 AREAS = ("bags", "packs", "messages", "parameters", "scenarios", "environments", "kills", "nodes", "starts", "clocks")
+AREAS += ("doors",)
 
 
 def main() -> int:

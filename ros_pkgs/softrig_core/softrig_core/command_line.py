@@ -37,8 +37,8 @@ class Number:
         argparse.ArgumentTypeError
             Not a number, or beyond the bounds.
         """
-        try:
-            value = self.kind(text)
+        try:  # Python alone takes 1_000 and the digits of other scripts
+            value = self.kind(text) if text.isascii() and "_" not in text else math.nan
         except ValueError:
             value = math.nan
         if self.low <= value <= self.high and math.isfinite(value):
