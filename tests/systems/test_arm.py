@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from softrig_core import ByHand, simulate
+from softrig_core import ByHand, ScenarioError, rig_of, simulate
+from softrig_core.rig.members import signal_units
 from softrig_robots.arm.controller import ArmController, ArmControllerParams
 from softrig_robots.arm.model import compile_arm
 from softrig_robots.arm.plant import ArmPlant, ArmPlantParams
@@ -101,3 +102,20 @@ def test_the_scenario_settles_as_the_closed_form_says():
     x = 3.8897201698674  # (1 + x) exp(-x) = 0.1
     assert (1.0 + x) * math.exp(-x) == pytest.approx(0.1)
     assert run.figures["settling_1"] == pytest.approx(x / 10.0, abs=2e-3)
+
+
+def test_a_linear_joint_has_its_own_units(tmp_path):
+    """By the joint's kind in the URDF; a reference in rad for it is refused, one that names it linear is not."""
+    text = read_urdf(TWO)
+    at = text.index('name="elbow"')
+    (tmp_path / "lift.urdf").write_text(text[:at] + text[at:].replace('type="revolute"', 'type="prismatic"', 1))
+    changes = {f"{node}.urdf": str(tmp_path / "lift.urdf") for node in ("arm_plant", "arm_controller")}
+    with pytest.raises(ScenarioError, match="reference from trajectory_source does not fit arm_controller: elbow/pos"):
+        rig_of("arm_computed_torque", overrides=changes)
+    with pytest.raises(ScenarioError, match="linear: lift: no such joint; expected some of shoulder, elbow"):
+        rig_of("arm_computed_torque", overrides=changes | {"trajectory_source.linear": ["lift"]})
+    units = signal_units(rig_of("arm_computed_torque", overrides=changes | {"trajectory_source.linear": ["elbow"]}))
+    assert [units[f"joint_states/elbow/{field}"] for field in ("position", "velocity", "effort")] == ["m", "m/s", "N"]
+    assert [units[f"joint_states/shoulder/{field}"] for field in ("position", "velocity")] == ["rad", "rad/s"]
+    assert units["reference/elbow/acceleration"] == "m/s^2"
+    assert units["joint_torques/elbow/effort"] == "N"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from types import SimpleNamespace
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 from pydantic import BeforeValidator, model_validator
 from softrig_core import Params
@@ -16,6 +16,23 @@ def _as_sequence(value: Any) -> Any:
 
 #: One number for every joint, or one number a joint.
 PerJoint = Annotated[tuple[float, ...], BeforeValidator(_as_sequence)]
+
+
+class JointUnits(NamedTuple):
+    """Units of a port's joints, one a joint: of a linear one in m and N."""
+
+    position: tuple[str, ...]
+    velocity: tuple[str, ...]
+    acceleration: tuple[str, ...]
+    effort: tuple[str, ...]
+
+
+def joint_units(joints: Sequence[str], linear: Collection[str]) -> JointUnits:
+    """Return the units of joints, of which some move along a line."""
+    lengths, efforts = zip(*(("m", "N") if j in linear else ("rad", "N m") for j in joints), strict=True)
+    return JointUnits(
+        lengths, tuple(f"{unit}/s" for unit in lengths), tuple(f"{unit}/s^2" for unit in lengths), efforts
+    )
 
 
 def spread(name: str, values: Sequence[float], joints: int) -> tuple[float, ...]:

@@ -115,6 +115,7 @@ class Joint(NamedTuple):
     velocity: float
     effort: float
     mimic: Mimic | None
+    is_linear: bool = False
 
 
 @dataclass(frozen=True)
@@ -291,7 +292,9 @@ def _joint(joint: ElementTree.Element, where: str) -> Joint:
             f"{where}: dynamics has damping {damping:g} and friction {friction:g}, expected no negative values"
         )
     lower, upper, velocity, effort = _limits(joint, where)
-    return Joint(damping, friction, lower, upper, velocity, effort, _mimic(joint, where))
+    return Joint(
+        damping, friction, lower, upper, velocity, effort, _mimic(joint, where), joint.get("type") == "prismatic"
+    )
 
 
 def _limits(joint: ElementTree.Element, where: str) -> tuple[float, float, float, float]:

@@ -53,10 +53,11 @@ class ArmController(Block[ArmControllerParams]):
     @classmethod
     def ports(cls, params: ArmControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Joint states and a trajectory in, one torque a joint out."""
-        joints = params.joints
-        states = joint_state("joint_states", "joint_states", joints, position="rad", velocity="rad/s")
-        wanted = reference("reference", "reference", joints, position="rad", velocity="rad/s", acceleration="rad/s^2")
-        return (states, wanted), (command("joint_torques", "joint_torques", joints, "N m"),)
+        of, joints = params.units(), params.joints
+        motion = {"position": of.position, "velocity": of.velocity}
+        states = joint_state("joint_states", "joint_states", joints, **motion)
+        wanted = reference("reference", "reference", joints, **motion, acceleration=of.acceleration)
+        return (states, wanted), (command("joint_torques", "joint_torques", joints, of.effort),)
 
     def setup(self) -> None:
         """Compile the model, spread the gains."""

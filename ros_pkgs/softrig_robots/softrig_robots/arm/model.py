@@ -9,8 +9,9 @@ from typing import Self
 from pydantic import model_validator
 from softrig_core import BlockParams, Compiled, param, rk4
 
-from ..joints import PerJoint, require_positive, spread
+from ..joints import JointUnits, PerJoint, joint_units, require_positive, spread
 from ..urdf import read_urdf
+from ..urdf_file import read_robot
 
 Vector = tuple[float, ...]
 
@@ -38,6 +39,11 @@ class ArmParams(BlockParams):
         if ties(read_urdf(self.urdf), self.joints):
             raise ValueError(f"{self.urdf} has joints that mimic others: expected one drive a joint")
         return self
+
+    def units(self) -> JointUnits:
+        """Return the units of the joints, by their kinds in the URDF."""
+        known = read_robot(read_urdf(self.urdf)).joints
+        return joint_units(self.joints, [name for name, joint in known.items() if joint.is_linear])
 
     def each(self, name: str) -> Vector:
         """Return a parameter with one value a joint."""

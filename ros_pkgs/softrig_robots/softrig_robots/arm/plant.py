@@ -47,10 +47,11 @@ class ArmPlant(Plant[ArmPlantParams]):
     @classmethod
     def ports(cls, params: ArmPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Declare one torque per joint, and a force on the tool in the base frame."""
+        of, joints = params.units(), params.joints
         states = joint_state(
-            "joint_states", "joint_states", params.joints, position="rad", velocity="rad/s", effort="N m"
+            "joint_states", "joint_states", joints, position=of.position, velocity=of.velocity, effort=of.effort
         )
-        return (command("joint_torques", "joint_torques", params.joints, "N m"), FORCE), (states,)
+        return (command("joint_torques", "joint_torques", joints, of.effort), FORCE), (states,)
 
     @classmethod
     def scene(cls, params: ArmPlantParams) -> Scene:

@@ -9,7 +9,7 @@ from typing import Any, Self
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, param, reference, to_ns, to_s
 
-from ..joints import PerJoint, spread
+from ..joints import PerJoint, joint_units, spread
 from .plant import JOINTS
 
 
@@ -18,12 +18,15 @@ class TrajectoryParams(BlockParams):
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     joints: tuple[str, ...] = param(JOINTS, "joint names", min_length=1)
+    linear: tuple[str, ...] = param((), "those that move along a line (prismatic): in m in place of rad")
     amplitude: PerJoint = param((1.0,), "half the swing A", "rad", live=True)
     cycle: float = param(14.0, "duration of one swing T_cycle", "s", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         spread("amplitude", self.amplitude, len(self.joints))
+        if other := [name for name in self.linear if name not in self.joints]:
+            raise ValueError(f"linear: {', '.join(other)}: no such joint; expected some of {', '.join(self.joints)}")
         return self
 
 
@@ -33,11 +36,9 @@ class TrajectorySource(Block[TrajectoryParams]):
     @classmethod
     def ports(cls, params: TrajectoryParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Declare one output and no input."""
-        return (), (
-            reference(
-                "reference", "reference", params.joints, position="rad", velocity="rad/s", acceleration="rad/s^2"
-            ),
-        )
+        of = joint_units(params.joints, params.linear)
+        motion = {"position": of.position, "velocity": of.velocity, "acceleration": of.acceleration}
+        return (), (reference("reference", "reference", params.joints, **motion),)
 
     def setup(self) -> None:
         """Spread the amplitudes."""
