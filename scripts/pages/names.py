@@ -147,7 +147,11 @@ VERBS: Mapping[str, str] = {
 # what the field calls it, what it is called here, and why that name
 PARAMETERS: tuple[tuple[str, str, str], ...] = (
     ("T_s, sampling time, 1/f_s", "period", "of every node, in s; also as a fraction `1/16000`"),
-    ("R_s, phase resistance", "R_s R", "`R_s` of one phase in star; `R` where paper or data sheet has one loop"),
+    (
+        "R_s, phase resistance",
+        "R_s R",
+        "of one phase in star; `R` of a phase of BLDC motors, of the armature of DC motors",
+    ),
     ("L_d, L_q; L_s", "L_d L_q", "of one phase in star; a surface machine has both equal"),
     (
         "lambda_m, psi_PM, K_e",
