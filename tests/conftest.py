@@ -35,7 +35,9 @@ sys.path.insert(0, str(PACKAGE / "python"))
 
 from softrig_core.bits import pin  # noqa: E402
 
-pin()  # as the command line does: what tests expect are its figures
+# as the command line does: what tests expect are its figures, and threads of OpenBLAS only wait for one another here
+os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+pin()
 
 from softrig_core import Recording, Scenario, Signals, rig_of, run_inprocess  # noqa: E402
 from softrig_core.wire.recording import shard_topics  # noqa: E402

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from collections.abc import Callable, Sequence
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy, as the command line does
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from softrig_core.guard import guarded
+
 from . import (
+    against,
     environment,
     exported,
     fault_location,
@@ -50,15 +54,19 @@ def about(part: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the named parts, all when none is named."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] == ["against"]:
+        return guarded(lambda: against.main(words[1:]))
+    about_against = "this checkout and another commit, in turn"
     lines = "\n".join(f"  {part:17}{about(part)}" for part in PARTS)
     parser = argparse.ArgumentParser(
         prog="scripts/softrig bench",
         description=(__doc__ or "").splitlines()[0],
-        epilog=f"parts:\n{lines}",
+        epilog=f"parts:\n{lines}\n\nagainst COMMIT: {about_against}; `bench against --help`",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help="which of those below (default: all)")
-    parts = parser.parse_args(arguments).parts
+    parts = parser.parse_args(words).parts
     unknown = [part for part in parts if part not in PARTS]
     if unknown:
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")

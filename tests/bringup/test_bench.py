@@ -9,7 +9,7 @@ from shutil import which
 from types import SimpleNamespace
 
 import pytest
-from bench import induction, machines, native, realtime, rectifier, systems
+from bench import against, induction, machines, native, realtime, rectifier, systems
 from bench.__main__ import PARTS, main
 from softrig_core import ScenarioError, bits
 from softrig_drives.induction_dtc.switching import VECTORS
@@ -136,3 +136,21 @@ def test_a_peer_that_is_missing_or_fails(tmp_path):
 def test_the_peer_integrates_the_same_voltage():
     found = induction.peer("motulator", [1] * 20)
     assert found["psi_alpha"] == pytest.approx(540 * 2 / 3 * 5e-5 * found["periods"], rel=0.01)
+
+
+def test_a_commit_is_compared_in_turn_and_one_that_is_not_there_is_refused(capsys, monkeypatch, tmp_path):
+    assert main(["against", "nowhere"]) == 2
+    assert "bench against 'nowhere': no such commit" in capsys.readouterr().err
+    ran = []
+
+    def cost(checkout, words, folder):
+        ran.append((checkout.name, words))
+        return {tmp_path.name: 4.0, ROOT.name: 1.0}[checkout.name] * len(ran)
+
+    monkeypatch.setattr(against, "cost", cost)
+    found = against.compared(tmp_path, ["list"], 2)
+    assert ran == [(n, against.PREPARED) for n in (tmp_path.name, ROOT.name)] + [
+        (n, "list") for _ in range(3) for n in (tmp_path.name, ROOT.name)
+    ]
+    assert found == {"list": ([20.0, 28.0], [6.0, 8.0])}  # the first round is left out
+    assert against.rows(found) == [("list", "24.00", "7.00", "0.29")]
