@@ -13,7 +13,19 @@ from pathlib import Path
 
 from driver import campaign
 
-AREAS = ("bags", "packs", "messages", "parameters", "scenarios", "environments", "kills", "nodes", "starts", "clocks")
+AREAS = (
+    "bags",
+    "packs",
+    "messages",
+    "parameters",
+    "scenarios",
+    "environments",
+    "kills",
+    "nodes",
+    "starts",
+    "clocks",
+    "links",
+)
 AREAS += ("doors",)
 
 

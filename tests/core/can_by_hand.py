@@ -96,6 +96,8 @@ class Bus:
                         heapq.heappush(self.coming, (self.time + at + later, self.count, one))
 
     def recv(self, wait):
+        if self.time < self.back:
+            raise can.CanOperationError("network is down")
         end = self.time + wait
         while self.coming and self.coming[0][0] <= end:
             at, _, frame = heapq.heappop(self.coming)

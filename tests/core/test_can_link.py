@@ -133,6 +133,21 @@ def test_a_bus_that_cannot_be_opened_ends_a_lockstep_run_with_its_reason(own):
         asked(line_of(own, bus), own[1], 0, 1.0)
 
 
+def test_lines_that_an_adapter_cannot_read_are_damaged(own):
+    bus, bad = Bus(random.Random(0), 0.0, node_of(own)), iter(range(150))
+    receive = bus.recv
+
+    def recv(wait):
+        if next(bad, None) is not None:
+            raise IndexError("string index out of range")  # of python-can's slcan
+        return receive(wait)
+
+    bus.recv = recv
+    line = line_of(own, bus, timeout=1.0)
+    assert layout_of(own[1]).answer.unpack(asked(line, own[1], 0, 1.0))[1] == pytest.approx(1.0)
+    assert (line.counts.damaged, line.counts.reopened) == (150, 0)
+
+
 def test_without_an_echo_the_newest_values_count_until_they_are_old(own):
     file, ports = own
     kept, message = [], ""

@@ -18,6 +18,7 @@ from .frames import Kind
 from .line import PATIENCE, REMEMBERED, REOPEN, Build, Counts
 
 RUNS = 1 << 8
+PAUSE = 0.0005  # s after a line that cannot be read: the next one may be no better
 MOST = 500  # frames between two ticks: some 10 ms of work
 Key = tuple[int, bool]
 Parts = dict[Key, dict[int, float]]
@@ -200,8 +201,8 @@ class CanLine:
         number, extended = frame.key
         try:
             self._bus.send(can.Message(arbitration_id=number, is_extended_id=extended, data=data), self.timeout)
-        except (can.CanError, OSError, ValueError) as error:
-            self._gone(error)
+        except (can.CanError, OSError, ValueError):  # a full queue, too; of a bus that is gone reading fails as well
+            self.counts.damaged += 1
 
     def _await(self, done: Callable[[], bool], end: float) -> bool:
         """Receive frames until a condition holds; return whether it held before a time."""
@@ -221,13 +222,17 @@ class CanLine:
             self._take(message)
 
     def _received(self, wait: float) -> Any:
+        """Return the next frame if one comes; a line of an adapter that python-can cannot read counts as damaged."""
         import can
 
         try:
             return self._bus.recv(wait)
-        except (can.CanError, OSError, ValueError) as error:
+        except (can.CanError, OSError) as error:
             self._gone(error)
-            return None
+        except Exception:  # adapters let errors of their parsers escape, such as an IndexError
+            self.counts.damaged += 1
+            self._sleep(PAUSE)
+        return None
 
     def _take(self, message: Any) -> None:
         if message.is_error_frame or message.is_remote_frame:
