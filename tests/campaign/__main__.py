@@ -13,20 +13,8 @@ from pathlib import Path
 
 from driver import campaign
 
-AREAS = (
-    "bags",
-    "packs",
-    "messages",
-    "parameters",
-    "scenarios",
-    "environments",
-    "kills",
-    "nodes",
-    "starts",
-    "clocks",
-    "links",
-)
-AREAS += ("doors",)
+AREAS = ("bags", "packs", "messages", "parameters", "scenarios", "environments", "kills", "nodes", "starts", "clocks")
+AREAS += ("doors", "links")
 
 
 def main() -> int:
