@@ -333,8 +333,8 @@ class Engine:
             finally:
                 self._audience.hand_out(core.steps, first, reached, whole)
 
-        # A search is told something every few ticks. To record and to watch after each of these stretches took half of
-        # the run; the answers of the ticks in Python go into the same tables, and all is handed out once.
+        # A search stops native code every few ticks. Recording after each of these stretches would cost more than the
+        # stretch itself, so answers of the ticks in Python go into the same tables and all are published in one batch.
         while True:
             self._take(fit, at, reached, after)
             if reached == last or not self._decided(reached):
