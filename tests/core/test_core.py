@@ -62,7 +62,7 @@ def test_parameters_flatten_and_build_back():
         ({"R": 0.0}, "parameter R = 0.0: input should be greater than 0"),
         ({"R": math.nan}, "parameter R = nan: input should be a finite number"),
         ({"rig.bits": 17}, "parameter rig.bits = 17: input should be less than or equal to 16"),
-        ({"rr": 1.0}, "parameter rr is unknown; this block has period, R, names, rig.bits, k"),
+        ({"rr": 1.0}, "parameter rr is unknown (did you mean 'R'?); this block has period, R, names, rig.bits, k"),
         ({"names": []}, "parameter names"),
         ({"period": -1.0}, "parameter period = -1.0"),
         ({"period": 1e-10}, "parameter period = 1e-10"),

@@ -54,6 +54,8 @@ class Meeting:
             is_plant=plant,
             outputs=[self.y],
             options=SimpleNamespace(links="x" if rig else ""),
+            overheard=SimpleNamespace(absent=list),
+            of_rig=lambda name: name if name.startswith("/") else f"/rig/{name}",
         )
         self.shake = Handshake(node, [(self.x, "sender")], [(self.y, list(readers))], set(local))
 
@@ -154,8 +156,8 @@ def test_by_hand_what_is_seen_counts_when_it_has_not_changed_for_a_while():
         lonely = Meeting([], rig=False, plant=plant)
         lonely.x.matched(1)
         for _ in range(25):
-            assert lonely.absent() == ["nobody subscribes /y"]
-        assert lonely.absent() == ([] if plant else ["nobody subscribes /y"])  # only a plant may do without
+            assert lonely.absent() == ["no node subscribes to /y"]
+        assert lonely.absent() == ([] if plant else ["no node subscribes to /y"])  # only a plant may do without
     public = Meeting([], public=True, recorders=["bag"])
     public.x.matched(1)
     assert public.absent() == ["bag does not subscribe /y"]

@@ -218,7 +218,7 @@ class Engine:
                 return
 
     def _compile_beside(self, k: int) -> bool:
-        """Have the text compiled in a thread if others are to be served meanwhile; return whether that is under way."""
+        """Compile the text in a thread if messages must be served in the meantime; return whether that is under way."""
         fit = self._fit
         if fit is None or self._alone is None or fit.kept.made or not self._typed:
             return False

@@ -89,9 +89,11 @@ class Handshake:
         self._seen = seen
         if absent or self._settled >= SETTLED or self._knows_all():
             if len(unread) == len(node.outputs) and not node.is_plant:  # only a plant may do without any reader
-                absent += [f"nobody subscribes {topic}" for topic in unread]
+                absent += [f"no node subscribes to {topic}" for topic in unread]
             return absent or node.overheard.absent()
-        return [f"nobody subscribes {topic}" for topic in unread] or ["outside nodes are still announcing themselves"]
+        return [f"no node subscribes to {topic}" for topic in unread] or [
+            "outside nodes are still announcing themselves"
+        ]
 
     def _knows_all(self) -> bool:
         """Return whether the rig names all who may be there."""

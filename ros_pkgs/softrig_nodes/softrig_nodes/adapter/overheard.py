@@ -163,7 +163,7 @@ class OverheardTopics:
         if lacking and self._waits("start"):
             return [f"no publisher on {topic} yet (of an external node)" for topic in lacking]
         for topic in lacking:
-            text = f"nobody publishes {topic}, which an external node should: it is not recorded"
+            text = f"no node publishes {topic}, as an external node should: it is not recorded"
             self._node.step.note(Level.WARN, f"unrecorded {topic}", text)
         return []
 

@@ -23,7 +23,7 @@ class Circuit(NamedTuple):
 
     @staticmethod
     def of(omega: float, L: float, R: float, C: float, phi: float) -> Circuit:
-        """Make it of the angle phi (rad)."""
+        """Create it for the angle phi (rad)."""
         return Circuit(omega, L, R, C, math.cos(phi), math.sin(phi))
 
 
