@@ -56,7 +56,7 @@ class Unit:
         """Return it as structured text."""
         if self.kind == "TYPE":
             inner = "".join(f"    {n} : {t};\n" for n, t in self.fields)
-            return f"TYPE {self.name} :\nSTRUCT\n{inner}END_STRUCT\nEND_TYPE\n"
+            return f"TYPE {self.name} :\nSTRUCT\n{inner}END_STRUCT;\nEND_TYPE\n"
         colon = f" : {self.result}" if self.result else ""
         return "\n".join([f"{self.kind} {self.name}{colon}", *self.head, *self.body, f"END_{self.kind}", ""])
 
@@ -254,7 +254,7 @@ class _Printer:
             *(f"    {line}" for line in settings_),
             f"        done := {init}({begin});",
             "        begun := TRUE;",
-            "    END_IF",
+            "    END_IF;",
             *before,
             f"    gave_up := ({step}({call}) <> 0);",
             *after,
@@ -393,7 +393,7 @@ class _Printer:
         self.emit(f"WHILE {k} < {size} DO")
         self.emit(f"    {to.text}[{k}] := {frm.text}[{k}];")
         self.emit(f"    {k} := {k} + 1;")
-        self.emit("END_WHILE")
+        self.emit("END_WHILE;")
 
     def _return(self, node: Any) -> None:
         zero = (
@@ -411,7 +411,7 @@ class _Printer:
         if node.iffalse is not None:
             self.emit("ELSE")
             self.block(node.iffalse)
-        self.emit("END_IF")
+        self.emit("END_IF;")
 
     def _for(self, node: Any) -> None:
         """Print a loop as WHILE: FOR with equal ends runs no time in one compiler."""
@@ -432,7 +432,7 @@ class _Printer:
         self.block(node.stmt)
         self.lines += self.increments
         self.increments = outer
-        self.emit("END_WHILE")
+        self.emit("END_WHILE;")
 
     def _break(self, node: Any) -> None:
         self.emit("EXIT;")
@@ -570,7 +570,7 @@ class _Printer:
         self.lines += then
         self.emit("ELSE")
         self.lines += orelse
-        self.emit("END_IF")
+        self.emit("END_IF;")
         return target
 
     def _e_cast(self, node: Any) -> Typed:

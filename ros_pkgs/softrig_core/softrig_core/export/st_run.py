@@ -190,7 +190,7 @@ def _line(line: str, out: list[str], depth: int, own: set[str], name: str) -> in
     if found := re.fullmatch(r"WHILE (.*) DO", line):
         out.append(f"{pad}while {_expression(found[1], own)}:")
         return depth + 1
-    if line in ("END_IF", "END_WHILE"):
+    if line.rstrip(";") in ("END_IF", "END_WHILE"):
         return depth - 1
     if line == ";":
         out.append(f"{pad}pass")
