@@ -80,7 +80,7 @@ def test_a_report_draws_what_the_run_did_not(run, tmp_path):
 
 def test_what_cannot_be_drawn_is_one_line(run, tmp_path, capsys):
     assert main(["draw", "plot", str(tmp_path / "nowhere")]) == 2
-    assert "no bag in it" in capsys.readouterr().err
+    assert "expected a run, a bag or a pack" in capsys.readouterr().err
     assert main(["draw", "plot", str(run), "motor/speed", "--out", str(tmp_path)]) == 2
     assert "no signal 'motor/speed'" in capsys.readouterr().err
     edited = Path(shutil.copytree(run, tmp_path / "edited"))

@@ -655,7 +655,7 @@ def test_what_goes_into_a_file_of_a_run_is_as_told(kept, tmp_path, capsys, monke
     monkeypatch.chdir(tmp_path)
     told = []
     for name, bag in (("with its bag", True), ("without", False)):
-        made = pack.collect(kept / "run", bag=bag)
+        made = pack.collect(kept / "run", kept / f"aside_{bag}", bag=bag)
         told.append(f"{name}: lacks {list(made.lacks)}")
         told += [f"  {place}" for place in made.files]
         about = made.about
@@ -669,7 +669,7 @@ def test_what_goes_into_a_file_of_a_run_is_as_told(kept, tmp_path, capsys, monke
             for line in made.files[f"scenario/{about.scenario}.yaml"].decode().splitlines()
             if "delta" in line or line.startswith("  at")
         ]
-    lone = pack.collect(next((kept / "run/bag").glob("*.mcap")))
+    lone = pack.collect(next((kept / "run/bag").glob("*.mcap")), kept / "aside_one")
     told += ["a single file", *(f"  {place}" for place in lone.files)]
     for words in (["--out", "x.zip"], ["--no-bag"]):
         assert cli.main(["pack", str(kept / "run"), *words]) == 0
@@ -695,7 +695,7 @@ def test_a_file_of_code_that_is_no_longer_that_of_the_run_says_so(kept, capsys, 
 
     monkeypatch.setattr(pack, "recall", other)
     now = pack.fingerprints([])["softrig_core"] if pack.fingerprints([]) else None
-    made = pack.collect(kept / "run")
+    made = pack.collect(kept / "run", kept / "aside")
     said = capsys.readouterr().err
     assert said.startswith("softrig: the code of softrig_core is no longer that of the run (0123 then, ")
     assert said.count("\n") == 1
