@@ -1328,7 +1328,11 @@ def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
             1,
             ["lag: 1 hold, 1 do not", "  claim b: no"],
         ),
-        ([good, good | {"error": "gone", "kind": "broke"}], 3, ["lag: nothing is judged: it has no expectations", "lag: broke: gone"]),
+        (
+            [good, good | {"error": "gone", "kind": "broke"}],
+            3,
+            ["lag: nothing is judged: it has no expectations", "lag: broke: gone"],
+        ),
     ):
         outcomes[:] = found
         assert main(["check", "lag", "--workers", "2"]) == status

@@ -21,8 +21,8 @@ from .engine import Outcome
 from .words import number, shown
 
 MEANING = (
-    "The margin of a requirement is the distance of the run from violating it, in the unit of its signals; below 0 it is "
-    "violated. If no violation is found, one may still exist."
+    "The margin of a requirement is the distance of the run from violating it, in the unit of its signals; below 0 it "
+    "is violated. If no violation is found, one may still exist."
 )
 
 
