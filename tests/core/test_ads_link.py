@@ -20,7 +20,7 @@ from softrig_core.firmware.ads_files import main
 from softrig_core.scenario.scenario import merge, read_draft
 
 SCENARIO, NODE = "dc_motor_smc_b2", "dc_motor_smc"
-CALLS, MANY = 3_000, 30_000
+CALLS, MANY = 1_000, 30_000
 
 
 @cache
