@@ -32,7 +32,7 @@ LIMITS = {
     "softrig_core.run.session": {"KEPT": 256},
     # a run in real time, ns but for AGAIN
     "softrig_nodes.realtime.beat": {"BEHIND": 50 * MS},
-    "softrig_nodes.realtime.gathering": {"STRETCH": 10 * MS},
+    "softrig_core.block.gathering": {"STRETCH": 10 * MS},
     "softrig_nodes.realtime.live": {"KEPT": 64, "GONE": SECOND},
     "softrig_nodes.realtime.realtime": {"AGAIN": 10.0, "SOON": MS, "CATCH_UP": SECOND, "END_GRACE": SECOND},
     "softrig_nodes.realtime.realtime.Realtime": {"status_every": 4},
