@@ -123,6 +123,10 @@ def test_a_rig_in_c_publishes_the_bits_of_the_run(scenario, left, tmp_path):
     assert found.same
     assert without.keys() >= left
     assert max(scale for _, scale in found.errors) > 0.0
+    if shutil.which("c++"):
+        included = f'#include "{done.name}.h"\n'
+        command = ["c++", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-x", "c++", "-"]
+        subprocess.run(command, input=included, text=True, cwd=tmp_path, check=True)
     source = (tmp_path / f"{done.name}.c").read_text()
     assert "= s->" in source
     wrong = source.replace("k * INT64_C(", "(k + 1) * INT64_C(", 1)

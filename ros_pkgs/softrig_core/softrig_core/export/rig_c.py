@@ -181,8 +181,8 @@ class _RigFiles:
             "    int64_t t_ns; /**< time of the newest tick */",
         ]
         for one in self.files_of.values():
-            lines += [f"    {one.name} {one.name};", f"    {one.name}_in {one.name}_in;"]
-            lines += [f"    {one.name}_out {one.name}_out;"]
+            # C++ takes a member with the name of its type only behind `struct`
+            lines += [f"    struct {part} {part};" for part in (one.name, f"{one.name}_in", f"{one.name}_out")]
         lines += [
             f"}} {n};",
             "",
