@@ -14,6 +14,7 @@ from scipy.signal import butter, sosfilt
 from softrig_bags.write import write_bag
 from softrig_core import Level, ParameterError, Recording, RunError, ScenarioError, load_scenario, simulate
 from softrig_core.block.params import build
+from softrig_core.kit.file_format import text_of
 from softrig_power.fault_location import figures, locate_tool, pictures, study, study_tool
 from softrig_power.fault_location.cases import Case
 from softrig_power.fault_location.line import measurement, simulation
@@ -32,7 +33,7 @@ from softrig_power.fault_location.method.search import brent, integer_grid
 from softrig_power.fault_location.plant import LinePlant, LinePlantParams
 from softrig_power.fault_location.ports import record_port
 from softrig_power.fault_location.records import resample
-from softrig_power.fault_location.records.comtrade_file import ComtradeFileError, _text, read_comtrade, write_comtrade
+from softrig_power.fault_location.records.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
 from softrig_power.fault_location.records.record import CHANNELS, Record, RecordError, Status
 from softrig_power.fault_location.records.rows import Rows
 from softrig_power.lines import bergeron
@@ -415,10 +416,10 @@ def test_two_recorders_by_their_clocks_and_what_is_told_of_them(tmp_path):
 
 
 def test_the_text_of_a_file_in_what_recorders_write():
-    assert _text("Süd".encode()) == "Süd"
-    assert _text(b"\xef\xbb\xbf" + "Süd".encode()) == "Süd"
-    assert _text("Süd".encode("cp1252")) == "Süd"
-    assert _text(b"S\x81d") == "S\N{REPLACEMENT CHARACTER}d"
+    assert text_of("Süd".encode()) == "Süd"
+    assert text_of(b"\xef\xbb\xbf" + "Süd".encode()) == "Süd"
+    assert text_of("Süd".encode("cp1252")) == "Süd"
+    assert text_of(b"S\x81d") == "S\N{REPLACEMENT CHARACTER}d"
 
 
 # The equations --------------------------------------------------------------------------------------------
